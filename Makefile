@@ -20,7 +20,7 @@ PYTEST := PYTHONDONTWRITEBYTECODE= POLARS_MAX_THREADS=1 OMP_NUM_THREADS=1 \
 BENCHMARKS := $(sort $(wildcard benchmarks/*.py))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all bench lint clean
+.PHONY: help demo test test-all bench docs lint clean
 
 help: ## say what can be made
 	@echo "cyclekit:"
@@ -41,6 +41,10 @@ test-all: $(READY) ## every test, also the slow ones: kills, browsers, clusters,
 bench: $(READY) ## the measurements in benchmarks/, one after the other (minutes)
 	@echo "== bench: $(words $(BENCHMARKS)) measurements"
 	@set -e; for file in $(BENCHMARKS); do echo "-- $$file"; $(BIN)/python $$file; done
+
+docs: $(READY) ## the documentation as a site in out/site; a link that leads nowhere is an error
+	@echo "== docs: $(OUT)/site/docs/index.html"
+	@$(BIN)/sphinx-build -q -W --keep-going -c docs . $(OUT)/site
 
 lint: $(READY) ## style, format and types
 	@echo "== lint: ruff check, ruff format --check, mypy --strict"

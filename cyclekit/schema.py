@@ -192,6 +192,9 @@ TASKS: Mapping[str, Column] = {
     "planned_start_s": Column(F64, "s", "planned start, session time; null = not logged"),
     "planned_end_s": Column(F64, "s", "planned end, session time; null = not logged"),
     "outcome": Column(TEXT, "", "done, failed, or the log's own word; null = not logged"),
+    "reached_s": Column(F64, "s", "when the robot reached the point short of the goal where it may wait; null = none"),
+    "went_on_s": Column(F64, "s", "when it went on from there; reached_s if it did not stop; null = no such point"),
+    "waited_for": Column(TEXT, "", "what ended the wait, `operator leaves fixture`; null = nothing that is known"),
     "lost_person_s": Column(F64, "s", "time lost since a person was near"),
     "lost_slider_s": Column(F64, "s", "time lost to the operator's speed slider: integral of s (1 - slider)"),
     "lost_input_s": Column(F64, "s", "time lost to an input that slows the robot, such as reduced mode"),
@@ -218,6 +221,9 @@ ADDED_TO_TASKS: Mapping[str, str | None] = {
     "planned_start_s": None,
     "planned_end_s": None,
     "outcome": None,
+    "reached_s": None,
+    "went_on_s": None,
+    "waited_for": None,
     **{f"lost_{cause}_s": None for cause in LOST_CAUSES},
 }
 """Columns that datasets of earlier versions lack, and what they would hold there."""

@@ -7,7 +7,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.cli.groups import grouped
-from cyclekit.cli.lists import lost_table, safety_lines, task_list_tables
+from cyclekit.cli.lists import coupling_table, lost_table, safety_lines, task_list_tables
 from cyclekit.cli.terminal import bullet, duration, percent, table
 from cyclekit.dataset.cards import plain, texts
 from cyclekit.text.plain_text import one_line
@@ -15,6 +15,7 @@ from cyclekit.text.plain_text import one_line
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from cyclekit.estimate.what_to_log import RecordingPlan
     from cyclekit.inspect.facts import (
         DatasetDescription,
         Description,
@@ -170,12 +171,19 @@ def _dataset(found: DatasetDescription) -> str:
     if found.samples:
         parts.append(_tasks(found.tasks))
         parts.append(lost_table(found.lost))
+    parts.append(to_log(found.to_log))
     parts.append(task_list_tables(found.task_list) if found.task_list else "")
+    parts.append(coupling_table(found.coupling))
     parts += [_clocks(found.clocks), _operator(found.operator)]
     silences = [f"gaps in {name}: {_gaps(gaps)}" for name, gaps in found.gaps.items()]
     parts.append(bullet(_some(silences, SHOWN_FILES)))
     parts.append(bullet(_some(found.warnings, SHOWN_FILES), mark="! "))
     return "\n\n".join(part for part in parts if part)
+
+
+def to_log(plan: RecordingPlan | None) -> str:
+    """Return what to log next; nothing where nothing is lacking."""
+    return "What to log next\n" + bullet(plan.lines) if plan is not None and plan.lines else ""
 
 
 def _of_samples(found: DatasetDescription) -> list[str]:
@@ -278,7 +286,8 @@ def _model(found: ModelDescription) -> str:
         named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy)} of levels predicted correctly"
         error = f"MSE {metrics.mse_mean:.2e}, mean absolute error {metrics.mae:.4f}"
         lines.append(bullet([f"{error}{named} ({metrics.rows} samples)"], mark="  held out   "))
-    return "\n".join([*lines, bullet(texts(card.warnings), mark="  ! ")]).rstrip()
+    page = "\n".join([*lines, bullet(texts(card.warnings), mark="  ! ")]).rstrip()
+    return "\n\n".join(part for part in (page, coupling_table(card.coupling)) if part)
 
 
 def shorten(text: str) -> str:

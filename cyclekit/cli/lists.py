@@ -6,11 +6,16 @@ from typing import TYPE_CHECKING
 
 from cyclekit.cli.terminal import bullet, duration, percent, table
 from cyclekit.dataset.lost_time import CAUSE_NAMES
+from cyclekit.learning.coupling.waits import told
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.dataset.cards import CouplingCard
     from cyclekit.dataset.lost_time import LostTime, PersonLoss
     from cyclekit.inspect.facts import SafetyFacts, TaskListFacts
 
+_AT = {"leave": "at", "approach": "before"}
 SHOWN_AGENTS, SHOWN_TASKS, SHOWN_VALUES = 12, 24, 6
 
 
@@ -98,3 +103,32 @@ def safety_lines(found: SafetyFacts) -> list[str]:
         said = f"{span.least:.2f} to {span.most:.2f} m (median {span.median:.2f} m); {repeats}"
         lines.append(bullet([said], mark="  distance  "))
     return lines
+
+
+def coupling_table(found: CouplingCard | None) -> str:
+    """Return who waits where for what; empty where it is not known."""
+    if found is None:
+        return ""
+    rows = []
+    for gate in found.gates:
+        for one in gate.conditions:
+            low, middle, high = (_quantile(one.lag_s, level) for level in (0.05, 0.5, 0.95))
+            who = f"{gate.agent} {_AT[gate.at]} {gate.place}" + (" (told)" if gate.told else "")
+            decided = f"{one.decided} of {gate.passages}"
+            back = f", {one.back} earlier" if one.back else ""
+            rows.append(
+                [who, told(one) + back, f"{middle:.1f}", f"{low:.1f} to {high:.1f}", percent(one.held), decided]
+            )
+    if not rows:
+        return f"nobody waits for anybody, by {found.executions} executions"
+    parts = [table(["who waits ", "until ", "lag, s", "5 to 95 %", "held", "decided"], rows)]
+    for source in found.sources:
+        gap = f"{_quantile(source.gap_s, 0.05):.1f} to {_quantile(source.gap_s, 0.95):.1f} s"
+        parts.append(f"parts of {source.signal} come {gap} apart; at most {source.buffer} wait at {source.taken_by}")
+    return "\n".join(parts)
+
+
+def _quantile(values: Sequence[float], level: float) -> float:
+    at = level * (len(values) - 1)
+    low = int(at)
+    return values[low] + (at - low) * (values[min(low + 1, len(values) - 1)] - values[low])

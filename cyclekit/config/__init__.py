@@ -15,5 +15,6 @@ from cyclekit.config.cells import NamedPlace as NamedPlace
 from cyclekit.config.cells import Robot as Robot
 from cyclekit.config.cells import Source as Source
 from cyclekit.config.cells import Sync as Sync
+from cyclekit.config.cells import Wait as Wait
 from cyclekit.config.read import load_cell as load_cell
 from cyclekit.config.write import cell_to_toml as cell_to_toml

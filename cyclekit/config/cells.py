@@ -116,6 +116,42 @@ class Furniture:
 
 
 @dataclass(frozen=True)
+class Wait:
+    """Who waits where until what has happened; it wins over what the logs show.
+
+    Attributes:
+        agent: Who waits.
+        before: Place that it may not go on to; else `leaving`: place that it may not leave.
+        until: "operator leaves fixture", "robot arrives handover", "release set" or "release cleared" of a signal.
+        back: The k-th passage needs the (k - back)-th such event of the execution; None = found in the logs.
+        never: It does not wait for that, or for nothing at all without `until`.
+    """
+
+    agent: Literal["robot", "operator"]
+    before: str | None = None
+    leaving: str | None = None
+    until: str | None = None
+    back: Annotated[int, Meta(ge=0, le=100)] | None = None
+    never: bool = False
+
+    def place(self, at: str) -> str | None:
+        """Return the place that it may not `approach`, or may not `leave`; None where it says nothing of that."""
+        return self.before if at == "approach" else self.leaving
+
+    @property
+    def event(self) -> tuple[str, str, str] | None:
+        """Whose event it waits for (`signal` = of a signal), where (or the signal), and which; None = any."""
+        if self.until is None:
+            return None
+        first, _, rest = self.until.partition(" ")
+        kind, _, place = rest.partition(" ")
+        if first in ("robot", "operator") and kind in ("arrives", "leaves") and place:
+            return first, place, kind
+        signal, _, kind = self.until.rpartition(" ")
+        return ("signal", signal, kind) if signal and kind in ("set", "cleared") else ("", "", "")
+
+
+@dataclass(frozen=True)
 class Executions:
     """How executions of the process begin.
 
@@ -177,6 +213,7 @@ class Cell:
         levels: Levels of the safety system's speed scaling, ascending, fractions; empty = found in the logs.
         robot: The arm, where the TCP is not logged and shall be computed from the joint angles.
         operator_signals: Signals that tell of people; empty: without a tracker they are found in the logs.
+        waits: Who waits where for what, beside what the logs show.
         bridge_s: A gap in the operator's track up to this long is bridged linearly; longer ones stay unknown.
     """
 
@@ -189,6 +226,7 @@ class Cell:
     human_places: Mapping[str, NamedPlace] = field(default_factory=dict)
     furniture: Mapping[str, Furniture] = field(default_factory=dict)
     executions: Executions = field(default_factory=Executions)
+    waits: tuple[Wait, ...] = ()
     rate_hz: Rate = 10.0
     bridge_s: Number = 0.3
     levels: Levels = ()

@@ -9,7 +9,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.config.arms import MODELS
-from cyclekit.config.cells import CLOCK_KEYS, Cell, Executions, Frame, Matrix, Number, Point, Robot
+from cyclekit.config.cells import CLOCK_KEYS, Cell, Executions, Frame, Matrix, Number, Point, Robot, Wait
 from cyclekit.config.toml_file import followed, list_at, read_toml, refuse_twice, table_at
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.storage.files import resolved
@@ -46,6 +46,8 @@ def load_cell(path: Path) -> Cell:
         raise ConfigError(f"{where}: all_places_named = true, but no place is named", cure="Name them: [places.NAME]")
     _check_levels(where, cell)
     _check_executions(f"{where} executions", cell.executions)
+    for number, wait in enumerate(cell.waits):
+        _check_wait(f"{where} waits[{number}]", wait)
     if cell.robot is not None:
         _check_robot(f"{where} robot", cell.robot)
     return cell if raw.get("name") else replace(cell, name=resolved(path).parent.name)
@@ -60,6 +62,18 @@ def _check_levels(where: str, cell: Cell) -> None:
 def _check_executions(where: str, executions: Executions) -> None:
     if (executions.begin == "signal") != (executions.signal is not None):
         raise ConfigError(f'{where}: begin = "signal" and signal = "…" go together', cure='signal = "cycle_start=1"')
+
+
+def _check_wait(where: str, wait: Wait) -> None:
+    if (wait.before is None) == (wait.leaving is None):
+        raise ConfigError(f"{where}: needs one of before and leaving", cure='before = "fixture"')
+    if wait.until is None and not wait.never:
+        raise ConfigError(f"{where}: until what it waits is not said", cure='until = "operator leaves fixture"')
+    if wait.event is not None and not wait.event[0]:
+        cure = 'Write "operator leaves PLACE", "robot arrives PLACE", "SIGNAL set" or "SIGNAL cleared".'
+        raise ConfigError(f"{where}: until = {wait.until!r} is no event", cure=cure)
+    if wait.event is not None and wait.event[0] == wait.agent:
+        raise ConfigError(f"{where}: {wait.agent} waits for itself", cure="Name what the other agent or a signal does.")
 
 
 def _check_robot(where: str, robot: Robot) -> None:

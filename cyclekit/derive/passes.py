@@ -20,6 +20,7 @@ from cyclekit.dataset.cards import note
 from cyclekit.dataset.signals import switches
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
+from cyclekit.derive.operator_tasks import operator_tasks
 from cyclekit.derive.sample_file import in_order, shared_files
 from cyclekit.derive.seen_slow import Switches, joined, rows_of
 from cyclekit.derive.session_end import Left, finish
@@ -36,6 +37,7 @@ from cyclekit.segmentation.arrivals import Stands, stands_of
 from cyclekit.segmentation.dwell import Dwell, usual_dwells
 from cyclekit.segmentation.executions import Execution, find_executions, find_visits
 from cyclekit.segmentation.places import find_places, with_turns
+from cyclekit.segmentation.waits import with_waits
 from cyclekit.storage.parquet import forget, keeping
 
 if TYPE_CHECKING:
@@ -173,7 +175,7 @@ def _finished(
     return Derived(
         recordings=[recording for one in made for recording in one.recordings],
         samples=sum(one.samples for one in some),
-        tasks=_tasks(made, [one.lost_s for one in finished]),
+        tasks=_tasks(made, [one.lost_s for one in finished], spots),
         executions=[card for one in made for card in one.cards],
         places=robot.places,
         human_places=spots,
@@ -190,13 +192,14 @@ def _finished(
     )
 
 
-def _tasks(made: Sequence[Made], lost: Sequence[Floats]) -> pl.DataFrame:
-    """Return table TASKS with the seconds that each cause of a speed scaling below 1 took.
+def _tasks(made: Sequence[Made], lost: Sequence[Floats], spots: Mapping[str, Place]) -> pl.DataFrame:
+    """Return table TASKS of both agents, with the seconds that each cause of a speed scaling below 1 took.
 
     Samples tell the shares, and the account of time, at the log's own rate, how much there is to be shared.
     """
     columns = {name: column.dtype for name, column in schema.TASKS.items()}
-    tasks = pl.DataFrame([row for one in made for row in one.tasks], schema=columns, orient="row")
+    rows = [row for one in made for row in (*one.tasks, *operator_tasks(one.cards, one.stays, spots))]
+    tasks = pl.DataFrame(rows, schema=columns, orient="row")
     mine = np.flatnonzero(tasks["start_place"].is_not_null().to_numpy())
     parts = np.concatenate([*lost, np.empty((0, len(schema.SCALING_CAUSES)))])
     total = parts.sum(axis=1, keepdims=True)
@@ -232,9 +235,13 @@ def _signals(cards: Sequence[OperatorSignalCard]) -> list[Note]:
 
 
 def _times_of(legs: Sequence[Leg]) -> Floats:
-    return np.array([(leg.start_s, leg.arrival_s, leg.arrival_s + leg.dwell_s, leg.end_s) for leg in legs]).reshape(
-        -1, 4
-    )
+    never = (np.inf, -np.inf)
+    times = [
+        (leg.start_s, leg.arrival_s, leg.arrival_s + leg.dwell_s, leg.end_s)
+        + (never if leg.reached_s is None or leg.went_on_s is None else (leg.reached_s, leg.went_on_s))
+        for leg in legs
+    ]
+    return np.array(times).reshape(-1, 6)
 
 
 def _switches(made: Made, read: Read) -> dict[str, Switches]:
@@ -317,7 +324,7 @@ def _robot(
         places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
         visits = find_visits(stops, places, runs)
     executions = find_executions(visits, places, cell.executions, [marks for look in looks for marks in look.marks])
-    executions += _whole_runs(runs, executions)
+    executions = with_waits(executions, stops, runs) + _whole_runs(runs, executions)
     with keeping(KEPT_BYTES):
         runs, warnings = with_scaling(runs, executions, places, sessions, progress, engine)
     by_run: list[list[Execution]] = [[] for _ in runs]

@@ -43,7 +43,8 @@ class Left:
         stays: Where the operator stayed, of each execution.
         absence: When a silent tracker says that nobody was there.
         switches: Signals of two states, session time; where any tell of people those alone, on while somebody is there.
-        legs: Start, arrival, end of the dwell and end of each of the robot's tasks, shape (L, 4), session seconds.
+        legs: Of each of the robot's tasks its start, arrival, end of the dwell and end, and from when to when it waited
+            short of its goal, shape (L, 6), session seconds.
     """
 
     part: str
@@ -149,8 +150,9 @@ def _told(samples: pl.DataFrame, left: Left, evidence: Evidence, lost: Floats) -
     if len(left.legs):
         leg = np.clip(np.searchsorted(left.legs[:, 0], t_s + 1e-9, side="right") - 1, 0, None)
         within = (t_s >= left.legs[leg, 0] - 1e-9) & (t_s < left.legs[leg, 3])
-        np.add.at(lost, leg[within], shares[within])
-        every["wait"] = (within & (t_s >= left.legs[leg, 2]) & ~moving & ~paused) * 1.0
+        short = within & (t_s >= left.legs[leg, 4]) & (t_s < left.legs[leg, 5]) & ~paused
+        np.add.at(lost, leg[within & ~short], shares[within & ~short])
+        every["wait"] = (short | (within & (t_s >= left.legs[leg, 2]) & ~moving & ~paused)) * 1.0
     parts = np.column_stack([every[name] for name in schema.LOST_CAUSES])
     most = parts.argmax(axis=1)
     names = pl.Series(schema.LOST_CAUSES)[most]

@@ -254,7 +254,7 @@ def _task_rows(name: str, legs: Sequence[Leg]) -> list[tuple[object, ...]]:
         (
             name, index, f"{leg.start_place}->{leg.goal_place}", leg.start_place, leg.goal_place, leg.start_s,
             leg.arrival_s, leg.end_s, leg.nominal_s, leg.safety_loss_s, leg.dwell_s, leg.wait_s,
-            "robot", None, None, None, None,
+            "robot", None, None, None, None, leg.reached_s, leg.went_on_s, None,
             None, leg.slider_loss_s, None, None, leg.wait_s - leg.pause_s, leg.pause_s, None, None,
         )
         for index, leg in enumerate(legs)

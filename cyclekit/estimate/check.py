@@ -31,7 +31,7 @@ from cyclekit.estimate.logged import (
 )
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.operator_model import OperatorModel, operator_model
-from cyclekit.estimate.safety import SafetyModel
+from cyclekit.estimate.safety import OnStates, SafetyModel
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.parallel.one_thread import one_thread
@@ -86,6 +86,7 @@ class Check:
         order_error: How far sums of logged task durations are off by the order, as part of the duration of an order of
             one task (`history.order_error`); None with few executions.
         operator: How the operator model compares with the logged tracks; None where it is these tracks.
+        unseen_error: How far the model may be off as no log shows people (standard deviation).
     """
 
     executions: int
@@ -100,6 +101,7 @@ class Check:
     levels: tuple[float, float]
     order_error: float | None = None
     operator: OperatorModel | None = None
+    unseen_error: float = 0.0
 
     @property
     def phases(self) -> int | None:
@@ -119,7 +121,8 @@ class Check:
     def model_error(self) -> float:
         """Standard deviation of the mean that the network's error still stands for, as part of it."""
         left = 1 - self._sure, ELSEWHERE * self._sure
-        return float(np.hypot(self.own_bias * np.hypot(*left), self.own_error))
+        known = float(np.hypot(self.own_bias * np.hypot(*left), self.own_error))
+        return float(np.hypot(known, self.unseen_error)) if self.unseen_error else known
 
     @property
     def own_within(self) -> float:
@@ -214,7 +217,7 @@ def check_rollout(
     longest_s = 3.0 * max(sum(nominal[task].nominal_s + nominal[task].dwell_s for task in s.tasks) for s in sequences)
     usual_s = min(ENOUGH * float(logged_durations(dataset, sequences).max()), longest_s)
     for until_s in (usual_s, longest_s):
-        entries = operator_tracks(dataset, horizon_s=until_s)
+        entries = operator_tracks(dataset, horizon_s=until_s, model=model)
         sequences = _some([sequence for sequence in sequences if sequence.name in entries.executions], most)
         _enough(dataset, len(sequences))
         entries = only_tracks(entries, {sequence.name for sequence in sequences})
@@ -234,10 +237,12 @@ def check_rollout(
     some = np.isfinite(crossed).any(axis=1)
     means = np.full(len(sequences), np.nan)
     means[some] = np.nanmean(crossed[some], axis=1) * found.factor
+    unseen = model.unseen_error * float(np.nanstd(logged / means)) if isinstance(model, OnStates) else 0.0
     return replace(
         found,
         order_error=order_error(TaskTimes(dataset), sequences, means),
         operator=operator_model([sequence.name for sequence in sequences], beside, entries),
+        unseen_error=unseen,
     )
 
 

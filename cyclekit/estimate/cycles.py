@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.estimate.estimators import ESTIMATORS
-from cyclekit.estimate.safety import Dynamics, holds_everywhere
+from cyclekit.estimate.safety import Dynamics, Logged, OnStates, holds_everywhere
 from cyclekit.estimate.spread import Asked, logged_support, roll_spread
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.transit import transit_table
@@ -41,7 +41,12 @@ def cycles_of(
     for last in (False, False, False, True):  # tracks must be long enough for the slowest cycle; halts take longer
         operator = sequences[0].operator
         tracks = operator_tracks(
-            ask.dataset, horizon_s=horizon, operator=operator, phases=ask.phases, goals=estimator.goals
+            ask.dataset,
+            horizon_s=horizon,
+            operator=operator,
+            phases=ask.phases,
+            goals=estimator.goals,
+            model=ask.model,
         )
         if ask.altered is not None:
             tracks = ask.altered.tracks(tracks, {task.task: task for program in programs for task in program.tasks})
@@ -71,7 +76,7 @@ def _rolled(ask: Question, turn: _Round) -> Iterator[Rolled]:
     programs, tracks = turn.programs, turn.tracks
     if (beside := ESTIMATORS[ask.estimator].beside) is not None:
         return (beside(ask.model, program, tracks, ask.seed) for program in programs)
-    if len(programs) <= MANY or not _dynamics(ask).none:
+    if len(programs) <= MANY or not _dynamics(ask).none or isinstance(ask.model, OnStates):
         return _walked(ask, turn)
     return _looked_up(ask, turn)
 
@@ -83,7 +88,9 @@ def _walked(ask: Question, turn: _Round) -> Iterator[Rolled]:
         some = tuple(ask.dataset.executions["execution"]) if ask.dataset.is_part else None
         asked = Asked(ask.model, ask.dataset.place, some, operator, ask.phases, turn.horizon_s, ask.seed)
         return roll_spread(ask.engine, asked, turn.sequences, len(tracks.executions))
-    support = None if holds_everywhere(ask.model) else logged_support(ask.dataset)
+    support: Logged | None = ask.model if isinstance(ask.model, OnStates) else None
+    if support is None and not holds_everywhere(ask.model):
+        support = logged_support(ask.dataset)
     return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=_dynamics(ask))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.resample import share_within
 from cyclekit.estimate.result import CycleEstimate, TaskShare
+from cyclekit.estimate.safety import OnStates
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -79,7 +80,7 @@ def entry_of(
         safety_by_activity_s={name: lost for name, lost in by_activity if lost > 0.0},
         durations_s=tuple(durations.tolist()),
         estimator=ask.estimator,
-        why=_why(ask.estimator, means.combined),
+        why=_why(ask, means.combined),
         executions=len(set(logged)),
         calibrated=check is not None and check.coverage is not None,
         takt_s=ask.takt_s,
@@ -91,8 +92,9 @@ def entry_of(
     )
 
 
-def _why(estimator: str, combined: Combined | None) -> str:
-    why = ESTIMATORS[estimator].why
+def _why(ask: Question, combined: Combined | None) -> str:
+    model = ask.model if ask.estimator == "rollout" else None
+    why = model.why if isinstance(model, OnStates) else ESTIMATORS[ask.estimator].why
     if combined is None or combined.history_share < TOLD:
         return why
     return (

@@ -14,6 +14,7 @@ from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import EstimateError, ModelError
 from cyclekit.estimate.check import Check, check_rollout
 from cyclekit.estimate.nominal import slider_losses
+from cyclekit.estimate.safety import OnStates
 from cyclekit.learning.windows import nobody_there
 
 if TYPE_CHECKING:
@@ -39,20 +40,30 @@ def doubts_of(cycles: Rolled, entry: CycleEstimate, check: Check | None) -> list
             "coarse estimate from the table of arrivals, one of many sequences: estimate it alone for an exact one; "
             "support and activities are not known"
         )
-    if cycles.support < 0.9:
-        marked = "EXTRAPOLATED: " if entry.extrapolated else ""
-        found.append(
-            f"{marked}{1 - cycles.support:.0%} of the cycle runs through positions that were never logged; the error "
-            "there is unknown, and not in the interval of the mean"
-        )
-    return [*found, *(check.doubts if check is not None else ())]
+    return [*found, *extrapolation_of(entry), *(check.doubts if check is not None else ())]
+
+
+def extrapolation_of(entry: CycleEstimate) -> list[str]:
+    """Return that a part of the cycle runs through positions that were never logged, where it is more than a tenth."""
+    if not entry.support < 0.9:
+        return []
+    marked = "EXTRAPOLATED: " if entry.extrapolated else ""
+    return [
+        f"{marked}{1 - entry.support:.0%} of the cycle runs through positions that were never logged; the error "
+        "there is unknown, and not in the interval of the mean"
+    ]
+
+
+def few_tracks(entry: CycleEstimate) -> str:
+    """Return that a number rests on few operators."""
+    return f"based on only {entry.executions} operator tracks: the mean itself is uncertain"
 
 
 def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
     """Return what else limits one sequence's number, one sentence each."""
     found = []
     if entry.tracks and entry.executions < FEW_EXECUTIONS:
-        found.append(f"based on only {entry.executions} operator tracks: the mean itself is uncertain")
+        found.append(few_tracks(entry))
     if cycles.spliced > CONTINUED:
         found.append(
             f"{cycles.spliced:.0%} of the time the operator's track is continued with parts of other executions that "
@@ -63,7 +74,7 @@ def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
 
 def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     """Return what limits every number from these logs, one sentence each."""
-    found = []
+    found = list(model.limits) if isinstance(model, OnStates) else []
     samples = dataset.samples(columns=["execution", "human_x_m", "human_z_m", "human_gap", "scaling_origin"])
     found += said_of_height(samples)
     absent = samples.filter(nobody_there()).height / max(samples.height, 1)

@@ -1,6 +1,7 @@
 """Expected cycle time of task sequences: the estimators by name, and what each number rests on.
 
-rollout   the learned safety function walked beside logged operator tracks (`walk`, `transit`)
+rollout   the learned safety function walked beside logged operator tracks (`walk`, `transit`), or both agents rolled
+          out together where one waits for the other (`joint`)
 average   the paper's way: the mean scaling over a task's horizon (`rivals`)
 history   sums of logged task durations (`rivals`)
 nominal   nobody in the cell (`rivals`)
@@ -10,21 +11,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cyclekit.errors import EstimateError, ModelError, UnknownName
-from cyclekit.estimate.cycles import MANY, cycles_of
+from cyclekit.estimate.cycles import cycles_of
 from cyclekit.estimate.entry import LEAST_SUPPORT, entry_of
 from cyclekit.estimate.estimators import ESTIMATORS
+from cyclekit.estimate.joint.answer import estimate_both, waits_are_known
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs, refuse_biased, validated
 from cyclekit.estimate.means import history_of, means_of
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.question import Altered, Question
-from cyclekit.estimate.resample import TOGETHER, means_below, resampled
-from cyclekit.estimate.same_work import by_work
+from cyclekit.estimate.ranked import ranked
+from cyclekit.estimate.resample import TOGETHER, resampled
 from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.walk import Rolled, roll_out
 from cyclekit.learning.networks.cell import refuse_other_cell
@@ -99,6 +101,14 @@ def estimate(
     chosen = _chosen(model, estimator)
     if ESTIMATORS[chosen].needs is not None:
         refuse_other_cell(model.card, dataset, other_cell=other_cell)
+    if both := [each for each in sequences if chosen == "rollout" and (each.plan or waits_are_known(model))]:
+        ask = Question(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, check, altered, engine)
+        judged: dict[str, Any] = {"validate": validate, "other_cell": other_cell}
+        of_both = estimate_both(ask, both, **judged, refuse=refused or _raised, tell=tell)
+        asked: dict[str, Any] = {"quantiles": quantiles, "takt_s": takt_s, "seed": seed, "extrapolate": extrapolate}
+        asked |= {"check": check, "altered": altered, "engine": engine, "refused": refused, **judged}
+        others = [each for each in sequences if each not in both]
+        return [*of_both, *(estimate(model, dataset, others, **asked) if others else ())]
     dataset, left_out = in_memory(dataset)
     wanted = None if altered else {task for sequence in sequences for task in sequence.tasks}
     nominal: Mapping[str, NominalTask] = nominal_tasks(dataset, wanted)
@@ -136,11 +146,7 @@ def estimate(
             means.append(mean.resampled_s)
             looked_up.append(not cycles.looked_closely)
     tell(1.0, "done")
-    # what was only looked up comes behind what was walked: its number is not exact enough to rank before it
-    order = sorted(range(len(found)), key=lambda i: (looked_up[i], found[i].expected_s, found[i].name))
-    alike = by_work([found[i] for i in order])
-    mean_of = {entry.name: mean for entry, mean in zip(found, means, strict=True)}
-    return [entry for work in alike.values() for entry in _ranked(work, mean_of)]
+    return ranked(found, means, looked_up)
 
 
 def _chosen(model: SafetyModel, estimator: str | None) -> str:
@@ -216,17 +222,3 @@ def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> Fl
     if tracks is None:  # cycles put together of tasks: each draw is one
         return resampled([str(k) for k in range(len(cycles.duration_s))], ask.seed)
     return resampled(tracks.executions, ask.seed, together=TOGETHER if tracks.runs_on else 1)
-
-
-def _ranked(found: list[CycleEstimate], mean_of: Mapping[str, Vector]) -> list[CycleEstimate]:
-    """Add to each estimate of one work the probability that it beats each other one (the first one, if many)."""
-    many = len(found) > MANY
-    names = [entry.name for entry in found]
-    means = [mean_of[name] for name in names]
-    ranked = []
-    for index, entry in enumerate(found):
-        against = [0, index] if many else range(len(found))
-        below = means_below([means[i] for i in against], list(against).index(index))
-        pairs = zip(against, below.tolist(), strict=True)
-        ranked.append(replace(entry, beats={names[i]: value for i, value in pairs if i != index}))
-    return ranked

@@ -17,7 +17,10 @@ from cyclekit.learning.networks.kinds import names_levels
 from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from cyclekit.dataset.cards import DynamicsCard, TrainingCard
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Bools, Floats, Ints, Singles, Vector
 
 
@@ -81,6 +84,49 @@ def asked_often(model: SafetyModel) -> bool:
     return isinstance(model, Fast) and model.often
 
 
+class Logged(Protocol):
+    """What knows which pairs of robot and operator were ever logged: cells of space, or a safety function of states."""
+
+    def near_logged(self, robot_m: Floats, human_m: Floats, /) -> Bools:
+        """Return whether the logs show the operator there, or in such a state, with the TCP there, shape (N,)."""
+
+
+@runtime_checkable
+class OnStates(SafetyModel, Protocol):
+    """A safety function of states of the operator that stand in place of his position, which no log shows.
+
+    A state is a row of numbers; the first one is its index into `states`.
+    """
+
+    def __hash__(self) -> int:
+        """Return a hash: tracks that were made for it are kept."""
+
+    @property
+    def unseen_error(self) -> float:
+        """Part of the spread of logged durations by which expected ones may be off, as nobody saw people."""
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states."""
+
+    @property
+    def why(self) -> str:
+        """What an estimate with it is, in a few words."""
+
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """What limits every number from it, one sentence each."""
+
+    def scaling_in(self, robot_m: Floats, state: Floats, /) -> Vector:
+        """Return s with the TCP there, shape (N, 3), m, in states, shape (N, D); shape (N,)."""
+
+    def near_logged(self, robot_m: Floats, state: Floats, /) -> Bools:
+        """Return whether the logs show such states with the TCP there, shape (N,)."""
+
+    def logged_states(self, dataset: Dataset, /) -> Mapping[str, tuple[Vector, Floats]]:
+        """Return times (T,), s, and states (T, D) of each execution in which they are known."""
+
+
 @runtime_checkable
 class Classifier(SafetyModel, Protocol):
     """A network that may tell how likely each level is, if `network` says that it is a classifier."""
@@ -130,14 +176,17 @@ class Dynamics:
 
 def at_once(model: SafetyModel, dynamics: Dynamics) -> bool:
     """Return whether s depends on the positions of the instant alone."""
-    return dynamics.none and not (isinstance(model, RuleSafety) and model.lags)
+    return dynamics.none and not (isinstance(model, OnStates) or (isinstance(model, RuleSafety) and model.lags))
 
 
 def scaling_of(model: SafetyModel, robot_m: Floats, human_m: Floats) -> Vector:
     """Return s of each pair of positions, shape (N, 3) both; without an operator, what the logs showed then.
 
-    Of somebody whose height is unknown (NaN) it is that of the distance in the plane.
+    Of somebody whose height is unknown (NaN) it is that of the distance in the plane. For a safety function of states
+    these stand in place of x_h, shape (N, D).
     """
+    if human_m.shape[1] != 3 and isinstance(model, OnStates):
+        return model.scaling_in(robot_m, human_m)
     scaling, inputs, present = _asked(model, robot_m, human_m)
     if len(inputs):
         blocks = range(0, len(inputs), BLOCK)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.safety import Dynamics, SafetyModel, holds_everywhere
+from cyclekit.estimate.safety import Dynamics, Logged, OnStates, SafetyModel, holds_everywhere
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.walk import ROWS, Rolled, roll_all
@@ -63,8 +63,9 @@ def roll_spread(engine: Engine, asked: Asked, sequences: Sequence[TaskSequence],
 
 @one_thread()
 def _walk(asked: Asked, sequences: Sequence[TaskSequence]) -> list[Rolled]:
+    on_states = asked.model if isinstance(asked.model, OnStates) else None
     logs, nominal, tracks, support = _of_logs(
-        asked.dataset, asked.executions, asked.operator, asked.phases, asked.horizon_s
+        asked.dataset, asked.executions, asked.operator, asked.phases, asked.horizon_s, on_states
     )
     programs = [lay_out(sequence, nominal, logs) for sequence in sequences]
     dynamics = Dynamics.of(logs.card.dynamics, asked.model)
@@ -79,11 +80,12 @@ def _of_logs(
     operator: tuple[str, ...] | None,
     phases: int | None,
     horizon_s: float,
-) -> tuple[Dataset, Mapping[str, NominalTask], OperatorTracks, Support]:
+    on_states: OnStates | None,
+) -> tuple[Dataset, Mapping[str, NominalTask], OperatorTracks, Logged]:
     logs = Dataset.open(dataset)
     logs = logs if executions is None else logs.only(executions)
-    tracks = operator_tracks(logs, horizon_s=horizon_s, operator=operator, phases=phases)
-    return logs, nominal_tasks(logs), tracks, logged_support(logs)
+    tracks = operator_tracks(logs, horizon_s=horizon_s, operator=operator, phases=phases, model=on_states)
+    return logs, nominal_tasks(logs), tracks, on_states or logged_support(logs)
 
 
 def logged_support(dataset: Dataset) -> Support:

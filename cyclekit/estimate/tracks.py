@@ -21,6 +21,7 @@ import polars as pl
 
 from cyclekit.errors import DatasetError, EstimateError
 from cyclekit.estimate.continuation import Continuation, Stretch
+from cyclekit.estimate.safety import OnStates
 from cyclekit.people.tracks import OCCLUDED_S
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.safety import SafetyModel
 
 RUN_ON_S = 5.0
 """The next execution of a session goes on with the same operator if it begins within this time."""
@@ -60,6 +62,8 @@ class OperatorTracks:
         goal_m: g_h, shape (K, T, 3); NaN = unknown; None where it was not asked for.
         phase_free: What `phase_is_free` says of these logs.
         runs_on: Most executions are followed by the next one without a pause, and the operator with them.
+        state: What the safety function is asked for in place of x_h, shape (K, T, D), D not 3; None: it is asked for
+            x_h.
     """
 
     xyz_m: NDArray[np.float64]
@@ -71,11 +75,14 @@ class OperatorTracks:
     goal_m: NDArray[np.float64] | None = None
     phase_free: bool = False
     runs_on: bool = False
+    state: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
-class _Track:
+class LoggedTrack:
     """What was logged of one execution: x_h (and g_h if asked for), shape (T, 3 or 6), activity (T,), its two ends, s.
+
+    Of an operator who is only known by states: no position, and the states behind it, shape (T, 3 + D).
 
     `seen`: somebody is, at some time. `away`: the tracker saw all along that nobody is. `followed`: its log is
     never silent for longer than OCCLUDED_S.
@@ -97,6 +104,7 @@ def operator_tracks(
     operator: Sequence[str] | None = None,
     phases: int | None = None,
     goals: bool = False,
+    model: SafetyModel | None = None,
 ) -> OperatorTracks:
     """Return the tracks of all complete executions, each at least `horizon_s` long.
 
@@ -110,12 +118,15 @@ def operator_tracks(
         phases: Entries per execution; None: PHASES where `phase_is_free` and no order is asked for, else 1. The first
             entry of each execution is its beginning, and those come first, in the order of the executions.
         goals: Also return g_h.
+        model: Whom the tracks are for; one of states gets these in place of positions.
 
     Raises:
         EstimateError: No execution has an operator track, or none matches `operator`.
     """
     step = 1.0 / dataset.rate_hz
-    names, tracks = _logged(dataset, goals=goals)
+    on_states = isinstance(model, OnStates)
+    found = _in_states(dataset, model) if isinstance(model, OnStates) else _names_and_tracks(dataset, goals=goals)
+    names, tracks = found
     complete = set(dataset.executions.filter("complete")["execution"].to_list())
     seen_in = [name for name in tracks if name in complete and tracks[name].seen]
     begins = [name for name in seen_in if tracks[name].followed]
@@ -145,9 +156,9 @@ def operator_tracks(
     )
     logged = np.array([len(stream.where) for stream in streams])
     executions = tuple(name for name, _ in entries)
-    goal_m = where[..., 3:] if goals else None
+    goal_m, state = (where[..., 3:] if wanted else None for wanted in (goals, on_states))
     return OperatorTracks(
-        where[..., :3], activity, tuple(names), logged, executions, step, goal_m, free, _runs_on(dataset)
+        where[..., :3], activity, tuple(names), logged, executions, step, goal_m, free, _runs_on(dataset), state
     )
 
 
@@ -174,10 +185,10 @@ def phase_is_free(dataset: Dataset) -> bool:
     at each of his tasks as often (no rarer or more frequent than chance gives in one of a thousand cases), the mean of
     his position is within SAME_MEAN standard errors, its spread within SAME_SPREAD.
     """
-    return _is_free(_logged(dataset, goals=False)[1])
+    return _is_free(_names_and_tracks(dataset, goals=False)[1])
 
 
-def _is_free(tracks: dict[str, _Track]) -> bool:
+def _is_free(tracks: dict[str, LoggedTrack]) -> bool:
     usual = [track for track in tracks.values() if track.followed]
     if len(usual) < LEAST_FREE:
         return False
@@ -186,7 +197,7 @@ def _is_free(tracks: dict[str, _Track]) -> bool:
     return all(_is_alike(usual, every, at) for at in (0, shortest // 3, 2 * shortest // 3))
 
 
-def _is_alike(tracks: Sequence[_Track], every: Stretch, at: int) -> bool:
+def _is_alike(tracks: Sequence[LoggedTrack], every: Stretch, at: int) -> bool:
     """Tell whether the operators at sample `at` of these tracks are like those of every sample."""
     where, doing = np.array([t.where[at, :2] for t in tracks]), np.array([t.activity[at] for t in tracks])
     pairs = zip(_kinds(where, doing), _kinds(every.where, every.activity), strict=True)
@@ -196,6 +207,8 @@ def _is_alike(tracks: Sequence[_Track], every: Stretch, at: int) -> bool:
     if len(here) < LEAST_FREE:
         return False
     spread, there = everywhere.std(axis=0), here.std(axis=0)
+    if not spread.any():  # he is known by states, which are alike
+        return True
     off = np.abs(here.mean(axis=0) - everywhere.mean(axis=0)) / np.maximum(spread / np.sqrt(len(here)), 1e-9)
     ratio = there / np.maximum(spread, 1e-9)
     return bool((off < SAME_MEAN).all() and (ratio > SAME_SPREAD[0]).all() and (ratio < SAME_SPREAD[1]).all())
@@ -218,7 +231,12 @@ def _is_chance(here: NDArray[np.int64], usual: NDArray[np.int64]) -> bool:
     return bool(((found - wanted) ** 2 / wanted).sum() <= free + CHANCE * np.sqrt(2.0 * free))
 
 
-def _logged(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, _Track]]:
+def logged_tracks(dataset: Dataset) -> dict[str, LoggedTrack]:
+    """Return what was logged of the operator in each execution, by its name; short gaps are bridged."""
+    return _names_and_tracks(dataset, goals=False)[1]
+
+
+def _names_and_tracks(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, LoggedTrack]]:
     """The operator's tasks, and what was logged of him in each execution."""
     columns = [f"human_{part}{axis}_m" for part in (("", "goal_") if goals else ("",)) for axis in "xyz"]
     samples = dataset.samples(columns=["execution", "t_s", "human_task", "human_gap", *columns])
@@ -231,7 +249,7 @@ def _logged(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, _Tra
     )
     hidden = outside | occluded
     rows = samples.select("execution", row=pl.int_range(pl.len())).group_by("execution", maintain_order=True)
-    tracks: dict[str, _Track] = {}
+    tracks: dict[str, LoggedTrack] = {}
     for execution, first, last, count in rows.agg(
         first=pl.col("row").first(), last=pl.col("row").last(), count=pl.len()
     ).iter_rows():
@@ -245,8 +263,20 @@ def _logged(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, _Tra
         followed = bool(seen.all()) or not (outside[mine] & ~seen).any()
         ends = float(t_s[first]), float(t_s[last])
         away = bool(absent[mine].all())
-        tracks[str(execution)] = _Track(where[mine], activity[mine], *ends, bool(seen.any()), away, followed)
+        tracks[str(execution)] = LoggedTrack(where[mine], activity[mine], *ends, bool(seen.any()), away, followed)
     return names, tracks
+
+
+def _in_states(dataset: Dataset, model: OnStates) -> tuple[list[str], dict[str, LoggedTrack]]:
+    """Names of the states, and in which ones the operator was in each execution that was not run without him."""
+    alone = {one.execution for one in dataset.card.executions if one.reference}
+    tracks = {}
+    for name, (t_s, state) in model.logged_states(dataset).items():
+        if name not in alone:
+            where = np.hstack([np.zeros((len(state), 3)), state])
+            ends = float(t_s[0]), float(t_s[-1])
+            tracks[name] = LoggedTrack(where, state[:, 0].astype(np.int64), *ends, seen=True, away=False, followed=True)
+    return list(model.states), tracks
 
 
 def _bridge(t_s: NDArray[np.float64], xyz_m: NDArray[np.float64], hidden: NDArray[np.bool_]) -> None:
@@ -266,7 +296,7 @@ def _bridge(t_s: NDArray[np.float64], xyz_m: NDArray[np.float64], hidden: NDArra
 
 
 def _matching(
-    dataset: Dataset, tracks: dict[str, _Track], begins: list[str], names: list[str], wanted: tuple[str, ...]
+    dataset: Dataset, tracks: dict[str, LoggedTrack], begins: list[str], names: list[str], wanted: tuple[str, ...]
 ) -> list[str]:
     orders = {name: _order(tracks[name].activity, names) for name in begins}
     found = [name for name in begins if orders[name][: len(wanted)] == wanted]
@@ -291,7 +321,7 @@ def _after(dataset: Dataset) -> dict[str, list[str]]:
     return found
 
 
-def _run_on(tracks: dict[str, _Track], names: list[str], step: float) -> tuple[Stretch, str]:
+def _run_on(tracks: dict[str, LoggedTrack], names: list[str], step: float) -> tuple[Stretch, str]:
     """The track of the first of these executions, and of those that follow it without a longer pause; the last one."""
     name, *others = names
     end, parts, doing = tracks[name].end_s, [tracks[name].where], [tracks[name].activity]

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.estimate.program import Program, draw_stands
-from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, asked_often, at_once, scaling_of
+from cyclekit.estimate.safety import Dynamics, Follower, Logged, SafetyModel, asked_often, at_once, scaling_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from cyclekit.estimate.support import Support
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.schema import Bools, Floats, Ints, Vector
 
@@ -82,7 +81,7 @@ def roll_out(
     model: SafetyModel,
     program: Program,
     tracks: OperatorTracks,
-    support: Support | None,
+    support: Logged | None,
     *,
     seed: int = 0,
     dynamics: Dynamics = AT_ONCE,
@@ -95,7 +94,7 @@ def roll_all(
     model: SafetyModel,
     programs: Sequence[Program],
     tracks: OperatorTracks,
-    support: Support | None,
+    support: Logged | None,
     *,
     seed: int = 0,
     dynamics: Dynamics = AT_ONCE,
@@ -136,7 +135,7 @@ def walk(
     track: Ints,
     stands_s: Sequence[Floats],
     tracks: OperatorTracks,
-    support: Support | None = None,
+    support: Logged | None = None,
     dynamics: Dynamics = AT_ONCE,
     *,
     fine: bool = False,
@@ -290,18 +289,22 @@ class _Lines:
 
 
 class _People:
-    """Operator tracks by time: where all are at an instant lies together in memory."""
+    """Operator tracks by time: where all are at an instant lies together in memory; or in which state."""
 
     def __init__(self, tracks: OperatorTracks) -> None:
-        self._xyz_m = np.ascontiguousarray(tracks.xyz_m.transpose(1, 0, 2))
+        self._moves = tracks.state is None
+        where = tracks.xyz_m if tracks.state is None else tracks.state
+        self._where = np.ascontiguousarray(where.transpose(1, 0, 2))
         self._activity = np.ascontiguousarray(tracks.activity.T) % (len(tracks.activities) + 1)  # unknown is the last
         self._step_s = tracks.step_s
 
     def at(self, t_s: float) -> tuple[Floats, Ints, int]:
-        """Return the position of each operator (K, 3), the activity (K,), and the sample before."""
+        """Return the position (K, 3) or state (K, D) of each operator, the activity (K,), and the sample before."""
         sample = int(t_s / self._step_s + 1e-9)
+        if not self._moves:
+            return self._where[sample], self._activity[sample], sample
         weight = t_s / self._step_s - sample
-        here, after = self._xyz_m[sample], self._xyz_m[sample + 1]
+        here, after = self._where[sample], self._where[sample + 1]
         between = here + (after - here) * weight
         return np.where(np.isnan(between), here, between), self._activity[sample], sample
 

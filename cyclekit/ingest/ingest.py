@@ -46,6 +46,9 @@ from cyclekit.ingest.pseudonymise import Names, numbered_logs, take_out
 from cyclekit.ingest.read.read_logs import Digests, How, check_shared, read_all
 from cyclekit.ingest.read.resume import Shelf
 from cyclekit.ingest.read.reuse import gather_quarantine
+from cyclekit.learning.coupling.learn import learn_executions
+from cyclekit.learning.coupling.visits import courses_of
+from cyclekit.learning.coupling.waits import with_waits_named
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.storage.atomic import built, locked, settle, unsettled, write_parquet, write_text
@@ -278,9 +281,12 @@ def _build(
     if names is not None:
         recordings, warnings = take_out(recordings, names, staging), names.notes(warnings)
         cell, not_read = names.settings(), names.not_read(not_read)
-    write_parquet(derived.tasks, staging / TASKS)
+    courses = courses_of(derived.executions, derived.tasks, derived.recordings, native)
+    coupling = learn_executions(courses, derived.tasks, cell.waits)
+    tasks = derived.tasks if coupling is None else with_waits_named(derived.tasks, courses, coupling)
+    write_parquet(tasks, staging / TASKS)
     derived = replace(derived, recordings=recordings, warnings=warnings)
-    card = structs.replace(_card(cell, derived, not_read, wanted), files=listed(staging))
+    card = structs.replace(_card(cell, derived, not_read, wanted), coupling=coupling, files=listed(staging))
     values = finite(plain(card))
     write_text(staging / CARD, sealed(json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n"))
     return card, intake.kept

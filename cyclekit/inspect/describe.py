@@ -32,6 +32,7 @@ from cyclekit.inspect.facts import (
 )
 from cyclekit.inspect.lists import SafetySurvey, task_list_facts
 from cyclekit.inspect.survey import TableSurvey
+from cyclekit.learning.coupling.learn import learn_coupling
 from cyclekit.learning.networks.saved import CARD as MODEL_CARD
 from cyclekit.learning.networks.saved import load_model
 from cyclekit.learning.task_times.saved import holds_task_times, load_task_times
@@ -168,6 +169,7 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
         task_list=_listed(dataset, every),
         safety=_safety(dataset),
         positions=dataset.positions,
+        coupling=learn_coupling(dataset),
         levels=dataset.levels,
         level_share=tuple(share),
         on_level=len(levelled) / rows,

@@ -13,8 +13,9 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from cyclekit.dataset.cards import TrainingCard
+    from cyclekit.dataset.cards import CouplingCard, TrainingCard
     from cyclekit.dataset.lost_time import LostTime
+    from cyclekit.estimate.what_to_log import RecordingPlan
     from cyclekit.learning.task_times.saved import TaskTimesModel
 
 
@@ -201,6 +202,7 @@ class DatasetDescription(Result):
         safety: What each recording of a safety system's log says, by recording.
         lost: Lost time by cause; None where nothing of it is known.
         positions: Of whom places are known.
+        coupling: Who waits for whom; None where too few executions show both agents.
         tasks: Per task found in the robot's motion: how often, mean seconds of motion at full speed, of safety loss, of
             dwell and wait.
         level_share: Per staircase level, fraction of those samples that are on a level; `on_level`: of all samples, the
@@ -213,6 +215,7 @@ class DatasetDescription(Result):
         clocks: How each recording's clock was related to its session's, by recording: method, offset_s, rate, and
             what is known of how good that is (docs/clocks.md).
         operator: Samples in which each recording of people saw somebody, and why nobody in the others.
+        to_log: What to log next; None where the robot's tasks are not known.
     """
 
     path: Path
@@ -245,12 +248,16 @@ class DatasetDescription(Result):
     safety: Mapping[str, SafetyFacts] = field(default_factory=dict)
     lost: LostTime | None = None
     positions: tuple[str, ...] = ()
+    coupling: CouplingCard | None = None
     kind: str = "dataset"
     verified: int | None = None
+    to_log: RecordingPlan | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        document = super().to_dict()
+        from cyclekit.dataset.cards import plain
+
+        document = super().to_dict() | {"coupling": None if self.coupling is None else plain(self.coupling)}
         return document if self.verified is not None else {k: v for k, v in document.items() if k != "verified"}
 
     def _frame_rows(self) -> tuple[Mapping[str, Any], ...]:

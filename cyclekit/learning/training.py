@@ -35,6 +35,7 @@ from cyclekit.dataset.time_grid import samples_in
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.extras import need
+from cyclekit.learning.coupling.learn import learn_coupling
 from cyclekit.learning.labelling import (
     follows_late,
     scaling_in_time,
@@ -134,6 +135,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
         better = None if signals else staircase_if_better(model, fitted.spec, found.learn, found.held_out)
         beaten = [note("model-beaten", text=better.said(dataset.place, "MODEL"))] if better else []
         card = _card(dataset, found, fitted, measure(model, found.held_out), beaten)
+        card = structs.replace(card, coupling=learn_coupling(dataset))
     model = replace(model, card=card)
     return with_rule(model, dataset, seed=spec.seed) if rules and len(model.levels) > 1 else model
 

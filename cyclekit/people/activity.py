@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Cell, Source
     from cyclekit.dataset.sessions import Session
-    from cyclekit.schema import Ints, Points, Vector
+    from cyclekit.schema import Floats, Ints, Points, Vector
 
     Read = Callable[[str, str], pl.DataFrame | None]
 
@@ -71,6 +71,7 @@ class Stays:
     Attributes:
         samples: How many samples the execution has.
         spans: First and last sample of each stay.
+        times_s: When it began and ended, shape (M, 2), session seconds.
         at_m: Where it was, shape (M, 3), metres.
         goals: The goal that events tell in the middle of each; empty where no event tells goals in this session.
         told: Events tell the goals of this session.
@@ -78,6 +79,7 @@ class Stays:
 
     samples: int
     spans: list[tuple[int, int]]
+    times_s: Floats
     at_m: Points
     goals: list[str | None]
     told: bool
@@ -145,7 +147,8 @@ class Watch:
         at_m = np.array([np.median(human_m[a : b + 1], axis=0) for a, b in spans]).reshape(-1, 3)
         # The middle decides: at the end of a stay the next button is pressed before the operator is seen to walk.
         middles = [goals[(a + b) // 2] for a, b in spans] if goals else []
-        stays = Stays(len(t_s), spans, at_m, middles, told=bool(goals))
+        times_s = np.array([(t_s[a], t_s[b]) for a, b in spans]).reshape(-1, 2)
+        stays = Stays(len(t_s), spans, times_s, at_m, middles, told=bool(goals))
         return Seen(human_m, np.min(found, axis=0) if found else None, goals, stays)
 
     @property

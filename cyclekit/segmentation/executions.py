@@ -26,11 +26,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Visit:
-    """A stop (or several joined) at a place, rows `first`..`last` of its run."""
+    """A stop (or several joined) at a place, rows `first`..`last` of its run.
+
+    `reached`: first and last row on the way there at the spot where the robot may wait; None = there is none.
+    """
 
     place: str
     first: int
     last: int
+    reached: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,10 @@ WORKS, WORKS_AT = 0.9, 0.8
 """A signal tells of work if so much of its changes happen while the robot stands, and it changes in so many stands at
 some place: one that says that the robot is halted, or moves, changes at the ends of stands and at no place in most."""
 
+VARIES, PASSED = 0.5, 1.1
+"""The robot only waits at a spot if its short standstills there last less than this part of its long ones, and if it
+comes there so many times as often as it stands."""
+
 
 def find_places(
     runs: Sequence[Run], stops: Sequence[Stop], named: Mapping[str, NamedPlace], *, all_named: bool = False
@@ -42,7 +46,8 @@ def find_places(
     A spot is a place when the cell file names it, or the robot stood there while it was free to move (in at least
     a tenth of its stops), or, where no scaling is known, when it hardly ever passes without standing. The spot at
     which most recordings begin and end is a place too: a recorder that runs from home to home never sees it stand.
-    So is one in half of whose stops a signal changes that tells of work at the others. With `all_named` none is found.
+    A spot that it also passes without a stop, and where it stands for very different times, is none: it waits there.
+    One in half of whose stops a signal changes that tells of work at the others is one. With `all_named` none is found.
     """
     places: dict[str, Place] = {}
     xyz = np.array([stop.xyz_m for stop in stops]).reshape(-1, 3)
@@ -65,11 +70,32 @@ def find_places(
     others = [group for group, edge in zip(groups, edges, strict=True) if not edge]
     answers = iter(_are_places(runs, stops, xyz, others))
     found = [group for group, edge in zip(groups, edges, strict=True) if edge or next(answers)]
+    found = _without_waits(runs, stops, xyz, found)
     found += _by_signals(runs, stops, xyz, [*members, *found])
     for number, group in enumerate(sorted(found, key=lambda g: int(g.min())), 1):
         centre = np.median(xyz[group], axis=0)
         places[f"place_{number}"] = Place(f"place_{number}", _triple(centre), _radius(xyz[group], centre), True)
     return places
+
+
+def _without_waits(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups: Sequence[Ints]) -> list[Ints]:
+    """Return the groups of standstills without those of a spot where the robot only waits at times.
+
+    It passes such a spot without a stop when it need not wait, and stands there for very different times.
+    """
+    lasts_s = [
+        [runs[stops[i].run].time_at(stops[i].last) - runs[stops[i].run].time_at(stops[i].first) for i in group.tolist()]
+        for group in groups
+    ]
+    vary = [bool(np.quantile(one, 0.1) < VARIES * np.quantile(one, 0.9)) for one in lasts_s]
+    centres = np.array([np.median(xyz[group], axis=0) for group, yes in zip(groups, vary, strict=True) if yes])
+    passes = iter(count_passes(runs, centres.reshape(-1, 3)).tolist())
+    kept = []
+    for group, yes in zip(groups, vary, strict=True):
+        near = np.linalg.norm(xyz - np.median(xyz[group], axis=0), axis=1) <= MERGE_M
+        if not yes or next(passes) < PASSED * np.count_nonzero(near):
+            kept.append(group)
+    return kept
 
 
 def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: Sequence[Ints]) -> list[Ints]:

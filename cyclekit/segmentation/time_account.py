@@ -11,26 +11,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.segmentation.arrivals import Stands, fill_nearest
+from cyclekit.segmentation.arrivals import BLOCKED, Stands, fill_nearest
 from cyclekit.segmentation.dwell import Dwell
 from cyclekit.segmentation.motion import moving_slider
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cyclekit.segmentation.executions import Execution
+    from cyclekit.segmentation.executions import Execution, Visit
     from cyclekit.segmentation.stored_run import Run
+
+
+HALTED_S = 0.2
+"""A robot that waited and was then halted by safety for longer did not go on when it was let."""
 
 
 @dataclass(frozen=True)
 class Leg:
     """One executed task, all times in session seconds; see table TASKS of `schema` for the split.
 
-    `wait_s` holds `pause_s`, the time in which the program was paused or stopped.
+    `wait_s` holds `pause_s`, the time in which the program was paused or stopped, and what the robot stood short of its
+    goal, from `reached_s` to `went_on_s`; these are None where it has no such spot, or safety halted it there.
     """
 
     start_place: str
@@ -44,6 +49,8 @@ class Leg:
     dwell_s: float
     wait_s: float
     pause_s: float
+    reached_s: float | None = None
+    went_on_s: float | None = None
 
 
 def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str, Dwell]) -> list[Leg]:
@@ -63,7 +70,8 @@ def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str,
         dwell, wait = (stood, 0.0) if stood <= most else (usual, stood - usual)
         if final:
             dwell, wait = 0.0 if visit.place == home else min(stood, usual), 0.0
-        motion = motion_time(run, departure, arrival)
+        short = _short_of(run, visit)
+        motion = motion_time(run, departure, arrival, short)
         legs.append(
             Leg(
                 start_place=before.place,
@@ -75,8 +83,10 @@ def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str,
                 slider_loss_s=motion.slider_loss_s,
                 safety_loss_s=motion.safety_loss_s,
                 dwell_s=dwell,
-                wait_s=wait + motion.paused_s,
+                wait_s=wait + motion.paused_s + motion.waited_s,
                 pause_s=motion.paused_s + min(wait, paused_time(run, arrival, arrival + stood)),
+                reached_s=short.reached_s if short is not None and not short.halted else None,
+                went_on_s=short.went_on_s if short is not None and not short.halted else None,
             )
         )
         departure = arrival + dwell + wait
@@ -97,9 +107,32 @@ class Motion:
     slider_loss_s: float | None
     safety_loss_s: float | None
     paused_s: float
+    waited_s: float = 0.0
 
 
-def motion_time(run: Run, start_s: float, end_s: float) -> Motion:
+class _Short(NamedTuple):
+    """A standstill short of a place: when the robot reached the spot and went on; safety halted it at the end."""
+
+    reached_s: float
+    went_on_s: float
+    halted: bool
+
+
+def _short_of(run: Run, visit: Visit) -> _Short | None:
+    """Return when the robot waited on its way to a place; what safety halted it at the end is no wait."""
+    if visit.reached is None:
+        return None
+    first, last = visit.reached
+    reached_s = run.time_at(first)
+    if last == first:
+        return _Short(reached_s, reached_s, False)
+    part = run.window(first, last)
+    free = np.flatnonzero(~(part.scaling <= BLOCKED))
+    went_on_s = float(part.t_s[free[-1]]) + run.period_s if len(free) else reached_s
+    return _Short(reached_s, went_on_s, run.time_at(last) - went_on_s > HALTED_S)
+
+
+def motion_time(run: Run, start_s: float, end_s: float, short: _Short | None = None) -> Motion:
     """Return where the time of a motion went, from `start_s` to `end_s`; the parts add up to it.
 
     What a row says holds until the next row. Short unknown stretches take the nearest known scaling. While the program
@@ -113,13 +146,18 @@ def motion_time(run: Run, start_s: float, end_s: float) -> Motion:
     paused = np.zeros(len(lasts), np.bool_)
     for halt in run.halts:
         paused[max(halt.first - first, 0) : max(halt.last + 1 - first, 0)] = True
-    paused_s = float(lasts[paused].sum())
+    paused_s, waited_s = float(lasts[paused].sum()), 0.0
+    if short is not None:
+        waits = ~paused & (part.t_s >= short.reached_s) & (part.t_s < short.went_on_s - 1e-9)
+        waited_s = float(lasts[waits].sum())
+        paused |= waits
     s, lasts = part.scaling[~paused], lasts[~paused]
     known = np.flatnonzero(np.isfinite(s))
     if len(s) == 0 or len(known) < 0.5 * len(s):
-        return Motion(None, None, None, paused_s)
+        return Motion(None, None, None, paused_s, waited_s)
     s = fill_nearest(s, known)
     slider = moving_slider(run.slider_at(first, last), last + 1 - first)[~paused]
     slider_loss = float((s * (1.0 - slider)) @ lasts)
     safety_loss = float((1.0 - s) @ lasts)
-    return Motion(end_s - start_s - paused_s - slider_loss - safety_loss, slider_loss, safety_loss, paused_s)
+    nominal_s = end_s - start_s - paused_s - waited_s - slider_loss - safety_loss
+    return Motion(nominal_s, slider_loss, safety_loss, paused_s, waited_s)

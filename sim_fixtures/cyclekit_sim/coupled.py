@@ -19,7 +19,7 @@ from cyclekit_sim.plan import begins_of
 from cyclekit_sim.scenes import Scene
 from cyclekit_sim.session import Session
 
-_BATCH, _FRESH_BATCH = 128, 500  # executions stepped side by side
+_BATCH, _FRESH_BATCH = 128, 1000  # executions stepped side by side
 _DEFAULT = SimulationOptions()
 
 

@@ -56,7 +56,8 @@ def tasks_of(cell: Coupled, agent: str, script: Script) -> list[Listed]:
     gates = {segment: gate for segment, gate, _ in script.gates}
     needs = {(gate.need.place, gate.need.moment) for gate in cell.gates if gate.need.agent == agent}
     closing = {segment for key in needs for segment in script.moments[key]}
-    idle = {at for at, column in enumerate(script.columns) if column[0] == IDLE} | set(_last_steps(script, jobs, agent))
+    idle = {at for at, column in enumerate(script.columns) if column[0] == IDLE}
+    idle |= set(_last_steps(script, jobs, closing))
     own = [at for at in range(len(script.columns)) if at not in idle]
     job_at = {at: jobs[script.columns[at][4]] for at in own}
     found, first = [], -1
@@ -87,12 +88,10 @@ def _jobs(jobs: Mapping[str, tuple[str, ...]], places: Sequence[str]) -> list[tu
     return found
 
 
-def _last_steps(script: Script, jobs: Sequence[tuple[str, int]], agent: str) -> list[int]:
-    """Return the segments in which the operator has done a job but not left yet."""
-    if agent != "operator":
-        return []
+def _last_steps(script: Script, jobs: Sequence[tuple[str, int]], done: set[int]) -> list[int]:
+    """Return the segments in which an agent has done a job that the other waits for, and not left yet."""
     leaving = [at for (_, moment), some in script.moments.items() if moment == "leaves" for at in some]
-    tasks = {at: script.columns[at][4] for at in leaving}
+    tasks = {at: script.columns[at][4] for at in leaving if at - 1 in done}
     return [at for at, task in tasks.items() if task + 1 == len(jobs) or jobs[task + 1] != jobs[task]]
 
 

@@ -35,8 +35,8 @@ from cyclekit_sim.safety import SpeedScaling
 from cyclekit_sim.walking import Leg, WalkedTrack
 
 _LONGEST_S = 1800.0
-PULSE_S = 0.3
-"""How long a signal is on."""
+PULSE_S = (0.2, 0.6)
+"""For how long a signal is on: shortest and longest."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,9 @@ class Done:
 
     def signals(self, cell: Coupled) -> list[tuple[float, float, str]]:
         """Return from when to when each signal is on, s, and its name."""
-        moments = [(name, t_s) for key, name in cell.signals.items() for t_s in self.moments_s(*key)]
-        return sorted((t_s, t_s + PULSE_S, name) for name, t_s in moments)
+        rng = np.random.default_rng(self.cell.scripts["robot"].execution.index)
+        moments = sorted((t_s, name) for key, name in cell.signals.items() for t_s in self.moments_s(*key))
+        return [(t_s, t_s + rng.uniform(*PULSE_S), name) for t_s, name in moments]
 
     def waits(self, agent: str) -> Iterator[Waited]:
         """Yield the waits of an agent, those of length 0 too."""

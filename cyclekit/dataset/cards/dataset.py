@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from cyclekit.config.cells import Cell
+from cyclekit.dataset.cards.coupling import CouplingCard
 from cyclekit.dataset.cards.notes import Note, from_sentences
 from cyclekit.dataset.cards.quantities import (
     Card,
@@ -165,6 +166,7 @@ class DatasetCard(Card, frozen=True, kw_only=True):
         dynamics: The safety function in time.
         operator_signals: Signals that tell of people, in the order of the bits of `human_signals`.
         rows: Of the shared tables.
+        coupling: Who waits for whom; None where too few executions show both agents, or an earlier version made it.
         warnings: What a person must know before trusting it.
         files: Every other file of the dataset, by its path in there; None in those of an earlier version.
         card_blake3: Seals this card; None likewise.
@@ -189,6 +191,7 @@ class DatasetCard(Card, frozen=True, kw_only=True):
     dynamics: DynamicsCard = DynamicsCard()
     operator_signals: Annotated[tuple[OperatorSignalCard, ...], msgspec.Meta(max_length=32)] = ()
     rows: RowCounts
+    coupling: CouplingCard | None = None
     warnings: tuple[Note, ...] = ()
     files: dict[str, FileCard] | None = None
     card_blake3: Digest | None = None

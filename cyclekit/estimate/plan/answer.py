@@ -12,8 +12,11 @@ import numpy as np
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
+from cyclekit.estimate.joint.answer import waits_are_known
 from cyclekit.estimate.limits import validated
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.plan.both import best_of_both
+from cyclekit.estimate.plan.jobs import ROW
 from cyclekit.estimate.plan.search import Scorer, best_order, first_order, random_order
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.rollout import estimate
@@ -63,6 +66,7 @@ class OrderPlan(Result):
         doubts, alarm: What makes it doubtful, and what belongs above it, as of its estimate.
         unlogged: Tasks that were never logged with a known speed scaling; orders that need one were left out.
         notes: What limits the answer, one sentence each.
+        operator: The operator's places in order, where his order was sought too.
     """
 
     order: tuple[str, ...]
@@ -81,6 +85,7 @@ class OrderPlan(Result):
     alarm: str | None = None
     unlogged: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    operator: tuple[str, ...] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain JSON values."""
@@ -136,6 +141,8 @@ def plan(
     tasks, unlogged = _tasks(jobs, dataset)
     jobs = replace(jobs, unlogged=frozenset(unlogged))
     first_order(jobs, lambda _, options: options)  # refused before the tracks are walked
+    if jobs.operator or waits_are_known(model):
+        return _of_both(model, dataset, jobs, seed=seed, validate=validate, other_cell=other_cell, progress=progress)
     length = max(task.nominal_s + task.dwell_s + task.wait_s for task in tasks.values()) * (2 * len(jobs.visit) + 2)
     if check is None and validate:
         check, _ = validated(model, dataset, seed=seed)
@@ -176,6 +183,40 @@ def plan(
     )
 
 
+def _of_both(
+    model: SafetyModel,
+    dataset: Dataset,
+    jobs: Jobs,
+    *,
+    seed: int,
+    validate: bool,
+    other_cell: bool,
+    progress: Progress | None,
+) -> OrderPlan:
+    tell = progress or (lambda fraction, text: None)
+    asked: dict[str, Any] = {"seed": seed, "validate": validate, "other_cell": other_cell, "tell": tell}
+    sequence, order, found, saved, tried = best_of_both(model, dataset, jobs, **asked)
+    operator = tuple(task.name for task in sequence.plan if task.agent == "operator")
+    return OrderPlan(
+        order=order,
+        places=jobs.places(order),
+        expected_s=found.expected_s,
+        against="random orders",
+        against_s=found.expected_s + saved[0],
+        saves_s=saved,
+        saves_unseen_s=saved[0],  # the same for all operators: what is drawn does not depend on the order
+        searched="search",
+        tried=tried,
+        executions=found.executions,
+        expected_low_s=found.expected_low_s,
+        expected_high_s=found.expected_high_s,
+        doubts=found.doubts,
+        alarm=found.check.alarm if found.check else None,
+        unlogged=tuple(sorted(jobs.unlogged)),
+        operator=operator or None,
+    )
+
+
 def _mean_of(
     orders: Sequence[Order], table: Scorer, walked: Callable[[list[TaskSequence]], list[CycleEstimate]]
 ) -> Floats:
@@ -203,7 +244,7 @@ def _doubt_s(found: CycleEstimate, saved_s: float) -> float:
 def _tasks(jobs: Jobs, dataset: Dataset) -> tuple[dict[str, NominalTask], list[str]]:
     """Return every task that an allowed order may need, and those of them that were never logged."""
     known = nominal_tasks(dataset)
-    for name in (*jobs.visit, jobs.start, jobs.end, jobs.via):
+    for name in (*(place for job in jobs.visit for place in job.split(ROW)), jobs.start, jobs.end, jobs.via):
         if name is not None and name not in dataset.places:
             raise UnknownName(jobs.shown, "place", name, dataset.places)
     wanted = jobs.needed()

@@ -5,6 +5,12 @@ end = "home"
 via = "conveyor"                        # visited before each; leave it out where the robot goes straight on
 visit = ["left_1", "left_2", "right_1"]
 before = [["left_1", "left_2"]]         # the first one before the second one
+
+Where robot and operator wait for each other, the order of both can be sought; a job may be several places in a row:
+
+visit = ["feeder->fixture", "tray->rack_1"]
+operator = ["bench->fixture", "shelf"]
+operator_end = "rest"
 """
 
 from __future__ import annotations
@@ -23,6 +29,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+ROW = "->"
+"""Between the places of a job of several."""
 _EXAMPLE = """For example:
   start = "home"
   end = "home"
@@ -35,10 +43,13 @@ class Jobs:
     """Places to visit in an order that is to be found.
 
     Attributes:
-        visit: The places; one that is visited twice stands there twice.
+        visit: The places; one that is visited twice stands there twice. `feeder->fixture` is one job of two places.
         start, end: Where the robot begins and ends; None: where it happens to be.
         via: Place visited before each.
         before: Pairs of places; every visit to the first comes before every visit to the second.
+        operator: Jobs of the operator in the same form, in an order that is to be found too; empty: what he does is
+            drawn from the logs.
+        operator_end: Place where he ends.
         shown: How a message names it.
         unlogged: Tasks that no order may need, since they were never logged.
     """
@@ -48,6 +59,8 @@ class Jobs:
     end: str | None = None
     via: str | None = None
     before: Annotated[tuple[tuple[str, str], ...], Meta(examples=[[["left_1", "left_2"]]])] = ()
+    operator: tuple[str, ...] = ()
+    operator_end: str | None = None
     shown: str = "the jobs"
     unlogged: frozenset[str] = frozenset()
 
@@ -73,7 +86,8 @@ class Jobs:
 
     def places(self, order: Sequence[str]) -> tuple[str, ...]:
         """Return the places that the robot goes through for an order of the visits."""
-        stops = [stop for name in order for stop in ((self.via, name) if self.via else (name,))]
+        via = (self.via,) if self.via else ()
+        stops = [stop for name in order for stop in (*via, *name.split(ROW))]
         found = [self.start, *stops, *([self.end] if self.end else [])]
         return tuple(name for i, name in enumerate(found) if i == 0 or name != found[i - 1])
 
@@ -90,9 +104,11 @@ class Jobs:
         names = set(self.visit)
         first, last = names.difference(b for _, b in self.before), names.difference(a for a, _ in self.before)
         follow = [(a, b) for a in names for b in names if (b, a) not in self.before]
-        ways = [replace(self, start=a, end=None).places((b,)) for a, b in follow if a != b or self.visit.count(a) > 1]
+        last_of = {name: name.split(ROW)[-1] for name in names}
+        begins = [(last_of[a], b) for a, b in follow if a != b or self.visit.count(a) > 1]
+        ways = [replace(self, start=a, end=None).places((b,)) for a, b in begins]
         ways += [replace(self, end=None).places((name,)) for name in first]
-        ways += [(name, self.end) for name in last if self.end not in (None, name)]
+        ways += [(last_of[name], self.end) for name in last if self.end not in (None, last_of[name])]
         return {task for places in ways for task in tasks_of(places)}
 
     def next_of(self, left: Sequence[str], last: str | None = None) -> list[str]:
@@ -120,7 +136,8 @@ def _ways(jobs: Jobs) -> dict[str, frozenset[str]]:
     """Return the visits that the robot can go on to from each visit and from the start, by logged tasks alone."""
 
     def is_logged(one: str, other: str) -> bool:
-        stops = (one, jobs.via, other) if jobs.via else (one, other)
+        via = (jobs.via,) if jobs.via else ()
+        stops = (one.split(ROW)[-1], *via, *other.split(ROW))
         went = [name for i, name in enumerate(stops) if name is not None and (i == 0 or name != stops[i - 1])]
         return not jobs.unlogged.intersection(tasks_of(went))
 
@@ -144,7 +161,8 @@ def _leads_on(jobs: Jobs, last: str, name: str, left: Sequence[str]) -> bool:
 
 
 def _ends_after(jobs: Jobs, name: str) -> bool:
-    return jobs.end is None or name == jobs.end or f"{name}->{jobs.end}" not in jobs.unlogged
+    last = name.split(ROW)[-1]
+    return jobs.end is None or last == jobs.end or f"{last}->{jobs.end}" not in jobs.unlogged
 
 
 def load_jobs(path: Path) -> Jobs:

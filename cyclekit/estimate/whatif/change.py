@@ -30,6 +30,12 @@ frequency = 0.5                                      # visits per hour, against 
 name = "quicker recovery"        # how s follows the safety function; what is not given stays as it was logged
 ramp_up_per_s = 2.0              # inf: at once
 hysteresis_m = 0.0               # also ramp_down_per_s, latency_s
+
+[[change]]
+name = "two operators' work, parts in advance"   # of a model of task times (task lists without positions)
+faster = { operator = 1.2 }                      # 1.2 times as fast; robot, operator, or the agent's name in the logs
+no_wait = [["weld", "mount"]]                    # weld no longer waits for mount
+buffer = { mount = 1 }                           # mount has one part in advance of what it waits for
 """
 
 from __future__ import annotations
@@ -47,6 +53,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _DYNAMICS = ("latency_s", "ramp_down_per_s", "ramp_up_per_s", "hysteresis_m")
+FASTEST = 100
+"""Nobody becomes faster than that, and no buffer holds more."""
 _EXAMPLE = """Add one:
   [[change]]
   name = "fewer visits"
@@ -118,6 +126,9 @@ class Change:
         places: Robot places that move: name -> TCP, m, in the frame of the robot's base.
         frequency: The operator's visits per hour, as a multiple of the logged ones.
         dynamics: What changes of how s follows the safety function, by the name of `Dynamics`: s, 1/s or m.
+        faster: How many times as fast an agent's tasks go, by agent.
+        no_wait: Pairs of tasks: the first no longer waits for the second.
+        buffer: Parts in advance, by the task that waits for them; a second fixture is one.
     """
 
     name: str
@@ -130,6 +141,18 @@ class Change:
     places: Mapping[str, Point] = field(default_factory=dict)
     frequency: float | None = None
     dynamics: Mapping[str, float] = field(default_factory=dict)
+    faster: Mapping[str, float] = field(default_factory=dict)
+    no_wait: tuple[tuple[str, str], ...] = ()
+    buffer: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def of_tasks(self) -> bool:
+        """Whether it changes tasks and waits, and nothing of positions or the safety function."""
+        return bool(self.faster or self.no_wait or self.buffer) and not self._of_positions
+
+    @property
+    def _of_positions(self) -> bool:
+        return bool(self.levels or self.limits or self.base_m or self.places or self.frequency or self.dynamics)
 
     def __post_init__(self) -> None:
         """Refuse what is no safety function or no change.
@@ -158,7 +181,11 @@ class Change:
         if self.frequency is not None and not 0 < self.frequency < math.inf:
             self._refuse(f"frequency {self.frequency}", "0.5 means half as many visits per hour as were logged.")
         self._refuse_dynamics()
-        if not (self.levels or self.limits or self.base_m or self.places or self.frequency or self.dynamics):
+        if slow := [value for value in self.faster.values() if not 0 < value <= FASTEST]:
+            self._refuse(f"faster {slow[0]:g}", "1.2 means 1.2 times as fast; give more than 0.")
+        if less := [count for count in self.buffer.values() if not 0 < count <= FASTEST]:
+            self._refuse(f"buffer {less[0]}", "Give the number of parts in advance, 1 or more.")
+        if not self.of_tasks and not self._of_positions:
             self._refuse("nothing is changed", _CURE)
 
     def _refuse_dynamics(self) -> None:
@@ -208,6 +235,9 @@ class _Entry:
     ramp_down_per_s: float | None = None
     ramp_up_per_s: float | None = None
     hysteresis_m: float | None = None
+    faster: Mapping[str, float] = field(default_factory=dict)
+    no_wait: tuple[tuple[str, str], ...] = ()
+    buffer: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -229,4 +259,7 @@ def _change(entry: _Entry, number: int) -> Change:
         places=entry.places,
         frequency=entry.frequency,
         dynamics={key: value for key in _DYNAMICS if (value := getattr(entry, key)) is not None},
+        faster=entry.faster,
+        no_wait=entry.no_wait,
+        buffer=entry.buffer,
     )

@@ -15,6 +15,7 @@ from cyclekit.report.figures.floor_plans import LOST_TIME, ZONES
 from cyclekit.report.figures.lost_causes import LOST_CAUSES
 from cyclekit.report.figures.predictions import CALIBRATION, CONFUSION
 from cyclekit.report.figures.staircase import STAIRCASE
+from cyclekit.report.figures.time_chart import TIME_CHART
 from cyclekit.report.figures.time_shares import TIME_SHARES
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 FIGURES: tuple[Figure, ...] = (
     CYCLE_TIMES,
     TIME_SHARES,
+    TIME_CHART,
     LOST_CAUSES,
     STAIRCASE,
     ZONES,

@@ -1,0 +1,239 @@
+"""Cells where robot and operator wait for each other: expected cycle times of orders never logged, waits, conditions.
+
+Each scene is logged with its signals, by positions alone, and as a task list; then as if nobody waited for anybody.
+Orders of both agents that no execution followed are held against fresh executions. Beside the estimate stand the sums
+of logged durations of the robot's tasks (history) and the estimate of a model that knows no conditions.
+
+    python benchmarks/coupling.py --work DIR [--scenes shared-fixture] [--kinds signals positions list uncoupled]
+        [--executions 60 200] [--seeds 1 2] [--orders 8] [--fresh 1000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from cells import JUDGED_SEED, dataset_of, logged
+from msgspec import structs
+from rich.console import Console
+from rich.table import Table
+
+from cyclekit.config.sequences import PlannedTask, TaskSequence
+from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.task_times import estimate_plans
+from cyclekit.learning.task_times import learn
+from cyclekit_sim import COUPLED, SimulationOptions, fresh_cycles, random_orders
+from cyclekit_sim.coupled_list import listed_conditions, task_plan
+from cyclekit_sim.coupled_truth import conditions
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.cards.coupling import CouplingCard
+    from cyclekit_sim.coupled_program import Order
+
+OUT = Console(width=190)
+KINDS = {
+    "signals": SimulationOptions(),
+    "positions": SimulationOptions(signals=False),
+    "list": SimulationOptions(task_list=True),
+    "uncoupled": SimulationOptions(coupling=0.0),
+}
+HEAD = ("cell", "logged", "mean |error|, %", "bias, %", "worst, %", "no conditions, %", "history, %", "CI holds",
+        "90 % holds", "robot waits, s", "operator waits, s", "missed", "invented")  # fmt: skip
+
+
+@dataclasses.dataclass
+class Row:
+    """What one estimate of one order gave: relative errors, what its intervals hold, and waits as (true, expected)."""
+
+    error: float
+    plain: float
+    history: float
+    held: bool
+    inside: float
+    robot_s: tuple[float, float]
+    operator_s: tuple[float, float]
+
+
+def fresh(asked: argparse.Namespace, scene: str, order: Order, number: int, strength: float) -> NDArray[np.float64]:
+    """Return duration, robot's wait and operator's wait of fresh executions (3, N), s; simulated once."""
+    file = asked.work / "fresh-coupled" / f"{scene}-{strength:g}-{number}-{asked.fresh}.npy"
+    if not file.is_file():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        options = SimulationOptions(coupling=strength)
+        found = fresh_cycles(scene, order, cycles=asked.fresh, seed=JUDGED_SEED + number, options=options)
+        np.save(file, np.array([found.durations_s, found.robot_waits_s, found.operator_waits_s]))
+    return np.load(file)
+
+
+def unseen_orders(asked: argparse.Namespace, scene: str) -> list[tuple[int, Order]]:
+    """Return orders as the scene draws them from a seed far from those of the logs; none of them was logged."""
+    return list(enumerate(random_orders(scene, JUDGED_SEED, asked.orders)))
+
+
+def plan_of(name: str, order: Order) -> TaskSequence:
+    """Return a plan for both: goals of the robot, places of the operator."""
+    tasks = [PlannedTask("robot", place) for place in order["robot"][1:]]
+    return TaskSequence.of_plan(name, tasks + [PlannedTask("operator", place) for place in order["operator"]])
+
+
+def rows_of(asked: argparse.Namespace, scene: str, kind: str, executions: int, seed: int) -> tuple[list[Row], int, int]:
+    """Return the rows of one set of logs, conditions missed and conditions invented."""
+    options = KINDS[kind]
+    if kind == "list":
+        return _listed(asked, scene, executions, seed)
+    cell = logged(asked.work, scene, executions, seed=seed, options=options, kind=kind, rules=True)
+    card = cell.model.card.coupling
+    missed, invented = compared(card, scene, kind)
+    without = dataclasses.replace(cell.model, card=structs.replace(cell.model.card, coupling=None))
+    orders = unseen_orders(asked, scene)
+    plans = [plan_of(str(number), order) for number, order in orders]
+    places = [TaskSequence(str(number), order["robot"]) for number, order in orders]
+    began = time.process_time()
+    if kind == "uncoupled":
+        both = {each.name: each for each in estimate(cell.model, cell.dataset, places, refused=_refuse)}
+    else:
+        both = {each.name: each for each in estimate(cell.model, cell.dataset, plans, refused=_refuse)}
+    OUT.print(f"{scene}, {kind}, {executions} executions, seed {seed}: {len(both)} of {len(plans)} answered, "
+              f"{time.process_time() - began:.1f} s cpu")  # fmt: skip
+    alone = {
+        name: {
+            each.name: each.expected_s
+            for each in estimate(without, cell.dataset, places, estimator=name, validate=False, refused=_refuse)
+        }
+        for name in ("rollout", "history")
+    }
+    found = []
+    for number, order in orders:
+        name = str(number)
+        if name not in both:
+            continue
+        entry, true = both[name], fresh(asked, scene, order, number, options.coupling)
+        mean = float(true[0].mean())
+        told = [sum(share.wait_s for share in entry.plan if share.kind == who) for who in ("robot", "operator")]
+        found.append(
+            Row(
+                entry.expected_s / mean - 1,
+                alone["rollout"].get(name, np.nan) / mean - 1,
+                alone["history"].get(name, np.nan) / mean - 1,
+                entry.expected_low_s <= mean <= entry.expected_high_s,
+                float(np.mean((true[0] >= entry.quantiles_s[0.05]) & (true[0] <= entry.quantiles_s[0.95]))),
+                (float(true[1].mean()), told[0]),
+                (float(true[2].mean()), told[1]),
+            )
+        )
+        if asked.each:
+            OUT.print(f"    {name}: true {mean:.2f}, expected {entry.expected_s:.2f} ({entry.expected_low_s:.2f} to "
+                      f"{entry.expected_high_s:.2f}), inside {found[-1].inside:.0%}, waits of the robot "
+                      f"{true[1].mean():.2f} ({entry.wait_s:.2f}), of the operator {true[2].mean():.2f} "
+                      f"({told[1]:.2f}); {'; '.join(entry.doubts)}")  # fmt: skip
+    return found, missed, invented
+
+
+def _listed(asked: argparse.Namespace, scene: str, executions: int, seed: int) -> tuple[list[Row], int, int]:
+    """As `rows_of`, from a task list."""
+    data = dataset_of(asked.work, scene, executions, seed=seed, options=KINDS["list"], kind="list")
+    model = learn.learn_task_times(data)
+    there = {(str(each["task"]), str(each["needs"]), each["back"]) for each in listed_conditions(COUPLED[scene])}
+    got = {(task.task, need.task, need.back) for task in model.tasks for need in task.needs}
+    usual = {(task.agent, task.task): task.usual_s for task in model.tasks}
+    found = []
+    for number, order in unseen_orders(asked, scene):
+        plan = task_plan(COUPLED[scene], order)
+        sequence = TaskSequence.of_plan(str(number), [PlannedTask(agent, task) for agent, task in plan])
+        (entry,) = estimate_plans(model, [sequence], refused=_refuse)
+        true = fresh(asked, scene, order, number, 1.0)
+        mean = float(true[0].mean())
+        sums = [sum(usual[agent, task] for agent, task in plan if agent == who) for who in ("arm", "worker")]
+        waits = [sum(share.wait_s for share in entry.plan if share.kind == kind) for kind in ("robot", "operator")]
+        inside = (true[0] >= entry.quantiles_s[0.05]) & (true[0] <= entry.quantiles_s[0.95])
+        held = entry.expected_low_s <= mean <= entry.expected_high_s
+        robot, operator = (float(part.mean()) for part in true[1:])
+        history = max(sums) / mean - 1
+        found.append(Row(entry.expected_s / mean - 1, np.nan, history, held, float(inside.mean()),
+                         (robot, waits[0]), (operator, waits[1])))  # fmt: skip
+    OUT.print(f"{scene}, list, {executions} executions, seed {seed}: {sorted(got)}")
+    return found, len(there - got), len(got - there)
+
+
+def compared(card: CouplingCard | None, scene: str, kind: str) -> tuple[int, int]:
+    """Return how many true conditions were missed, and how many found that are not true; tell what was found."""
+    there = {_true(each) for each in conditions(COUPLED[scene])} if KINDS[kind].coupling else set()
+    if not KINDS[kind].signals:
+        there = {each for each in there if each[2] != "signal"}
+    got = set()
+    for gate in card.gates if card else ():
+        for need in gate.conditions:
+            OUT.print(f"    {gate.agent} {gate.at} {gate.place} needs {need.agent} {need.event} {need.place} "
+                      f"back {need.back}, signal {need.signal}; held {need.held:.3f}, decided {need.decided} of "
+                      f"{gate.passages}; lag {need.lag_s[0]:.2f} to {need.lag_s[-1]:.2f} s, own "
+                      f"{gate.own_s[0]:.2f} to {gate.own_s[-1]:.2f} s")  # fmt: skip
+            before = gate.agent == "operator" and gate.at == "leave" and gate.place == "bench"
+            place = "fixture" if before and scene == "shared-fixture" else gate.place
+            got.add((gate.agent, place, need.agent, need.place, need.back))
+    return len(there - got), len(got - there)
+
+
+def _true(condition: dict[str, object]) -> tuple[object, ...]:
+    needs = condition["needs"]
+    assert isinstance(needs, dict)
+    whose = (condition["agent"], condition["place"])
+    if needs["agent"] == "source":
+        return (*whose, "signal", condition["signal"], needs["back"])
+    return (*whose, needs["agent"], needs["place"], needs["back"])
+
+
+def _refuse(sequence: TaskSequence, error: Exception) -> None:
+    OUT.print(f"{sequence.name} refused: {error}")
+
+
+def main() -> None:
+    """Print a row for each cell, kind of logs and number of executions."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--scenes", nargs="+", default=list(COUPLED))
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
+    parser.add_argument("--executions", type=int, nargs="+", default=[60, 200])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--orders", type=int, default=8)
+    parser.add_argument("--fresh", type=int, default=1000)
+    parser.add_argument("--each", action="store_true", help="also print each order")
+    asked = parser.parse_args()
+    table = Table(*HEAD)
+    for scene in asked.scenes:
+        for kind in asked.kinds:
+            for executions in asked.executions:
+                sets = [rows_of(asked, scene, kind, executions, seed) for seed in asked.seeds]
+                shown = _shown([row for rows, _, _ in sets for row in rows])
+                counts = (str(sum(each[i] for each in sets)) for i in (1, 2))
+                table.add_row(f"{scene}, {kind}", f"{executions}, {len(asked.seeds)}", *shown, *counts)
+    OUT.print(table)
+
+
+def _shown(rows: list[Row]) -> list[str]:
+    if not rows:
+        return ["none answered"] + [""] * (len(HEAD) - 5)
+    errors = 100 * np.array([row.error for row in rows])
+    plain, history = (100 * np.abs([getattr(row, name) for row in rows]).mean() for name in ("plain", "history"))
+    inside = [row.inside for row in rows]
+    waits = [np.array([getattr(row, name) for row in rows]) for name in ("robot_s", "operator_s")]
+    return [
+        f"{np.abs(errors).mean():.2f}",
+        f"{errors.mean():+.2f}",
+        f"{errors[np.abs(errors).argmax()]:+.2f}",
+        f"{plain:.2f}",
+        f"{history:.2f}",
+        f"{np.mean([row.held for row in rows]):.0%}",
+        f"{np.mean(inside):.0%} ({min(inside):.0%} to {max(inside):.0%})",
+        *(f"{told:.2f} for {true:.2f}, off {np.abs(part[:, 1] - part[:, 0]).mean():.2f}" for part in waits
+          for true, told in [part.mean(axis=0)]),
+    ]  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

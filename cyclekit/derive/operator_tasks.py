@@ -1,0 +1,83 @@
+"""The operator's tasks as his track shows them: the way to each of his places, and the standstill there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.people.tracks import SPOT_M
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.dataset.cards import ExecutionCard
+    from cyclekit.dataset.dataset import Place
+    from cyclekit.people.activity import Stays
+
+AWAY_S = 1.5
+"""Whoever stands at a place again within this time did not leave it."""
+EDGE_S = 0.15
+"""A standstill this near to the begin or end of an execution has begun before it or ends after it."""
+
+
+class _Visit(NamedTuple):
+    place: str
+    arrived_s: float
+    left_s: float
+
+
+def operator_tasks(
+    cards: Sequence[ExecutionCard], stays: Sequence[Stays], spots: Mapping[str, Place]
+) -> list[tuple[object, ...]]:
+    """Return rows of table TASKS: one for each standstill of the operator at one of his places.
+
+    A task begins when he leaves the place before. A standstill at the begin of an execution has no arrival, one at its
+    end no end.
+
+    Args:
+        cards: Executions of a session.
+        stays: Where the operator stayed in each.
+        spots: His places.
+    """
+    rows = []
+    for card, mine in zip(cards, stays, strict=False):  # executions of task lists have no standstills
+        before_s: float | None = card.start_s
+        for index, visit in enumerate(_visits(mine, spots)):
+            began = visit.arrived_s <= card.start_s + EDGE_S
+            lasts = visit.left_s >= card.end_s - EDGE_S
+            rows.append(
+                {
+                    "execution": card.execution,
+                    "index": index,
+                    "task": visit.place,
+                    "goal_place": visit.place,
+                    "start_s": before_s,
+                    "arrival_s": None if began else visit.arrived_s,
+                    "end_s": None if lasts else visit.left_s,
+                    "agent": "operator",
+                }
+            )
+            before_s = visit.left_s
+    if not rows:
+        return []
+    kinds = {name: schema.TASKS[name].dtype for name in rows[0]}
+    return schema.conform(pl.DataFrame(rows, schema=kinds), schema.TASKS).rows()
+
+
+def _visits(stays: Stays, spots: Mapping[str, Place]) -> list[_Visit]:
+    names = list(spots)
+    centres = np.array([spots[name].xyz_m[:2] for name in names]).reshape(-1, 2)
+    reach_m = np.array([max(spots[name].radius_m, SPOT_M) for name in names])
+    found: list[_Visit] = []
+    for (arrived_s, left_s), xyz_m in zip(stays.times_s.tolist(), stays.at_m, strict=True):
+        far = np.linalg.norm(centres - xyz_m[:2], axis=1)
+        if not len(far) or far[near := int(far.argmin())] > reach_m[near]:
+            continue
+        if found and found[-1].place == names[near] and arrived_s - found[-1].left_s < AWAY_S:
+            found[-1] = found[-1]._replace(left_s=left_s)
+        else:
+            found.append(_Visit(names[near], arrived_s, left_s))
+    return found

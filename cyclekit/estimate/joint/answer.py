@@ -1,0 +1,233 @@
+"""Estimates of cells in which one agent waits for the other, and of plans for both."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.errors import EstimateError
+from cyclekit.estimate.entry import LEAST_SUPPORT
+from cyclekit.estimate.joint.judged import JointCheck, judge_joint
+from cyclekit.estimate.joint.plans import Planner
+from cyclekit.estimate.joint.roll import JointCell, longest_s
+from cyclekit.estimate.joint.shares import planned_shares, task_shares
+from cyclekit.estimate.limits import FEW_EXECUTIONS, extrapolation_of, few_tracks, limits_of_logs, refuse_biased
+from cyclekit.estimate.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.question import Question
+from cyclekit.estimate.ranked import ranked
+from cyclekit.estimate.resample import interval_of_mean, share_within
+from cyclekit.estimate.result import CycleEstimate, TaskShare
+from cyclekit.learning.out_of_core import in_memory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.estimate.joint.roll import Plan, RolledBoth
+    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.schema import Floats, Progress, Vector
+
+    _Refuse = Callable[[TaskSequence, EstimateError], None]
+
+CYCLES, OF_MANY, MANY = 1000, 250, 40
+"""Cycles of each plan; of more than MANY plans at once, so many each, and CYCLES of the best MANY."""
+WHY = "both agents rolled out together: learned safety function, logged walks and stays, who waits for whom"
+RESAMPLES = 1000
+NOT_JUDGED = "not validated on logged executions, so no bias is known or corrected: too few of them can be rolled out"
+
+
+def waits_are_known(model: SafetyModel) -> bool:
+    """Return whether it was learned that one agent waits for the other."""
+    return model.card.coupling is not None and model.card.coupling.coupled
+
+
+def estimate_both(
+    ask: Question,
+    sequences: Sequence[TaskSequence],
+    *,
+    validate: bool,
+    other_cell: bool,
+    refuse: _Refuse,
+    tell: Progress,
+) -> list[CycleEstimate]:
+    """Return the expected cycle time of each sequence by rolling out both agents.
+
+    Args:
+        ask: The question; its `check` is used where it is of joint rollouts.
+        sequences: What is asked for.
+        validate: Judge and correct by joint rollouts of the logged executions' own orders.
+        other_cell: Answer by a model that is far off on these logs too.
+        refuse: Told each sequence that cannot be answered, and why.
+        tell: Told fraction and text.
+
+    Raises:
+        ModelError: The model is far off on the logged executions.
+        EstimateError: No operator was logged.
+    """
+    dataset, left_out = in_memory(ask.dataset)
+    nominal: Mapping[str, NominalTask] = nominal_tasks(dataset)
+    altered = ask.altered
+    nominal = altered.tasks(nominal) if altered else nominal
+    cell = JointCell(ask.model, dataset, ask.model.card.coupling, dynamics=altered.dynamics if altered else None)
+    answers = JointAnswers(ask, cell, nominal)
+    judged = ask.check if isinstance(ask.check, JointCheck) else None
+    if judged is None and validate and altered is None:
+        judged = answers.check()
+    unknown = (NOT_JUDGED,) if judged is None and validate and altered is None else ()
+    if not other_cell:
+        refuse_biased(judged)
+    found = answers.found(sequences, judged, refuse, tell)
+    limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, ask.model)]
+    told = []
+    for entry, _ in found:
+        doubts = (*extrapolation_of(entry), *(judged.doubts if judged else ()), *unknown)
+        few = [few_tracks(entry)] if entry.executions < FEW_EXECUTIONS else []
+        told.append(replace(entry, doubts=doubts, warnings=(*doubts, *few, *limits)))
+    tell(1.0, "done")
+    return ranked(told, [means for _, means in found], [False] * len(found))
+
+
+class JointAnswers:
+    """Rolls plans out in one cell and tells what they say."""
+
+    def __init__(self, ask: Question, cell: JointCell, nominal: Mapping[str, NominalTask]) -> None:
+        """Take the question, the cell and its nominal tasks."""
+        self._ask, self._cell = ask, cell
+        self._planner = Planner(cell, nominal)
+
+    def check(self) -> JointCheck | None:
+        """Return how rollouts of the logged executions' own orders compare with the logs; None with too few."""
+        return judge_joint(self._cell, self._planner, levels=self._ask.quantiles, seed=self._ask.seed)
+
+    def found(
+        self, sequences: Sequence[TaskSequence], check: JointCheck | None, refuse: _Refuse, tell: Progress
+    ) -> list[tuple[CycleEstimate, Vector]]:
+        """Return the estimate of each sequence that can be answered, and its mean in each resample (RESAMPLES,), s."""
+        plans = {sequence: plan for sequence in sequences if (plan := self._plan(sequence, refuse)) is not None}
+        rolled = self._rolled(plans, refuse, tell)
+        weights = _weights(self._ask.seed, len(self._cell.segments.orders))
+        found = []
+        for sequence, cycles in rolled.items():
+            problem = _problem(self._ask, sequence, cycles)
+            if problem is not None:
+                refuse(sequence, problem)
+                continue
+            found.append(self._entry(sequence, cycles, check, weights))
+        return found
+
+    def _plan(self, sequence: TaskSequence, refuse: _Refuse) -> Plan | None:
+        try:
+            return self._planner.plan(sequence)
+        except EstimateError as error:
+            refuse(sequence, error)
+        return None
+
+    def _rolled(
+        self, plans: dict[TaskSequence, Plan], refuse: _Refuse, tell: Progress
+    ) -> dict[TaskSequence, RolledBoth]:
+        """Roll plans out; of many, the quickest once more with more cycles."""
+        few = len(plans) <= MANY
+        found = self._some(plans, CYCLES if few else OF_MANY, refuse, tell)
+        if few:
+            return found
+        best = sorted(found, key=lambda each: float(found[each].duration_s.mean()))[:MANY]
+        return found | self._some({each: plans[each] for each in best}, CYCLES, refuse, tell)
+
+    def _some(
+        self, plans: dict[TaskSequence, Plan], cycles: int, refuse: _Refuse, tell: Progress
+    ) -> dict[TaskSequence, RolledBoth]:
+        found: dict[TaskSequence, RolledBoth] = {}
+        until_s = max((longest_s(plan) for plan in plans.values()), default=0.0)
+        rolled = self._cell.roll(list(plans.values()), cycles=cycles, seed=self._ask.seed, until_s=until_s)
+        for number, (sequence, cycle) in enumerate(zip(plans, rolled, strict=True)):
+            tell(number / len(plans), f"rolling out {sequence.name}")
+            if isinstance(cycle, EstimateError):
+                refuse(sequence, cycle)
+            else:
+                found[sequence] = cycle
+        return found
+
+    def _entry(
+        self, sequence: TaskSequence, cycles: RolledBoth, check: JointCheck | None, weights: Floats
+    ) -> tuple[CycleEstimate, Vector]:
+        ask, factor = self._ask, check.factor if check else 1.0
+        durations = np.resize(cycles.duration_s, weights.shape[1]) * factor
+        expected = float(durations.mean())
+        means = weights @ durations
+        low, high = interval_of_mean(
+            means,
+            model_error=check.model_error if check else 0.0,
+            judged=len(check.residuals) if check else 2,
+            seed=ask.seed,
+        )
+        shares = _slowed(task_shares(cycles), factor)
+        parts = ("nominal_s", "safety_loss_s", "dwell_s")
+        split = {part: sum(getattr(share, part) for share in shares) for part in parts}
+        within = None if ask.takt_s is None else share_within(durations, ask.takt_s, weights)
+        entry = CycleEstimate(
+            name=sequence.name,
+            places=sequence.places,
+            expected_s=expected,
+            expected_low_s=low,
+            expected_high_s=high,
+            quantiles_s={
+                p: check.quantile(durations, p) if check else float(np.quantile(durations, p)) for p in ask.quantiles
+            },
+            **split,
+            wait_s=expected - sum(split.values()),
+            support=cycles.support,
+            tracks=len(durations),
+            warnings=(),
+            tasks=tuple(shares),
+            safety_by_activity_s={name: lost for name, lost in cycles.activity_s.items() if lost > 0.0},
+            durations_s=tuple(durations.tolist()),
+            estimator=ask.estimator,
+            why=WHY,
+            executions=len(self._cell.segments.orders),
+            calibrated=check is not None and check.coverage is not None,
+            takt_s=ask.takt_s,
+            takt_probability=within,
+            extrapolated=cycles.support < LEAST_SUPPORT,
+            operator=sequence.operator,
+            check=check,
+            plan=tuple(planned_shares(cycles)),
+        )
+        return entry, means
+
+
+def _slowed(shares: Sequence[TaskShare], factor: float) -> list[TaskShare]:
+    """Return the split of cycles that take `factor` times as long: what is lost to safety or waited is learned."""
+    if factor == 1.0:
+        return list(shares)
+    open_s = sum(share.safety_loss_s + share.wait_s for share in shares)
+    more = (factor - 1.0) * sum(share.expected_s for share in shares)
+    times = max(1.0 + more / open_s, 0.0) if open_s > 0.0 else 1.0
+    found = []
+    for share in shares:
+        lost, wait = share.safety_loss_s * times, share.wait_s * times
+        whole = share.nominal_s + lost + share.dwell_s + wait
+        found.append(TaskShare(share.task, whole, share.nominal_s, lost, share.dwell_s, wait))
+    return found
+
+
+def _weights(seed: int, executions: int, cycles: int = CYCLES) -> Floats:
+    """Return weights of the cycles as finite logs would give them: as many cycles as executions, drawn again."""
+    drawn = np.random.default_rng(seed).multinomial(max(executions, 2), np.full(cycles, 1.0 / cycles), RESAMPLES)
+    return np.asarray(drawn / max(executions, 2))
+
+
+def _problem(ask: Question, sequence: TaskSequence, cycles: RolledBoth) -> EstimateError | None:
+    """Return why these cycles are no answer: they do not end, or lie outside of the logs and that was not asked for."""
+    open_ended = float(np.mean(~np.isfinite(cycles.duration_s)))
+    if open_ended:
+        seen = f"{sequence.shown}: {open_ended:.0%} of the cycles do not end within {longest_s(cycles.plan):.0f} s"
+        cure = "The operator keeps the robot at speed 0 %; check the tracker's frame and clock."
+        return EstimateError(seen, cure=cure)
+    if cycles.support < LEAST_SUPPORT and not ask.extrapolate:
+        seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through logged positions"
+        return EstimateError(
+            seen, cure="Log this part of the cell, or estimate with --extrapolate and mark the number."
+        )
+    return None

@@ -1,0 +1,149 @@
+"""The agendas of one agent as tables, and what is drawn for each cycle: own work, lags, walks."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+from zlib import crc32
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from cyclekit.estimate.joint.legs import Agenda, Event
+    from cyclekit.estimate.joint.visits import Segments
+    from cyclekit.schema import Floats, Ints, Vector
+
+NEVER = -np.inf
+"""When an event came that nobody needs to wait for."""
+
+
+class EventColumns:
+    """Numbers of the events that may come: of all agendas together."""
+
+    def __init__(self, agendas: Iterable[Agenda]) -> None:
+        """Number the events of agendas; two more columns: one that nobody waits for, and one that nobody reads."""
+        self.events = list(dict.fromkeys(event for agenda in agendas for event, _ in agenda.events))
+        self._number = {event: number for number, event in enumerate(self.events)}
+        self.unneeded, self.unread = len(self.events), len(self.events) + 1
+
+    def needed(self, event: Event) -> int:
+        """Return the column of an event to wait for; one that comes in no agenda is not waited for."""
+        return self._number.get(event, self.unneeded)
+
+    def times(self, agendas: Sequence[tuple[Agenda, Ints]], count: int) -> Floats:
+        """Return when events came before the start, shape (count, columns), s: inf where they are still to come.
+
+        Args:
+            agendas: Each with the rows in which it is done.
+            count: How many rows there are.
+        """
+        times = np.full((count, len(self.events) + 2), NEVER)
+        for agenda, rows in agendas:
+            mine = np.array([self._number[event] for event, _ in agenda.events])
+            times[rows[:, None], mine] = np.inf
+        return times
+
+    def padded(self, groups: Sequence[Sequence[Sequence[Event]]]) -> Ints:
+        """Return the columns of the events that legs set, shape (agendas, legs, events), filled up with `unread`."""
+        return _padded([[[self._number[e] for e in leg] for leg in legs] for legs in groups], self.unread)
+
+
+def _padded(groups: Sequence[Sequence[Sequence[int]]], fill: int) -> Ints:
+    legs = max(len(group) for group in groups)
+    most = max((len(leg) for group in groups for leg in group), default=0)
+    table = np.full((len(groups), legs, max(most, 1)), fill)
+    for g, group in enumerate(groups):
+        for n, leg in enumerate(group):
+            table[g, n, : len(leg)] = leg
+    return table
+
+
+class Drawn:
+    """N cycles of one agent: which agenda each does, and what is drawn for its legs.
+
+    Attributes:
+        agendas: All that occur.
+        which: Agenda of each row, shape (N,).
+        last: Number of the last leg of each agenda.
+        own_s: Own work, shape (N, legs).
+        lag_s: From each needed event to going on, shape (N, legs, needs).
+        needs: EventColumns of these events, shape (agendas, legs, needs).
+        not_before_s: Shape (agendas, legs).
+        arrives, passes: EventColumns of the events that are set, shape (agendas, legs, events).
+        walk, stay: Numbers of the operator's segments, shape (N, legs), and `walk_s`, how long the walks take.
+    """
+
+    def __init__(
+        self, agendas: Sequence[Agenda], which: Ints, turn: Ints, count: int, columns: EventColumns, seed: int
+    ) -> None:
+        """Draw for N rows.
+
+        Args:
+            agendas: All that occur.
+            which: Agenda of each row, shape (N,).
+            turn: Number of each row's cycle among `count` cycles of one question: what is drawn is spread evenly over
+                these, and the same for every question.
+            count: See `turn`.
+            columns: Of the events.
+            seed: Of the draws.
+        """
+        self.agendas, self.which, self._turn, self._count, self._seed = agendas, which, turn, count, seed
+        self.last = np.array([len(agenda.legs) - 1 for agenda in agendas])
+        needs = [[[columns.needed(need.event) for need in leg.needs] for leg in agenda.legs] for agenda in agendas]
+        self.needs = _padded(needs, columns.unneeded)
+        legs, rows = int(self.last.max()) + 1, len(which)
+        self.arrives = columns.padded([[leg.arrives for leg in agenda.legs] for agenda in agendas])
+        self.passes = columns.padded([[leg.passes for leg in agenda.legs] for agenda in agendas])
+        self.not_before_s = np.zeros((len(agendas), legs))
+        self.own_s, self.lag_s = np.zeros((rows, legs)), np.zeros((rows, legs, self.needs.shape[2]))
+        self.walk, self.stay = np.zeros((rows, legs), dtype=np.int64), np.zeros((rows, legs), dtype=np.int64)
+        self.walk_s = np.zeros((rows, legs))
+        self._rows = [np.flatnonzero(which == number) for number in range(len(agendas))]
+        for number, agenda in enumerate(agendas):
+            self.not_before_s[number, : len(agenda.legs)] = [leg.not_before_s for leg in agenda.legs]
+            self._draw_work(self._rows[number], agenda)
+
+    def _draw_work(self, rows: Ints, agenda: Agenda) -> None:
+        turns = Counter[str]()
+        for number, leg in enumerate(agenda.legs):
+            key = f"{agenda.agent} {leg.name}"
+            self.own_s[rows, number] = np.maximum(quantile(leg.own_s, self._level(rows, key, turns[key])), 0.0)
+            for each, need in enumerate(leg.needs):
+                level = self._level(rows, f"{key} after {need.event[:3]}", turns[key])
+                self.lag_s[rows, number, each] = quantile(need.lag_s, level)
+            turns[key] += 1
+
+    def draw_segments(self, segments: Segments, pace: float = 1.0) -> None:
+        """Draw the operator's walks and stays; walks take `pace` times as long as logged."""
+        for number, agenda in enumerate(self.agendas):
+            rows, turns = self._rows[number], Counter[str]()
+            for n, leg in enumerate(agenda.legs):
+                key = f"walk {leg.start}->{leg.place}"
+                if leg.start is not None:
+                    walks = segments.walk(leg.start, leg.place)
+                    self.walk[rows, n] = chosen(walks, self._level(rows, key, turns[key]))
+                    self.walk_s[rows, n] = (
+                        pace
+                        * segments.durations_s(walks)[chosen(np.arange(len(walks)), self._level(rows, key, turns[key]))]
+                    )
+                if leg.place:
+                    self.stay[rows, n] = chosen(segments.stay(leg.place), self._level(rows, f"stay {key}", turns[key]))
+                turns[key] += 1
+
+    def _level(self, rows: Ints, key: str, turn: int) -> Vector:
+        """Return a level in (0, 1) per row: spread evenly over the cycles of a question, and shuffled."""
+        rng = np.random.default_rng([self._seed, crc32(key.encode()), turn])
+        return np.asarray(rng.permutation((np.arange(self._count) + 0.5) / self._count)[self._turn[rows]])
+
+
+def quantile(values: Vector, level: Vector) -> Vector:
+    """Return the quantiles of a distribution that is given by quantiles at even levels, shape of `level`."""
+    levels = np.linspace(0.0, 1.0, max(len(values), 2))
+    return np.asarray(np.interp(level, levels, values if len(values) > 1 else np.repeat(values, 2)))
+
+
+def chosen(numbers: Ints, level: Vector) -> Ints:
+    """Return one of some numbers for each level in (0, 1)."""
+    return np.asarray(numbers[np.minimum((level * len(numbers)).astype(np.int64), len(numbers) - 1)])

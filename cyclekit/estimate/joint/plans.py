@@ -1,0 +1,175 @@
+"""What is asked for, as agendas of both agents: a plan for both, or the robot's places beside logged operators."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.errors import EstimateError, UnknownName
+from cyclekit.estimate.joint.legs import Agenda, operator_agenda, robot_agenda, told_needs
+from cyclekit.estimate.joint.roll import Plan
+from cyclekit.estimate.program import lay_out
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.config.sequences import PlannedTask
+    from cyclekit.estimate.joint.legs import Need
+    from cyclekit.estimate.joint.roll import JointCell
+    from cyclekit.estimate.nominal import NominalTask
+
+AGENTS = ("robot", "operator")
+
+
+@dataclass(frozen=True)
+class _Mine:
+    """One agent's tasks of a plan: names, what each shall come after by number, and earliest starts."""
+
+    names: tuple[str, ...]
+    told: dict[int, tuple[Need, ...]]
+    not_before_s: tuple[float, ...]
+
+
+class Planner:
+    """Makes plans of sequences for one cell."""
+
+    def __init__(self, cell: JointCell, nominal: Mapping[str, NominalTask]) -> None:
+        """Take the cell and its nominal tasks; what the operator does is laid out once for each order."""
+        self._cell, self.nominal = cell, nominal
+        self._orders: dict[tuple[str, ...], Agenda] = {}
+        self._waited_for = _waited_for(cell)
+        self._went = {
+            one.execution: one.places for one in cell.dataset.card.executions if one.execution in cell.segments.orders
+        }
+
+    def plan(self, sequence: TaskSequence) -> Plan:
+        """Return what both agents do.
+
+        Raises:
+            UnknownName: A place, a task or an agent does not exist.
+            EstimateError: A task was never logged, or no logged operator fits the robot's places.
+        """
+        if sequence.plan:
+            return self._of_both(sequence)
+        program = lay_out(sequence, self.nominal, self._cell.dataset)
+        robot = robot_agenda(program.tasks, self._cell.gates)
+        if sequence.operator is not None:
+            return Plan(sequence.shown, robot, (self.operator(sequence.operator, sequence.shown),), both=False)
+        fitting = self._fitting(sequence)
+        return Plan(sequence.shown, robot, tuple(self.operator(order, sequence.shown) for order in fitting), both=False)
+
+    def operator(self, order: Sequence[str], where: str) -> Agenda:
+        """Return the agenda of an operator who goes to these places.
+
+        Raises:
+            UnknownName: A place does not exist.
+        """
+        order = tuple(order)
+        if order not in self._orders:
+            self._check(order, where)
+            self._orders[order] = operator_agenda(order, self._cell.gates, self._cell.work_s)
+        return self._orders[order]
+
+    def _check(self, order: Sequence[str], where: str) -> None:
+        for place in order:
+            if place not in self._cell.dataset.human_places:
+                raise UnknownName(where, "place of the operator", place, self._cell.dataset.human_places)
+
+    def _fitting(self, sequence: TaskSequence) -> list[tuple[str, ...]]:
+        """Return the operator's orders in logged executions of the same work, or of as many visits that are waited for.
+
+        Raises:
+            EstimateError: There is none.
+        """
+        same = Counter(sequence.places[1:])
+        found = [name for name, went in self._went.items() if Counter(went[1:]) == same]
+        if not found:
+            mine = self._counted(sequence.places)
+            found = [name for name, went in self._went.items() if self._counted(went) == mine]
+        if not found:
+            visits = ", ".join(f"{place} {n} times" for place, n in sorted(self._counted(sequence.places).items()))
+            seen = f"{sequence.shown}: in no logged execution the robot went to {visits or 'these places'}"
+            raise EstimateError(
+                f"{seen}, so it is not known what the operator does meanwhile",
+                cure='Name his places, operator = ["...", "..."], or plan for both: [[sequence.task]].',
+            )
+        return [tuple(visit.place for visit in self._cell.segments.orders[name]) for name in found]
+
+    def _counted(self, places: Sequence[str]) -> Counter[str]:
+        return Counter(place for place in places[1:] if place in self._waited_for)
+
+    def _of_both(self, sequence: TaskSequence) -> Plan:
+        where, told = sequence.shown, told_needs(sequence.plan, sequence.shown)
+        mine = {agent: _of_agent(agent, sequence.plan, told) for agent in AGENTS}
+        if other := {task.agent for task in sequence.plan} - set(AGENTS):
+            raise UnknownName(where, "agent", min(other), AGENTS)
+        robot, operator = mine["robot"], mine["operator"]
+        if not robot.names:
+            cure = 'Add one: agent = "robot", name = "start->goal".'
+            raise EstimateError(f"{where}: no task of the robot", cure=cure)
+        self._check(operator.names, where)
+        places = self._chained(robot.names, where)
+        program = lay_out(TaskSequence(sequence.name, places, file=sequence.file), self.nominal, self._cell.dataset)
+        return Plan(
+            where,
+            robot_agenda(
+                program.tasks,
+                self._cell.gates,
+                names=robot.names,
+                told=robot.told,
+                not_before_s=robot.not_before_s,
+            ),
+            (
+                operator_agenda(
+                    operator.names,
+                    self._cell.gates,
+                    self._cell.work_s,
+                    told=operator.told,
+                    not_before_s=operator.not_before_s,
+                ),
+            ),
+            both=True,
+        )
+
+    def _chained(self, names: Sequence[str], where: str) -> tuple[str, ...]:
+        """Return the places that tasks go through, each `start->goal` or the goal alone.
+
+        Raises:
+            EstimateError: A task does not start where the one before it ends.
+        """
+        start, arrow, _ = names[0].partition("->")
+        places = [start] if arrow else [Counter(went[0] for went in self._went.values()).most_common(1)[0][0]]
+        for name in names:
+            start, arrow, goal = name.partition("->")
+            if arrow and start != places[-1]:
+                seen = f"{where}: robot task {name!r} does not start where the task before it ends, at {places[-1]!r}"
+                raise EstimateError(seen, cure="A robot cannot jump: insert the task between them.")
+            places.append(goal if arrow else name)
+        return tuple(places)
+
+
+def _of_agent(agent: str, tasks: Sequence[PlannedTask], told: Mapping[int, tuple[Need, ...]]) -> _Mine:
+    some = [(number, task) for number, task in enumerate(tasks) if task.agent == agent]
+    return _Mine(
+        tuple(task.name for _, task in some),
+        {mine: told[number] for mine, (number, _) in enumerate(some)},
+        tuple(task.not_before_s or 0.0 for _, task in some),
+    )
+
+
+def _waited_for(cell: JointCell) -> set[str]:
+    """Return the robot's places at which somebody waits for somebody."""
+    gates = [gate for gate in (cell.coupling.gates if cell.coupling else ()) if gate.conditions]
+    found = {gate.place for gate in gates if gate.agent == "robot"}
+    return found | {one.place for gate in gates for one in gate.conditions if one.agent == "robot"}
+
+
+def legs_of_tasks(agenda: Agenda) -> list[list[int]]:
+    """Return the numbers of the legs of each task."""
+    found: list[list[int]] = [[] for _ in agenda.tasks]
+    for number, leg in enumerate(agenda.legs):
+        if leg.task >= 0:
+            found[leg.task].append(number)
+    return found

@@ -1,0 +1,139 @@
+"""Orders of the work of both agents: all pairs by mean times alone, then the best of them rolled out.
+
+By mean times the robot is slowed as it was on average, and nothing is drawn: a pair of orders takes microseconds.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.errors import EstimateError
+from cyclekit.estimate.joint.drawn import Drawn, EventColumns
+from cyclekit.estimate.joint.roll import Plan, longest_s
+from cyclekit.estimate.joint.walk import Unhindered, settle
+from cyclekit.estimate.plan.search import every_order, random_order
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.estimate.joint.legs import Agenda
+    from cyclekit.estimate.joint.roll import JointCell
+    from cyclekit.estimate.plan.jobs import Jobs
+    from cyclekit.schema import Floats, Ints, Vector
+
+MOST_ORDERS = 1000
+"""Of more orders of one agent than this, so many are drawn."""
+PAIRS = 50_000
+"""Pairs of orders looked at in one go."""
+ROLLED, CYCLES = 24, 250
+"""So many of the best pairs are rolled out, in so many cycles each."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """An order of the robot and one of the operator, by their numbers, and what a cycle takes by mean times, s."""
+
+    robot: int
+    operator: int
+    mean_s: float
+
+
+def orders_to_try(jobs: Jobs, seed: int) -> list[tuple[str, ...]]:
+    """Return all orders of some jobs, each once; of very many a part, drawn."""
+    found = list(dict.fromkeys(islice(every_order(jobs), MOST_ORDERS + 1)))
+    if len(found) <= MOST_ORDERS:
+        return found
+    rng = np.random.default_rng(seed)
+    return list(dict.fromkeys(random_order(jobs, rng) for _ in range(MOST_ORDERS)))
+
+
+def mean_times(cell: JointCell, robots: Sequence[Agenda], operators: Sequence[Agenda], *, both: bool) -> Floats:
+    """Return how long each pair takes by mean times, shape (robots, operators), s; inf where nobody can go on.
+
+    Args:
+        cell: The cell.
+        robots: What the robot may do.
+        operators: What the operator may do.
+        both: The cycle lasts until both are done; else until the robot is.
+    """
+    sources = [cell.source(source, robots) for source in (cell.coupling.sources if cell.coupling else ())]
+    columns = EventColumns([*robots, *operators, *sources])
+    slowed = _slowed(cell)
+    robot = _usual(robots, columns, [[slowed * leg.way_s for leg in agenda.legs] for agenda in robots])
+    operator = _usual(operators, columns, [_walks_s(cell, agenda) for agenda in operators])
+    parts = [_usual([source], columns, [[0.0] * len(source.legs)]) for source in sources]
+    events = [
+        columns.times([(agenda, np.array([row])) for row, agenda in enumerate(agendas)], len(agendas))
+        for agendas in (robots, operators)
+    ]
+    found = np.empty((len(robots), len(operators)))
+    at_once = max(1, PAIRS // len(operators))
+    for first in range(0, len(robots), at_once):
+        some = np.arange(first, min(first + at_once, len(robots)))
+        r, o = np.repeat(some, len(operators)), np.tile(np.arange(len(operators)), len(some))
+        events_s = np.maximum(events[0][r], events[1][o])
+        for source in sources:
+            mine = columns.times([(source, np.arange(1))], 1)
+            events_s = np.maximum(events_s, mine)
+        agents = [Unhindered(_rows(robot, r), events_s), Unhindered(_rows(operator, o), events_s)]
+        agents += [Unhindered(_rows(part, np.zeros_like(r)), events_s) for part in parts]
+        settle(agents, np.arange(len(r)))
+        ends = [_ends_s(agent) for agent in agents[: 2 if both else 1]]
+        found[some] = np.max(ends, axis=0).reshape(len(some), len(operators))
+    return found
+
+
+def best_pairs(means_s: Floats, count: int = ROLLED) -> list[Pair]:
+    """Return the quickest pairs, the first one first."""
+    order = np.argsort(means_s, axis=None, kind="stable")[:count]
+    pairs = (np.unravel_index(int(n), means_s.shape) for n in order)
+    return [Pair(int(r), int(o), float(means_s[r, o])) for r, o in pairs if np.isfinite(means_s[r, o])]
+
+
+def rolled_cycles(cell: JointCell, plans: Sequence[Plan], seed: int) -> list[Vector | None]:
+    """Return the durations of CYCLES cycles of each plan, s; None where nobody can go on."""
+    until_s = max(longest_s(plan) for plan in plans)
+    rolled = cell.roll(plans, cycles=CYCLES, seed=seed, until_s=until_s)
+    return [None if isinstance(each, EstimateError) else np.resize(each.duration_s, CYCLES) for each in rolled]
+
+
+def _slowed(cell: JointCell) -> float:
+    """Return how many times as long as nominal the robot's motions take on average."""
+    tasks = cell.dataset.tasks()
+    nominal, lost = float(tasks["nominal_s"].sum() or 0.0), float(tasks["safety_loss_s"].sum() or 0.0)
+    return 1.0 + lost / nominal if nominal > 0.0 else 1.0
+
+
+def _walks_s(cell: JointCell, agenda: Agenda) -> list[float]:
+    durations = [
+        0.0 if leg.start is None else float(cell.segments.durations_s(cell.segments.walk(leg.start, leg.place)).mean())
+        for leg in agenda.legs
+    ]
+    return [cell.pace * seconds for seconds in durations]
+
+
+def _usual(agendas: Sequence[Agenda], columns: EventColumns, ways_s: Sequence[Sequence[float]]) -> Drawn:
+    """Return agendas with median work and lags, and ways as long as usual: one row each."""
+    every = np.arange(len(agendas))
+    drawn = Drawn(agendas, every, np.zeros_like(every), 1, columns, 0)
+    for row, seconds in enumerate(ways_s):
+        drawn.walk_s[row, : len(seconds)] = seconds
+    return drawn
+
+
+def _rows(drawn: Drawn, rows: Ints) -> Drawn:
+    """Return some rows of what was drawn, any as often as wanted."""
+    found = copy(drawn)
+    for name in ("which", "own_s", "lag_s", "walk_s"):
+        setattr(found, name, getattr(drawn, name)[rows])
+    return found
+
+
+def _ends_s(agent: Unhindered) -> Vector:
+    last = agent.drawn.last[agent.drawn.which]
+    return np.asarray(agent.times.passes_s[np.arange(len(last)), last])

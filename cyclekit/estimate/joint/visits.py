@@ -1,0 +1,168 @@
+"""What the operator did in the logs: his visits, and his positions on each walk and stay, to be drawn again."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.estimate.tracks import logged_tracks
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.tracks import LoggedTrack
+    from cyclekit.schema import Floats, Ints, Vector
+
+AT_START_S = 0.5
+"""Who stands at a place this soon after the start of an execution has not walked there."""
+WALK_M_S = 1.2
+"""Of an operator whose walks were never logged."""
+LEAST_WALKS, LEAST_M = 10, 0.1
+"""From fewer walks, or from walks of much the same length, it is not known how long others take."""
+SURE = 3.0
+"""So many standard errors between two means are no chance."""
+STRAIGHT = 16
+"""So many straight walks of different duration stand for a way that was never logged."""
+
+
+@dataclass(frozen=True)
+class OperatorVisit:
+    """One stay of the operator at one of his places; times from the start of the execution, s."""
+
+    place: str
+    arrives_s: float
+    leaves_s: float
+
+
+class Segments:
+    """Positions of the operator on logged walks and stays, each by its number.
+
+    Attributes:
+        orders: His visits in each execution, by its name.
+    """
+
+    def __init__(self, dataset: Dataset) -> None:
+        """Cut the logged tracks of complete executions into walks and stays."""
+        self._step_s = 1.0 / dataset.rate_hz
+        self._places = dataset.human_places
+        self._parts: list[Floats] = []
+        self._ways: dict[tuple[str, str], list[int]] = defaultdict(list)
+        self._stays: dict[str, list[int]] = defaultdict(list)
+        self._begins: list[Floats] = []
+        self.orders: dict[str, tuple[OperatorVisit, ...]] = {}
+        complete = {one.execution for one in dataset.card.executions if one.complete and not one.reference}
+        tracks = logged_tracks(dataset)
+        mine = dataset.every_task().filter((pl.col("agent") == "operator") & pl.col("agent_name").is_null())
+        for (name,), visits in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
+            if name in complete and str(name) in tracks and tracks[str(name)].seen:
+                self._cut(str(name), tracks[str(name)], visits)
+        self._pace = self._paces()
+
+    def walk(self, start: str, goal: str) -> Ints:
+        """Return the numbers of walks between two places; `start` is empty where he is at the start of an execution.
+
+        Of a way that was never logged they are straight, and take as long as his others of that length.
+        """
+        found = self._ways.get((start, goal))
+        if found is None:
+            found = self._ways[start, goal] = self._straight(start, goal)
+        return np.array(found)
+
+    def stay(self, place: str) -> Ints:
+        """Return the numbers of stays at a place; one at its middle where none was logged."""
+        if not self._stays[place]:
+            self._stays[place].append(self._add(np.array([self._places[place].xyz_m])))
+        return np.array(self._stays[place])
+
+    def table(self) -> tuple[Floats, Ints, Ints]:
+        """Return the positions of all segments one after the other (M, 3), and of each its first row and their count.
+
+        The row after the last one of a segment repeats it: who stands on after it stands still.
+        """
+        count = np.array([len(part) for part in self._parts])
+        rows = [np.concatenate([part, part[-1:]]) for part in self._parts]
+        return np.concatenate(rows), np.cumsum(count + 1) - count - 1, count
+
+    def durations_s(self, numbers: Ints) -> Vector:
+        """Return how long segments take, shape (N,), s."""
+        return np.array([(len(self._parts[number]) - 1) * self._step_s for number in numbers.tolist()])
+
+    def work_s(self, place: str) -> Vector:
+        """Return how long he stayed at a place, ascending, shape (N,), s; without stays cut by an execution's ends.
+
+        Two tasks at one place, one after the other, are seen as one long stay. Executions with the most stays there
+        have none such: where their stays are shorter beyond chance, they alone count.
+        """
+        stays: list[tuple[int, float]] = []
+        for order in self.orders.values():
+            times = sum(visit.place == place for visit in order)
+            mine = [visit for visit in order[:-1] if visit.place == place and visit.arrives_s > 0.0]
+            stays += [(times, visit.leaves_s - visit.arrives_s) for visit in mine]
+        most = max((times for times, _ in stays), default=0)
+        single, others = (np.array([s for n, s in stays if (n == most) is alone]) for alone in (True, False))
+        if min(len(single), len(others)) >= LEAST_WALKS:
+            chance = np.hypot(single.std(ddof=1) / len(single) ** 0.5, others.std(ddof=1) / len(others) ** 0.5)
+            if others.mean() - single.mean() > SURE * chance:
+                return np.sort(single)
+        return np.sort([s for _, s in stays])
+
+    def _cut(self, name: str, track: LoggedTrack, visits: pl.DataFrame) -> None:
+        where, last = track.where[:, :3], len(track.where) - 1
+        spans = []
+        for place, arrives_s, leaves_s in visits.select("goal_place", "arrival_s", "end_s").iter_rows():
+            first = 0 if arrives_s is None else round((arrives_s - track.begin_s) / self._step_s)
+            left = last if leaves_s is None else round((leaves_s - track.begin_s) / self._step_s)
+            if place in self._places and first <= last:
+                spans.append((place, max(first, 0), min(left, last)))
+        if not spans:
+            return
+        self._begins.append(where[0])
+        at_s = [(place, a * self._step_s, b * self._step_s) for place, a, b in spans]
+        self.orders[name] = tuple(OperatorVisit(place, a if a > AT_START_S else 0.0, b) for place, a, b in at_s)
+        for place, first, left in spans:
+            self._stays[place].append(self._add(where[first : left + 1]))
+        there = at_s[0][1] <= AT_START_S
+        self._ways["", spans[0][0]].append(self._add(where[spans[0][1] if there else 0 : spans[0][1] + 1]))
+        if there and len(spans) > 1:  # a plan may begin with his second place
+            self._ways["", spans[1][0]].append(self._add(where[: spans[1][1] + 1]))
+        for (start, _, left), (goal, arrives, _) in pairwise(spans):
+            self._ways[start, goal].append(self._add(where[left : arrives + 1]))
+
+    def _add(self, rows: Floats) -> int:
+        self._parts.append(rows)
+        return len(self._parts) - 1
+
+    def _paces(self) -> tuple[float, float, Vector]:
+        """Return how long walks take: at least, for each metre, and the quantiles of what they take beside that, s."""
+        walks = [(part[-1, :2] - part[0, :2], len(part) - 1) for part in self._logged_walks()]
+        far = np.array([float(np.linalg.norm(way)) for way, _ in walks])
+        took = np.array([steps * self._step_s for _, steps in walks])
+        if len(walks) < LEAST_WALKS or far.std() < LEAST_M:
+            return 0.0, 1.0 / WALK_M_S, np.zeros(1)
+        per_m = max(float(np.cov(far, took)[0, 1] / far.var(ddof=1)), 0.0)
+        least = float(took.mean() - per_m * far.mean())
+        return least, per_m, np.sort(took - least - per_m * far)
+
+    def _logged_walks(self) -> list[Floats]:
+        return [
+            self._parts[number]
+            for (start, goal), numbers in self._ways.items()
+            if start and start != goal
+            for number in numbers
+        ]
+
+    def _straight(self, start: str, goal: str) -> list[int]:
+        end, level = np.array(self._places[goal].xyz_m), (np.arange(STRAIGHT) + 0.5) / STRAIGHT
+        begins = [np.array(self._places[start].xyz_m)] if start else self._begins or [end]
+        least_s, per_m, beside_s = self._pace
+        found = []
+        for number, more_s in enumerate(np.quantile(beside_s, level).tolist()):
+            begin = begins[number * len(begins) // STRAIGHT]
+            took_s = least_s + per_m * float(np.linalg.norm(end[:2] - begin[:2])) + more_s
+            rows = max(1, round(took_s / self._step_s)) if start != goal else 0
+            found.append(self._add(begin + (end - begin) * np.linspace(0.0, 1.0, rows + 1)[:, None]))
+        return found

@@ -1,0 +1,348 @@
+"""Cycles of both agents walked step by step: each goes on when its own work and what it waits for are over.
+
+The robot advances as in `estimate.walk`, at the scaling that the safety function gives beside the operator. He, and
+parts that come, are not slowed: when they go on is known as soon as what they wait for has come, and is computed then.
+Times of events are exact within a step: who waited for one catches up with what is left of the step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, asked_often, at_once, scaling_of
+from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.estimate.joint.drawn import Drawn
+    from cyclekit.estimate.joint.visits import Segments
+    from cyclekit.estimate.support import Support
+    from cyclekit.schema import Bools, Floats, Ints, Vector
+
+OWN, PLANNED = -1, -2
+"""What decides going on, where it is no event: the own work, or the earliest start of the plan."""
+MOVES, WORKS, WAITS, ENDED = range(4)
+
+
+class LegTimes:
+    """When each leg of one agent arrives, has its own work done, and goes on: shape (rows, legs) each, s.
+
+    Attributes:
+        decided: Column of the event that decided going on; OWN, PLANNED.
+        lost_s: Safety loss of the leg.
+    """
+
+    def __init__(self, drawn: Drawn) -> None:
+        """Nothing has come yet."""
+        shape = drawn.own_s.shape
+        self.arrives_s, self.works_s, self.passes_s = (np.full(shape, np.inf) for _ in range(3))
+        self.decided = np.full(shape, OWN)
+        self.lost_s = np.zeros(shape)
+
+    @property
+    def waits_s(self) -> Floats:
+        """Wait at the end of each leg, shape (rows, legs), s."""
+        passed = np.isfinite(self.passes_s)
+        return np.where(passed, self.passes_s, 0.0) - np.where(passed, self.works_s, 0.0)
+
+
+def opens(drawn: Drawn, events_s: Floats, rows: Ints, legs: Ints, works_s: Vector) -> tuple[Vector, Ints]:
+    """Return when these rows may go on from these legs, s (inf: not known yet), and what decides it."""
+    agenda = drawn.which[rows]
+    columns = drawn.needs[agenda, legs]
+    due = events_s[rows[:, None], columns] + drawn.lag_s[rows, legs]
+    latest = due.argmax(axis=1)
+    each = np.arange(len(rows))
+    planned = drawn.not_before_s[agenda, legs]
+    own = np.maximum(works_s, planned)
+    needed = due[each, latest]
+    decided = np.where(needed > own, columns[each, latest], np.where(planned > works_s, PLANNED, OWN))
+    return np.maximum(own, needed), decided
+
+
+class Unhindered:
+    """An agent that nothing slows: the operator, or a source of parts."""
+
+    def __init__(self, drawn: Drawn, events_s: Floats) -> None:
+        """Let all rows begin."""
+        self.drawn, self.times, self._events_s = drawn, LegTimes(drawn), events_s
+        self.leg = np.zeros(len(drawn.which), dtype=np.int64)
+        self.ended = np.zeros(len(drawn.which), dtype=np.bool_)
+        self._arrive(np.arange(len(drawn.which)), np.zeros(len(drawn.which)))
+
+    def go_on(self, rows: Ints) -> Ints:
+        """Compute all that is known now of these rows, and return those of them that went on."""
+        rows = moved = rows[~self.ended[rows]]
+        first = self.leg[rows].copy()
+        while len(rows):
+            legs = self.leg[rows]
+            open_s, decided = opens(self.drawn, self._events_s, rows, legs, self.times.works_s[rows, legs])
+            known = np.isfinite(open_s)
+            rows, legs, open_s = rows[known], legs[known], open_s[known]
+            self.times.passes_s[rows, legs], self.times.decided[rows, legs] = open_s, decided[known]
+            agenda = self.drawn.which[rows]
+            self._events_s[rows[:, None], self.drawn.passes[agenda, legs]] = open_s[:, None]
+            last = legs >= self.drawn.last[agenda]
+            self.ended[rows[last]] = True
+            rows, open_s = rows[~last], open_s[~last]
+            self.leg[rows] += 1
+            self._arrive(rows, open_s)
+        return moved[(self.leg[moved] > first) | self.ended[moved]]
+
+    def _arrive(self, rows: Ints, departs_s: Vector) -> None:
+        legs = self.leg[rows]
+        arrives = departs_s + self.drawn.walk_s[rows, legs]
+        self.times.arrives_s[rows, legs] = arrives
+        self.times.works_s[rows, legs] = arrives + self.drawn.own_s[rows, legs]
+        columns = self.drawn.arrives[self.drawn.which[rows], legs]
+        self._events_s[rows[:, None], columns] = arrives[:, None]
+
+
+class OperatorPositions:
+    """Where the operators are, as time goes on."""
+
+    def __init__(self, operator: Unhindered, segments: Segments, step_s: float, pace: float = 1.0) -> None:
+        self._operator, self._pace = operator, pace
+        self._xyz_m, self._first, self._count = segments.table()
+        self._step_s = step_s
+        drawn = operator.drawn
+        kinds = sorted({leg.place for agenda in drawn.agendas for leg in agenda.legs if leg.place})
+        self.activities = tuple(kinds)
+        number = {name: n for n, name in enumerate(kinds)} | {"": len(kinds)}
+        legs = drawn.own_s.shape[1]
+        self._kind = np.full((len(drawn.agendas), legs), len(kinds))
+        self._starts = np.zeros(len(drawn.agendas), dtype=np.int64)
+        for a, agenda in enumerate(drawn.agendas):
+            self._kind[a, : len(agenda.legs)] = [number[leg.place] for leg in agenda.legs]
+            self._starts[a] = next((n for n, leg in enumerate(agenda.legs) if leg.start is not None), 0)
+        self._leg = np.zeros(len(drawn.which), dtype=np.int64)
+
+    def at(self, t_s: float, rows: Ints) -> tuple[Floats, Ints]:
+        """Return the positions (N, 3) of the operators of these rows, and at what they are (N,)."""
+        drawn, times = self._operator.drawn, self._operator.times
+        agenda = drawn.which[rows]
+        while True:
+            leg = self._leg[rows]
+            on = (times.passes_s[rows, leg] <= t_s) & (leg < drawn.last[agenda])
+            if not on.any():
+                break
+            self._leg[rows[on]] += 1
+        before = np.maximum(leg - 1, 0)
+        departs = np.where(leg > 0, times.passes_s[rows, before], 0.0)
+        arrives = times.arrives_s[rows, leg]
+        walks = t_s < arrives
+        starts = self._starts[agenda]
+        still = leg < starts  # before his first walk he is where that begins
+        segment = np.where(walks, drawn.walk[rows, leg], drawn.stay[rows, leg])
+        segment = np.where(still, drawn.walk[rows, starts], segment)
+        since = np.where(still, 0.0, np.where(walks, (t_s - departs) / self._pace, t_s - arrives)) / self._step_s
+        since = np.minimum(since, self._count[segment] - 1)
+        whole = since.astype(np.int64)
+        row = self._first[segment] + whole
+        here, after = self._xyz_m[row], self._xyz_m[row + 1]
+        between = here + (after - here) * (since - whole)[:, None]
+        return np.where(np.isnan(between), here, between), self._kind[agenda, leg]
+
+
+class RobotLine:
+    """The robot in N cycles: its leg, how far it is, and what it waits for."""
+
+    def __init__(self, drawn: Drawn, events_s: Floats, step_s: float) -> None:
+        """Let all rows stand where they begin."""
+        self.drawn, self.times, self._events_s, self._step_s = drawn, LegTimes(drawn), events_s, step_s
+        legs, count = drawn.own_s.shape[1], len(drawn.which)
+        paths = [leg.path_m for agenda in drawn.agendas for leg in agenda.legs]
+        self._xyz_m = np.concatenate(paths)
+        self._rows, self._first = np.ones((2, len(drawn.agendas), legs), dtype=np.int64)
+        self._way_s = np.zeros((len(drawn.agendas), legs))
+        begin = 0
+        for a, agenda in enumerate(drawn.agendas):
+            for n, leg in enumerate(agenda.legs):
+                self._rows[a, n], self._first[a, n], self._way_s[a, n] = len(leg.path_m), begin, leg.way_s
+                begin += len(leg.path_m)
+        self.row = np.arange(count)
+        self.part = np.zeros(count, dtype=np.int64)
+        self.leg = np.zeros(count, dtype=np.int64)
+        self._at, self._clock = np.zeros(count), np.zeros(count)
+        self._end = self._way_s[drawn.which, 0]
+
+    @property
+    def may_move(self) -> Bools:
+        """Which rows may be in motion at some time of the next step."""
+        soon = (self.part == WORKS) & (self._end - self._at < self._step_s)
+        return np.asarray((self.part == MOVES) | soon | (self.part == WAITS))
+
+    def keep(self, going: Bools) -> None:
+        """Leave the other rows out from now on."""
+        for name in ("row", "part", "leg", "_at", "_clock", "_end"):
+            setattr(self, name, getattr(self, name)[going])
+
+    def where(self, ahead_s: Vector) -> Floats:
+        """TCP (N, 3) where the rows will be when their motions have gone on by `ahead_s` (N,)."""
+        agenda = self.drawn.which[self.row]
+        last = self._rows[agenda, self.leg] - 1
+        gone = np.minimum(self._at + ahead_s, self._end) / np.maximum(self._end, 1e-9)
+        gone = np.where(self.part == MOVES, gone, 1.0)
+        return np.asarray(self._xyz_m[self._first[agenda, self.leg] + (gone * last + 0.5).astype(np.int64)])
+
+    def advance(self, scaling: Vector, until_s: float) -> tuple[Vector, Ints]:
+        """Go on to a time; return the safety loss of each row meanwhile (N,), s, and the rows that began a new part."""
+        lost, some, touched = np.zeros(len(scaling)), np.flatnonzero(self.part != ENDED), [np.empty(0, dtype=np.int64)]
+        while len(some):
+            row, leg, part, clock = self.row[some], self.leg[some], self.part[some], self._clock[some]
+            moves, waits = part == MOVES, part == WAITS
+            rate = np.where(moves, scaling[some], 1.0)
+            to_go = self._end[some] - self._at[some]
+            takes = np.where(to_go <= 1e-9, 0.0, to_go / np.maximum(rate, 1e-12))
+            decided = np.full(len(some), OWN)
+            if waits.any():
+                open_s, decided[waits] = opens(self.drawn, self._events_s, row[waits], leg[waits], clock[waits])
+                takes[waits] = open_s - clock[waits]
+            left = until_s - clock
+            done = takes <= left
+            spent = np.where(waits & ~done, 0.0, np.minimum(takes, left))
+            self._clock[some] = clock = np.where(done & waits, clock + takes, clock + spent)
+            self._at[some] += np.where(waits, 0.0, rate * spent)
+            loss = np.where(moves, (1.0 - rate) * spent, 0.0)
+            self.times.lost_s[row, leg] += loss
+            lost[some] += loss
+            some, decided = some[done], decided[done]
+            self._next(some, decided)
+            touched.append(self.row[some])
+            some = some[self.part[some] != ENDED]
+        return lost, np.unique(np.concatenate(touched))
+
+    def _next(self, some: Ints, decided: Ints) -> None:
+        """Let these rows, which have ended a way, their own work or a wait, begin with what follows."""
+        row, leg, part, clock = self.row[some], self.leg[some], self.part[some], self._clock[some]
+        agenda = self.drawn.which[row]
+        for when, found in ((MOVES, self.times.arrives_s), (WORKS, self.times.works_s), (WAITS, self.times.passes_s)):
+            mine = part == when
+            found[row[mine], leg[mine]] = clock[mine]
+        for when, columns in ((MOVES, self.drawn.arrives), (WAITS, self.drawn.passes)):
+            mine = part == when
+            self._events_s[row[mine, None], columns[agenda[mine], leg[mine]]] = clock[mine, None]
+        goes = part == WAITS
+        self.times.decided[row[goes], leg[goes]] = decided[goes]
+        ends = goes & (leg >= self.drawn.last[agenda])
+        self._at[some] = 0.0
+        self.part[some] = np.where(ends, ENDED, (part + 1) % ENDED)
+        self.leg[some] = leg = np.where(goes & ~ends, leg + 1, leg)
+        self._end[some] = np.where(part == MOVES, self.drawn.own_s[row, leg], self._way_s[agenda, leg])
+
+
+@dataclass(frozen=True)
+class JointCycles:
+    """N cycles of both agents.
+
+    Attributes:
+        robot, operator: What each did when; `None` for an operator where there is none.
+        activity_s: Safety loss by what the operator was at, shape (N, activities + 1); the last = not known.
+        activities: Names of that.
+        known, looked: Looks into logged positions, and all, shape (N,).
+        stuck: Rows in which each waits for the other, shape (N,).
+        events_s: When each event came, shape (N, columns).
+    """
+
+    robot: LegTimes
+    operator: LegTimes
+    activity_s: Floats
+    activities: tuple[str, ...]
+    known: Vector
+    looked: Vector
+    stuck: Bools
+    events_s: Floats
+
+
+def walk_both(
+    model: SafetyModel,
+    robot: Drawn,
+    operator: Drawn,
+    sources: Sequence[Drawn],
+    events_s: Floats,
+    segments: Segments,
+    *,
+    step_s: float,
+    until_s: float,
+    support: Support | None = None,
+    dynamics: Dynamics,
+    pace: float = 1.0,
+) -> JointCycles:
+    """Walk N cycles to their ends.
+
+    Args:
+        model: The safety function.
+        robot: What is drawn for the robot, N rows.
+        operator: For the operator.
+        sources: Of parts, N rows each.
+        events_s: When events came: of `EventColumns.times`; filled in.
+        segments: Positions of the operator.
+        step_s: Between samples of these.
+        until_s: A cycle that is not at its end then has none: its times are inf.
+        support: Where logged positions lie; None: `looked` stays empty.
+        dynamics: How s follows the safety function.
+        pace: The operator's walks take so many times as long as logged.
+    """
+    line = RobotLine(robot, events_s, FINE_STEP_S)
+    others = [Unhindered(drawn, events_s) for drawn in (operator, *sources)]
+    people, count = OperatorPositions(others[0], segments, step_s, pace), len(robot.which)
+    follower = None if at_once(model, dynamics) else Follower(model, dynamics, FINE_STEP_S)
+    asks_after = 1 if asked_often(model) else round(TIME_STEP_S / FINE_STEP_S)
+    looks_after = round(SUPPORT_EVERY_S / FINE_STEP_S)
+    activity_s = np.zeros((count, len(people.activities) + 1))
+    known, looked, stuck = np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_)
+    scaling, human = np.ones(count), np.zeros((count, 3))
+    doing = np.zeros(count, dtype=np.int64)
+    settle(others, np.arange(count))
+    for number in range(int(until_s / FINE_STEP_S)):
+        if number % asks_after == 0:
+            tcp = line.where(scaling * asks_after * FINE_STEP_S / 2)
+            human, doing = people.at((number + asks_after / 2) * FINE_STEP_S, line.row)
+            scaling = _scaling(model, follower, line, tcp, human)
+            if support is not None and number % looks_after == 0:
+                known[line.row] += support.near_logged(tcp, human)
+                looked[line.row] += 1
+        elif follower is not None:
+            scaling = follower.go_on()
+        lost, touched = line.advance(scaling, (number + 1) * FINE_STEP_S)
+        activity_s[line.row, doing] += lost
+        if len(touched):
+            settle(others, touched)
+        stuck[line.row] = (line.part == WAITS) & ~np.isfinite(_due(line))
+        ended = (line.part == ENDED) | stuck[line.row]
+        if ended.any():
+            going = ~ended
+            scaling, doing = scaling[going], doing[going]
+            line.keep(going)
+            if follower is not None:
+                follower.keep(going)
+            if not len(line.row):
+                break
+    return JointCycles(line.times, others[0].times, activity_s, people.activities, known, looked, stuck, events_s)
+
+
+def settle(others: Sequence[Unhindered], rows: Ints) -> None:
+    """Let those that nothing slows go on as far as is known, each with what the others brought."""
+    while len(rows):
+        moved = [other.go_on(rows) for other in others]
+        rows = np.unique(np.concatenate(moved)) if len(others) > 1 else rows[:0]
+
+
+def _due(line: RobotLine) -> Vector:
+    """Return when each row may go on; of those that do not wait it is 0."""
+    due, waits = np.zeros(len(line.row)), np.flatnonzero(line.part == WAITS)
+    if len(waits):
+        due[waits] = opens(line.drawn, line._events_s, line.row[waits], line.leg[waits], np.zeros(len(waits)))[0]
+    return due
+
+
+def _scaling(model: SafetyModel, follower: Follower | None, line: RobotLine, tcp: Floats, human: Floats) -> Vector:
+    if follower is not None:
+        return follower.advance(tcp, human)
+    scaling, matters = np.ones(len(tcp)), np.flatnonzero(line.may_move)
+    scaling[matters] = scaling_of(model, tcp[matters], human[matters])
+    return scaling

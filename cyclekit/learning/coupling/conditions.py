@@ -1,0 +1,345 @@
+"""What the departures of an agent wait for: candidates, evidence, choice.
+
+A condition is believed if the departures hold to it, if it decided several of them, and if they become so much more
+regular by it that neither chance among all candidates nor the same events in another order can have done that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from cyclekit.errors import UnknownName
+from cyclekit.learning.coupling.lags import Causes, take_apart
+from cyclekit.learning.coupling.visits import Event
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from cyclekit.config import Wait
+    from cyclekit.dataset.cards.coupling import Agent
+    from cyclekit.learning.coupling.visits import Course, PlaceVisit
+    from cyclekit.schema import Floats, Ints, Vector
+
+HELD = 0.98
+"""Part of the departures that must come after a condition's event."""
+EARLY_S, EARLY_LEAVING_S = 0.25, 1.0
+"""A departure may come so much before it: clocks of two agents; who leaves is done before he is seen to move."""
+LEAST_DECIDED = 5
+"""So many departures must have been decided by it."""
+GAIN, GAIN_PER_DEPARTURE = 8.0, 0.05
+"""By so much the log-likelihood of the departures must rise, in all and for each of them."""
+AS_GOOD, AS_GOOD_PART = 3.0, 0.1
+"""Of events whose gains differ by no more than this, or this part of it, the one just before the departure is taken."""
+SAME = 0.7
+"""Two gates are passed by the same departures if so many of those of either pass the other."""
+FOLLOWS = 0.8
+"""An event that is as near to so many of the departures that own work decided follows own work, and is no condition."""
+PULSE_S = 1.0
+"""Whoever presses a button sets a signal; that it is cleared so soon afterwards says the same."""
+SHUFFLES = 6
+MOST = 2
+"""Conditions of one gate."""
+SEEN = 120
+"""Departures by which conditions are compared."""
+KEPT = 400
+"""Departures by which their lags are learned."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Where an agent may have to wait, as in `GateCard`; `short` of the place, or where it starts from."""
+
+    agent: Agent
+    at: Literal["leave", "approach"]
+    place: str
+    short: bool = False
+
+
+Times = dict[Event, "Floats"]
+"""Of each kind of event when it came in each execution; see `times_of`."""
+
+
+class Condition(NamedTuple):
+    """An event, and the how-many-th of them a passage needs (`ConditionCard`)."""
+
+    event: Event
+    back: int
+
+
+@dataclass
+class Passages:
+    """All logged passages of one gate.
+
+    Attributes:
+        gate: Which.
+        rows: Of each: its number among all departures of the agent, shape (N,).
+        course, nth: Of each: number of the execution, and how many passages of the gate came before it there, (N,).
+        own_s, left_s: Since when nothing of its own kept the agent, or it came there, and when it went on, (N,).
+        since_s: From the event of each condition that was found to going on, shape (N,); NaN = none was needed.
+    """
+
+    gate: Gate
+    rows: Ints
+    course: Ints
+    nth: Ints
+    own_s: Vector
+    left_s: Vector
+    since_s: dict[tuple[Gate, Condition], Vector] = field(default_factory=dict)
+
+    @property
+    def found(self) -> list[Condition]:
+        """Conditions of this gate."""
+        return [condition for gate, condition in self.since_s if gate == self.gate]
+
+    @property
+    def step(self) -> int:
+        """Every how-many-th passage serves to compare conditions."""
+        return -(-len(self.left_s) // SEEN)
+
+    def causes(self, more: Vector | None = None, most: int = SEEN) -> Causes:
+        """Return what decided each passage (of `most` of them), own work first, then conditions as in `since_s`."""
+        step = -(-len(self.left_s) // most)
+        columns = [self.left_s - self.own_s, *self.since_s.values(), *([] if more is None else [more])]
+        return take_apart(np.array([column[::step] for column in columns]))
+
+
+def passages_of(courses: Sequence[Course], agent: Agent) -> list[Passages]:
+    """Return the passages of every gate that an agent may have; own work of different places is made comparable."""
+    rows: dict[Gate, list[tuple[int, int, int, float, float]]] = {}
+    number = 0
+    for index, course in enumerate(courses):
+        counts: dict[Gate, int] = {}
+        visits = course.visits[agent]
+        for before, after in zip([None, *visits], [*visits, None], strict=True):
+            for gate, own_s, left_s in _passed(agent, before, after):
+                nth = counts.get(gate, 0)
+                counts[gate] = nth + 1
+                began = agent == "robot" and not gate.short and left_s <= own_s  # it stood there at the start
+                if np.isfinite(own_s) and np.isfinite(left_s) and not began:
+                    rows.setdefault(gate, []).append((number, index, nth, own_s, left_s))
+            number += 1
+    found = [_passages(gate, some) for gate, some in rows.items()]
+    return _comparable(found)
+
+
+def _passed(agent: Agent, before: PlaceVisit | None, after: PlaceVisit | None) -> Iterator[tuple[Gate, float, float]]:
+    if after is not None:
+        yield Gate(agent, "approach", after.place, short=True), after.reached_s, after.went_on_s
+    if before is not None and after is not None:  # where nobody knows whither, another gate may have decided
+        yield Gate(agent, "leave", before.place), before.arrived_s, before.left_s
+        yield Gate(agent, "approach", after.place), before.arrived_s, before.left_s
+
+
+def _passages(gate: Gate, some: list[tuple[int, int, int, float, float]]) -> Passages:
+    rows, course, nth = np.array([each[:3] for each in some], np.int64).T
+    own_s, left_s = np.array([each[3:] for each in some]).T
+    return Passages(gate, rows, course, nth, own_s, left_s)
+
+
+def _comparable(found: list[Passages]) -> list[Passages]:
+    """Return the passages; those on leaving different places for one count own work from its usual end at each."""
+    usual = np.full(1 + max((int(each.rows.max()) for each in found), default=0), 0.0)
+    for each in found:
+        if each.gate.at == "leave":
+            usual[each.rows] = np.quantile(each.left_s - each.own_s, 0.1)
+    for each in found:
+        if each.gate.at == "approach" and not each.gate.short:
+            each.own_s = each.own_s + usual[each.rows]
+    short = {each.gate.place for each in found if each.gate.short}
+    return [each for each in found if each.gate.short or each.gate.at == "leave" or each.gate.place not in short]
+
+
+def find_conditions(courses: Sequence[Course], agent: Agent, told: Sequence[Wait] = ()) -> list[Passages]:
+    """Return the passages of an agent's gates with the conditions that were found, or told.
+
+    Raises:
+        UnknownName: The cell file tells of a place or event that the logs do not show.
+    """
+    gates, times = passages_of(courses, agent), times_of(courses)
+    told = [wait for wait in told if wait.agent == agent]
+    for wait in told:
+        chosen = gate_of(gates, wait)
+        if not wait.never:
+            condition = _told(times, chosen, wait)
+            _attach(gates, chosen, condition, since_event(times, chosen, condition))
+    candidates = [Condition(event, back) for event in times if event.agent != agent for back in (0, 1)]
+    allowed = [[one for one in candidates if not _forbidden(told, gate, one)] for gate in gates]
+    open_to = [_best(times, gate, some) for gate, some in zip(gates, allowed, strict=True)]
+    while any(open_to):
+        number = max((n for n, found in enumerate(open_to) if found), key=lambda n: open_to[n][2])  # type: ignore[index]
+        number = _natural(gates, open_to, number)
+        condition, since, _ = open_to[number]  # type: ignore[misc]  # there is one
+        for other in _attach(gates, gates[number], condition, since):
+            open_to[other] = _best(times, gates[other], allowed[other]) if len(gates[other].found) < MOST else None
+    return gates
+
+
+def _attach(gates: Sequence[Passages], to: Passages, condition: Condition, since: Vector) -> list[int]:
+    """Have all gates know a condition of one; return the numbers of those that it concerns."""
+    by_row = dict(zip(to.rows.tolist(), since.tolist(), strict=True))
+    concerned = []
+    for number, gate in enumerate(gates):
+        shared = np.array([by_row.get(row, np.nan) for row in gate.rows.tolist()])
+        if gate.gate.short == to.gate.short and (gate is to or np.isfinite(shared).any()):  # else another instant
+            gate.since_s[to.gate, condition] = shared
+            concerned.append(number)
+    return concerned
+
+
+def gate_of(gates: Sequence[Passages], wait: Wait) -> Passages:
+    """Return the gate that the cell file means; of two before one place that short of it.
+
+    Raises:
+        UnknownName: There is none.
+    """
+    at, place = ("approach", wait.before) if wait.before is not None else ("leave", wait.leaving)
+    found = [gate for gate in gates if (gate.gate.at, gate.gate.place) == (at, place)]
+    if not found:
+        known = sorted({gate.gate.place for gate in gates if gate.gate.at == at})
+        raise UnknownName(f"cell.toml [[waits]] of the {wait.agent}", "place", str(place), known)
+    return max(found, key=lambda gate: gate.gate.short)
+
+
+def _told(times: Times, gate: Passages, wait: Wait) -> Condition:
+    """Return the condition that the cell file tells, with the number that the logs agree with best."""
+    found = [event for event in times if _means(wait, event)]
+    if not found:
+        known = sorted({told_event(event) for event in times if event.agent != wait.agent})
+        raise UnknownName(f"cell.toml [[waits]] of the {wait.agent}", "event", str(wait.until), known)
+    numbers = (0, 1) if wait.back is None else (wait.back,)
+    conditions = [Condition(found[0], back) for back in numbers]
+
+    def likelihood(condition: Condition) -> float:
+        since = since_event(times, gate, condition)
+        held = np.where(since >= -early_s(condition), since, np.nan)
+        late = float((held != since).mean()) if len(since) else 0.0
+        return float(gate.causes(held).log_likelihood.sum()) * (1.0 + late) if np.isfinite(held).any() else -np.inf
+
+    return max(conditions, key=likelihood) if len(conditions) > 1 else conditions[0]
+
+
+def told_event(event: Event) -> str:
+    """Return an event as the cell file names it."""
+    if event.signal is not None:
+        return event.signal
+    return f"{event.place} {event.event}" if event.agent == "signal" else f"{event.agent} {event.event} {event.place}"
+
+
+def _means(wait: Wait, event: Event) -> bool:
+    return wait.until is None or wait.until == told_event(event)
+
+
+def _forbidden(told: Sequence[Wait], gate: Passages, condition: Condition) -> bool:
+    def concerns(wait: Wait) -> bool:
+        return wait.never and wait.place(gate.gate.at) == gate.gate.place and _means(wait, condition.event)
+
+    return any(concerns(wait) for wait in told)
+
+
+_Found = tuple[Condition, "Vector", float]
+
+
+def _natural(gates: Sequence[Passages], open_to: Sequence[_Found | None], number: int) -> int:
+    """Return the gate that a condition belongs to, of all that the same departures pass and that it explains.
+
+    Who waits until another has left may not approach; who waits until he came, or something is set, may not leave.
+    """
+    event = open_to[number][0].event  # type: ignore[index]  # there is one
+    at = "approach" if event.event == "leaves" else "leave"
+    mine = gates[number]
+    for other, (gate, found) in enumerate(zip(gates, open_to, strict=True)):
+        both = len(np.intersect1d(gate.rows, mine.rows)) if gate.gate.short == mine.gate.short else 0
+        same = both >= SAME * max(len(gate.rows), len(mine.rows))
+        if same and gate.gate.at == at and found is not None and found[0].event[:2] == event[:2]:
+            return other
+    return number
+
+
+def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Found | None:
+    """Return the best condition that passes all tests, from its event to each departure, and its gain."""
+    if len(gate.left_s) < LEAST_DECIDED:
+        return None
+    before = float(gate.causes().log_likelihood.sum())
+    taken = {one.event[:2] for (_, one), at in gate.since_s.items() if 2 * np.isfinite(at).sum() > len(at)}
+    tried: list[_Found] = []
+    for condition in candidates:
+        since = since_event(times, gate, condition)
+        if condition.event[:2] in taken or not _holds(gate, condition, since):
+            continue
+        causes = gate.causes(since)
+        if causes.share[-1].sum() * gate.step >= LEAST_DECIDED and not _follows(causes, since[:: gate.step]):
+            tried.append((condition, since, float(causes.log_likelihood.sum()) - before))
+    tried.sort(key=lambda each: -each[2])
+    least = GAIN + np.log(max(len(candidates), 1)) + GAIN_PER_DEPARTURE * min(len(gate.left_s), SEEN)
+    good = [each for each in tried if each[2] >= least]
+    if not good or good[0][2] - _by_chance(gate, good[0][1]) + before < least:
+        return None
+    as_good = [each for each in good if each[2] >= good[0][2] - max(AS_GOOD, AS_GOOD_PART * good[0][2])]
+    found = min(as_good, key=lambda each: _before(*each[:2]))
+    return found[0], found[1], found[2] * gate.step
+
+
+def _follows(causes: Causes, since: Vector) -> bool:
+    """Tell whether an event is a consequence of the agent's own work: where that decided it is just as near."""
+    decided = causes.share.argmax(axis=0)
+    own, by_event = since[decided == 0], since[decided == len(causes.share) - 1]
+    own = own[np.isfinite(own)]
+    if len(own) < LEAST_DECIDED or not len(by_event):
+        return False
+    return bool(np.mean(own <= by_event.max() + EARLY_S) > FOLLOWS)
+
+
+def _before(condition: Condition, since: Vector) -> float:
+    """Return how far before the departures an event comes, s; the end of a button's pulse counts as later."""
+    return abs(float(np.nanquantile(since, 0.1))) + (PULSE_S if "cleared" in str(condition.event) else 0.0)
+
+
+def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
+    """Return the time from a condition's event to each passage, shape (N,), s; NaN where none is needed."""
+    at = times[condition.event]
+    number = gate.nth - condition.back
+    there = (number >= 0) & (number < at.shape[1])
+    return np.asarray(np.where(there, gate.left_s - at[gate.course, np.where(there, number, 0)], np.nan))
+
+
+def times_of(courses: Sequence[Course]) -> Times:
+    """Return when each kind of event came in each execution, shape (executions, at least 1), NaN behind the last."""
+    found: Times = {}
+    for event in sorted({event for course in courses for event in course.events}, key=str):
+        every = [course.events.get(event, np.empty(0)) for course in courses]
+        found[event] = np.full((len(courses), max(1, *map(len, every))), np.nan)
+        for row, mine in zip(found[event], every, strict=True):
+            row[: len(mine)] = mine
+    return found
+
+
+def _holds(gate: Passages, condition: Condition, since: Vector) -> bool:
+    """Tell whether the passages come after the events, and several events so late that they can have decided."""
+    known = np.isfinite(since)
+    if np.count_nonzero(known) < LEAST_DECIDED:
+        return False
+    late = since < gate.left_s - gate.own_s  # later than where own work began
+    held = since[known] >= -early_s(condition)
+    return bool(held.mean() >= HELD and np.count_nonzero(late & known) >= LEAST_DECIDED)
+
+
+def early_s(condition: Condition) -> float:
+    """Return how much before a condition's event a departure may come, s."""
+    of_leaving = condition.event[::2] == ("operator", "leaves") and condition.event.signal is None
+    return EARLY_LEAVING_S if of_leaving else EARLY_S
+
+
+def _by_chance(gate: Passages, since: Vector) -> float:
+    """Return the best log-likelihood with the same events in another order among the departures."""
+    rng = np.random.default_rng(0)
+    known = np.flatnonzero(np.isfinite(since))
+    ahead = (gate.left_s - gate.own_s) - since  # of the event since own work began
+    found = [-np.inf]
+    for _ in range(SHUFFLES):
+        other = np.full(len(since), np.nan)
+        other[known] = (gate.left_s - gate.own_s)[known] - rng.permutation(ahead[known])
+        found.append(float(gate.causes(np.where(other >= -EARLY_S, other, np.nan)).log_likelihood.sum()))
+    return max(found)

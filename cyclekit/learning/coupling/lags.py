@@ -1,0 +1,147 @@
+"""What decided each departure: max(own work, event + lag) taken apart.
+
+Of each departure only the latest of its causes is seen; every other one was there earlier, so that its time is known
+to be shorter (left-censored). The distribution of each cause is the reverse Kaplan-Meier estimate, weighted with the
+probability that the cause decided; both are found in turn (EM).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import ndtr
+
+if TYPE_CHECKING:
+    from cyclekit.schema import Bools, Floats, Vector
+
+LEVELS = 51
+"""Quantiles that a distribution is kept as."""
+REGULAR_S = 0.05
+"""Narrowest kernel: times are not told apart below it."""
+WIDE = 8.0
+OF_OWN, OF_LAG = 0.1, 0.01
+"""Part of own work, and of lags, that may be irregular, with a kernel so many times wider."""
+ANY, ANY_S = 1e-3, 100.0
+"""Part of them that may be anything within so long."""
+ROUNDS, SETTLED = 10, 2
+"""Rounds of the estimate; the kernels are those of round SETTLED from then on."""
+_TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class Causes:
+    """The causes of N departures: the agent's own work first, then its conditions.
+
+    Attributes:
+        share: Probability that each cause decided each departure, shape (C, N).
+        mass: Distribution of each cause: the mass at each of its times, shape (C, N); sums to 1 or less.
+        log_likelihood: Of each departure when the others are known, shape (N,).
+    """
+
+    share: Floats
+    mass: Floats
+    log_likelihood: Vector
+
+
+def take_apart(since_s: Floats) -> Causes:
+    """Return what decided each of N departures, out of C causes.
+
+    Args:
+        since_s: From each cause to the departure, shape (C, N), s; NaN = the cause was not there.
+    """
+    known = np.isfinite(since_s)
+    since = np.where(known, since_s, 0.0)
+    share = _first_guess(since_s)
+    kernels: list[tuple[Floats, Floats]] = []
+    for number in range(ROUNDS if len(since) > 1 else 1):
+        mass = np.array([reverse_kaplan_meier(*each) for each in zip(since, share, known, strict=True)])
+        if number <= SETTLED:
+            kernels = [
+                _kernels(t, m, OF_LAG if c else OF_OWN) for c, (t, m) in enumerate(zip(since, mass, strict=True))
+            ]
+        parts = [_smooth(m, k, *both) for m, k, both in zip(mass, known, kernels, strict=True)]
+        cdf = np.array([below for _, below in parts])
+        others = [np.prod(np.delete(cdf, c, axis=0), axis=0) for c in range(len(cdf))]
+        joint = np.array([pdf for pdf, _ in parts]) * others
+        share = joint / np.maximum(joint.sum(axis=0), _TINY)
+    return Causes(share, mass, np.log(np.maximum(joint.sum(axis=0), _TINY)))
+
+
+def reverse_kaplan_meier(since_s: Vector, decided: Vector, known: Bools) -> Vector:
+    """Return the mass of a distribution at each of its times, shape (N,); what lies below all decided ones is missing.
+
+    Args:
+        since_s: Times, shape (N,): the time itself where it decided, else longer than it.
+        decided: Weight with which it decided, 0 to 1, shape (N,).
+        known: Whether there is a time, shape (N,).
+    """
+    order = np.argsort(np.where(known, since_s, np.inf), kind="stable")
+    weight = np.where(known, decided, 0.0)[order]
+    at_risk = np.cumsum(known[order])
+    kept = 1.0 - weight / np.maximum(at_risk, 1)
+    above = np.concatenate([np.cumprod(kept[::-1])[::-1][1:], [1.0]])  # not above this time
+    mass = np.zeros(len(order))
+    mass[order] = above * (1.0 - kept)
+    return mass
+
+
+def quantiles(since_s: Vector, mass: Vector) -> tuple[float, ...]:
+    """Return a distribution by its quantiles at evenly spaced levels, s; one value where it does not vary.
+
+    Args:
+        since_s: Times, shape (N,).
+        mass: Their mass, shape (N,); what is missing to 1 lies at the shortest of them.
+    """
+    some = mass > 1e-9
+    if not some.any():
+        return (0.0,)
+    order = np.argsort(since_s[some], kind="stable")
+    times, parts = since_s[some][order], mass[some][order]
+    parts[0] += max(0.0, 1.0 - parts.sum())
+    middle = (np.cumsum(parts) - 0.5 * parts) / parts.sum()
+    values = np.interp(np.linspace(0.0, 1.0, LEVELS), middle, times)
+    rounded = tuple(round(float(value), 4) for value in values)
+    return rounded if rounded[-1] - rounded[0] > 1e-3 else rounded[LEVELS // 2 : LEVELS // 2 + 1]
+
+
+def _first_guess(since_s: Floats) -> Floats:
+    """Return shares by which cause is nearest to its shortest times: where it decides, its time is short."""
+    low = np.nanquantile(np.where(np.isfinite(since_s), since_s, np.nan), 0.05, axis=1, keepdims=True)
+    far = np.where(np.isfinite(since_s), np.abs(since_s - low), np.inf)
+    guess = np.full(since_s.shape, 0.1 / len(since_s))
+    guess[far.argmin(axis=0), np.arange(far.shape[1])] += 0.9
+    return np.where(np.isfinite(since_s), guess, 0.0)
+
+
+def _kernels(times: Vector, mass: Vector, irregular: float) -> tuple[Floats, Floats]:
+    """Return density and distribution function around each time at each other time, both (N, N)."""
+    width = _width(times, mass)
+    density, below = np.zeros((len(times), len(times))), np.zeros((len(times), len(times)))
+    for part, scale in ((1.0 - irregular, width), (irregular, WIDE * width)):
+        z = (times[:, None] - times[None, :]) / scale
+        density += part * np.exp(-0.5 * z * z) / (scale * np.sqrt(2.0 * np.pi))
+        below += part * ndtr(z)
+    np.fill_diagonal(density, 0.0)
+    return density, below
+
+
+def _smooth(mass: Vector, known: Bools, density: Floats, below: Floats) -> tuple[Vector, Vector]:
+    """Return density, without its own mass, and distribution function of a cause at each departure, both (N,)."""
+    total = float(mass.sum())
+    pdf = (1.0 - ANY) * total * (density @ mass) / np.maximum(total - mass, 1e-9) + ANY / ANY_S
+    cdf = np.clip(below @ mass + 1.0 - total, 1e-9, 1.0)  # what is missing lies below all times
+    return np.where(known, pdf, 0.0), np.where(known, cdf, 1.0)
+
+
+def _width(times: Vector, mass: Vector) -> float:
+    """Return the width of a kernel: Silverman's rule, s."""
+    some = mass > 1e-9
+    if some.sum() < 2:
+        return 10.0 * REGULAR_S
+    order = np.argsort(times[some])
+    at, part = times[some][order], np.cumsum(mass[some][order])
+    low, high = np.interp([0.25, 0.75], part / part[-1], at)
+    many = float(part[-1] ** 2 / (mass[some] ** 2).sum())
+    return float(max(REGULAR_S, 1.06 * (high - low) / 1.34 * many**-0.2))

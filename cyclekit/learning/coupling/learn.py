@@ -1,0 +1,142 @@
+"""The card of who waits for whom, learned from a dataset with positions of both agents."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+from msgspec.structs import replace
+
+from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard
+from cyclekit.learning.coupling.conditions import (
+    KEPT,
+    Condition,
+    Passages,
+    early_s,
+    find_conditions,
+    since_event,
+    times_of,
+)
+from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.sources import find_sources
+from cyclekit.learning.coupling.visits import Course, courses_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.config import Wait
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Floats, Vector
+
+LEAST_EXECUTIONS, MOST_EXECUTIONS = 5, 400
+"""It is learned from so many executions; of more, from some that are evenly spread."""
+LEAST_LOST = 10
+"""Motions by which the spot short of a place is found."""
+AGENTS: tuple[Agent, ...] = ("robot", "operator")
+
+
+def learn_coupling(dataset: Dataset) -> CouplingCard | None:
+    """Return who waits for whom in a dataset; None where too few complete executions show both agents."""
+    if dataset.card.coupling is not None and not dataset.is_part:
+        return dataset.card.coupling
+    if len(dataset.positions) < 2:
+        return None
+    courses = courses_of(dataset.card.executions, dataset.every_task(), dataset.recordings, dataset.recorded)
+    return learn_executions(courses, dataset.tasks(), dataset.card.settings.waits)
+
+
+def learn_executions(courses: Sequence[Course], tasks: pl.DataFrame, told: Sequence[Wait] = ()) -> CouplingCard | None:
+    """Return who waits for whom in some executions, None in too few.
+
+    Args:
+        courses: The executions.
+        tasks: The robot's, table TASKS.
+        told: By the cell file.
+
+    Raises:
+        UnknownName: The cell file tells of a place or event that the logs do not show.
+    """
+    if len(courses) < LEAST_EXECUTIONS:
+        return None
+    found = learn_courses(courses[:: -(-len(courses) // MOST_EXECUTIONS)], told)
+    phases = _phases(tasks)
+    gates = (replace(gate, phase=phases[gate.place]) if _short(gate, phases) else gate for gate in found.gates)
+    return replace(found, gates=tuple(gates))
+
+
+def learn_courses(courses: Sequence[Course], told: Sequence[Wait] = ()) -> CouplingCard:
+    """Return who waits for whom in some executions; a robot's `phase` of a motion is left open."""
+    found = [_gate(courses, gate, told) for agent in AGENTS for gate in find_conditions(courses, agent, told)]
+    gates = tuple(gate for gate in found if gate is not None)
+    return CouplingCard(gates=gates, sources=find_sources(courses, gates), executions=len(courses))
+
+
+def _gate(courses: Sequence[Course], found: Passages, told: Sequence[Wait]) -> GateCard | None:
+    """Return the card of a gate; of one without conditions there is one for leaving alone, with own work."""
+    gate = found.gate
+    if gate.at == "approach" and not found.found:
+        return None
+    own_s, cards = _parts(courses, found)
+    return GateCard(
+        agent=gate.agent,
+        at=gate.at,
+        place=gate.place,
+        own_s=own_s if gate.at == "leave" else (0.0,),
+        conditions=tuple(cards),
+        told=any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in told),
+        passages=len(found.left_s),
+    )
+
+
+def _parts(courses: Sequence[Course], found: Passages) -> tuple[tuple[float, ...], list[ConditionCard]]:
+    """Return own work by its quantiles, and the conditions."""
+    step = -(-len(found.left_s) // KEPT)
+    since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
+    share = found.causes(most=KEPT).share
+    decided = share.argmax(axis=0)
+    own_s = _distribution(since[0], decided == 0) if (decided == 0).any() else (round(0.5 * float(since[0].min()), 4),)
+    cards = []
+    for row, (gate, condition) in enumerate(found.since_s, 1):
+        if gate != found.gate:
+            continue
+        seen = since[row] if condition.event.signal is None else _from_leaving(courses, found, condition)[::step]
+        every = found.since_s[gate, condition]
+        known = np.isfinite(every)
+        event = condition.event
+        cards.append(
+            ConditionCard(
+                agent=event.agent,  # type: ignore[arg-type]  # of these three
+                place=event.place,
+                event=event.event,  # type: ignore[arg-type]  # of these four
+                back=condition.back,
+                lag_s=_distribution(seen, decided == row),
+                held=float((every[known] >= -early_s(condition)).mean()),
+                decided=int((decided == row).sum()) * step,
+                signal=event.signal,
+            )
+        )
+    return own_s, cards
+
+
+def _from_leaving(courses: Sequence[Course], found: Passages, condition: Condition) -> Vector:
+    """Return the time from when the agent that gives a signal left its place, which is what a plan knows."""
+    return since_event(times_of(courses), found, Condition(condition.event._replace(signal=None), condition.back))
+
+
+def _distribution(since_s: Vector, decided: Floats) -> tuple[float, ...]:
+    known = np.isfinite(since_s)
+    some = np.where(known, since_s, 0.0)
+    return quantiles(some, reverse_kaplan_meier(some, decided * 1.0, known))
+
+
+def _short(gate: GateCard, phases: Mapping[str, float]) -> bool:
+    return gate.agent == "robot" and gate.at == "approach" and gate.place in phases
+
+
+def _phases(tasks: pl.DataFrame) -> dict[str, float]:
+    """Return at which part of its nominal motion the robot may wait short of a place; by those that lost least."""
+    seen = tasks.filter(pl.col("reached_s").is_not_null() & (pl.col("nominal_s") > 0.0)).sort("safety_loss_s")
+    part = ((pl.col("reached_s") - pl.col("start_s")) / pl.col("nominal_s")).clip(0.0, 1.0)
+    phases = seen.group_by("goal_place").agg(part.head(LEAST_LOST).median())
+    return {str(place): float(phase) for place, phase in phases.iter_rows()}

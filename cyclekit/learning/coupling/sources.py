@@ -1,0 +1,69 @@
+"""How parts come that the robot waits for: their gaps, and how many may wait."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.dataset.cards.coupling import GateCard, SourceCard
+from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier, take_apart
+from cyclekit.learning.coupling.visits import Course, Event
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.schema import Vector
+
+MOST_GAPS = 400
+FULL = 0.98
+"""Part of the parts at whose coming no more than the buffer wait."""
+
+
+def find_sources(courses: Sequence[Course], gates: Sequence[GateCard]) -> tuple[SourceCard, ...]:
+    """Return the sources of the signals that the robot waits for at its places."""
+    pairs = {
+        (one.place, gate.place)
+        for gate in gates
+        for one in gate.conditions
+        if (gate.agent, gate.at, one.agent, one.event) == ("robot", "leave", "signal", "set")
+    }
+    found = (_source(courses, signal, place) for signal, place in sorted(pairs))
+    return tuple(source for source in found if source is not None)
+
+
+def _source(courses: Sequence[Course], signal: str, place: str) -> SourceCard | None:
+    came = [course.events.get(Event("signal", signal, "set"), np.empty(0)) for course in courses]
+    taken = [course.events.get(Event("robot", place, "leaves"), np.empty(0)) for course in courses]
+    begins = [course.visits["robot"][0].left_s for course in courses]
+    first = np.array([at[0] - begin for at, begin in zip(came, begins, strict=True) if len(at)])
+    waiting = np.concatenate([_waiting(*each) for each in zip(came, taken, strict=True)])
+    if not len(first) or sum(len(at) > 1 for at in came) == 0:
+        return None
+    buffer = max(1, int(np.quantile(waiting, FULL, method="higher")))
+    since = np.concatenate([_since(*each, buffer) for each in zip(came, taken, strict=True)], axis=1)
+    since = since[:, :: -(-since.shape[1] // MOST_GAPS)]
+    decided = take_apart(since).share.argmax(axis=0) == 0
+    gaps = reverse_kaplan_meier(since[0], decided * 1.0, np.ones(len(decided), np.bool_))
+    return SourceCard(
+        signal=signal,
+        gap_s=quantiles(since[0], gaps),
+        first_s=quantiles(first, np.full(len(first), 1.0 / len(first))),
+        buffer=buffer,
+        taken_by=place,
+    )
+
+
+def _waiting(came: Vector, taken: Vector) -> Vector:
+    """Return how many parts wait when each has come, itself among them, shape (N,)."""
+    gone = np.searchsorted(np.sort(taken[np.isfinite(taken)]), came, side="right")
+    return np.asarray(np.arange(1.0, len(came) + 1.0) - gone)
+
+
+def _since(came: Vector, taken: Vector, buffer: int) -> Vector:
+    """Return for each part but the first the time since the one before came, and since there was room, (2, N), s."""
+    room = np.full(max(len(came) - 1, 0), np.nan)
+    for part in range(max(buffer, 1), len(came)):
+        if part - buffer < len(taken):
+            room[part - 1] = came[part] - taken[part - buffer]
+    return np.array([np.diff(came), room])

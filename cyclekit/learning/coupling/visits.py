@@ -1,0 +1,172 @@
+"""When robot and operator came to their places and left them, and when signals changed, execution by execution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from cyclekit.dataset.signals import switches
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.dataset.cards.coupling import Agent
+    from cyclekit.dataset.cards.dataset import ExecutionCard
+    from cyclekit.dataset.cards.recording import RecordingCard
+    from cyclekit.dataset.signals import Read
+    from cyclekit.schema import Bools, Vector
+
+NOT_WAITED_FOR = ("goal",)
+"""Signals whose names hold these words are no conditions: they tell what the operator is about to do."""
+WITHIN_S = 0.5
+"""A signal that an agent gives at a place may change so long after he is seen to leave."""
+GIVEN = 0.9
+"""Part of a signal's changes that must be made during visits of one place, if the agent gives it there."""
+
+
+class Event(NamedTuple):
+    """A kind of event, as in `ConditionCard`."""
+
+    agent: str
+    place: str
+    event: str
+    signal: str | None = None
+
+
+class PlaceVisit(NamedTuple):
+    """One agent at one place; session seconds, NaN = not known.
+
+    Attributes:
+        place: Where.
+        arrived_s, left_s: From when to when.
+        reached_s, went_on_s: When it reached the spot short of the place where it may wait, and went on.
+    """
+
+    place: str
+    arrived_s: float
+    left_s: float
+    reached_s: float = np.nan
+    went_on_s: float = np.nan
+
+
+@dataclass(frozen=True)
+class Course:
+    """One execution.
+
+    Attributes:
+        name: Its name.
+        visits: Of each agent, in order; the place where it begins has its start as arrival.
+        events: When each kind of event came, ascending, s.
+    """
+
+    name: str
+    visits: Mapping[Agent, Sequence[PlaceVisit]]
+    events: Mapping[Event, Vector] = field(default_factory=dict)
+
+
+def courses_of(
+    executions: Sequence[ExecutionCard], tasks: pl.DataFrame, recordings: Sequence[RecordingCard], read: Read
+) -> list[Course]:
+    """Return the complete executions in which both agents were seen.
+
+    Args:
+        executions: Which.
+        tasks: Table TASKS.
+        recordings: Of their sessions.
+        read: Returns a native table of a recording (id, table), None if it has none.
+    """
+    cards = {card.execution: card for card in executions if card.complete}
+    mine = tasks.filter(pl.col("agent_name").is_null(), pl.col("execution").is_in(list(cards)))
+    signals = {session: _signals(recordings, session, read) for session in {card.session for card in cards.values()}}
+    found = []
+    for (name,), rows in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
+        card = cards[str(name)]
+        robot = _of_robot(rows.filter(pl.col("agent") == "robot"))
+        operator = _of_operator(rows.filter(pl.col("agent") == "operator"), card.start_s)
+        if not robot or not operator:
+            continue
+        changes = {key: at[(at >= card.start_s) & (at <= card.end_s)] for key, at in signals[card.session].items()}
+        events = {Event("signal", *key): at for key, at in changes.items()}
+        visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
+        found.append(Course(card.execution, visits, events_of(visits) | events))
+    return _with_givers(found)
+
+
+def _of_robot(rows: pl.DataFrame) -> list[PlaceVisit]:
+    if rows.is_empty():
+        return []
+    names = ("goal_place", "arrival_s", "start_s", "reached_s", "went_on_s")
+    goals, *times = (rows[name].to_list() for name in names)
+    arrived, started, reached, went_on = (np.array(column, float) for column in times)
+    left = [*started[1:].tolist(), np.nan]
+    first = PlaceVisit(rows["start_place"][0], float(started[0]), float(started[0]))
+    return [first, *map(PlaceVisit, goals, arrived.tolist(), left, reached.tolist(), went_on.tolist())]
+
+
+def _of_operator(rows: pl.DataFrame, begin_s: float) -> list[PlaceVisit]:
+    arrived = rows["arrival_s"].fill_null(begin_s).to_list()
+    left = rows["end_s"].fill_null(np.nan).to_list()
+    return list(map(PlaceVisit, rows["goal_place"].to_list(), arrived, left))
+
+
+def events_of(visits: Mapping[Agent, Sequence[PlaceVisit]]) -> dict[Event, Vector]:
+    """Return when each agent arrived at each place and left it, ascending, s."""
+    found: dict[Event, list[float]] = {}
+    for agent, some in visits.items():
+        for visit in some:
+            found.setdefault(Event(agent, visit.place, "arrives"), []).append(visit.arrived_s)
+            found.setdefault(Event(agent, visit.place, "leaves"), []).append(visit.left_s)
+    return {key: np.array(times) for key, times in found.items()}
+
+
+def _signals(recordings: Sequence[RecordingCard], session: str, read: Read) -> dict[tuple[str, str], Vector]:
+    """Return when each signal was `set` and `cleared`, session seconds; one that has no two states is only set."""
+    found: dict[tuple[str, str], Vector] = {}
+    for record in recordings:
+        events = read(record.id, "events") if record.session == session and record.rows.get("events") else None
+        if events is None:
+            continue
+        both = switches(record, read)
+        for (signal,), rows in events.sort("t_s").group_by(["signal"], maintain_order=True):
+            name, at = str(signal), rows["t_s"].to_numpy() * record.clock.rate + record.clock.offset_s
+            if any(word in name for word in NOT_WAITED_FOR):
+                continue
+            rises, falls = _edges(both[name][1]) if name in both else (np.ones(len(at), bool), np.zeros(len(at), bool))
+            found |= {(name, "set"): at[rises], (name, "cleared"): at[falls]}
+    return found
+
+
+def _edges(on: Bools) -> tuple[Bools, Bools]:
+    before = np.concatenate([[False], on[:-1]])
+    return on & ~before, ~on & before
+
+
+def _with_givers(courses: Sequence[Course]) -> list[Course]:
+    """Return the courses; a signal that the operator gives at one place is an event of his leaving it."""
+    given = {}
+    for kind in sorted({key for course in courses for key in course.events if key.agent == "signal"}):
+        places = sorted({visit.place for course in courses for visit in course.visits["operator"]})
+        shares = {place: _share(courses, kind, place) for place in places}
+        place = max(shares, key=lambda name: shares[name], default=None)
+        if place is not None and shares[place] >= GIVEN:
+            given[kind] = Event("operator", place, "leaves", f"{kind.place} {kind.event}")
+    return [
+        Course(one.name, one.visits, {given.get(key, key): times for key, times in one.events.items()})
+        for one in courses
+    ]
+
+
+def _share(courses: Sequence[Course], kind: Event, place: str) -> float:
+    """Return which part of a signal's changes the operator's visits of a place account for, each for one."""
+    within, total = 0, 0
+    for course in courses:
+        at = course.events.get(kind, np.empty(0))
+        mine = [visit for visit in course.visits["operator"] if visit.place == place]
+        ends = [np.inf if np.isnan(visit.left_s) else visit.left_s + WITHIN_S for visit in mine]
+        counts = [int(((at >= visit.arrived_s) & (at <= end)).sum()) for visit, end in zip(mine, ends, strict=True)]
+        within += sum(min(count, 1) for count in counts)
+        total += max(len(at), len(mine))
+    return within / total if total else 0.0

@@ -1,0 +1,106 @@
+"""Which waits there were in logged executions, and what ended each."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from cyclekit.learning.coupling.visits import Course, Event
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard
+
+LEAST_S = 0.1
+"""A shorter wait is none."""
+ABOUT_S = 0.1
+"""What ends a wait comes before its end by the longest lag, and so much more, at most."""
+
+
+class _Wait(NamedTuple):
+    """A wait of one agent: execution, number of its task, seconds, and what ended it."""
+
+    execution: str
+    task: int
+    agent: str
+    wait_s: float
+    waited_for: str
+
+
+def with_waits_named(tasks: pl.DataFrame, courses: Sequence[Course], coupling: CouplingCard) -> pl.DataFrame:
+    """Return table TASKS with what ended each wait, and with dwell and wait of the operator's tasks.
+
+    Args:
+        tasks: Of both agents.
+        courses: The executions in them.
+        coupling: Who waits for whom.
+    """
+    waits = [wait for course in courses for wait in _waits(course, coupling)]
+    kinds = {name: tasks.schema[name] for name in ("execution", "index", "agent")}
+    ended = pl.DataFrame(waits, schema=kinds | {"ended_s": pl.Float64, "ended_by": pl.String}, orient="row")
+    ended = ended.unique(list(kinds), keep="first")
+    joined = tasks.join(ended, on=list(kinds), how="left", maintain_order="left")
+    own = (pl.col("agent") == "operator") & pl.col("agent_name").is_null()
+    stood = pl.col("end_s") - pl.col("arrival_s")
+    wait = pl.min_horizontal(pl.col("ended_s").fill_null(0.0), stood)
+    named = pl.col("ended_by").is_not_null() & (own | (pl.col("wait_s") > LEAST_S))
+    return joined.with_columns(
+        waited_for=pl.when(named).then("ended_by"),
+        wait_s=pl.when(own & stood.is_not_null()).then(wait).otherwise("wait_s"),
+        dwell_s=pl.when(own & stood.is_not_null()).then(stood - wait).otherwise("dwell_s"),
+    ).select(tasks.columns)
+
+
+def _waits(course: Course, coupling: CouplingCard) -> Iterator[_Wait]:
+    usual = {(gate.agent, gate.place): float(np.median(gate.own_s)) for gate in coupling.gates if gate.at == "leave"}
+    for gate in coupling.gates:
+        if not gate.conditions:
+            continue
+        agent: Agent = gate.agent
+        first = -1 if agent == "robot" else 0  # its first visit is where it starts, without a task
+        for index, ready_s, left_s, nth in _passages(course, gate, usual):
+            found = [one for one in gate.conditions if (at := _opened(course, one, nth, left_s)) and at > ready_s]
+            if found and left_s - ready_s > LEAST_S and index + first >= 0:
+                last = max(found, key=lambda one: _opened(course, one, nth, left_s) or -np.inf)
+                yield _Wait(course.name, index + first, agent, left_s - ready_s, told(last))
+
+
+def _passages(
+    course: Course, gate: GateCard, usual: dict[tuple[Agent, str], float]
+) -> Iterator[tuple[int, float, float, int]]:
+    """Yield for each passage of a gate: number of the visit that waits, ready since, gone on at, how-many-th."""
+    visits, nth = course.visits[gate.agent], 0
+    for number, visit in enumerate(visits):
+        if visit.place != gate.place:
+            continue
+        before = visits[number - 1] if number else None
+        if gate.at == "approach" and np.isfinite(visit.reached_s):
+            yield number, visit.reached_s, visit.went_on_s, nth
+        elif gate.at == "leave" or before is not None:
+            which, stands = (number, visit) if gate.at == "leave" or before is None else (number - 1, before)
+            own_s = usual.get((gate.agent, stands.place), 0.0)
+            if np.isfinite(stands.left_s) and np.isfinite(stands.arrived_s):
+                yield which, stands.arrived_s + own_s, stands.left_s, nth
+        nth += gate.at == "leave" or before is not None
+
+
+def _opened(course: Course, condition: ConditionCard, nth: int, left_s: float) -> float | None:
+    """Return when a condition let a passage go on, None where it did not decide."""
+    event = Event(condition.agent, condition.place, condition.event)
+    at = course.events.get(event, np.empty(0))
+    if not 0 <= nth - condition.back < len(at):
+        return None
+    since = left_s - float(at[nth - condition.back])
+    decided = condition.lag_s[0] - ABOUT_S <= since <= condition.lag_s[-1] + ABOUT_S
+    return left_s - since + float(np.median(condition.lag_s)) if decided else None
+
+
+def told(condition: ConditionCard) -> str:
+    """Return a condition in words: `operator leaves fixture (release set)`, `part set`."""
+    if condition.agent == "signal":
+        return f"{condition.place} {condition.event}"
+    signal = "" if condition.signal is None else f" ({condition.signal})"
+    return f"{condition.agent} {condition.event} {condition.place}{signal}"

@@ -1,0 +1,82 @@
+"""Where the robot waits short of a place: a spot on its way at which it stands, at times, although it may move."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.segmentation.motion import lengths
+from cyclekit.segmentation.places import MERGE_M, cluster
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.schema import Points
+    from cyclekit.segmentation.executions import Execution, Visit
+    from cyclekit.segmentation.standstills import Stop
+    from cyclekit.segmentation.stored_run import Run
+
+LEAST = 3
+"""So many standstills make a spot."""
+
+
+def with_waits(executions: Sequence[Execution], stops: Sequence[Stop], runs: Sequence[Run]) -> list[Execution]:
+    """Return the executions; their visits know when the robot reached the spot where it waits for them, if any.
+
+    Args:
+        executions: Of all runs.
+        stops: Standstills of all runs, those of each in order.
+        runs: All runs.
+    """
+    by_run: dict[int, list[Stop]] = {}
+    for stop in stops:
+        by_run.setdefault(stop.run, []).append(stop)
+    firsts = {run: [stop.first for stop in mine] for run, mine in by_run.items()}
+
+    def between(run: int, before: Visit, after: Visit) -> list[Stop]:
+        mine = firsts.get(run, [])
+        return by_run.get(run, [])[bisect_left(mine, before.last + 1) : bisect_left(mine, after.first)]
+
+    on_way: dict[str, list[Stop]] = {}
+    for execution in executions:
+        for before, after in pairwise(execution.visits):
+            on_way.setdefault(after.place, []).extend(between(execution.run, before, after))
+    spots = {place: found for place, some in on_way.items() if len(found := _spots(some))}
+    if not spots:
+        return list(executions)
+    known = []
+    for execution in executions:
+        visits = list(execution.visits[:1])
+        for before, after in pairwise(execution.visits):
+            rows = None
+            if after.place in spots:
+                some = between(execution.run, before, after)
+                rows = _reached(runs[execution.run], before, after, some, spots[after.place])
+            visits.append(replace(after, reached=rows))
+        known.append(replace(execution, visits=tuple(visits)))
+    return known
+
+
+def _spots(stops: Sequence[Stop]) -> Points:
+    """Return the spots, shape (S, 3), m, of standstills on the way to one place, half of which were free to move."""
+    xyz = np.array([stop.xyz_m for stop in stops]).reshape(-1, 3)
+    able = np.array([not stop.edge for stop in stops], bool)
+    groups = cluster(xyz, np.flatnonzero(able), MERGE_M)
+    free = np.array([stop.free is True for stop in stops], bool)
+    kept = [group for group in groups if len(group) >= LEAST and 2 * np.count_nonzero(free[group]) >= len(group)]
+    return np.array([np.median(xyz[group], axis=0) for group in kept]).reshape(-1, 3)
+
+
+def _reached(run: Run, before: Visit, after: Visit, stops: Sequence[Stop], spots: Points) -> tuple[int, int] | None:
+    """Return the first and last row at a spot between two visits, one row where it was passed; None if it was not."""
+    there = [stop for stop in stops if lengths(spots - np.asarray(stop.xyz_m)).min() <= MERGE_M]
+    if there:
+        return there[0].first, there[-1].last
+    xyz = run.window(before.last, after.first).xyz_m
+    apart = np.min([lengths(xyz - spot) for spot in spots], axis=0)
+    row = int(np.nanargmin(apart)) if np.isfinite(apart).any() else 0
+    return (before.last + row,) * 2 if apart[row] <= MERGE_M else None

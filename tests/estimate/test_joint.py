@@ -1,0 +1,180 @@
+"""Robot and operator rolled out together: who waits for whom, plans for both, and what an estimate says of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from known_cells import Constant, TrueStaircase
+
+from cyclekit.api.estimate import estimate_cycles
+from cyclekit.config.sequences import PlannedTask, TaskSequence, load_sequences
+from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard, TrainingCard
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import EstimateError, UnknownName
+from cyclekit.estimate.joint.plans import Planner
+from cyclekit.estimate.joint.roll import JointCell, RolledBoth
+from cyclekit.estimate.joint.shares import planned_shares
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.rollout import estimate
+
+ROBOT = ("home->conveyor", "conveyor->left_2", "left_2->conveyor", "conveyor->left_5", "left_5->conveyor")
+OWN_S = 1.0
+AFTER_INBOUND = ConditionCard(agent="operator", place="inbound", event="leaves", lag_s=(0.25,))
+
+
+def gates(*more: GateCard, own_s: float = OWN_S) -> CouplingCard:
+    """Return a card in which both work just as long at every place."""
+    told = {(gate.agent, gate.at, gate.place) for gate in more}
+    places = {"robot": ("conveyor", "left_2", "left_5", "home"), "operator": ("inbound", "out_left_1", "rest")}
+    plain = [GateCard(agent=a, at="leave", place=p, own_s=(own_s,)) for a, some in places.items() for p in some]  # type: ignore[arg-type]
+    return CouplingCard(gates=(*more, *(g for g in plain if (g.agent, g.at, g.place) not in told)))
+
+
+def both(operator: tuple[str, ...], robot: tuple[str, ...] = ROBOT, **told: PlannedTask) -> TaskSequence:
+    plan = [PlannedTask("robot", name) for name in robot] + [PlannedTask("operator", name) for name in operator]
+    return TaskSequence.of_plan("both", [told.get(task.name.replace("->", "_to_"), task) for task in plan])
+
+
+def rolled(logged: Dataset, card: CouplingCard | None, sequence: TaskSequence, cycles: int = 40) -> RolledBoth:
+    cell = JointCell(Constant(1.0), logged, card)
+    plan = Planner(cell, nominal_tasks(logged)).plan(sequence)
+    (found,) = cell.roll([plan], cycles=cycles, until_s=300.0)
+    if isinstance(found, EstimateError):
+        raise found
+    return found
+
+
+def test_without_people_in_the_way_a_cycle_takes_its_nominal_time_exactly(logged: Dataset) -> None:
+    found = rolled(logged, gates(), TaskSequence("alone", ("home", "conveyor", "left_2", "conveyor", "left_5")))
+    nominal = nominal_tasks(logged)
+    assert found.duration_s == pytest.approx(sum(nominal[task].nominal_s + OWN_S for task in ROBOT[:4]), abs=1e-9)
+
+
+def test_the_robot_leaves_at_the_later_of_its_own_work_and_the_event_with_its_lag(logged: Dataset) -> None:
+    gate = GateCard(agent="robot", at="leave", place="conveyor", own_s=(OWN_S,), conditions=(AFTER_INBOUND,))
+    found = rolled(logged, gates(gate, own_s=2.0), both(("inbound", "out_left_1", "inbound", "rest")))
+    robot, operator = found.robot, found.operators[0]
+    left = [n for n, leg in enumerate(operator.agenda.legs) if leg.place == "inbound"]
+    at = [n for n, leg in enumerate(robot.agenda.legs) if leg.place == "conveyor"]
+    for turn in (0, 1):
+        due = operator.times.passes_s[:, left[turn]] + 0.25
+        own = robot.times.arrives_s[:, at[turn]] + OWN_S
+        assert robot.times.passes_s[:, at[turn]] == pytest.approx(np.maximum(due, own), abs=1e-9)
+    third = robot.times.passes_s[:, at[2]] - robot.times.arrives_s[:, at[2]]  # the operator is there but twice
+    assert third == pytest.approx(OWN_S, abs=1e-9)
+    assert robot.times.waits_s[:, at[1]].max() > 0.5
+
+
+def test_the_operator_waits_where_he_is_until_the_robot_has_left(logged: Dataset) -> None:
+    need = ConditionCard(agent="robot", place="left_2", event="leaves", lag_s=(0.5,))
+    gate = GateCard(agent="operator", at="approach", place="out_left_1", conditions=(need,))
+    found = rolled(logged, gates(gate), both(("inbound", "out_left_1", "rest")))
+    robot, operator = found.robot.times, found.operators[0]
+    hold = next(n for n, leg in enumerate(operator.agenda.legs) if leg.hold)
+    assert operator.times.passes_s[:, hold] == pytest.approx(robot.passes_s[:, 2] + 0.5, abs=1e-9)
+    (share,) = (one for one in planned_shares(found) if one.task == "out_left_1")
+    assert share.wait_s > 2.0
+    assert share.decided == {"robot: conveyor->left_2": 1.0}
+
+
+def test_a_robot_waits_midway_at_a_part_of_its_motion(logged: Dataset) -> None:
+    need = ConditionCard(agent="operator", place="rest", event="arrives", lag_s=(0.0,))
+    gate = GateCard(agent="robot", at="approach", place="left_5", phase=0.4, conditions=(need,))
+    late = PlannedTask("operator", "rest", not_before_s=60.0)
+    found = rolled(logged, gates(gate), both(("inbound", "out_left_1", "rest"), rest=late))
+    first, second = (one for one in planned_shares(found) if one.task == "conveyor->left_5")
+    nominal = nominal_tasks(logged)["conveyor->left_5"].nominal_s
+    assert first.end_s - first.start_s == pytest.approx(0.4 * nominal)
+    assert second.end_s - second.start_s == pytest.approx(0.6 * nominal + OWN_S)
+    assert second.decided == {"operator: rest": 1.0}
+
+
+def test_two_who_wait_for_each_other_are_named(logged: Dataset) -> None:
+    need = ConditionCard(agent="robot", place="left_5", event="leaves", lag_s=(0.0,))
+    gate = GateCard(agent="operator", at="leave", place="inbound", conditions=(need,))
+    mine = GateCard(agent="robot", at="leave", place="conveyor", conditions=(AFTER_INBOUND,))
+    with pytest.raises(EstimateError) as caught:
+        rolled(logged, gates(gate, mine), both(("inbound", "rest")))
+    assert "robot waits at conveyor until operator leaves inbound" in caught.value.seen
+    assert "operator waits at inbound until robot leaves left_5" in caught.value.seen
+
+
+def test_told_precedence_and_earliest_start_hold(logged: Dataset) -> None:
+    plan = both(
+        ("inbound", "rest"),
+        conveyor_to_left_5=PlannedTask("robot", "conveyor->left_5", after=("rest",)),
+        inbound=PlannedTask("operator", "inbound", not_before_s=20.0),
+    )
+    found = rolled(logged, gates(), plan)
+    share = {one.task: one for one in planned_shares(found)}
+    assert share["inbound"].start_s == pytest.approx(20.0)
+    assert share["inbound"].decided == {"planned start": 1.0}
+    assert share["conveyor->left_5"].start_s == pytest.approx(share["rest"].end_s)
+    assert share["conveyor->left_5"].decided == {"operator: rest": 1.0}
+    with pytest.raises(UnknownName, match="nothing"):
+        rolled(logged, None, both(("inbound",), inbound=PlannedTask("operator", "inbound", after=("nothing",))))
+
+
+def test_a_cycle_for_both_lasts_to_the_last_end_of_either(logged: Dataset) -> None:
+    found = rolled(logged, gates(own_s=30.0), both(("inbound", "out_left_1"), ROBOT[:1]))
+    assert found.duration_s == pytest.approx(found.operators[0].times.passes_s[:, -1])
+    assert found.duration_s.min() > 60.0
+
+
+@pytest.mark.parametrize("buffer", [1, 2])
+def test_parts_come_after_a_gap_as_long_as_there_is_room(logged: Dataset, buffer: int) -> None:
+    need = ConditionCard(agent="signal", place="part", event="set", lag_s=(0.1,))
+    gate = GateCard(agent="robot", at="leave", place="conveyor", own_s=(0.0,), conditions=(need,))
+    card = msgspec.structs.replace(
+        gates(gate),
+        sources=(SourceCard(signal="part", gap_s=(4.0,), first_s=(10.0,), buffer=buffer, taken_by="conveyor"),),
+    )
+    found = rolled(logged, card, both(("inbound",)))
+    at = [n for n, leg in enumerate(found.robot.agenda.legs) if leg.place == "conveyor"]
+    taken, arrives = found.robot.times.passes_s[0, at], found.robot.times.works_s[0, at]
+    came = [10.0]
+    for part in (1, 2):
+        came.append(max(came[-1] + 4.0, taken[part - buffer] if part >= buffer else 0.0))
+    assert taken == pytest.approx(np.maximum(np.array(came) + 0.1, arrives), abs=1e-9)
+
+
+def test_without_conditions_both_agree_with_operators_that_are_tracks(logged: Dataset) -> None:
+    sequence = TaskSequence("logged", logged.card.executions[2].places)
+    cell = JointCell(TrueStaircase(), logged, None)
+    plan = Planner(cell, nominal_tasks(logged)).plan(sequence)
+    (found,) = cell.roll([plan], cycles=160, until_s=400.0)
+    assert isinstance(found, RolledBoth)
+    (usual,) = estimate(TrueStaircase(), logged, [sequence], validate=False)
+    error = np.std(usual.durations_s) / len(usual.durations_s) ** 0.5
+    assert abs(found.duration_s.mean() - usual.expected_s) < 3.0 * error
+
+
+class Coupled(Constant):
+    """A model that was trained where the robot waits for the operator."""
+
+    def __init__(self, card: CouplingCard) -> None:
+        super().__init__(1.0)
+        self.card = TrainingCard(coupling=card)
+
+
+def test_an_estimate_says_who_waited_for_what(logged: Dataset, tmp_path: Path) -> None:
+    gate = GateCard(agent="robot", at="leave", place="conveyor", own_s=(OWN_S,), conditions=(AFTER_INBOUND,))
+    file = tmp_path / "sequences.toml"
+    tasks = [("robot", name) for name in ROBOT] + [("operator", name) for name in ("inbound", "out_left_1", "inbound")]
+    lines = [f'[[sequence.task]]\nagent = "{agent}"\nname = "{name}"\n' for agent, name in tasks]
+    short = '[[sequence]]\nname = "short"\nplaces = ["home", "conveyor", "left_2"]\noperator = ["inbound", "rest"]\n'
+    file.write_text('[[sequence]]\nname = "both"\n' + "".join(lines) + short, encoding="utf-8")
+    model, out, chart = Coupled(gates(gate, own_s=3.0)), tmp_path / "out.json", tmp_path / "chart.svg"
+    found = estimate_cycles(model, logged, load_sequences(file), out=out, gantt=chart, validate=False, extrapolate=True)
+    assert {each.name for each in found} == {"both", "short"}
+    both_ = next(each for each in json.loads(out.read_text())["sequences"] if each["name"] == "both")
+    assert both_["wait_s"] > 1.0
+    waited = next(task for task in both_["plan"] if task["task"] == "conveyor->left_5")
+    assert max(waited["decided"], key=waited["decided"].get) == "operator: inbound"
+    parts = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
+    assert both_["expected_s"] == pytest.approx(sum(both_[part] for part in parts))
+    assert "both: operator" in chart.read_text()

@@ -1,0 +1,136 @@
+"""Who waits for whom is found from visits, and nobody is said to wait where nobody does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cyclekit.config import Wait
+from cyclekit.dataset.cards.coupling import Agent
+from cyclekit.errors import UnknownName
+from cyclekit.learning.coupling.learn import learn_courses
+from cyclekit.learning.coupling.visits import Course, Event, PlaceVisit, events_of
+
+ROBOT, OPERATOR = ("feeder", "fixture", "tray", "rack"), ("bench", "fixture", "shelf")
+
+
+def _alone(rng: np.random.Generator, name: str) -> Course:
+    """Return an execution of two agents that do not see each other."""
+    visits: dict[Agent, list[PlaceVisit]] = {
+        "robot": _walk(rng, [str(place) for place in rng.choice(ROBOT, 12)], (0.5, 0.6), 2.0),
+        "operator": _walk(rng, [str(place) for place in rng.choice(OPERATOR, 9)], (1.0, 4.0), 2.5),
+    }
+    return Course(name, visits, events_of(visits))
+
+
+def _walk(rng: np.random.Generator, places: list[str], dwell_s: tuple[float, float], way_s: float) -> list[PlaceVisit]:
+    at, found = 0.0, []
+    for place in places:
+        left = at + rng.uniform(*dwell_s)
+        found.append(PlaceVisit(place, at, left))
+        at = left + way_s * rng.uniform(0.8, 1.3)
+    return found
+
+
+def _coupled(rng: np.random.Generator, name: str) -> Course:
+    """Return one in which the robot brings parts to a fixture; the operator mounts each and lets the robot in again."""
+    robot, operator, pressed = [PlaceVisit("home", 0.0, 0.0)], [PlaceVisit("bench", 0.0, np.nan)], [-np.inf]
+    free_s = 0.0
+    for _ in range(3):
+        at = robot[-1].left_s + rng.uniform(3.0, 14.0)
+        reached, went_on = at, max(at, pressed[-1] + rng.uniform(0.1, 0.2))
+        robot.append(PlaceVisit("fixture", went_on + 1.0, went_on + 2.2, reached, went_on))
+        ready = free_s + rng.uniform(1.0, 12.0)
+        left = max(ready, robot[-1].left_s + rng.uniform(0.3, 0.8))
+        operator[-1] = operator[-1]._replace(left_s=left)
+        pressed.append(left + 2.0 + rng.uniform(5.0, 7.0))
+        gone = pressed[-1] + rng.uniform(0.1, 0.4)
+        free_s = gone + 2.0
+        operator += [PlaceVisit("fixture", left + 2.0, gone), PlaceVisit("bench", free_s, np.nan)]
+    robot.append(PlaceVisit("home", robot[-1].left_s + 2.0, np.nan))
+    visits: dict[Agent, list[PlaceVisit]] = {"robot": robot, "operator": operator}
+    release = {Event("operator", "fixture", "leaves", "release set"): np.array(pressed[1:])}
+    return Course(name, visits, events_of(visits) | release)
+
+
+@pytest.mark.parametrize("signals", [True, False], ids=["release button", "positions only"])
+def test_both_conditions_are_found_and_no_other(signals: bool) -> None:
+    rng = np.random.default_rng(5)
+    courses = [_coupled(rng, str(number)) for number in range(40)]
+    if not signals:
+        courses = [Course(one.name, one.visits, events_of(one.visits)) for one in courses]
+    card = learn_courses(courses)
+    found = {(gate.agent, gate.at, gate.place): gate for gate in card.gates if gate.conditions}
+    assert set(found) == {("robot", "approach", "fixture"), ("operator", "approach", "fixture")}
+    assert card.coupled
+    (robot,), (operator,) = (gate.conditions for gate in found.values())
+    assert (robot.agent, robot.place, robot.event, robot.back) == ("operator", "fixture", "leaves", 1)
+    assert robot.signal == ("release set" if signals else None)
+    assert np.median(robot.lag_s) == pytest.approx(-0.1, abs=0.1)  # from his leaving, which is after the button
+    assert (operator.agent, operator.place, operator.event, operator.back) == ("robot", "fixture", "leaves", 0)
+    assert np.median(operator.lag_s) == pytest.approx(0.55, abs=0.1)
+    assert min(robot.held, operator.held) > 0.98
+    assert min(robot.decided, operator.decided) >= 20
+
+
+def test_the_cell_file_wins_over_what_the_logs_show() -> None:
+    rng = np.random.default_rng(6)
+    courses = [_coupled(rng, str(number)) for number in range(20)]
+    told = (
+        Wait("robot", before="fixture", never=True),
+        Wait("operator", before="fixture", until="robot arrives fixture"),
+    )
+    card = learn_courses(courses, told)
+    (gate,) = (gate for gate in card.gates if gate.conditions)
+    assert (gate.agent, gate.at, gate.place, gate.told) == ("operator", "approach", "fixture", True)
+    (condition,) = gate.conditions
+    assert (condition.agent, condition.place, condition.event, condition.back) == ("robot", "fixture", "arrives", 0)
+    assert np.median(condition.lag_s) == pytest.approx(1.75, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("wait", "kind"),
+    [
+        (Wait("robot", before="fixtur", until="operator leaves fixture"), "place"),
+        (Wait("robot", before="fixture", until="operator leaves banch"), "event"),
+    ],
+)
+def test_a_told_wait_names_what_the_logs_show(wait: Wait, kind: str) -> None:
+    courses = [_coupled(np.random.default_rng(number), str(number)) for number in range(5)]
+    with pytest.raises(UnknownName, match=kind):
+        learn_courses(courses, (wait,))
+
+
+def test_parts_that_come_are_learned_from_their_sensor() -> None:
+    rng = np.random.default_rng(7)
+    card = learn_courses([_fed(rng, str(number)) for number in range(50)])
+    (gate,) = (gate for gate in card.gates if gate.conditions)
+    assert (gate.agent, gate.at, gate.place) == ("robot", "leave", "conveyor")
+    (condition,), (source,) = gate.conditions, card.sources
+    assert (condition.agent, condition.place, condition.event) == ("signal", "part", "set")
+    assert (source.signal, source.taken_by, source.buffer) == ("part", "conveyor", 2)
+    assert np.mean(source.gap_s) == pytest.approx(10.0, rel=0.1)
+
+
+def _fed(rng: np.random.Generator, name: str) -> Course:
+    """Return an execution whose robot takes parts; they come 6 s apart or more, at most two of them wait."""
+    robot, came, at = [PlaceVisit("home", 0.0, 0.0)], [-10.0], 2.0
+    came[0] += 6.0 + rng.exponential(4.0) + 10.0
+    for part in range(6):
+        if part:
+            room = robot[part - 1].left_s if part >= 2 else 0.0
+            came.append(max(came[-1] + 6.0 + rng.exponential(4.0), room))
+        left = max(at + 0.6, came[part] + rng.uniform(0.7, 0.8))
+        robot.append(PlaceVisit("conveyor", at, left))
+        at = left + rng.choice([4.0, 14.0])
+    visits: dict[Agent, list[PlaceVisit]] = {"robot": [*robot, PlaceVisit("home", at, np.nan)]}
+    visits["operator"] = _walk(rng, ["bench"] * 6, (1.0, 4.0), 2.5)
+    return Course(name, visits, events_of(visits) | {Event("signal", "part", "set"): np.array(came)})
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_agents_that_do_not_see_each_other_wait_for_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    card = learn_courses([_alone(rng, str(number)) for number in range(40)])
+    assert not card.coupled
+    assert {gate.agent for gate in card.gates} == {"robot", "operator"}  # they have gates of their own work

@@ -1,0 +1,48 @@
+"""max(own work, event + lag) is taken apart into what it was made of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier, take_apart
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32), st.floats(3.0, 7.0), st.floats(0.3, 2.0))
+def test_own_work_and_lag_are_found_where_either_decides_some(seed: int, event_s: float, lag_s: float) -> None:
+    rng = np.random.default_rng(seed)
+    own, lag = rng.lognormal(np.log(5.0 + lag_s), 0.15, 200), rng.gamma(9.0, lag_s / 9.0, 200)
+    event = rng.normal(event_s, 2.0, 200)
+    left = np.maximum(own, event + lag)
+    causes = take_apart(np.array([left, left - event]))
+    by_event = event + lag > own
+    assert np.mean((causes.share[1] > 0.5) == by_event) > 0.75  # the two overlap
+    assert causes.share.sum(axis=0) == pytest.approx(np.ones(200))
+    for c, true in enumerate((own, lag)):
+        since, decided = (left, left - event)[c], (causes.share.argmax(axis=0) == c) * 1.0
+        found = quantiles(since, reverse_kaplan_meier(since, decided, np.ones(200, np.bool_)))
+        assert np.median(found) == pytest.approx(np.median(true), abs=0.1 * np.median(own))
+
+
+@given(st.lists(st.floats(0.1, 9.0), min_size=1, max_size=40))
+def test_what_always_decided_has_the_distribution_that_was_logged(times: list[float]) -> None:
+    at = np.array(times)
+    mass = reverse_kaplan_meier(at, np.ones(len(at)), np.ones(len(at), np.bool_))
+    assert mass == pytest.approx(np.full(len(at), 1.0 / len(at)))
+
+
+def test_what_was_hidden_below_longer_times_counts_among_the_shorter_ones() -> None:
+    """One of two below 3 s is seen at 1 s; the one that is hidden at 2 s counts there too."""
+    at, decided = np.array([1.0, 2.0, 3.0]), np.array([1.0, 0.0, 1.0])
+    assert reverse_kaplan_meier(at, decided, np.ones(3, np.bool_)) == pytest.approx([2 / 3, 0.0, 1 / 3])
+
+
+@given(st.lists(st.floats(-5.0, 50.0), min_size=1, max_size=40))
+def test_quantiles_ascend_within_what_was_seen(times: list[float]) -> None:
+    at = np.array(times)
+    found = quantiles(at, np.full(len(at), 1.0 / len(at)))
+    assert list(found) == sorted(found)
+    assert at.min() - 1e-3 <= found[0] <= found[-1] <= at.max() + 1e-3

@@ -1,8 +1,9 @@
 """Plans for robot and operator from task lists: expected cycle times of orders never logged, and who waits for whom.
 
-Simulated: sets of logs with and without waits and rates, orders never logged, each against fresh executions. Recorded:
-a task list whose orders are left out one after the other; beside the estimate stand the plan's own times and the sum of
-the mean durations of the agent that takes longer.
+Simulated: sets of logs with and without waits, rates, turns and drift, orders never logged, each against fresh
+executions. Recorded: a task list whose orders are left out one after the other. Rivals: a simple rate model (rates by
+least squares, no spread, no learned waits: a task starts when its agent's last one has ended and its planned start has
+come), the plan's own times, and the sum of the mean durations of the agent that takes longer.
 
     python benchmarks/task_lists.py --work DIR [--executions 60 200] [--seeds 1 2 3]
     python benchmarks/task_lists.py --work DIR --list tasks.json
@@ -12,18 +13,24 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from cyclekit.config.sequences import PlannedTask, TaskSequence
+from cyclekit.dataset.cards.task_model import TaskModelCard, TaskTimesCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.task_times import learn
+from cyclekit.learning.task_times import learn, rates
+from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import Run, logged_runs
 from cyclekit_sim.task_lists import ListOptions, fresh_durations, random_order, simulate_task_lists
+
+if TYPE_CHECKING:
+    from cyclekit.schema import Vector
 
 OUT = Console(width=160)
 CELLS = {
@@ -31,7 +38,11 @@ CELLS = {
     "waits": ListOptions(beside=False),
     "rates": ListOptions(coupled=False),
     "neither": ListOptions(coupled=False, beside=False),
+    "turns": ListOptions(coupled=False, beside=False, turns=0.2),
+    "waits, rates and drift": ListOptions(drift=0.25),
 }
+RIDGE = 3.0
+"""Repetitions at rate 1 that the simple rate model sees beside each task."""
 WAITS = {("mount", "bring", 0), ("weld", "mount", 0)}
 
 
@@ -40,10 +51,48 @@ def refuse(sequence: TaskSequence, error: Exception) -> None:
     OUT.print(f"{sequence.name}: {error}")
 
 
+def simple_rates(runs: list[Run], agents: dict[str, str]) -> TaskModelCard:
+    """Return the simple rate model: sum of rate x time beside each task = 1, by least squares with a small ridge."""
+    cards = []
+    pairs = {(name, done.task) for run in runs for name, some in run.tasks.items() for done in some}
+    for agent, task in sorted(pairs):
+        names, _, parts = rates._parts(runs, agent, task)
+        beside_s = np.zeros((len(parts.last), len(names)))
+        np.add.at(beside_s, parts.of, parts.beside * parts.dt_s[:, None])
+        usual = float(np.bincount(parts.of, parts.dt_s).mean())
+        part = beside_s / usual
+        found = np.linalg.solve(part.T @ part + RIDGE * np.eye(len(names)), part.sum(axis=0) + RIDGE)
+        by_name = dict(zip(names, np.clip(found, 0.1, 5.0).tolist(), strict=True))
+        cards.append(
+            TaskTimesCard(
+                agent=agent, task=task, usual_s=usual, work_s=(usual,), rates=by_name, after={}, planned=True,
+                lags_s=(0.0,),
+            )
+        )  # fmt: skip
+    return TaskModelCard(agents=agents, tasks=tuple(cards), executions=len(runs))  # type: ignore[arg-type]
+
+
+def chance_of(relative: list[Vector], counts: Vector, draws: int = 2000) -> float:
+    """Return the mean |error| that a perfect model has, as the orders have few executions: from their deviations.
+
+    Args:
+        relative: Deviations of the executions of each order with several from the estimates' errors' mean, as part.
+        counts: Executions of each order, shape (orders,).
+        draws: For each order.
+    """
+    rng = np.random.default_rng(0)
+    pool = [each * np.sqrt(len(each) / (len(each) - 1)) for each in relative]
+    found = []
+    for count in counts.astype(int):
+        which = rng.integers(len(pool), size=draws)
+        found.append(np.mean([abs(rng.choice(pool[one], count).mean()) for one in which]))
+    return float(np.mean(found))
+
+
 def simulated(asked: argparse.Namespace) -> None:
     """Print a row for each cell and number of executions."""
-    table = Table("cell", "executions", "sets", "mean |error|, %", "worst, %", "history, %", "CI holds", "90 % holds",
-                  "waits missed", "waits invented")  # fmt: skip
+    table = Table("cell", "executions", "sets", "mean |error|, %", "worst, %", "simple rates, %", "history, %",
+                  "CI holds", "90 % holds", "waits missed", "waits invented")  # fmt: skip
     for name, options in CELLS.items():
         for executions in asked.executions:
             rows, missed, invented = [], 0, 0
@@ -52,7 +101,8 @@ def simulated(asked: argparse.Namespace) -> None:
                 if not (folder / "dataset").is_dir():
                     simulate_task_lists(folder / "logs", executions=executions, seed=seed, options=options)
                     ingest([folder / "logs" / "tasks.csv"], folder / "dataset")
-                model = learn.learn_task_times(Dataset.open(folder / "dataset"))
+                runs, agents = logged_runs(Dataset.open(folder / "dataset"))
+                model, simple = learn.learn_runs(runs, agents), simple_rates(runs, agents)
                 found = {(task.task, need.task, need.back) for task in model.tasks for need in task.needs}
                 there = WAITS if options.coupled else set()
                 missed, invented = missed + len(there - found), invented + len(found - there)
@@ -71,14 +121,16 @@ def simulated(asked: argparse.Namespace) -> None:
                     rows.append(
                         (
                             answer.expected_s / mean - 1,
+                            roll_plan(simple, plan, cycles=1).duration_s[0] / mean - 1,
                             max(sums) / mean - 1,
                             answer.expected_low_s <= mean <= answer.expected_high_s,
                             ((true_s >= low) & (true_s <= high)).mean(),
                         )
                     )
-            error, history, held, inside = np.array(rows, dtype=float).T
+            error, rival, history, held, inside = np.array(rows, dtype=float).T
             table.add_row(name, str(executions), str(len(asked.seeds)), f"{100 * np.abs(error).mean():.2f}",
-                          f"{100 * error[np.abs(error).argmax()]:+.2f}", f"{100 * np.abs(history).mean():.2f}",
+                          f"{100 * error[np.abs(error).argmax()]:+.2f}", f"{100 * np.abs(rival).mean():.2f}",
+                          f"{100 * np.abs(history).mean():.2f}",
                           f"{held.mean():.0%}", f"{inside.mean():.0%}", str(missed), str(invented))  # fmt: skip
     OUT.print(table)
 
@@ -92,32 +144,35 @@ def recorded(asked: argparse.Namespace) -> None:
     orders: dict[tuple[tuple[str, ...], ...], list[Run]] = {}
     for run in runs:
         orders.setdefault(run.order, []).append(run)
-    rows, inside = [], []
+    rows, inside, scatter = [], [], []
     for order, some in orders.items():
         rest = [run for run in runs if run.order != order]
-        model = learn.learn_runs(rest, agents, folds=asked.folds)
+        model, simple = learn.learn_runs(rest, agents, folds=asked.folds), simple_rates(rest, agents)
         usual = {(task.agent, task.task): task.usual_s for task in model.tasks}
         if any((agent, task) not in usual for agent, *tasks in order for task in tasks):
             continue
+        plans = [learn.plan_of(run) for run in some]
         answers = [
-            estimate_plans(model, [TaskSequence.of_plan(run.name, learn.plan_of(run))], refused=refuse)[0]
-            for run in some
+            estimate_plans(model, [TaskSequence.of_plan(run.name, plan)], refused=refuse)[0]
+            for run, plan in zip(some, plans, strict=True)
         ]
         true_s = np.array([run.duration_s for run in some])
-        planned = [_planned_end_s(run, usual) for run in some]
+        expected_s = np.array([answer.expected_s for answer in answers])
+        rival_s = [roll_plan(simple, plan, cycles=1).duration_s[0] for plan in plans]
+        planned_s = [_planned_end_s(run, usual) for run in some]
         sums = max(sum(usual[agent, task] for task in tasks) for agent, *tasks in order)
         inside += [a.quantiles_s[0.05] <= took <= a.quantiles_s[0.95] for a, took in zip(answers, true_s, strict=True)]
         mean = true_s.mean()
-        expected = np.mean([answer.expected_s for answer in answers])
-        spread = true_s.std(ddof=1) / mean if len(some) > 1 else np.nan
-        rows.append((expected / mean - 1, np.mean(planned) / mean - 1, sums / mean - 1, spread, len(some)))
-    error, plan, history, spread, count = np.array(rows).T
-    pooled = np.sqrt(np.nanmean(spread**2))
+        if len(some) > 1:
+            scatter.append((true_s - expected_s - (true_s - expected_s).mean()) / mean)
+        rows.append((*(np.mean(each) / mean - 1 for each in (expected_s, rival_s, planned_s, sums)), len(some)))
+    *errors, count = np.array(rows).T
+    found, simple_error, plan, history = (100 * np.abs(each).mean() for each in errors)
     OUT.print(
-        f"{asked.list.name}: {len(rows)} orders, {int(count.sum())} executions: mean |error| "
-        f"{100 * np.abs(error).mean():.2f} %, plan {100 * np.abs(plan).mean():.2f} %, sums "
-        f"{100 * np.abs(history).mean():.2f} %, chance {100 * np.mean(0.798 * pooled / np.sqrt(count)):.2f} % "
-        f"(median spread {100 * np.nanmedian(spread):.1f} %), 90 % intervals hold {np.mean(inside):.0%}",
+        f"{asked.list.name}: {len(rows)} orders, {int(count.sum())} executions: mean |error| {found:.2f} % (root mean "
+        f"square {100 * np.sqrt(np.mean(errors[0] ** 2)):.2f} %, bias {100 * errors[0].mean():+.2f} %), simple rates "
+        f"{simple_error:.2f} %, plan {plan:.2f} %, sums {history:.2f} %, chance "
+        f"{100 * chance_of(scatter, count):.2f} %, 90 % intervals hold {np.mean(inside):.0%}",
         soft_wrap=True,
     )
 

@@ -26,10 +26,14 @@ if TYPE_CHECKING:
     from cyclekit.api.estimate import estimate_cycles as estimate_cycles
     from cyclekit.api.evaluate import evaluate_model as evaluate_model
     from cyclekit.api.evaluate import evaluate_models as evaluate_models
+    from cyclekit.api.evaluate import evaluate_task_times as evaluate_task_times
     from cyclekit.api.export import export_model as export_model
+    from cyclekit.api.gate import gate_takt as gate_takt
     from cyclekit.api.ingest import ingest_logs as ingest_logs
+    from cyclekit.api.init import start_project as start_project
     from cyclekit.api.inspect import draft_cell as draft_cell
     from cyclekit.api.inspect import inspect_logs as inspect_logs
+    from cyclekit.api.inspect import plan_recordings as plan_recordings
     from cyclekit.api.levels import ScalingLevels as ScalingLevels
     from cyclekit.api.levels import find_levels as find_levels
     from cyclekit.api.plan import plan_order as plan_order
@@ -51,6 +55,9 @@ if TYPE_CHECKING:
     from cyclekit.estimate.plan.answer import OrderPlan as OrderPlan
     from cyclekit.estimate.plan.jobs import Jobs as Jobs
     from cyclekit.estimate.plan.jobs import load_jobs as load_jobs
+    from cyclekit.estimate.plan.task_orders import JobTask as JobTask
+    from cyclekit.estimate.plan.task_orders import TaskJobs as TaskJobs
+    from cyclekit.estimate.plan.task_orders import TaskOrderPlan as TaskOrderPlan
     from cyclekit.estimate.result import CycleEstimate as CycleEstimate
     from cyclekit.estimate.whatif.answer import WhatIf as WhatIf
     from cyclekit.estimate.whatif.answers import WhatIfAnswers as WhatIfAnswers
@@ -59,6 +66,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.whatif.change import load_changes as load_changes
     from cyclekit.estimate.whatif.costs import SafetyCosts as SafetyCosts
     from cyclekit.estimate.whatif.separation import Separation as Separation
+    from cyclekit.fleet.project import run_project as run_project
     from cyclekit.fleet.run import FleetRun as FleetRun
     from cyclekit.fleet.run import run_fleet as run_fleet
     from cyclekit.ingest.ingest import IngestReport as IngestReport
@@ -79,12 +87,14 @@ _NAMES = {
     "api.calibrate": "calibrate_tracker",
     "api.convert": "convert_log",
     "api.estimate": "estimate_cycles",
-    "api.evaluate": "evaluate_model evaluate_models",
+    "api.evaluate": "evaluate_model evaluate_models evaluate_task_times",
     "api.export": "export_model",
+    "api.gate": "gate_takt",
     "api.ingest": "ingest_logs",
-    "api.inspect": "draft_cell inspect_logs",
+    "api.inspect": "draft_cell inspect_logs plan_recordings",
     "api.levels": "ScalingLevels find_levels",
     "api.plan": "plan_order",
+    "api.init": "start_project",
     "api.replay": "write_replay",
     "api.report": "write_report",
     "api.simulate": "simulate_logs",
@@ -97,6 +107,7 @@ _NAMES = {
     "errors": "CyclekitError",
     "estimate.answers": "CycleEstimates",
     "estimate.plan.answer": "OrderPlan",
+    "estimate.plan.task_orders": "JobTask TaskJobs TaskOrderPlan",
     "estimate.plan.jobs": "Jobs load_jobs",
     "estimate.result": "CycleEstimate",
     "estimate.whatif.answer": "WhatIf",
@@ -104,6 +115,7 @@ _NAMES = {
     "estimate.whatif.change": "Change LimitChange load_changes",
     "estimate.whatif.costs": "SafetyCosts",
     "estimate.whatif.separation": "Separation",
+    "fleet.project": "run_project",
     "fleet.run": "FleetRun run_fleet",
     "ingest.ingest": "IngestReport",
     "learning.evaluation.evaluate": "Evaluation",

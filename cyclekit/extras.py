@@ -7,7 +7,7 @@ from importlib import import_module
 from cyclekit.errors import MissingExtra
 
 EXTRAS = {
-    "excel": ("fastexcel",),
+    "excel": ("fastexcel", "xlsxwriter"),
     "onnx": ("onnx",),
     "ray": ("ray",),
     "replay": ("rerun",),

@@ -13,6 +13,7 @@ import typer.main
 
 from cyclekit.cli import app
 from cyclekit.config import load_cell
+from cyclekit.config.project import load_project
 from cyclekit.config.sequences import load_sequences
 from cyclekit.estimate.plan import load_jobs
 from cyclekit.estimate.whatif import load_changes
@@ -21,7 +22,8 @@ from cyclekit_sim import read_rule
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *ROOT.glob("[!.]*/README.md")])
-COMMANDS = typer.main.get_command(app()).commands  # type: ignore[attr-defined]
+FRAME = typer.main.get_command(app())
+COMMANDS = FRAME.commands  # type: ignore[attr-defined]
 _BLOCK = re.compile(r"^```(?:console|sh|bash|shell)?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _INLINE = re.compile(r"`(cyclekit [^`]+)`")
 
@@ -47,7 +49,8 @@ def test_the_documents_show_command_lines() -> None:
 @pytest.mark.parametrize(("document", "line"), LINES)
 def test_a_command_line_of_the_documents_has_a_known_command_and_known_options(document: str, line: str) -> None:
     words = shlex.split(line.replace("…", "").replace("[", "").replace("]", ""))[1:]
-    if words[0] in {"--help", "--version"}:
+    if words[0].startswith("--"):
+        assert words[0] in {"--help", *(option for parameter in FRAME.params for option in parameter.opts)}
         return
     assert words[0] in COMMANDS, f"{document}: no command {words[0]!r}"
     known = {option for parameter in COMMANDS[words[0]].params for option in parameter.opts} | {"--help", "-h"}
@@ -128,6 +131,8 @@ def test_a_toml_example_is_a_file_that_is_accepted(document: str, block: str, tm
         assert load_changes(file), document
     elif "visit = " in block:
         assert load_jobs(file), document
+    elif "logs = [" in block:
+        assert load_project(file), document
     elif "[[limits]]" in block or "[law]" in block:
         assert read_rule(file), document
     else:

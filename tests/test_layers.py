@@ -40,6 +40,7 @@ ROOMS_OF = {
     "pyarrow": {"storage"},
     "ray": {"parallel"},
     "fastexcel": set(),
+    "xlsxwriter": {"storage"},
     "rosbags": set(),
     "mcap": set(),
     "cyclekit_adapters": set(),

@@ -82,3 +82,25 @@ def test_every_module_of_a_package_can_be_found_by_the_installed_interpreter() -
     code = "import cyclekit, cyclekit_adapters, cyclekit_sim; print(cyclekit.__version__)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT.anchor)
     assert done.stdout.strip() == PROJECT["project"]["version"]
+
+
+def test_the_container_installs_extras_that_exist_and_needs_no_registry_by_name() -> None:
+    lines = (ROOT / "Dockerfile").read_text(encoding="utf-8").splitlines()
+    given = dict(line.removeprefix("ARG ").split("=", 1) for line in lines if line.startswith("ARG "))
+    assert set(given["EXTRAS"].split(",")) <= set(PROJECT["project"]["optional-dependencies"])
+    assert "/" not in given["PYTHON"]
+    asked = PROJECT["project"]["requires-python"].removeprefix(">=")
+    assert given["PYTHON"].startswith(f"python:{asked}")
+    ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
+    assert {".git", ".venv", "out"} <= set(ignored)
+    copied = [line.split()[1] for line in lines if line.startswith("COPY ")]
+    assert [name for name in copied if not (ROOT / name).exists()] == []
+
+
+def test_the_classifiers_are_known_and_name_the_oldest_python() -> None:
+    from trove_classifiers import classifiers
+
+    stated = PROJECT["project"]["classifiers"]
+    assert set(stated) <= set(classifiers)
+    oldest = PROJECT["project"]["requires-python"].removeprefix(">=")
+    assert f"Programming Language :: Python :: {oldest}" in stated

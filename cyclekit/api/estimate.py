@@ -6,22 +6,26 @@ from collections.abc import Sequence
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import Sequences, estimator_model, path_of, place_of, sequences_of
+from cyclekit.api.workbooks import need_workbook, sheets_of_estimates
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.dataset.guard import check_output
-from cyclekit.errors import EstimateError, ModelError
+from cyclekit.dataset.guard import Kind, check_output
+from cyclekit.errors import CyclekitError, EstimateError, ModelError
 from cyclekit.estimate.answers import CycleEstimates, Refusal, refusing, together
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.gantt import write_gantt
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.safety import SafetyModel
 from cyclekit.estimate.task_times import estimate_plans
+from cyclekit.estimate.what_to_log import what_to_log
 from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.plots.canvas import KINDS
 from cyclekit.storage.atomic import write_text
+from cyclekit.storage.workbook import write_workbook
 from cyclekit.text.plain_json import json_text
 
+_KINDS: dict[str, Kind] = {".csv": "estimates-csv", ".xlsx": "workbook"}
 QUANTILES = (0.05, 0.5, 0.95)
 """Of single cycles, where no others are asked for."""
 
@@ -51,7 +55,7 @@ def estimate_cycles(
         model: A model, its folder or its URL; one of task times answers plans for robot and operator.
         dataset: Logs that hold the tasks and the operator's tracks; a dataset, its folder or its URL.
         sequences: What is asked for: sequences, or the sequence file.
-        out: Also write the result here, `.json` or `.csv`.
+        out: Also write the result here, `.json`, `.csv` or `.xlsx`.
         gantt: Also draw a time chart here, `.svg`, `.png` or `.pdf`.
         estimator: `rollout`, `average`, `history` or `nominal`; None: what suits the model.
         quantiles: Levels in (0, 1) of single cycles.
@@ -74,9 +78,10 @@ def estimate_cycles(
         CyclekitError: Something that was given cannot be read, or the result cannot be written.
     """
     file = path_of(out)
-    as_table = file is not None and file.suffix.lower() == ".csv"
+    ending = "" if file is None else file.suffix.lower()
     inputs = [place_of(model), place_of(sequences), place_of(dataset)]
-    check_output(file, "estimates-csv" if as_table else "estimates-json", inputs, endings=(".json", ".csv"))
+    check_output(file, _KINDS.get(ending, "estimates-json"), inputs, endings=(".json", ".csv", ".xlsx"))
+    need_workbook(file)
     chart = path_of(gantt)
     check_output(chart, "picture", inputs, option="--gantt", endings=KINDS)
     wanted = sequences_of(sequences)
@@ -112,10 +117,26 @@ def estimate_cycles(
             progress=progress,
         )
     if not found and wanted:
-        raise together(refused)
+        raise _with_plan(together(refused), opened, logs, wanted)
     answer = CycleEstimates(tuple(found), tuple(refused))
-    if file is not None:
-        write_text(file, answer.to_csv() if as_table else json_text(answer.to_dict(), ascii_only=True) + "\n")
+    if file is not None and ending == ".xlsx":
+        write_workbook(file, sheets_of_estimates(answer, logs, opened))
+    elif file is not None:
+        write_text(file, answer.to_csv() if ending == ".csv" else json_text(answer.to_dict(), ascii_only=True) + "\n")
     if chart is not None:
         write_gantt(chart, answer)
     return answer
+
+
+def _with_plan(
+    error: EstimateError, model: SafetyModel | TaskTimesModel, logs: Dataset, wanted: Sequence[TaskSequence]
+) -> EstimateError:
+    """Return an error with what to log next, so that these sequences can be answered."""
+    if isinstance(model, TaskTimesModel) or any(one.plan for one in wanted):
+        return error
+    try:
+        lines = what_to_log(logs, wanted).lines
+    except CyclekitError:
+        return error
+    told = [f"To log next: {line}" for line in lines]
+    return EstimateError(error.seen, cure="\n  ".join(text for text in (error.cure or "", *told) if text))

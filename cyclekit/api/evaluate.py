@@ -14,6 +14,8 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.learning.evaluation.drift import drift
 from cyclekit.learning.evaluation.evaluate import Evaluation, evaluate, evaluate_at
 from cyclekit.learning.networks.saved import TrainedModel, models_in
+from cyclekit.learning.task_times.judge import TaskTimesEvaluation, judge_task_times
+from cyclekit.learning.task_times.saved import TaskTimesModel, load_task_times
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.text.results import Result
 
@@ -46,6 +48,31 @@ def evaluate_model(
     changed = None if trained_on is None else drift(opened, Dataset.of(trained_on), judged)
     foreign = other_cell or trained_on is not None
     return replace(evaluate(opened, judged, boosting=boosting, other_cell=foreign, progress=progress), drift=changed)
+
+
+@checked
+def evaluate_task_times(
+    model: TaskTimesModel | Place,
+    dataset: Dataset | Place,
+    *,
+    trained_on: Dataset | Place | None = None,
+    progress: Progress | None = None,
+) -> TaskTimesEvaluation:
+    """Compare a model of task times with logged executions.
+
+    Args:
+        model: Of task times: a model, its folder or its URL.
+        dataset: Of task lists.
+        trained_on: Dataset of the training, where `dataset` is newer: then `drift` says whether the pace has changed.
+        progress: Told the fraction done.
+
+    Raises:
+        ModelError: The model is of another kind.
+        DatasetError: No execution can be judged.
+    """
+    opened = model if isinstance(model, TaskTimesModel) else load_task_times(model)
+    older = None if trained_on is None else Dataset.of(trained_on)
+    return judge_task_times(opened.card, Dataset.of(dataset), trained_on=older, progress=progress)
 
 
 @dataclass(frozen=True, repr=False)

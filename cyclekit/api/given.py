@@ -8,7 +8,9 @@ from pathlib import Path
 from cyclekit.api.arguments import Place
 from cyclekit.config.sequences import TaskSequence, load_sequences
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import ConfigError
 from cyclekit.estimate.plan.jobs import Jobs, load_jobs
+from cyclekit.estimate.plan.task_orders import TaskJobs, load_task_jobs
 from cyclekit.estimate.safety import SafetyModel
 from cyclekit.estimate.whatif.change import Change, load_changes
 from cyclekit.learning.networks.saved import TrainedModel, load_model
@@ -27,9 +29,15 @@ def model_of(given: SafetyModel | Place) -> SafetyModel:
 
 def estimator_model(given: SafetyModel | TaskTimesModel | Place) -> SafetyModel | TaskTimesModel:
     """Return what an estimate asks: a safety function, or task times learned from task lists."""
+    times = times_of(given)
+    return times if times is not None else model_of(given)  # type: ignore[arg-type]  # it is no other
+
+
+def times_of(given: object) -> TaskTimesModel | None:
+    """Return a model of task times, opened; None where it is another thing."""
     if isinstance(given, str | Path) and holds_task_times(given):
         return load_task_times(given)
-    return given if isinstance(given, TaskTimesModel) else model_of(given)
+    return given if isinstance(given, TaskTimesModel) else None
 
 
 def trained_of(given: TrainedModel | Place) -> TrainedModel:
@@ -51,9 +59,30 @@ def changes_of(given: Changes) -> list[Change]:
     return [given] if isinstance(given, Change) else list(given)
 
 
-def jobs_of(given: Jobs | Place) -> Jobs:
-    """Return what is to be visited; that of a file where a path is given."""
+def jobs_of(given: Jobs | TaskJobs | Place) -> Jobs:
+    """Return what is to be visited; that of a file where a path is given.
+
+    Raises:
+        ConfigError: These are tasks of both agents.
+    """
+    if isinstance(given, TaskJobs):
+        seen = f"{given.shown}: tasks of both agents, and this model needs places to visit"
+        raise ConfigError(seen, cure="Give Jobs, or train a model on task lists.")
     return given if isinstance(given, Jobs) else load_jobs(Path(given))
+
+
+def task_jobs_of(given: Jobs | TaskJobs | Place) -> TaskJobs:
+    """Return the work of both agents; that of a file where a path is given.
+
+    Raises:
+        ConfigError: These are places to visit.
+    """
+    if isinstance(given, str | Path):
+        return load_task_jobs(Path(given))
+    if isinstance(given, TaskJobs):
+        return given
+    seen = f"{given.shown}: places to visit, and a model of task times orders tasks of both agents"
+    raise ConfigError(seen, cure="Give TaskJobs, or a jobs file with [[task]].")
 
 
 def place_of(given: object) -> Path | str | None:

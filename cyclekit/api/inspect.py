@@ -1,4 +1,7 @@
-"""`inspect_logs`: what a log, a folder of logs, a dataset or a model is; `draft_cell`: the cell file that fits logs."""
+"""`inspect_logs`: what a log, a folder of logs, a dataset or a model is; `draft_cell`: the cell file that fits logs.
+
+`plan_recordings` says what to log next.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import path_of
+from cyclekit.api.given import Sequences, path_of, sequences_of
 from cyclekit.config import cell_to_toml
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.errors import OutputError
+from cyclekit.errors import ConfigError, OutputError
+from cyclekit.estimate.what_to_log import WITHIN, RecordingPlan, what_to_log
 from cyclekit.ingest.discover import suggest_cell
 from cyclekit.inspect.describe import describe
 from cyclekit.inspect.facts import DatasetDescription, Description
@@ -50,6 +54,7 @@ def inspect_logs(
     path: Place,
     *,
     cell: Place | None = None,
+    sequences: Sequences = (),
     follow_links: bool = False,
     verify: bool = False,
     progress: Progress | None = None,
@@ -59,6 +64,7 @@ def inspect_logs(
     Args:
         path: A file, a folder, or the URL of a dataset or model.
         cell: Cell file that says how logs are read; by default the one beside them.
+        sequences: Of a dataset, what is to be estimated: what to log next is told for these.
         follow_links: Look at what links in a folder of logs lead to outside of it.
         verify: Also check that every file of a dataset is as it was written.
         progress: Told the fraction done and what is being looked at.
@@ -71,7 +77,28 @@ def inspect_logs(
     """
     count = Dataset.open(path).verify() if verify else None
     found = describe(local(path), cell=path_of(cell), progress=progress, follow_links=follow_links)
-    return replace(found, verified=count) if isinstance(found, DatasetDescription) else found
+    if not isinstance(found, DatasetDescription):
+        return found
+    plan = plan_recordings(path, sequences) if found.tasks else None
+    return replace(found, verified=count, to_log=plan)
+
+
+@checked
+def plan_recordings(dataset: Dataset | Place, sequences: Sequences = (), *, within: float = WITHIN) -> RecordingPlan:
+    """Return what to log next: missing and rare tasks as orders to be logged, and how many executions are needed.
+
+    Args:
+        dataset: The logs so far: a dataset, its folder or its URL.
+        sequences: What is to be estimated: sequences, or the sequence file; without any, the tasks that were logged.
+        within: Half of the 95 % interval of the mean cycle time that is wanted, as a part of the mean.
+
+    Raises:
+        DatasetError: It holds no robot tasks.
+        ConfigError: `within` is not between 0 and 1, or the sequence file cannot be read.
+    """
+    if not 0.0 < within < 1.0:
+        raise ConfigError(f"within = {within:g} is not between 0 and 1", cure="Give 0.01 for +-1 %, say.")
+    return what_to_log(Dataset.of(dataset), sequences_of(sequences), within=within)
 
 
 @checked

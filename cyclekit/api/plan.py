@@ -5,21 +5,29 @@ from __future__ import annotations
 from itertools import pairwise
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import jobs_of, model_of, path_of, place_of
+from cyclekit.api.given import estimator_model, jobs_of, path_of, place_of, task_jobs_of
+from cyclekit.api.workbooks import need_workbook, sheets_of_plan
+from cyclekit.config.sequences import PlannedTask, TaskSequence
+from cyclekit.config.write import sequence_to_toml
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
+from cyclekit.errors import ConfigError
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.plan.answer import OrderPlan, plan
 from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.plan.task_orders import TaskJobs, TaskOrderPlan, plan_tasks
 from cyclekit.estimate.safety import SafetyModel
+from cyclekit.learning.task_times.runs import logged_runs
+from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.storage.atomic import write_text
+from cyclekit.storage.workbook import write_workbook
 
 
 @checked
 def plan_order(
-    model: SafetyModel | Place,
+    model: SafetyModel | TaskTimesModel | Place,
     dataset: Dataset | Place,
-    jobs: Jobs | Place,
+    jobs: Jobs | TaskJobs | Place,
     *,
     out: Place | None = None,
     seed: int = 0,
@@ -27,14 +35,16 @@ def plan_order(
     check: Check | None = None,
     other_cell: bool = False,
     progress: Progress | None = None,
-) -> OrderPlan:
+) -> OrderPlan | TaskOrderPlan:
     """Search the order of the jobs with the least expected cycle time.
 
     Args:
-        model: A model of problem `now`, its folder or its URL.
+        model: A model of problem `now` or of task times, its folder or its URL.
         dataset: Logs that hold the tasks of at least one allowed order, and the operator's tracks.
-        jobs: What is to be visited, and what comes first: jobs, or the jobs file.
-        out: Also write the order here, as a sequence file (`.toml`).
+        jobs: What is to be visited, and what comes first: jobs, or the jobs file. For a model of task times the
+            tasks of both agents.
+        out: Also write the order here, as a sequence file (`.toml`), or all of it as a workbook (`.xlsx`; not for a
+            model of task times).
         seed: Of the search and the resampling.
         validate: As of `estimate_cycles`.
         check: As of `estimate_cycles`.
@@ -47,21 +57,33 @@ def plan_order(
         EstimateError: Every allowed order needs a task that was never logged, or there is no operator track.
     """
     file = path_of(out)
-    check_output(file, "sequences", [place_of(model), place_of(jobs), place_of(dataset)], endings=(".toml",))
-    wanted = jobs_of(jobs)
+    as_book = file is not None and file.suffix.lower() == ".xlsx"
+    inputs = [place_of(model), place_of(jobs), place_of(dataset)]
+    check_output(file, "workbook" if as_book else "sequences", inputs, endings=(".toml", ".xlsx"))
+    need_workbook(file)
+    opened, logs = estimator_model(model), Dataset.of(dataset)
+    if isinstance(opened, TaskTimesModel):
+        if as_book:
+            seen = f"{file}: the order of both agents' tasks is written as a sequence file, not as a workbook"
+            raise ConfigError(seen, cure="Give a file that ends in .toml.")
+        runs, _ = logged_runs(logs)
+        both = plan_tasks(opened.card, task_jobs_of(jobs), runs, seed=seed, progress=progress)
+        if file is not None:
+            write_text(file, both.to_toml())
+        return both
     asked = {"validate": validate, "other_cell": other_cell}
-    found = plan(model_of(model), Dataset.of(dataset), wanted, seed=seed, check=check, progress=progress, **asked)
-    if file is not None:
+    found = plan(opened, logs, jobs_of(jobs), seed=seed, check=check, progress=progress, **asked)
+    if file is not None and as_book:
+        write_workbook(file, sheets_of_plan(found, logs, opened))
+    elif file is not None:
         write_text(file, _sequence_file(found))
     return found
 
 
 def _sequence_file(found: OrderPlan) -> str:
     """Return the order found as a sequence file: the robot's places, or a plan for both."""
-    head = '# Written by cyclekit plan\n[[sequence]]\nname = "planned"\n'
-    if found.operator is None:
-        names = ", ".join(f'"{place}"' for place in found.places)
-        return f"{head}places = [{names}]\n"
-    tasks = [("robot", f"{a}->{b}") for a, b in pairwise(found.places)]
-    tasks += [("operator", place) for place in found.operator]
-    return head + "".join(f'[[sequence.task]]\nagent = "{agent}"\nname = "{name}"\n' for agent, name in tasks)
+    order = TaskSequence("planned", found.places)
+    if found.operator is not None:
+        tasks = [PlannedTask("robot", f"{a}->{b}") for a, b in pairwise(found.places)]
+        order = TaskSequence.of_plan("planned", [*tasks, *(PlannedTask("operator", place) for place in found.operator)])
+    return "# Written by cyclekit plan\n" + sequence_to_toml(order)

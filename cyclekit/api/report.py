@@ -6,14 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.estimate import estimate_cycles
 from cyclekit.api.evaluate import evaluate_model
-from cyclekit.api.given import Sequences, jobs_of, place_of, sequences_of, trained_of
+from cyclekit.api.given import Sequences, jobs_of, place_of, sequences_of, times_of, trained_of
 from cyclekit.api.plan import plan_order
 from cyclekit.api.whatif import what_if as try_changes
+from cyclekit.api.workbooks import need_workbook, sheets_of_estimates, sheets_of_logs
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
@@ -24,19 +25,37 @@ from cyclekit.estimate.whatif.change import Change, load_changes
 from cyclekit.learning.evaluation.evaluate import Evaluation
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.report import ReportFacts, Template, Tried, compose_report, load_tried, need_browser, write_pdf
+from cyclekit.report.task_lists import report_tasks
+from cyclekit.storage.scratch import Scratch
+from cyclekit.storage.workbook import write_workbook
 
 if TYPE_CHECKING:
     from cyclekit.dataset.guard import Kind
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan.answer import OrderPlan
+    from cyclekit.estimate.plan.task_orders import TaskOrderPlan
     from cyclekit.estimate.whatif.answers import WhatIfAnswers
 
-Format = Literal["html", "json", "csv", "md"]
+Format = Literal["html", "json", "csv", "md", "xlsx"]
 ORDER = "order found"
 """How the order that was found is named among the sequences."""
-_WRITTEN_AS: dict[Format, Kind] = {"html": "page", "md": "words", "json": "report-json", "csv": "report-csv"}
-_ENDINGS: dict[str, Format] = {".htm": "html", ".md": "md", ".markdown": "md", ".json": "json", ".csv": "csv"}
+_WRITTEN_AS: dict[Format, Kind] = {
+    "html": "page",
+    "md": "words",
+    "json": "report-json",
+    "csv": "report-csv",
+    "xlsx": "workbook",
+}
+_ENDINGS: dict[str, Format] = {
+    ".htm": "html",
+    ".md": "md",
+    ".markdown": "md",
+    ".json": "json",
+    ".csv": "csv",
+    ".xlsx": "xlsx",
+}
 
 
 @checked
@@ -44,7 +63,7 @@ def write_report(
     dataset: Dataset | Place,
     out: Place,
     *,
-    model: TrainedModel | Place | None = None,
+    model: TrainedModel | TaskTimesModel | Place | None = None,
     sequences: Sequences | None = None,
     what_if: Sequence[Place | Change | Tried] = (),
     jobs: Jobs | Place | None = None,
@@ -65,13 +84,13 @@ def write_report(
     Args:
         dataset: The logs: a dataset, its folder or its URL.
         out: The file; an existing one is replaced when the new one is complete.
-        model: Trained model; without it the page is about the logs alone.
+        model: Trained model; without it the page is about the logs alone. One of task times has a page of its own.
         sequences: Whose estimates go into the page: sequences, or the sequence file.
         what_if: Tried on the sequences: changes, or files of them (`CHANGES.toml`). Or what was computed before:
             `FILE.json` of `what_if`, `LABEL=FILE.json` of `estimate_cycles`.
         jobs: Work whose quickest order is searched, estimated and changed with the sequences.
         takt_s: Takt time that the cycles are held against, s.
-        kind: `html`, `json`, `csv` or `md`; by default by the ending of `out`.
+        kind: `html`, `json`, `csv`, `md` or `xlsx`; by default by the ending of `out`.
         pdf: Also print the page here, by an installed browser.
         template: Folder whose files take the place of the page's own.
         cell_name: Title of the page; the dataset's name where not given.
@@ -91,6 +110,8 @@ def write_report(
     given = [place_of(each) for each in (dataset, model, sequences, jobs, template)]
     read = [*given, *(str(each).rpartition("=")[2] for each in what_if if isinstance(each, str | Path))]
     check_output(file, _WRITTEN_AS[chosen], read)
+    if chosen == "xlsx":
+        need_workbook(file)
     check_output(printed, "pdf", [*read, file], option="--pdf", endings=(".pdf",))
     changes, tried = _tried(what_if)
     if model is None and (sequences or jobs or changes):
@@ -103,16 +124,60 @@ def write_report(
     data = Dataset.of(dataset)
     page: dict[str, Any] = {"estimates": estimates or (), "check": estimates.check if estimates else None}
     page["what_if"] = tried
-    trained = None if model is None else trained_of(model)
+    times = times_of(model)
+    if times is not None:
+        facts = _of_tasks(times, data, file, sequences, changes, jobs, chosen, folder, cell_name)
+        if printed is not None:
+            write_pdf(file, printed)
+        return replace(facts, pdf=printed)
+    trained = None if model is None else trained_of(model)  # type: ignore[arg-type]  # none of task times
     if trained is not None:
         asked = _Asked(trained, data, validate, extrapolate, other_cell, tell)
+        asked.takt_s = takt_s if chosen == "xlsx" else None  # the page counts its share itself
         page = asked.found(sequences, changes, tried, jobs, estimates, evaluation)
-    looks: dict[str, Any] = {"takt_s": takt_s, "kind": chosen, "template": folder, "cell_name": cell_name}
-    facts = compose_report(data, trained, file, **page, **looks, progress=_part(tell, 0.7, 1.0))
+    looks: dict[str, Any] = {"takt_s": takt_s, "template": folder, "cell_name": cell_name}
+    if chosen == "xlsx":
+        return _as_workbook(data, trained, file, page, looks)
+    facts = compose_report(data, trained, file, kind=chosen, **page, **looks, progress=_part(tell, 0.7, 1.0))
     if printed is not None:
         tell(1.0, "printing")
         write_pdf(file, printed)
     return replace(facts, pdf=printed)
+
+
+def _of_tasks(
+    model: TaskTimesModel,
+    data: Dataset,
+    file: Path,
+    sequences: Sequences | None,
+    changes: list[Change],
+    jobs: Jobs | Place | None,
+    kind: str,
+    template: Path | None,
+    cell_name: str | None,
+) -> ReportFacts:
+    """Write the report of a model of task times."""
+    wanted = [] if sequences is None else sequences_of(sequences)
+    planned = None if jobs is None else cast("TaskOrderPlan", plan_order(model, data, jobs))
+    asked = [*wanted, *([TaskSequence.of_plan("planned", planned.tasks)] if planned else [])]
+    if changes and not asked:
+        raise ConfigError("changes are tried on sequences, and none are given", cure="Give sequences or jobs.")
+    found = estimate_cycles(model, data, wanted).require_all() if wanted else None
+    changed = try_changes(model, data, asked, changes).require_all() if changes else ()
+    name = cell_name or data.card.name or data.path.name
+    parts: dict[str, Any] = {"estimates": found, "planned": planned, "changed": list(changed)}
+    return report_tasks(model.card, file, name=name, kind=kind, template=template, **parts)
+
+
+def _as_workbook(
+    data: Dataset, model: TrainedModel | None, file: Path, page: dict[str, Any], looks: dict[str, Any]
+) -> ReportFacts:
+    """Write the numbers of the page as a workbook, and return the facts of the page about it."""
+    with Scratch() as scratch:
+        facts = compose_report(data, model, scratch.path / "report.json", kind="json", **page, **looks)
+    found = page["estimates"]
+    write_workbook(file, sheets_of_estimates(found, data, model) if found else sheets_of_logs(data))
+    return replace(facts, path=file, bytes=file.stat().st_size)
 
 
 class _Asked:
@@ -123,6 +188,7 @@ class _Asked:
     ) -> None:
         refuse_other_cell(model.card, data, other_cell=other_cell)
         self.model, self.data, self.extrapolate, self.tell = model, data, extrapolate, tell
+        self.takt_s: float | None = None
         self.given: dict[str, Any] = {"validate": validate, "other_cell": other_cell}
 
     def found(
@@ -164,11 +230,12 @@ class _Asked:
         }
 
     def _planned(self, jobs: Jobs | Place) -> OrderPlan:
-        return plan_order(self.model, self.data, jobs_of(jobs), progress=_part(self.tell, 0.0, 0.2), **self.given)
+        found = plan_order(self.model, self.data, jobs_of(jobs), progress=_part(self.tell, 0.0, 0.2), **self.given)
+        return cast("OrderPlan", found)  # of places, as the jobs are
 
     def _estimated(self, wanted: list[TaskSequence]) -> CycleEstimates:
         asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.2, 0.4), **self.given}
-        return estimate_cycles(self.model, self.data, wanted, **asked).require_all()
+        return estimate_cycles(self.model, self.data, wanted, takt_s=self.takt_s, **asked).require_all()
 
     def _changed(self, wanted: list[TaskSequence], changes: list[Change], check: Check | None) -> WhatIfAnswers:
         asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.4, 0.6), "check": check, **self.given}

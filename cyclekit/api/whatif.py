@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import Changes, Sequences, changes_of, model_of, path_of, place_of, sequences_of
+from cyclekit.api.given import Changes, Sequences, changes_of, estimator_model, path_of, place_of, sequences_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
+from cyclekit.errors import EstimateError
 from cyclekit.estimate.answers import Refusal, refusing, together
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.safety import SafetyModel
 from cyclekit.estimate.whatif.answer import what_if as compare
 from cyclekit.estimate.whatif.answers import WhatIfAnswers
+from cyclekit.estimate.whatif.both import what_if_tasks
+from cyclekit.estimate.whatif.change import Change
+from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.storage.atomic import write_text
 from cyclekit.text.plain_json import json_text
 
 
 @checked
 def what_if(
-    model: SafetyModel | Place,
+    model: SafetyModel | TaskTimesModel | Place,
     dataset: Dataset | Place,
     sequences: Sequences,
     changes: Changes,
@@ -33,7 +37,7 @@ def what_if(
     """Estimate every sequence as it is and under every change. No safety proof.
 
     Args:
-        model: A model of problem `now`, its folder or its URL.
+        model: A model of problem `now` or of task times, its folder or its URL.
         dataset: The logs.
         sequences: What is asked for: sequences, or the sequence file.
         changes: Each by itself: changes, or the file of changes.
@@ -58,19 +62,27 @@ def what_if(
     check_output(file, "what-if", inputs, endings=(".json",))
     wanted, changed = sequences_of(sequences), changes_of(changes)
     refused: list[Refusal] = []
-    found = compare(
-        model_of(model),
-        Dataset.of(dataset),
-        wanted,
-        changed,
-        seed=seed,
-        extrapolate=extrapolate,
-        validate=validate,
-        check=check,
-        other_cell=other_cell,
-        refused=lambda change, error: refusing(refused, change.name, error),
-        progress=progress,
-    )
+    opened, logs = estimator_model(model), Dataset.of(dataset)
+
+    def refuse(change: Change, error: EstimateError) -> None:
+        refusing(refused, change.name, error)
+
+    if isinstance(opened, TaskTimesModel):
+        found = what_if_tasks(opened.card, wanted, changed, seed=seed, refused=refuse)
+    else:
+        found = compare(
+            opened,
+            logs,
+            wanted,
+            changed,
+            seed=seed,
+            extrapolate=extrapolate,
+            validate=validate,
+            check=check,
+            other_cell=other_cell,
+            refused=refuse,
+            progress=progress,
+        )
     if not found and changed:
         raise together(refused)
     answer = WhatIfAnswers(tuple(found), tuple(refused))

@@ -5,6 +5,8 @@
     exit 2   the command line itself was wrong
     exit 130 interrupted
 
+The exit code of `gate` is its verdict, 0 or 1; there our errors end with 2 as well.
+
 With `--json` standard output holds exactly one JSON document, also when the command fails; everything else goes to
 standard error. A traceback means a bug of cyclekit. What the commands compute is the library's business: everything
 here can be done from Python in one line, the call in the middle of each command.
@@ -34,11 +36,13 @@ if TYPE_CHECKING:
     import typer
 
 ORDER = (
-    *("demo", "simulate", "calibrate", "ingest", "inspect", "trace", "convert"),
-    *("levels", "train", "evaluate", "estimate", "plan", "zones", "whatif", "replay", "report"),
+    *("demo", "simulate", "init", "run", "calibrate", "ingest", "inspect", "trace", "convert"),
+    *("levels", "train", "evaluate", "estimate", "gate", "plan", "zones", "whatif", "replay", "report"),
     *("fleet", "export", "adapters"),
 )
 """The commands in the order of the work; each is a module of this package with a function of its name."""
+MODULES = {"run": "run_project"}
+"""Commands whose module has another name: one called `run` would hide the function here."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -75,9 +79,13 @@ def run(words: list[str]) -> int:
     try:
         return _run(words)
     except OSError as error:
-        return _refused(error, as_json="--json" in words)
+        return _refused(error, as_json="--json" in words, code=_code_of_errors(words))
     except MemoryError as error:
-        return _too_large(error, as_json="--json" in words)
+        return _too_large(error, as_json="--json" in words, code=_code_of_errors(words))
+
+
+def _code_of_errors(words: list[str]) -> int:
+    return 2 if words[:1] == ["gate"] else 1
 
 
 def _run(words: list[str]) -> int:
@@ -93,7 +101,7 @@ def _run(words: list[str]) -> int:
         code = app(wanted)(args=words or ["--help"], prog_name="cyclekit", standalone_mode=False)
         flush()
     except CyclekitError as error:
-        return say_failure(str(error), kind=type(error).__name__, as_json=as_json)
+        return say_failure(str(error), kind=type(error).__name__, as_json=as_json, code=_code_of_errors(words))
     except typer.TyperException as error:
         return say_usage(error, as_json=as_json)
     except (KeyboardInterrupt, typer.Abort):
@@ -115,36 +123,38 @@ def _say_left_out() -> None:
     Terminal(json=False, quiet=False).warnings([str(adapter) for adapter in registry.noticed()])
 
 
-def _refused(error: OSError, *, as_json: bool) -> int:
+def _refused(error: OSError, *, as_json: bool, code: int) -> int:
     """Say what the system has refused, and return the exit code; of a reader that has gone nothing need be said."""
     from cyclekit.cli.terminal import say_failure
 
     if isinstance(error, BrokenPipeError):
         drop_output()
-        return 1
+        return code
     if is_of_output(error):  # then it takes no document either
         drop_output()
-    return say_failure(explained(error), kind="SystemRefused", as_json=as_json)
+    return say_failure(explained(error), kind="SystemRefused", as_json=as_json, code=code)
 
 
-def _too_large(error: MemoryError, *, as_json: bool) -> int:
+def _too_large(error: MemoryError, *, as_json: bool, code: int) -> int:
     from cyclekit.cli.terminal import say_failure
     from cyclekit.errors import CyclekitError
 
     why = f" ({error})" if str(error) else ""
     cure = "Work on fewer logs at a time, a month of them say, or on a machine with more memory."
     seen = f"this needs more memory than the process may take{why}"
-    return say_failure(str(CyclekitError(seen, cure=cure)), kind="MemoryError", as_json=as_json)
+    return say_failure(str(CyclekitError(seen, cure=cure)), kind="MemoryError", as_json=as_json, code=code)
 
 
 def app(wanted: Sequence[str] = ORDER) -> typer.Typer:
     """Return the command line with the commands wanted: each takes milliseconds to look at before one can run."""
     from importlib import import_module
 
+    from cyclekit.cli.in_project import InProject
     from cyclekit.cli.options import new_app
 
     commands = new_app()
     for command in wanted:
-        module = import_module(f"cyclekit.cli.{command}")
-        commands.command(command, epilog=f"\b\nExample:\n  {module.EXAMPLE}")(getattr(module, command))
+        module = import_module(f"cyclekit.cli.{MODULES.get(command, command)}")
+        epilog = f"\b\nExample:\n  {module.EXAMPLE}"
+        commands.command(command, cls=InProject, epilog=epilog)(getattr(module, command))
     return commands

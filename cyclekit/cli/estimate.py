@@ -49,7 +49,7 @@ def estimate(
     model: ModelPlace,
     sequences: SequenceFile,
     dataset: LoggedPlace,
-    out: Annotated[Path | None, typer.Option(help="Also write the result here: JSON, or CSV for x.csv.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Also write it here: JSON; CSV for x.csv, Excel for x.xlsx.")] = None,
     gantt: Annotated[Path | None, typer.Option(help="Also draw a time chart here: SVG, PNG or PDF.")] = None,
     estimator: Annotated[
         str | None, typer.Option(help="rollout, average, history or nominal; by default what suits the model.")
@@ -73,6 +73,8 @@ def estimate(
     is an error.
     """
     from cyclekit.api.estimate import estimate_cycles
+    from cyclekit.api.inspect import plan_recordings
+    from cyclekit.cli.facts import to_log
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
@@ -103,6 +105,7 @@ def estimate(
         alarmed(found.alarms),
         numbers,
         not_answered(found.refused),
+        to_log(plan_recordings(dataset, sequences)) if found.refused and not found[0].plan else "",
         ranking(found),
         takt_table(found),
         by_task,

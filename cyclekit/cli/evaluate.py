@@ -36,8 +36,15 @@ def evaluate(
 
     On newer logs with --trained-on: whether safety function or habits changed.
     """
-    from cyclekit.api.evaluate import evaluate_models
+    from cyclekit.api.evaluate import evaluate_models, evaluate_task_times
+    from cyclekit.learning.task_times.saved import holds_task_times
 
+    if holds_task_times(model):
+        terminal = Terminal(json=json, quiet=quiet)
+        with terminal.progress("evaluating") as progress:
+            judged_times = evaluate_task_times(model, dataset, trained_on=trained_on, progress=progress)
+        terminal.answer(judged_times.to_dict(), judged_times.said())
+        return
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     with terminal.progress("evaluating") as progress:
         found = evaluate_models(

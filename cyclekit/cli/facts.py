@@ -15,6 +15,7 @@ from cyclekit.text.plain_text import one_line
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from cyclekit.estimate.what_to_log import RecordingPlan
     from cyclekit.inspect.facts import (
         DatasetDescription,
         Description,
@@ -170,6 +171,7 @@ def _dataset(found: DatasetDescription) -> str:
     if found.samples:
         parts.append(_tasks(found.tasks))
         parts.append(lost_table(found.lost))
+    parts.append(to_log(found.to_log))
     parts.append(task_list_tables(found.task_list) if found.task_list else "")
     parts.append(coupling_table(found.coupling))
     parts += [_clocks(found.clocks), _operator(found.operator)]
@@ -177,6 +179,11 @@ def _dataset(found: DatasetDescription) -> str:
     parts.append(bullet(_some(silences, SHOWN_FILES)))
     parts.append(bullet(_some(found.warnings, SHOWN_FILES), mark="! "))
     return "\n\n".join(part for part in parts if part)
+
+
+def to_log(plan: RecordingPlan | None) -> str:
+    """Return what to log next; nothing where nothing is lacking."""
+    return "What to log next\n" + bullet(plan.lines) if plan is not None and plan.lines else ""
 
 
 def _of_samples(found: DatasetDescription) -> list[str]:

@@ -25,6 +25,9 @@ def inspect(
     write_cell: Annotated[
         bool, typer.Option("--write-cell", help="Print a cell file for these logs; a draft for unknown tables.")
     ] = False,
+    sequences: Annotated[
+        Path | None, typer.Option(help="Of a dataset: what to log next, so that these can be estimated.")
+    ] = None,
     follow_links: FollowLinks = False,
     verify: Annotated[
         bool, typer.Option("--verify", help="Check that every file of a dataset is as it was written.")
@@ -47,7 +50,9 @@ def inspect(
     from cyclekit.inspect.facts import DatasetDescription
 
     with terminal.progress("looking") as progress:
-        found = inspect_logs(path, cell=cell, follow_links=follow_links, verify=verify, progress=progress)
+        found = inspect_logs(
+            path, cell=cell, sequences=sequences or (), follow_links=follow_links, verify=verify, progress=progress
+        )
     checked = found.verified if isinstance(found, DatasetDescription) else None
     whole = "" if checked is None else f"{checked} files, all as written"
     terminal.answer(found.to_dict(), page(found), whole)

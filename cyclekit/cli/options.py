@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from cyclekit.text.durations import seconds_in
+
 if TYPE_CHECKING:
     from cyclekit.parallel.engine import Engine
 
@@ -29,7 +31,9 @@ LoggedPlace = Annotated[
 SequenceFile = Annotated[
     Path, typer.Argument(help="Sequence file: names and ordered places or tasks.", metavar="SEQUENCES.toml")
 ]
-Takt = Annotated[str | None, typer.Option(metavar="TIME", help="Takt time, such as 105s: compare the cycles with it.")]
+Takt = Annotated[
+    str | None, typer.Option(metavar="TIME", help="Takt time, such as 105s or 1min 45s: compare the cycles with it.")
+]
 OperatorLog = Annotated[
     Path | None, typer.Option(help="Real tracker recording to use instead of the simulated operator.")
 ]
@@ -60,7 +64,6 @@ def new_app() -> typer.Typer:
             "The way: ingest logs, train on the dataset, estimate sequences; then replay and report."
         ),
         epilog="\b\nStart here:\n  cyclekit demo --out out/",
-        add_completion=False,
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -86,23 +89,15 @@ def _first(
 
 
 def seconds(text: str) -> float:
-    """Return a duration such as `14s`, `14`, `1.5min` or `500ms` in seconds.
+    """Return a duration such as `14s`, `14`, `1min 45s` or `500ms` in seconds.
 
     Raises:
         typer.BadParameter: It is not a positive duration.
     """
-    units = {"ms": 0.001, "min": 60.0, "s": 1.0}
-    word = text.strip().lower()
-    unit = next((name for name in units if word.endswith(name)), "")
     try:
-        value = float(word.removesuffix(unit)) * units.get(unit, 1.0)
+        return seconds_in(text)
     except ValueError as error:
-        msg = f"{text!r} is not a duration; write it as 14s, 0.5min or 500ms"
-        raise typer.BadParameter(msg) from error
-    if not 0 < value < float("inf"):
-        msg = f"{text!r} is not a positive duration"
-        raise typer.BadParameter(msg)
-    return value
+        raise typer.BadParameter(str(error)) from error
 
 
 def whole_numbers(text: str) -> tuple[int, ...]:

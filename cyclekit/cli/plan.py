@@ -13,15 +13,19 @@ from cyclekit.cli.terminal import Terminal, bullet
 
 if TYPE_CHECKING:
     from cyclekit.estimate.plan import OrderPlan
+    from cyclekit.estimate.plan.task_orders import TaskOrderPlan
 
 EXAMPLE = "cyclekit plan model jobs.toml --dataset dataset"
 
 
 def plan(
     model: ModelPlace,
-    jobs: Annotated[Path, typer.Argument(help="Places to visit and their constraints (before).", metavar="JOBS.toml")],
+    jobs: Annotated[
+        Path,
+        typer.Argument(help="Places to visit, or both agents' tasks; constraints (before).", metavar="JOBS.toml"),
+    ],
     dataset: LoggedPlace,
-    out: Annotated[Path | None, typer.Option(help="Also write the order here, as a sequence file.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Also write it: a sequence file (.toml) or Excel (.xlsx).")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the search and the resampling.")] = 0,
     check: Checked = True,
     other_cell: OtherCell = False,
@@ -34,6 +38,7 @@ def plan(
     Says what the order saves against the logged ones.
     """
     from cyclekit.api.plan import plan_order
+    from cyclekit.estimate.plan.task_orders import TaskOrderPlan
 
     terminal = Terminal(json=json, quiet=quiet)
     with terminal.progress("planning") as progress:
@@ -42,10 +47,29 @@ def plan(
         )
     if out is not None:
         terminal.remark(f"written: {out}")
+    if isinstance(found, TaskOrderPlan):
+        terminal.answer(found.to_dict(), _both(found))
+        return
     alarms = [found.alarm] if found.alarm else []
     doubts = bullet(found.doubts, mark=DOUBTED)
     terminal.warnings(found.notes)
     terminal.answer({**found.to_dict(), "warnings": alarms}, alarmed(alarms), f"{_text(found)}\n{doubts}".rstrip())
+
+
+def _both(found: TaskOrderPlan) -> str:
+    """Return the order of both agents, and what it saves."""
+    agents = dict.fromkeys(task.agent for task in found.tasks)
+    lines = [f"{agent}: {', '.join(one.name for one in found.tasks if one.agent == agent)}" for agent in agents]
+    saved, low, high = found.saves_s
+    return "\n".join(
+        [
+            *lines,
+            f"expected {found.estimate.expected_s:.1f} s; {found.against} {found.against_s:.1f} s on average",
+            f"saves {saved:.1f} s a cycle ({low:.1f} to {high:.1f} s, 95%)",
+            f"search: {found.tried} orders scored; {found.estimate.executions} logged executions",
+            *found.estimate.warnings,
+        ]
+    )
 
 
 def _text(found: OrderPlan) -> str:

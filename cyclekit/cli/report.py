@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 EXAMPLE = "cyclekit report dataset --model model --sequences sequences.toml --out report.html"
 
-Format = Literal["html", "json", "csv", "md"]
-FORMATS: tuple[Format, ...] = ("html", "json", "csv", "md")
+Format = Literal["html", "json", "csv", "md", "xlsx"]
+FORMATS: tuple[Format, ...] = ("html", "json", "csv", "md", "xlsx")
 
 
 def report(
@@ -38,7 +38,7 @@ def report(
         Path | None, typer.Option(metavar="JOBS.toml", help="Search the order of this work that takes least time.")
     ] = None,
     kind: Annotated[
-        str | None, typer.Option("--format", help="html, json, csv or md; default: by the ending of --out.")
+        str | None, typer.Option("--format", help="html, json, csv, md or xlsx; default: by the ending of --out.")
     ] = None,
     pdf: Annotated[
         Path | None, typer.Option(help="Also print the page to this PDF, with an installed browser.")

@@ -94,7 +94,7 @@ def say_failure(message: str, *, kind: str, as_json: bool, code: int = 1) -> int
     """Say in one message why the command failed, and return the exit code."""
     if as_json:
         write_json({"error": {"kind": kind, "message": message}})
-    _print(f"error: {message}" if code == 1 else message, err=True)
+    _print(message if code == 130 else f"error: {message}", err=True)
     return code
 
 

@@ -159,7 +159,9 @@ def task_times_summary(found: TaskTimesModel) -> str:
             f"held out: {judged.orders} orders, mean cycle time {judged.bias:+.1%} off (+-{judged.within:.1%}), "
             f"spread over orders {judged.order_error:.1%}"
         )
-    return f"task times from {found.card.executions} executions\n{table(heads, rows)}\n  {held}"
+    lines = [held, *(pace.said(agent) for agent, pace in found.card.pace.items())]
+    told = "\n".join(f"  {line}" for line in lines)
+    return f"task times from {found.card.executions} executions\n{table(heads, rows)}\n{told}"
 
 
 def summary(card: TrainingCard) -> str:

@@ -11,6 +11,7 @@ from cyclekit.cli.options import DatasetPlace, Extrapolate, Json, ModelPlace, Ot
 from cyclekit.cli.terminal import Terminal, bullet, percent, table
 
 if TYPE_CHECKING:
+    from cyclekit.dataset.cards.rule import RuleCard
     from cyclekit.estimate.whatif.costs import SafetyCosts
     from cyclekit.estimate.whatif.separation import Margins, Separation
     from cyclekit.learning.safety_function import SafetyFunction
@@ -129,7 +130,20 @@ def _written(found: SafetyFunction) -> str:
     first = bullet([verdict(found.commanded)], mark="")
     by_law = found.commanded.rule is not None and found.commanded.rule.law is not None
     last = bullet([_from(found)] if by_law else [_levels(found), _from(found)], mark="")
-    return f"{first}\n{bullet(found.rule_sentences)}\n{last}"
+    fields = _fields(found.commanded.rule) if found.rule == "signals" else ""
+    return f"{first}\n{fields}{bullet(found.rule_sentences)}\n{last}"
+
+
+def _fields(rule: RuleCard | None) -> str:
+    """Return the table: which field, where on the robot's path, which speed."""
+    from cyclekit.learning.rules.words import place_of
+
+    rows = [
+        [one.signal, one.value, place_of(one), percent(limit.scaling)]
+        for limit in (() if rule is None else rule.limits)
+        for one in limit.within.signals
+    ]
+    return table(["signal ", "occupied at", "while the TCP is", "speed at most"], rows) + "\n"
 
 
 def _why(found: SafetyFunction) -> list[str]:

@@ -1,4 +1,4 @@
-"""A `Cell` -> the text of a cell file that reads back as the same one."""
+"""A `Cell` -> the text of a cell file that reads back as the same one; likewise a sequence."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from cyclekit.text.plain_text import one_line
 
 if TYPE_CHECKING:
     from cyclekit.adapter import Draft, Proposal
+    from cyclekit.config.sequences import TaskSequence
 
 _ABOUT_DRAFTS = (
     "# Sources that no adapter knows are proposed here by their header and first rows: look at each line.",
@@ -26,18 +27,18 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
         drafts: Proposals for sources, by path; an uncertain one becomes a comment.
     """
     drafts = drafts or {}
-    lines = [*(_ABOUT_DRAFTS if drafts else ()), f"name = {_toml(cell.name)}"]
-    lines += [f"ignore = {_toml(list(cell.ignore))}"] if cell.ignore else []
-    lines += [f"reference = {_toml(list(cell.reference))}  # logs without an operator"] if cell.reference else []
-    lines += [f"rate_hz = {_toml(cell.rate_hz)}"] if cell.rate_hz != Cell.rate_hz else []
-    lines += [f"bridge_s = {_toml(cell.bridge_s)}"] if cell.bridge_s != Cell.bridge_s else []
+    lines = [*(_ABOUT_DRAFTS if drafts else ()), f"name = {toml_value(cell.name)}"]
+    lines += [f"ignore = {toml_value(list(cell.ignore))}"] if cell.ignore else []
+    lines += [f"reference = {toml_value(list(cell.reference))}  # logs without an operator"] if cell.reference else []
+    lines += [f"rate_hz = {toml_value(cell.rate_hz)}"] if cell.rate_hz != Cell.rate_hz else []
+    lines += [f"bridge_s = {toml_value(cell.bridge_s)}"] if cell.bridge_s != Cell.bridge_s else []
     lines += ["all_places_named = true"] if cell.all_places_named else []
-    lines += [f"levels = {_toml(list(cell.levels))}"] if cell.levels else []
+    lines += [f"levels = {toml_value(list(cell.levels))}"] if cell.levels else []
     for source in cell.sources:
         lines += ["", "[[sources]]"]
         for key, value in vars(source).items():
             if value is not None and value not in ({}, ()) and (key, value) != ("clock_rate", 1.0):
-                lines.append(f"{key} = {_toml(value)}")
+                lines.append(f"{key} = {toml_value(value)}")
         draft = drafts.get(source.path)
         lines += [_proposed(proposal) for proposal in draft.source] if draft else []
         role = _role(source, draft)
@@ -48,28 +49,44 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
         lines += _drafted_map(draft) if draft else []
     for title, places in (("places", cell.places), ("human_places", cell.human_places)):
         for name, place in places.items():
-            xyz, radius = _toml(list(place.xyz_m)), _toml(place.radius_m)
+            xyz, radius = toml_value(list(place.xyz_m)), toml_value(place.radius_m)
             lines += ["", f"[{title}.{_key(name)}]", f"xyz_m = {xyz}", f"radius_m = {radius}"]
     for name, thing in cell.furniture.items():
-        lines += ["", f"[furniture.{_key(name)}]", *(f"{key} = {_toml(value)}" for key, value in vars(thing).items())]
+        lines += [
+            "",
+            f"[furniture.{_key(name)}]",
+            *(f"{key} = {toml_value(value)}" for key, value in vars(thing).items()),
+        ]
     for told in cell.operator_signals:
-        lines += ["", "[[operator_signals]]", *(f"{key} = {_toml(value)}" for key, value in vars(told).items())]
+        lines += ["", "[[operator_signals]]", *(f"{key} = {toml_value(value)}" for key, value in vars(told).items())]
     for wait in cell.waits:
-        keys = [f"{key} = {_toml(value)}" for key, value in vars(wait).items() if value not in (None, False)]
+        keys = [f"{key} = {toml_value(value)}" for key, value in vars(wait).items() if value not in (None, False)]
         lines += ["", "[[waits]]", *keys]
     if cell.robot is not None:
         arm = ("model", cell.robot.model) if cell.robot.model else ("dh", [list(row) for row in cell.robot.dh])
-        lines += ["", "[robot]", f"{arm[0]} = {_toml(arm[1])}", f"tool_m = {_toml(list(cell.robot.tool_m))}"]
+        lines += ["", "[robot]", f"{arm[0]} = {toml_value(arm[1])}", f"tool_m = {toml_value(list(cell.robot.tool_m))}"]
     begin = cell.executions
     lines += [
         "",
         "[executions]",
         f'begin = "{begin.begin}"  # {", ".join(get_args(Begin))}',
-        f"gap_s = {_toml(begin.gap_s)}",
+        f"gap_s = {toml_value(begin.gap_s)}",
     ]
-    lines += [f"home = {_toml(begin.home)}"] if begin.home else []
+    lines += [f"home = {toml_value(begin.home)}"] if begin.home else []
     lines += [f"bit = {begin.bit}"] if begin.bit else []
-    lines += [f"signal = {_toml(begin.signal)}"] if begin.signal else []
+    lines += [f"signal = {toml_value(begin.signal)}"] if begin.signal else []
+    return "\n".join(lines) + "\n"
+
+
+def sequence_to_toml(sequence: TaskSequence) -> str:
+    """Return one `[[sequence]]` that reads back as this sequence."""
+    lines = ["[[sequence]]", f"name = {toml_value(sequence.name)}"]
+    if not sequence.plan:
+        lines.append(f"places = {toml_value(list(sequence.places))}")
+    for task in sequence.plan:
+        lines += ["", "[[sequence.task]]", f"agent = {toml_value(task.agent)}", f"name = {toml_value(task.name)}"]
+        lines += [] if task.not_before_s is None else [f"not_before_s = {toml_value(task.not_before_s)}"]
+        lines += [f"after = {toml_value(list(task.after))}"] if task.after else []
     return "\n".join(lines) + "\n"
 
 
@@ -86,23 +103,24 @@ def _drafted_map(draft: Draft) -> list[str]:
 def _proposed(proposal: Proposal) -> str:
     """Return a key that is proposed; one that is not sure as a comment."""
     why = f"  # {one_line(proposal.why)}" if proposal.why else ""
-    return f"{'' if proposal.sure else '# ? '}{_key(proposal.key)} = {_toml(proposal.value)}{why}"
+    return f"{'' if proposal.sure else '# ? '}{_key(proposal.key)} = {toml_value(proposal.value)}{why}"
 
 
 def _key(name: str) -> str:
-    return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else _toml(name)
+    return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else toml_value(name)
 
 
-def _toml(value: object) -> str:
+def toml_value(value: object) -> str:
+    """Return a value of a cell or project file as TOML writes it."""
     if isinstance(value, Frame):
         rotation = [list(row) for row in value.rotation]
-        return f"{{ xyz_m = {_toml(list(value.xyz_m))}, rotation = {_toml(rotation)} }}"
+        return f"{{ xyz_m = {toml_value(list(value.xyz_m))}, rotation = {toml_value(rotation)} }}"
     if isinstance(value, Sync):
         value = vars(value)
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(str(k))} = {_toml(v)}" for k, v in value.items()) + " }"
+        return "{ " + ", ".join(f"{_key(str(k))} = {toml_value(v)}" for k, v in value.items()) + " }"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
+        return "[" + ", ".join(toml_value(item) for item in value) + "]"
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

@@ -12,6 +12,8 @@ from __future__ import annotations
 import os
 import re
 import stat
+import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -21,6 +23,7 @@ from cyclekit.errors import OutputError
 from cyclekit.storage.outputs import check_writable, check_writable_folder
 from cyclekit.storage.remote.cache import of_file_url
 from cyclekit.storage.remote.folders import is_url
+from cyclekit.storage.workbook import MARK
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -53,7 +56,7 @@ class _Kind:
 Kind = Literal[
     "dataset", "model", "logs", "folder", "page", "words", "report-json", "report-csv", "estimates-json",
     "estimates-csv", "what-if", "sequences", "table-csv", "table-parquet", "replay", "onnx", "picture", "pdf",
-    "fleet", "cell",
+    "fleet", "cell", "workbook",
 ]  # fmt: skip
 _KINDS: dict[Kind, _Kind] = {
     "dataset": _Kind("dataset", holds="dataset.json"),
@@ -76,6 +79,7 @@ _KINDS: dict[Kind, _Kind] = {
     "cell": _Kind("note of a cell", rb'\A\s*\{\s*"stages":'),
     "fleet": _Kind("summary", rb'\A\s*\{\s*"fleet":'),
     "pdf": _Kind("page", rb"% written by cyclekit"),
+    "workbook": _Kind("workbook", MARK.encode()),
 }
 
 
@@ -178,7 +182,10 @@ def _ends(file: Path) -> bytes:
     try:
         with file.open("rb") as handle:
             first = handle.read(_ENDS_BYTES)
+            if first.startswith(b"PK"):  # a workbook: its properties are packed
+                with zipfile.ZipFile(handle) as packed:
+                    return packed.open("docProps/core.xml").read(_ENDS_BYTES)
             handle.seek(max(len(first), file.stat().st_size - _ENDS_BYTES))
             return first + b"\n" + handle.read() if first else b""
-    except OSError:
+    except (OSError, zipfile.BadZipFile, KeyError, zlib.error, EOFError, NotImplementedError, RuntimeError):
         return b"?"

@@ -112,9 +112,10 @@ def find_evidence(rows: Rows, levels: Sequence[float], people: Sequence[str] = (
     features, seen = features_of(rows, watching)
     usual = None
     if (learnt := held & free & seen & ~slow).any():
-        chosen = _apart(rows, np.flatnonzero(learnt), label)
+        chosen = np.flatnonzero(learnt) if people else _apart(rows, np.flatnonzero(learnt), label)
         chosen = chosen[:: 1 + len(chosen) // MOST_ROWS]
-        usual = usual_levels(features[chosen], label[chosen], len(values), rows.execution[chosen])
+        group = np.zeros_like(chosen) if people else rows.execution[chosen]  # a field may be on in few executions
+        usual = usual_levels(features[chosen], label[chosen], len(values), group)
     evidence = Evidence(top, values, usual, inputs, watching, {})
     alone = free if usual is None and not seen.any() else free & seen & (_lowest(rows, evidence) >= top - SAME)
     return Evidence(top, values, usual, inputs, watching, _limits(rows, slow, alone, top))

@@ -14,7 +14,9 @@ import numpy as np
 
 from cyclekit.dataset.cards import OperatorSignalCard
 from cyclekit.dataset.signals import OUTPUT, REGISTER, SignalChanges
+from cyclekit.derive.seen_slow import counting
 from cyclekit.derive.usual_levels import usual_levels
+from cyclekit.errors import UnknownName
 from cyclekit.people.activity import GOAL_SIGNAL
 
 if TYPE_CHECKING:
@@ -39,8 +41,6 @@ MIRRORS = 0.9
 MIRROR_S = 0.5
 CELL_M = 0.05
 """Places of the robot within this are one, m."""
-FAR_M = 99.0
-"""Where the robot counts as being while a signal is off: one cut then tells that it is on and the robot in a region."""
 PROGRAM = 0.97
 """A signal that the robot's task and place predict so well (balanced accuracy) is the program's own."""
 FOLDS, MOST_SIGNALS, MOST_ROWS = 5, 16, 30_000
@@ -82,6 +82,13 @@ class _Lead(NamedTuple):
     rise_s: float | None
 
 
+class _Answers(NamedTuple):
+    """After which time most answers follow a cause, s, negative where they precede it, None: none; how many do."""
+
+    delay_s: float | None = None
+    many: int = 0
+
+
 class FoundSignals(NamedTuple):
     """Signals that tell of people; reaction time to the first, and how much later the level rises; None: not seen."""
 
@@ -96,12 +103,19 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
     Args:
         evidence: Of all sessions, or of some.
         told: Those that the cell file names; then no others are looked for.
+
+    Raises:
+        UnknownName: No log holds a signal that the cell file names, or it never changes.
     """
     leads: dict[str, _Lead] = {}
     if told:
         for one in told:
-            (falls_s, _), (rises_s, _) = _delays(evidence, one.signal, one.occupied)
-            leads[one.signal] = _Lead(one.occupied, falls_s or 0.0, rises_s)
+            if one.signal not in evidence.signals:
+                raise UnknownName(
+                    "[[operator_signals]] of the cell file", "signal that changes", one.signal, evidence.signals
+                )
+            lead = _lead(one.occupied, *_delays(evidence, one.signal, one.occupied))
+            leads[one.signal] = lead or _Lead(one.occupied, 0.0, None)
         order = [(one.name, one.signal) for one in told]
     else:
         leads = _leading(evidence)
@@ -137,17 +151,24 @@ def _leading(evidence: SignalEvidence) -> dict[str, _Lead]:
         if name in own or GOAL_SIGNAL in name or _mirrors(_flips(changes), own_s):
             continue
         tried = [(value, *_delays(evidence, name, value)) for value in np.unique(changes.value).tolist()]
-        told = [
-            (falls[1] + rises[1], value, falls[0], rises[0]) for value, falls, rises in tried if falls[0] is not None
-        ]
-        if not told:
-            continue
-        count, value, falls_s, rises_s = max(told, key=lambda one: one[0])
-        if falls_s is None or falls_s <= -AT_ONCE_S or count < LEAST_ANSWERS:
-            continue
-        if not _of_program(evidence, changes.at(evidence.t_s) == value):
-            found[name] = _Lead(value, falls_s, rises_s)
+        value, falls, rises = max(tried, key=lambda one: one[1][1] + one[2][1])
+        lead = _lead(value, falls, rises)
+        if lead is not None and not _of_program(evidence, changes.at(evidence.t_s) == value):
+            found[name] = lead
     return found
+
+
+def _lead(occupied: str, falls: _Answers, rises: _Answers) -> _Lead | None:
+    """Return how the level answers to a signal; None where it does not, or precedes it.
+
+    The fall is seldom seen where a field counts on a small part of the path alone: then the rise tells the delay.
+    """
+    often, seldom = sorted((falls, rises), key=lambda one: -one.many)
+    if often.delay_s is None or often.delay_s <= -AT_ONCE_S or falls.many + rises.many < LEAST_ANSWERS:
+        return None
+    if seldom.delay_s is None or seldom.delay_s <= -AT_ONCE_S:
+        return _Lead(occupied, often.delay_s, None) if 2 * seldom.many < often.many + 1 else None
+    return _Lead(occupied, falls.delay_s or 0.0, rises.delay_s)
 
 
 def _believed(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> list[str]:
@@ -170,39 +191,32 @@ def _believed(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> list[str]
     return chosen
 
 
-def _delays(
-    evidence: SignalEvidence, signal: str, occupied: str
-) -> tuple[tuple[float | None, int], tuple[float | None, int]]:
+def _delays(evidence: SignalEvidence, signal: str, occupied: str) -> tuple[_Answers, _Answers]:
     """Return as of `_answers` how the level falls after a signal turned occupied, and rises after it turned free."""
-    changes = evidence.signals.get(signal)
-    if changes is None:
-        return (None, 0), (None, 0)
+    changes = evidence.signals[signal]
     free = np.sort(np.concatenate([changes.to(str(value)) for value in np.unique(changes.value) if value != occupied]))
     return _answers(changes.to(occupied), evidence.falls_s), _answers(free, evidence.rises_s)
 
 
-def _answers(cause_s: Vector, answer_s: Vector) -> tuple[float | None, int]:
-    """Return the time after which most answers follow a cause, s, negative where they precede it, and how many do.
-
-    None where no time is more frequent than by chance.
-    """
+def _answers(cause_s: Vector, answer_s: Vector) -> _Answers:
+    """Return how answers follow a cause; none where no time between them is more frequent than by chance."""
     if not len(cause_s) or not len(answer_s):
-        return None, 0
+        return _Answers()
     first = np.searchsorted(cause_s, answer_s - MOST_LAG_S)
     count = np.searchsorted(cause_s, answer_s + MOST_LAG_S) - first
     number = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
     lags = np.repeat(answer_s, count) - cause_s[np.repeat(first, count) + number]
     if not len(lags):
-        return None, 0
+        return _Answers()
     edges = np.arange(-MOST_LAG_S, MOST_LAG_S + BIN_S / 2, BIN_S)
     near = np.convolve(np.histogram(lags, edges)[0], np.ones(3), "same")
     chance = 3 * len(lags) / (len(edges) - 1)
     peak = int(near.argmax())
     if near[peak] < max(LEAST_ALIKE, chance + CHANCE * np.sqrt(chance)):
-        return None, 0
+        return _Answers()
     middle = float(edges[peak]) + BIN_S / 2
     alike = lags[np.abs(lags - middle) <= 1.5 * BIN_S]
-    return float(np.median(alike)), len(alike)
+    return _Answers(float(np.median(alike)), len(alike))
 
 
 def _flips(changes: SignalChanges) -> Vector:
@@ -232,9 +246,7 @@ def _of_program(evidence: SignalEvidence, on: Bools) -> bool:
 
 def _on(evidence: SignalEvidence, name: str, lead: _Lead) -> Bools:
     """Return where somebody is there by a signal, (N,), as the level answers to it."""
-    changes = evidence.signals.get(name)
-    if changes is None:
-        return np.zeros(len(evidence.t_s), np.bool_)
+    changes = evidence.signals[name]
     on = changes.at(evidence.t_s - lead.delay_s) == lead.occupied
     if lead.rise_s is not None and lead.rise_s > lead.delay_s + SAME_S:
         on |= changes.at(evidence.t_s - lead.rise_s) == lead.occupied
@@ -246,15 +258,15 @@ def _explained(evidence: SignalEvidence, on: Sequence[Bools]) -> float:
     known = np.flatnonzero(evidence.level >= 0)
     known = known[:: 1 + len(known) // MOST_ROWS]
     levels, level, execution = np.asarray(evidence.levels), evidence.level[known], evidence.execution[known]
-    place = evidence.place[known]
-    counts = [np.where(state[known, None], place, away) for state in on for away in (-FAR_M, FAR_M)]
-    features = np.column_stack([place, *(state[known] for state in on), *counts]).astype(np.float64)
+    states: list[Vector | Bools] = [state[known] for state in on]
+    features = np.column_stack([counting(evidence.place[known], states), *states]).astype(np.float64)
     wrong, fold = 0.0, np.unique(execution, return_inverse=True)[1].ravel() % FOLDS
     for part in np.unique(fold).tolist():
         learn = fold != part
         if not learn.any():
             return 0.0
-        tree = usual_levels(features[learn], level[learn], len(levels), execution[learn])
+        together = np.zeros(int(learn.sum()), np.int64)  # cuts are judged by the executions held out here
+        tree = usual_levels(features[learn], level[learn], len(levels), together)
         said = tree.lowest(features[~learn], 0.5)
         wrong += float(np.abs(levels[said] - levels[level[~learn]]).sum())
     lost = float((levels[-1] - levels[level]).sum())

@@ -146,9 +146,18 @@ def features_of(rows: Rows, watching: Sequence[str]) -> tuple[Floats, Bools]:
     columns = [np.linalg.norm(way, axis=1), flat, rows.human_m[:, 0], rows.human_m[:, 1]]
     bits = [rows.switches[name].at(rows.t_s) if name in rows.switches else np.zeros(len(seen)) for name in watching]
     by_signals = bool(watching) and not np.isfinite(rows.human_m).any()
-    robot = rows.robot_m[:, :2].T if by_signals else ()
+    robot = [counting(np.nan_to_num(rows.robot_m[:, :2]), bits)] if by_signals else []
     features = np.column_stack([*(np.where(seen, column, FAR_M) for column in columns), *bits, *robot])
     return features, np.asarray(np.isfinite(rows.robot_m).all(axis=1) if by_signals else seen | rows.absent)
+
+
+def counting(place: Floats, on: Sequence[Vector | Bools]) -> Floats:
+    """Return where the robot is, (N, 2), m, and where it is while each signal is on, beside FAR_M on either side.
+
+    Of these features, shape (N, 2 + 4 * signals), one cut tells that a signal is on and the robot in a region.
+    """
+    there = [np.where(np.asarray(state, np.bool_)[:, None], place, away) for state in on for away in (-FAR_M, FAR_M)]
+    return np.column_stack([place, *there])
 
 
 def _numbered(values: pl.Series, names: Sequence[str]) -> Ints:

@@ -92,7 +92,7 @@ def _estimated(
         wait_s=expected - nominal - beside,
         support=float("nan"),
         tracks=0,
-        warnings=(NOT_KNOWN, *(() if judged else (NOT_JUDGED,))),
+        warnings=(NOT_KNOWN, *(() if judged else (NOT_JUDGED,)), *_drift(model)),
         tasks=shares,
         safety_by_activity_s={},
         durations_s=tuple(single.tolist()),
@@ -104,6 +104,10 @@ def _estimated(
         takt_probability=within,
         plan=planned,
     )
+
+
+def _drift(model: TaskModelCard) -> list[str]:
+    return [pace.said(agent) for agent, pace in model.pace.items()]
 
 
 def _is_robot(model: TaskModelCard, task: object, sequence: TaskSequence) -> bool:

@@ -18,6 +18,7 @@ from cyclekit.storage.remote.folders import is_url, join
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+LEDGER, REPORT = "cell.json", "report.html"
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
 """It names a folder: letters, digits, '.', '_' and '-', the first a letter or digit."""
 _OF_A_CELL = ("name", "sources", "folder")
@@ -61,6 +62,21 @@ class FleetCell:
     def model(self) -> str:
         """Where its model stands."""
         return join(self.folder, "model")
+
+    @property
+    def report(self) -> str:
+        """Where its report is written."""
+        return join(self.folder, REPORT)
+
+    @property
+    def ledger(self) -> str:
+        """Where it is written down what came of its stages."""
+        return join(self.folder, LEDGER)
+
+    @property
+    def looks(self) -> dict[str, Any]:
+        """What else its report is told, by the names of `write_report`."""
+        return {}
 
     def logs(self) -> list[str]:
         """Return its sources as they are now, wildcards resolved.

@@ -15,8 +15,8 @@ from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.dataset.cards import plain
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import CyclekitError
-from cyclekit.fleet.read import Fleet, load_fleet
-from cyclekit.fleet.stages import LEDGER, REPORT, STAGES, StageResult, noted, read_ledger, work_on
+from cyclekit.fleet.read import REPORT, Fleet, load_fleet
+from cyclekit.fleet.stages import STAGES, StageResult, noted, read_ledger, work_on
 from cyclekit.learning.training import need_torch
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.report.fleet_page import CellLine, fleet_page
@@ -116,9 +116,9 @@ def run_fleet(
 def _check(fleet: Fleet, stages: Sequence[str]) -> None:
     """Refuse to work where something that is not the fleet's would be replaced, datasets and models apart."""
     for cell in fleet.cells:
-        check_output(join(cell.folder, LEDGER), "cell", cell.sources, option="`out`")
+        check_output(cell.ledger, "cell", cell.sources, option="`out`")
         if "report" in stages:
-            check_output(join(cell.folder, REPORT), "page", cell.sources, option="`out`")
+            check_output(cell.report, "page", cell.sources, option="`out`")
     if "report" in stages:
         check_output(join(fleet.out, PAGE), "page", [], option="`out`")
         check_output(join(fleet.out, SUMMARY), "fleet", [], option="`out`")

@@ -9,9 +9,12 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 from msgspec.structs import replace
 
@@ -25,20 +28,23 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, ModelError, NothingPublished, StorageError
 from cyclekit.fleet.figures import figures_of
 from cyclekit.fleet.months import days_of, since_last_month, since_training
+from cyclekit.fleet.read import REPORT
 from cyclekit.learning.networks.cell import fingerprint, other_cell_of
 from cyclekit.learning.networks.metrics import large_error
 from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.networks.spec import ModelSpec
-from cyclekit.storage.remote.folders import join, mirrored, read_text, write_text
+from cyclekit.storage.remote.folders import is_url, mirrored, read_text, write_text
 from cyclekit.storage.scratch import Scratch
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Mapping, Sequence
 
+    from cyclekit.api.arguments import Progress
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.estimate.answers import CycleEstimates
     from cyclekit.fleet.read import FleetCell
     from cyclekit.learning.evaluation.evaluate import Evaluation
 
-LEDGER, REPORT = "cell.json", "report.html"
 _SHOWN = 3
 """So many logs that could not be read are named."""
 State = Literal["done", "unchanged", "failed", "skipped"]
@@ -63,18 +69,38 @@ class StageResult:
 
 @dataclass
 class CellAtWork:
-    """A cell at work, and what is known of it; the ledger is replaced as stages find something out."""
+    """A cell at work, and what is known of it; the ledger is replaced as stages find something out.
+
+    `estimates` gives the page those that an earlier stage has made; None where it makes its own.
+    """
 
     cell: FleetCell
     ledger: CellLedger
+    estimates: Callable[[], CycleEstimates | None] = lambda: None
+    tell: Progress = lambda _fraction, _text: None
 
 
-def work_on(cell: FleetCell, *, stages: Sequence[str]) -> list[StageResult]:
-    """Do stages of a cell, in order. What fails is told and ends no other stage that can do without it."""
+def work_on(
+    cell: FleetCell,
+    *,
+    stages: Sequence[str],
+    known: Mapping[str, Stage] | None = None,
+    progress: Progress | None = None,
+) -> list[StageResult]:
+    """Do stages of a cell, in order. What fails is told and ends no other stage that can do without it.
+
+    Args:
+        cell: The cell.
+        stages: Names of stages.
+        known: What can be done, by name; by default `STAGES`.
+        progress: Told fraction and text.
+    """
     work, rows = CellAtWork(cell, read_ledger(cell)), list[StageResult]()
-    for stage in stages:
+    tell = progress or work.tell
+    for at, stage in enumerate(stages):
+        work.tell = partial(_tell_part, tell, stage, at, len(stages))
         try:
-            state, text = STAGES[stage](work)
+            state, text = (known or STAGES)[stage](work)
         except CyclekitError as error:
             state, text = "failed", str(error)
         except Exception as error:  # a fault of ours in one cell must not end the night's work on the others
@@ -85,10 +111,14 @@ def work_on(cell: FleetCell, *, stages: Sequence[str]) -> list[StageResult]:
     return rows
 
 
+def _tell_part(tell: Progress, stage: str, at: int, count: int, fraction: float, text: str) -> None:
+    tell((at + min(fraction, 1.0)) / count, f"{stage}: {text}")
+
+
 def read_ledger(cell: FleetCell) -> CellLedger:
     """Return what is known of a cell; nothing where nothing was done, or it cannot be read."""
     try:
-        found = checked(parse_json((read_text(join(cell.folder, LEDGER)) or "{}").encode()), CellLedger)
+        found = checked(parse_json((read_text(cell.ledger) or "{}").encode()), CellLedger)
     except (BadCard, StorageError, OSError, UnicodeError):
         found = CellLedger()
     return replace(found, cell=cell.name)
@@ -100,7 +130,7 @@ def noted(cell: FleetCell, ledger: CellLedger, row: StageResult) -> CellLedger:
     done = StageCard(state=row.state, text=row.text, at=now)
     ledger = replace(ledger, stages={**ledger.stages, row.stage: done})
     text = json.dumps(plain(ledger, nulls=True), indent=1, ensure_ascii=False)
-    write_text(join(cell.folder, LEDGER), text + "\n")
+    write_text(cell.ledger, text + "\n")
     return ledger
 
 
@@ -114,6 +144,7 @@ def _ingest(work: CellAtWork) -> tuple[State, str]:
         pseudonymise=cell.pseudonymise,
         checksums=cell.checksums,
         follow_links=cell.follow_links,
+        progress=work.tell,
     )
     days: dict[str, dt.date] = {}  # nor those of before
     if not cell.pseudonymise:
@@ -126,14 +157,14 @@ def _ingest(work: CellAtWork) -> tuple[State, str]:
 
 
 def _train(work: CellAtWork) -> tuple[State, str]:
-    cell, dataset = work.cell, _dataset(work.cell)
+    cell, dataset = work.cell, dataset_of(work.cell)
     if dataset is None:
         return "skipped", "there is no dataset"
     model = _model(cell)
     if model is not None and (kept := _still_good(model, dataset)) is not None:
         return "unchanged", kept
     spec = ModelSpec.of(seed=cell.seed, epochs=cell.epochs)
-    card = train_model(cell.dataset, spec, out=cell.model).card
+    card = train_model(cell.dataset, spec, out=cell.model, progress=work.tell).card
     why = "first model" if model is None else "the safety function has changed, or its logs have gone"
     error = f": mean absolute error {card.metrics.mae:.4f} held out" if card.metrics is not None else ""
     return "done", why + error
@@ -158,27 +189,44 @@ def _still_good(model: TrainedModel, dataset: Dataset) -> str | None:
 
 def _report(work: CellAtWork) -> tuple[State, str]:
     cell, days = work.cell, work.ledger.days
-    dataset, model = _dataset(cell), _model(cell)
+    dataset, model = dataset_of(cell), _model(cell)
     if dataset is None:
         return "skipped", "there is no dataset"
     wanted = [] if cell.sequences is None else load_sequences(mirrored(cell.sequences))
-    asked = [[each.name, each.places, each.operator] for each in wanted]
     dated = {session: day.isoformat() for session, day in days.items()}
-    known = [version("cyclekit"), fingerprint(dataset), None if model is None else plain(model.card), asked, dated]
-    mark = hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
-    if work.ledger.reported == mark:
+    card = None if model is None else plain(model.card)
+    mark = mark_of(dataset, card, asked_for(wanted), dated, cell.looks)
+    if work.ledger.reported == mark and is_there(cell.report):
         return "unchanged", "nothing is new"
     judged = None if model is None else _judged(model, dataset)
     drift = "there is no model" if model is None else since_last_month(model, dataset, days)
     # kept although the estimates may fail: what was asked for and cannot be answered is an error of this stage
     work.ledger = replace(work.ledger, figures=figures_of(dataset, drift, days, _doubt(model, judged)))
-    asked_for = wanted if model is not None and wanted else None
+    page: dict[str, Any] = {"model": model, "evaluation": judged, "cell_name": cell.name, **cell.looks}
+    page |= {"sequences": wanted if model is not None and wanted else None, "estimates": work.estimates()}
     with Scratch() as scratch:
-        page = scratch.path / REPORT
-        facts = write_report(dataset, page, model=model, sequences=asked_for, evaluation=judged, cell_name=cell.name)
-        write_text(join(cell.folder, REPORT), page.read_text(encoding="utf-8"))
+        file = scratch.path / REPORT if is_url(cell.report) else Path(cell.report)
+        facts = write_report(dataset, file, **page, progress=work.tell)
+        if is_url(cell.report):
+            write_text(cell.report, file.read_text(encoding="utf-8"))
     work.ledger = replace(work.ledger, reported=mark)
     return "done", facts.headline
+
+
+def asked_for(sequences: Sequence[TaskSequence]) -> list[object]:
+    """Return what sequences ask for, as plain values."""
+    return [[each.name, each.places, each.operator, [vars(task) for task in each.plan]] for each in sequences]
+
+
+def mark_of(dataset: Dataset, *others: object) -> str:
+    """Return what changes when the version, the dataset or any other plain value does."""
+    known = [version("cyclekit"), fingerprint(dataset), *others]
+    return hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def is_there(place: str) -> bool:
+    """Tell whether an output stands where it was written; of a URL it is taken for granted."""
+    return is_url(place) or Path(place).exists()
 
 
 def _judged(model: TrainedModel, dataset: Dataset) -> Evaluation | None:
@@ -197,7 +245,8 @@ def _doubt(model: TrainedModel | None, judged: Evaluation | None) -> str:
     return large_error(metrics, model.levels) if metrics is not None else ""
 
 
-def _dataset(cell: FleetCell) -> Dataset | None:
+def dataset_of(cell: FleetCell) -> Dataset | None:
+    """Return the dataset of a cell; None where there is none."""
     try:
         return Dataset.open(cell.dataset)
     except (DatasetError, NothingPublished):
@@ -211,7 +260,8 @@ def _model(cell: FleetCell) -> TrainedModel | None:
         return None
 
 
-STAGES: dict[str, Callable[[CellAtWork], tuple[State, str]]] = {
+Stage = Callable[[CellAtWork], tuple[State, str]]
+STAGES: dict[str, Stage] = {
     "ingest": _ingest,
     "train": _train,
     "report": _report,

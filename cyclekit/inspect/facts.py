@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards import CouplingCard, TrainingCard
     from cyclekit.dataset.lost_time import LostTime
+    from cyclekit.estimate.what_to_log import RecordingPlan
     from cyclekit.learning.task_times.saved import TaskTimesModel
 
 
@@ -214,6 +215,7 @@ class DatasetDescription(Result):
         clocks: How each recording's clock was related to its session's, by recording: method, offset_s, rate, and
             what is known of how good that is (docs/clocks.md).
         operator: Samples in which each recording of people saw somebody, and why nobody in the others.
+        to_log: What to log next; None where the robot's tasks are not known.
     """
 
     path: Path
@@ -249,6 +251,7 @@ class DatasetDescription(Result):
     coupling: CouplingCard | None = None
     kind: str = "dataset"
     verified: int | None = None
+    to_log: RecordingPlan | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""

@@ -52,6 +52,7 @@ from cyclekit.learning.out_of_core import PART_ROWS, frames, in_files, memory_ro
 from cyclekit.learning.rules.of_dataset import law_of, rule_of
 from cyclekit.learning.rules.safety import answering
 from cyclekit.learning.rules.words import verdict
+from cyclekit.learning.signal_inputs import by_signals, learned_rows
 from cyclekit.learning.windows import (
     GROUPS,
     Samples,
@@ -117,6 +118,8 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
     rules = rules and spec.problem == "now" and spec.target != "logged"
     if rules and spec.kind.needs_levels and law_of(dataset, seed=spec.seed) is not None:
         spec = replace(spec, network="regressor", hidden=NETWORKS["regressor"].hidden, target="logged")
+    if by_signals(dataset) and spec.features == "auto":  # there is no distance
+        spec = replace(spec, features="positions")
     spec = spec.at_rate(dataset.rate_hz).with_features()
     with Scratch() as scratch:
         if rows_of(dataset) <= memory_rows():
@@ -128,7 +131,8 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
         fitted = _fit(spec)(spec, found.learn, found.check, found.levels, progress, known=found.known)
         made = (spec.problem, spec.network, spec.horizon_s, found.levels, fitted.weights)
         model = TrainedModel(*made, history=spec.history or (1, 1), past=spec.features == "past")
-        better = staircase_if_better(model, fitted.spec, found.learn, found.held_out)
+        signals = by_signals(dataset)
+        better = None if signals else staircase_if_better(model, fitted.spec, found.learn, found.held_out)
         beaten = [note("model-beaten", text=better.said(dataset.place, "MODEL"))] if better else []
         card = _card(dataset, found, fitted, measure(model, found.held_out), beaten)
         card = structs.replace(card, coupling=learn_coupling(dataset))
@@ -199,7 +203,7 @@ def _fit(spec: ModelSpec) -> Callable[..., Fitted]:
 
 
 def _in_memory(dataset: Dataset, spec: ModelSpec) -> _Rows:
-    frame = dataset.samples(dataset.executions["execution"].to_list())
+    frame = learned_rows(dataset, dataset.samples(dataset.executions["execution"].to_list()))
     frame, slider = without_slider(dataset, frame)
     build = _builder(dataset, spec)
     everything = build(frame, levels=(), allow=GROUPS)
@@ -230,7 +234,7 @@ def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -
     smaller = replace(spec, test_fraction=parts[0], validation_fraction=parts[1])
     split = _split(dataset, dataset.executions["execution"].to_list(), smaller)
     some = some_executions(dataset, [*split.train, *split.validation], most_rows // 2, seed=spec.seed)
-    seen, slider = without_slider(dataset, dataset.samples(some))
+    seen, slider = without_slider(dataset, learned_rows(dataset, dataset.samples(some)))
     build = _builder(dataset, spec)
     known = groups_seen_both_ways(build(seen, levels=(), allow=GROUPS), samples_in(LEAST_S / 2, dataset.rate_hz))
     staircase = _staircase(dataset, seen, spec)
@@ -238,6 +242,7 @@ def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -
     _enough(dataset, seen, build(seen, levels=levels, allow=known))
 
     def built(frame: pl.DataFrame) -> Samples:
+        frame = learned_rows(dataset, frame)
         frame = without_slider(dataset, frame)[0] if slider else frame
         frame = with_commands(dataset, frame, levels) if _commanded(dataset, spec, staircase) else frame
         return build(frame, levels=levels, allow=known)
@@ -302,6 +307,7 @@ def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: MetricsCard, 
         standardisation=StandardisationCard(mean_m=tuple(fitted.mean.tolist()), scale_1_m=tuple(fitted.scale.tolist())),
         split=found.split,
         history=fitted.history,
+        operator_signals=dataset.card.operator_signals if by_signals(dataset) else (),
     )
 
 

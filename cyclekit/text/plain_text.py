@@ -88,7 +88,12 @@ def csv_text(rows: Iterable[Sequence[object]]) -> str:
 def _cell(value: object) -> object:
     if not isinstance(value, str):
         return value
-    return visible(f"'{value}" if _FORMULA.match(value) and not _is_number(value) else value)
+    return visible(f"'{value}" if is_formula(value) else value)
+
+
+def is_formula(text: str) -> bool:
+    """Tell whether a spreadsheet would take a text for a formula when it is typed into a cell."""
+    return _FORMULA.match(text) is not None and not _is_number(text)
 
 
 def _is_number(text: str) -> bool:

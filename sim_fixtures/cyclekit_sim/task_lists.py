@@ -36,11 +36,16 @@ class ListOptions:
         coupled: The operator and the robot wait for each other.
         beside: Tasks go on slower or faster beside others.
         spread: Standard deviation of the logarithm of a duration.
+        drift: Part by which the operator becomes quicker from the first to the last execution; fresh executions are
+            at the pace of the last.
+        turns: Part by which a task takes longer each time it is done in one execution.
     """
 
     coupled: bool = True
     beside: bool = True
     spread: float = 0.1
+    drift: float = 0.0
+    turns: float = 0.0
 
 
 @dataclass
@@ -70,8 +75,10 @@ def random_order(rng: np.random.Generator) -> Order:
     return {"robot": [str(name) for name in robot], "operator": [str(name) for name in operator]}
 
 
-def one_cycle(order: Order, rng: np.random.Generator, options: ListOptions) -> list[tuple[str, str, float, float]]:
-    """Return agent, task, start and end, s, of every task of one execution."""
+def one_cycle(
+    order: Order, rng: np.random.Generator, options: ListOptions, passed: float = 1.0
+) -> list[tuple[str, str, float, float]]:
+    """Return agent, task, start and end, s, of every task of one execution; `passed` is the part of the drift."""
     agents = {name: _Agent(tasks) for name, tasks in order.items()}
     done: list[tuple[str, str, float, float]] = []
     t = 0.0
@@ -99,6 +106,8 @@ def one_cycle(order: Order, rng: np.random.Generator, options: ListOptions) -> l
             elif not np.isfinite(agent.began_s) and _starts(agents, name, options) <= t + 1e-9:
                 agent.began_s = t
                 agent.left_s = MEAN_S[task] * float(np.exp(options.spread * rng.standard_normal()))
+                agent.left_s *= 1.0 + options.turns * agent.order[: agent.at].count(task)
+                agent.left_s *= 1.0 - options.drift * passed if name == "operator" else 1.0
     return done
 
 
@@ -129,15 +138,18 @@ def _rate(agents: dict[str, _Agent], name: str, options: ListOptions) -> float:
 
 
 def simulate_task_lists(
-    folder: Path, *, executions: int = 60, seed: int = 0, options: ListOptions | None = None
+    folder: Path, *, executions: int = 60, seed: int = 0, options: ListOptions | None = None, first: float = 0.0
 ) -> list[Order]:
-    """Write `tasks.csv` and `truth/truth.json` into a folder; return the order of each execution."""
+    """Write `tasks.csv` and `truth/truth.json` into a folder; return the order of each execution.
+
+    `first` is the part of the drift that has passed before the first execution.
+    """
     wanted = options or ListOptions()
     rng = np.random.default_rng(seed)
     orders = [random_order(rng) for _ in range(executions)]
     lines, at_s = ["run,agent,task,t_start,t_end"], EPOCH_S
     for number, order in enumerate(orders):
-        cycle = one_cycle(order, rng, wanted)
+        cycle = one_cycle(order, rng, wanted, first + (1.0 - first) * number / max(executions - 1, 1))
         for agent, task, start_s, end_s in sorted(cycle, key=lambda each: each[2]):
             lines.append(f"{number:04d},{AGENTS[agent]},{task},{at_s + start_s:.3f},{at_s + end_s:.3f}")
         at_s += max(end_s for *_, end_s in cycle) + 30.0

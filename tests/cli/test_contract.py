@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import subprocess
 import sys
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 COMMANDS = typer.main.get_command(app()).commands  # type: ignore[attr-defined]
 CONTRACT = {
     "simulate": (["scene"], ["--out", "--executions", "--seed", "--operator-log"]),
+    "init": (["logs"], ["--takt", "--yes"]),
+    "run": (["project"], []),
     "ingest": (["logs"], ["--out", "--cell", "--jobs", "--rate", "--align-clocks", "--keep-skeletons"]),
     "inspect": (["path", "cell_file"], ["--write-cell"]),
     "convert": (["log"], ["--out", "--table", "--rate", "--columns", "--cell"]),
@@ -28,6 +31,7 @@ CONTRACT = {
     "export": (["model"], ["--out"]),
     "evaluate": (["model", "dataset"], ["--trained-on"]),
     "estimate": (["model", "sequences"], ["--dataset", "--out", "--estimator", "--takt", "--extrapolate"]),
+    "gate": (["model", "sequences"], ["--dataset", "--takt", "--confidence", "--sure", "--sequence"]),
     "plan": (["model", "jobs"], ["--dataset", "--out"]),
     "zones": (["model", "dataset"], ["--out"]),
     "whatif": (["model", "sequences", "changes"], ["--dataset", "--out"]),
@@ -105,3 +109,10 @@ def test_the_version_is_that_of_the_package(cyclekit: Shell) -> None:
     import cyclekit as package
 
     assert cyclekit("--version").out == f"cyclekit {package.__version__}\n"
+
+
+def test_a_shell_completes_commands() -> None:
+    asked = {"COMP_WORDS": "cyclekit gat", "COMP_CWORD": "1", "_CYCLEKIT_COMPLETE": "complete_bash"}
+    words = [sys.executable, "-m", "cyclekit"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, env={**os.environ, **asked})
+    assert done.stdout.split() == ["gate"]

@@ -87,7 +87,7 @@ def test_every_command_the_fleet_and_python_say_the_same(
 def by_the_fleet(dataset: Path, model: Path, file: Path, monkeypatch: pytest.MonkeyPatch) -> float:
     """Return what the page of a fleet's cell is given."""
     given: list[float] = []
-    monkeypatch.setattr(stages, "_dataset", lambda _: library.Dataset.open(dataset))
+    monkeypatch.setattr(stages, "dataset_of", lambda _: library.Dataset.open(dataset))
 
     class Enough(Exception):
         """The page itself is the business of other tests."""

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cyclekit.config import Cell, Executions, Frame, Furniture, NamedPlace, Source, Sync, cell_to_toml, load_cell
+from cyclekit.config import Cell, Executions, Frame, Furniture, NamedPlace, Source, Sync, Wait, cell_to_toml, load_cell
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.text.plain_text import one_line
 
@@ -296,3 +296,47 @@ def test_a_cell_written_as_toml_reads_back_as_the_same_cell(tmp_path: Path, cell
     path = tmp_path / "cell.toml"
     path.write_text(cell_to_toml(cell), encoding="utf-8", newline="")
     assert load_cell(path) == cell
+
+
+def test_who_waits_for_whom_can_be_told_and_written_back(tmp_path: Path) -> None:
+    text = """
+[[waits]]
+agent = "robot"
+before = "fixture"
+until = "operator leaves fixture 2"
+back = 1
+
+[[waits]]
+agent = "operator"
+leaving = "bench"
+never = true
+
+[[waits]]
+agent = "operator"
+before = "bench"
+until = "digital-input 3 cleared"
+"""
+    cell = load_cell(written(tmp_path, text))
+    first, second, third = cell.waits
+    assert first == Wait("robot", before="fixture", until="operator leaves fixture 2", back=1)
+    assert first.event == ("operator", "fixture 2", "leaves")
+    assert second.event is None
+    assert third.event == ("signal", "digital-input 3", "cleared")
+    assert load_cell(written(tmp_path, cell_to_toml(cell))).waits == cell.waits
+
+
+@pytest.mark.parametrize(
+    ("said", "seen"),
+    [
+        ('until = "operator leaves a"', "one of before and leaving"),
+        ('before = "a"\nleaving = "b"\nuntil = "operator leaves a"', "one of before and leaving"),
+        ('before = "a"', "until what it waits is not said"),
+        ('before = "a"\nuntil = "operator sings"', "is no event"),
+        ('before = "a"\nuntil = "robot leaves a"', "waits for itself"),
+    ],
+)
+def test_a_wait_that_cannot_be_meant_is_refused_with_its_cure(tmp_path: Path, said: str, seen: str) -> None:
+    with pytest.raises(ConfigError, match=seen) as refused:
+        load_cell(written(tmp_path, f'[[waits]]\nagent = "robot"\n{said}'))
+    assert "waits[0]" in str(refused.value)
+    assert refused.value.cure

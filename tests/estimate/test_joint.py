@@ -219,7 +219,7 @@ def test_what_if_takes_quicker_people_and_a_second_place(logged: Dataset) -> Non
     asked = [both(("inbound", "out_left_1", "inbound", "rest"), robot)]
     model = Coupled(gates(*BOTH_WAIT, own_s=0.5))
     changes = [
-        Change("quick", operator_pace=2.0),
+        Change("quick", faster={"operator": 2.0}),
         Change("two", more_places={"inbound": 1}),
         Change("free", without_waits=("robot approach conveyor",)),
     ]

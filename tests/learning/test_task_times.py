@@ -10,13 +10,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit import TaskSequence, estimate_cycles, train_model, train_task_times
+from cyclekit import (
+    TaskSequence,
+    estimate_cycles,
+    evaluate_task_times,
+    plan_order,
+    train_model,
+    train_task_times,
+    what_if,
+    write_report,
+)
 from cyclekit.config.sequences import PlannedTask
+from cyclekit.dataset.cards.task_model import PaceCard
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.errors import DatasetError, EstimateError, ModelError
+from cyclekit.errors import ConfigError, DatasetError, EstimateError, ModelError
 from cyclekit.estimate.gantt import chart_of
+from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.plan.task_orders import JobTask, TaskJobs, TaskOrderPlan
+from cyclekit.estimate.whatif.change import Change
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.task_times.learn import learn_task_times
+from cyclekit.learning.task_times.pace import pace_drift
 from cyclekit.learning.task_times.rates import fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import DoneTask, Run
@@ -192,3 +206,139 @@ def test_few_executions_are_refused(tmp_path) -> None:
     ingest([tmp_path / "logs" / "tasks.csv"], tmp_path / "dataset")
     with pytest.raises(DatasetError, match="3 executions whose tasks all have an end"):
         learn_task_times(Dataset.open(tmp_path / "dataset"))
+
+
+def test_a_task_that_takes_longer_each_time_in_an_execution_is_learned_so(tmp_path) -> None:
+    card = learned(tmp_path, 4, ListOptions(coupled=False, beside=False, turns=0.2)).card
+    rolled = roll_plan(card, [PlannedTask("worker", "pack")] * 3, cycles=500)
+    took = (rolled.end_s - rolled.start_s).mean(axis=0)
+    assert took[1] / took[0] == pytest.approx(1.2, abs=0.05)
+    assert took[2] / took[0] == pytest.approx(1.4, abs=0.07)
+
+
+@given(st.floats(-0.4, 0.4), st.sampled_from(["linear", "learning"]), st.integers(0, 10_000))
+def test_a_drift_of_the_pace_is_found_where_there_is_one(change: float, law: str, seed: int) -> None:
+    true = PaceCard(law=law, change=change, first=0, last=79)  # type: ignore[arg-type]
+    number = np.repeat(np.arange(80), 5)
+    log_work = change * true.passed(number) + 0.05 * np.random.default_rng(seed).standard_normal(len(number))
+    found = pace_drift(number, log_work - log_work.mean())
+    if abs(change) > 0.1:
+        assert found is not None
+        assert found.factor(0) == pytest.approx(np.exp(-change), rel=0.12)
+    if found is not None:
+        assert abs(found.change - change) < 0.1
+
+
+def test_no_drift_is_found_where_executions_near_each_other_are_alike() -> None:
+    found = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        number = np.repeat(np.arange(100), 5)
+        log_work = np.repeat(0.1 * rng.standard_normal(10), 50) + 0.1 * rng.standard_normal(500)
+        found += pace_drift(number, log_work) is not None
+    assert found <= 3
+
+
+@pytest.mark.slow
+def test_where_the_operator_becomes_quicker_a_plan_takes_what_it_takes_now(tmp_path) -> None:
+    options = ListOptions(drift=0.3)
+    card = learned(tmp_path, 6, options).card
+    assert card.pace["worker"].change == pytest.approx(np.log(0.7), abs=0.1)
+    assert list(card.pace) == ["worker"]
+    order = random_order(np.random.default_rng(5))
+    found = estimate_cycles(tmp_path / "model", tmp_path / "dataset", plan_of(order))
+    true_s = np.mean(fresh_durations(order, cycles=200, seed=1, options=options))
+    assert found[0].expected_s == pytest.approx(true_s, rel=0.04)
+    assert any("worker becomes" in text and "quicker over 40 executions" in text for text in found[0].warnings)
+
+
+KINDS = {"bring": "robot", "weld": "robot", "polish": "robot", "mount": "operator", "pack": "operator"}
+WORK = TaskJobs(task=tuple(JobTask(agent, name, 2) for name, agent in KINDS.items()))
+
+
+def test_plan_orders_the_work_of_both_agents_close_to_the_best_order(coupled, tmp_path) -> None:
+    folder, _ = coupled
+    found = plan_order(folder / "model", folder / "dataset", WORK, out=tmp_path / "planned.toml")
+    assert isinstance(found, TaskOrderPlan)
+    order = {agent: [task.name for task in found.tasks if task.agent == agent] for agent in ("robot", "operator")}
+    took = np.mean(fresh_durations(order, cycles=100, seed=1))
+    rng, others = np.random.default_rng(1), []
+    for _ in range(60):
+        other = {agent: list(rng.permutation(tasks)) for agent, tasks in order.items()}
+        try:
+            others.append(np.mean(fresh_durations(other, cycles=20, seed=1)))
+        except ValueError:  # cannot be done
+            continue
+    assert took <= 1.03 * min(others)
+    assert found.saves_s[0] > 0.0
+    (again,) = estimate_cycles(folder / "model", folder / "dataset", tmp_path / "planned.toml")
+    assert again.expected_s == pytest.approx(found.estimate.expected_s)
+
+
+def test_work_that_cannot_be_ordered_is_refused(coupled) -> None:
+    folder, _ = coupled
+    circle = TaskJobs(
+        task=(JobTask("robot", "bring"), JobTask("robot", "weld")), before=(("bring", "weld"), ("weld", "bring"))
+    )
+    with pytest.raises(EstimateError, match="no order is possible"):
+        plan_order(folder / "model", folder / "dataset", circle)
+    with pytest.raises(ConfigError, match="places to visit"):
+        plan_order(folder / "model", folder / "dataset", Jobs(("a", "b"), "home"))
+
+
+CHANGES = [
+    Change("faster", faster={"operator": 1.5}),
+    Change("alone", no_wait=(("weld", "mount"), ("mount", "bring"))),
+    Change("buffer", buffer={"mount": 1}),
+    Change("thresholds", frequency=0.5),
+    Change("no such wait", no_wait=(("pack", "bring"),)),
+]
+
+
+def test_what_if_answers_a_faster_operator_a_removed_wait_and_a_buffer(coupled) -> None:
+    folder, _ = coupled
+    order = {"robot": ["bring", "bring", "weld", "weld"], "operator": ["inspect", "mount", "mount"]}
+    found = what_if(folder / "model", folder / "dataset", plan_of(order), CHANGES)
+    by_name = {one.change: one for one in found}
+    assert set(by_name) == {"faster", "alone", "buffer"}
+    own = plan_of({"robot": ["bring"], "operator": ["inspect", "pack", "inspect"]})
+    (faster,) = what_if(folder / "model", folder / "dataset", own, CHANGES[0])
+    assert faster.saves_s[0] == pytest.approx(18.0 / 3.0, abs=0.5)
+    without = np.mean(fresh_durations(order, cycles=200, seed=1, options=ListOptions(coupled=False)))
+    assert by_name["alone"].after.expected_s == pytest.approx(without, rel=0.03)
+    assert by_name["buffer"].saves_s[1] <= by_name["buffer"].saves_s[0] <= by_name["buffer"].saves_s[2]
+    reasons = {one.name: str(one.error) for one in found.refused}
+    assert "task lists hold neither" in reasons["thresholds"]
+    assert "mount for bring" in reasons["no such wait"]
+
+
+def test_the_report_has_a_time_chart_and_who_waits_for_what_and_what_is_not_known(coupled, tmp_path) -> None:
+    folder, _ = coupled
+    order = {"robot": ["bring", "weld"], "operator": ["inspect", "mount"]}
+    asked = {"model": folder / "model", "sequences": plan_of(order, "plan 3"), "what_if": [CHANGES[0]]}
+    facts = write_report(folder / "dataset", tmp_path / "page.html", **asked)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert facts.pictures == 1
+    assert "data:image/svg+xml;base64," in page
+    assert facts.headline.startswith("Shortest of 1: plan 3")
+    write_report(folder / "dataset", tmp_path / "page.md", **asked)
+    words = (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert "operator: mount (" in words
+    assert "| arm | weld | 120 |" in words
+    assert "Nothing is known of positions, distances, zones and the safety function" in words
+    assert "| faster | plan 3 |" in words
+
+
+def test_evaluate_names_a_pace_that_changed_since_the_training(coupled, tmp_path) -> None:
+    folder, _ = coupled
+    same = evaluate_task_times(folder / "model", folder / "dataset", trained_on=folder / "dataset")
+    assert not any(shift.changed for shift in same.drift or ())
+    assert abs(same.bias) < 0.02
+    quicker = ListOptions(drift=0.25)
+    simulate_task_lists(tmp_path / "logs", executions=20, seed=8, options=quicker, first=1.0)
+    ingest([tmp_path / "logs" / "tasks.csv"], tmp_path / "newer")
+    found = evaluate_task_times(folder / "model", tmp_path / "newer", trained_on=folder / "dataset")
+    by_agent = {shift.agent: shift for shift in found.drift or ()}
+    assert not by_agent["arm"].changed
+    assert by_agent["worker"].change == pytest.approx(-0.25, abs=0.05)
+    assert "durations of worker since the training: CHANGED by -2" in found.said()

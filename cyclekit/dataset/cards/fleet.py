@@ -58,6 +58,7 @@ class CellLedger(Card, frozen=True, kw_only=True):
         not_read_more: How many others could not.
         figures: For the page of the fleet.
         reported: Changes when the report must be written again; None without one.
+        marks: Of other stages: changes when the stage must be done again.
         cell: Its name.
     """
 
@@ -67,6 +68,7 @@ class CellLedger(Card, frozen=True, kw_only=True):
     not_read_more: Count = 0
     figures: FiguresCard = FiguresCard()
     reported: str | None = None
+    marks: dict[str, str] = field(default_factory=dict)
     cell: str = ""
 
     @property

@@ -32,11 +32,17 @@ ramp_up_per_s = 2.0              # inf: at once
 hysteresis_m = 0.0               # also ramp_down_per_s, latency_s
 
 [[change]]
-name = "a second fixture, a practised operator"    # where robot and operator wait for each other
-more_places = { fixture = 1 }                      # so many more of a place that must be free again
-operator_pace = 1.2                                # he works and walks so many times as fast
-buffer = { part = 3 }                              # so many parts of a source may wait
-without_waits = ["robot approach fixture"]         # nobody waits there any more
+name = "two operators' work, parts in advance"   # of a model of task times (task lists without positions)
+faster = { operator = 1.2 }                      # 1.2 times as fast; robot, operator, or the agent's name in the logs
+no_wait = [["weld", "mount"]]                    # weld no longer waits for mount
+buffer = { mount = 1 }                           # mount has one part in advance of what it waits for
+
+[[change]]
+name = "a second fixture, a practised operator"  # where robot and operator wait for each other, by positions
+faster = { operator = 1.2 }                      # he works and walks 1.2 times as fast
+more_places = { fixture = 1 }                    # so many more of a place that must be free again
+buffer = { part = 3 }                            # so many parts of a source may wait, by its signal
+without_waits = ["robot approach fixture"]       # nobody waits there any more
 """
 
 from __future__ import annotations
@@ -54,6 +60,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _DYNAMICS = ("latency_s", "ramp_down_per_s", "ramp_up_per_s", "hysteresis_m")
+FASTEST = 100
+"""Nobody becomes faster than that, and no buffer holds more."""
 _EXAMPLE = """Add one:
   [[change]]
   name = "fewer visits"
@@ -124,11 +132,13 @@ class Change:
         base_m, base_yaw_deg: Where the robot's base shall stand, in the present base frame.
         places: Robot places that move: name -> TCP, m, in the frame of the robot's base.
         frequency: The operator's visits per hour, as a multiple of the logged ones.
-        operator_pace: The operator works and walks so many times as fast.
-        more_places: So many more of a place that somebody waits for to be free again, by its name.
-        buffer: So many parts of a source may wait, by its signal.
-        without_waits: Waits that fall away: `robot approach fixture`.
         dynamics: What changes of how s follows the safety function, by the name of `Dynamics`: s, 1/s or m.
+        faster: How many times as fast an agent's tasks go, by agent.
+        no_wait: Pairs of tasks: the first no longer waits for the second.
+        buffer: Parts in advance, by the task that waits for them; a second fixture is one. Of a source of parts, by its
+            signal, how many may wait.
+        more_places: So many more of a place that somebody waits for to be free again, by its name.
+        without_waits: Waits that fall away: `robot approach fixture`.
     """
 
     name: str
@@ -141,10 +151,25 @@ class Change:
     places: Mapping[str, Point] = field(default_factory=dict)
     frequency: float | None = None
     dynamics: Mapping[str, float] = field(default_factory=dict)
-    operator_pace: float | None = None
-    more_places: Mapping[str, int] = field(default_factory=dict)
+    faster: Mapping[str, float] = field(default_factory=dict)
+    no_wait: tuple[tuple[str, str], ...] = ()
     buffer: Mapping[str, int] = field(default_factory=dict)
+    more_places: Mapping[str, int] = field(default_factory=dict)
     without_waits: tuple[str, ...] = ()
+
+    @property
+    def waits_change(self) -> bool:
+        """Whether it changes who waits for whom, or how long."""
+        return bool(self.faster or self.buffer or self.more_places or self.without_waits)
+
+    @property
+    def of_tasks(self) -> bool:
+        """Whether it changes tasks and waits, and nothing of positions or the safety function."""
+        return bool(self.faster or self.no_wait or self.buffer) and not self._of_positions
+
+    @property
+    def _of_positions(self) -> bool:
+        return bool(self.levels or self.limits or self.base_m or self.places or self.frequency or self.dynamics)
 
     def __post_init__(self) -> None:
         """Refuse what is no safety function or no change.
@@ -172,20 +197,16 @@ class Change:
             self._refuse("thresholds_m or zones without levels", _CURE)
         if self.frequency is not None and not 0 < self.frequency < math.inf:
             self._refuse(f"frequency {self.frequency}", "0.5 means half as many visits per hour as were logged.")
-        if self.operator_pace is not None and not 0 < self.operator_pace < math.inf:
-            self._refuse(f"operator_pace {self.operator_pace}", "1.2 means that he works and walks 1.2 times as fast.")
-        for name, count in (*self.more_places.items(), *self.buffer.items()):
-            if count < 1:
-                self._refuse(f"{name}: {count}", "Give a whole number, 1 or more.")
         self._refuse_dynamics()
-        found = self.levels, self.limits, self.base_m, self.places, self.frequency, self.dynamics, self.waits_change
-        if not any(found):
+        if slow := [value for value in self.faster.values() if not 0 < value <= FASTEST]:
+            self._refuse(f"faster {slow[0]:g}", "1.2 means 1.2 times as fast; give more than 0.")
+        if less := [count for count in self.buffer.values() if not 0 < count <= FASTEST]:
+            self._refuse(f"buffer {less[0]}", "Give the number of parts in advance, 1 or more.")
+        for name, more in self.more_places.items():
+            if more < 1:
+                self._refuse(f"more_places {name} = {more}", "Give a whole number, 1 or more.")
+        if not self.of_tasks and not self._of_positions and not self.waits_change:
             self._refuse("nothing is changed", _CURE)
-
-    @property
-    def waits_change(self) -> bool:
-        """Whether it changes who waits for whom, or how long."""
-        return bool(self.operator_pace or self.more_places or self.buffer or self.without_waits)
 
     def _refuse_dynamics(self) -> None:
         for name, value in self.dynamics.items():
@@ -234,9 +255,10 @@ class _Entry:
     ramp_down_per_s: float | None = None
     ramp_up_per_s: float | None = None
     hysteresis_m: float | None = None
-    operator_pace: float | None = None
-    more_places: Mapping[str, int] = field(default_factory=dict)
+    faster: Mapping[str, float] = field(default_factory=dict)
+    no_wait: tuple[tuple[str, str], ...] = ()
     buffer: Mapping[str, int] = field(default_factory=dict)
+    more_places: Mapping[str, int] = field(default_factory=dict)
     without_waits: tuple[str, ...] = ()
 
 
@@ -258,9 +280,10 @@ def _change(entry: _Entry, number: int) -> Change:
         base_yaw_deg=entry.base.yaw_deg if entry.base else 0.0,
         places=entry.places,
         frequency=entry.frequency,
-        operator_pace=entry.operator_pace,
         more_places=entry.more_places,
-        buffer=entry.buffer,
         without_waits=entry.without_waits,
         dynamics={key: value for key in _DYNAMICS if (value := getattr(entry, key)) is not None},
+        faster=entry.faster,
+        no_wait=entry.no_wait,
+        buffer=entry.buffer,
     )

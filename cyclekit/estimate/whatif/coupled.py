@@ -28,7 +28,10 @@ def altered_coupling(change: Change, card: CouplingCard | None) -> CouplingCard 
         return None
     if change.frequency is not None or change.base_m is not None:
         seen = f"{where}: frequency or base, and the operator of this cell works with the robot"
-        raise EstimateError(seen, cure="Change operator_pace, places or the safety function.")
+        raise EstimateError(seen, cure="Change faster, places or the safety function.")
+    if strange := (set(change.faster) - {"operator"}) or change.no_wait:
+        seen = f"{where}: {'no_wait' if change.no_wait else 'faster'} {', '.join(map(str, strange))}"
+        raise EstimateError(seen, cure='In cells with positions: faster = { operator = 1.2 }, without_waits = ["..."].')
     known = {shown(gate): gate for gate in card.gates if gate.conditions}
     if missing := [name for name in change.without_waits if name not in known]:
         raise UnknownName(where, "wait", missing[0], known)
@@ -48,7 +51,7 @@ def shown(gate: GateCard) -> str:
 
 def _gate(change: Change, gate: GateCard) -> GateCard:
     conditions = () if shown(gate) in change.without_waits else gate.conditions
-    pace = change.operator_pace if gate.agent == "operator" and change.operator_pace else 1.0
+    pace = change.faster.get("operator", 1.0) if gate.agent == "operator" else 1.0
     return replace(
         gate,
         own_s=tuple(seconds / pace for seconds in gate.own_s),

@@ -33,9 +33,8 @@ GAIN, GAIN_PER_DEPARTURE = 8.0, 0.05
 """By so much the log-likelihood of the departures must rise, in all and for each of them."""
 AS_GOOD, AS_GOOD_PART = 3.0, 0.1
 """Of events whose gains differ by no more than this, or this part of it, the one just before the departure is taken."""
-NATURAL = 1.3
-"""Who waits until another has left may not approach; who waits until he came, or something is set, may not leave: of
-two gates that the same departures pass this one is preferred by so much."""
+SAME = 0.7
+"""Two gates are passed by the same departures if so many of those of either pass the other."""
 FOLLOWS = 0.8
 """An event that is as near to so many of the departures that own work decided follows own work, and is no condition."""
 PULSE_S = 1.0
@@ -170,7 +169,8 @@ def find_conditions(courses: Sequence[Course], agent: Agent, told: Sequence[Wait
     allowed = [[one for one in candidates if not _forbidden(told, gate, one)] for gate in gates]
     open_to = [_best(times, gate, some) for gate, some in zip(gates, allowed, strict=True)]
     while any(open_to):
-        number = max((n for n, found in enumerate(open_to) if found), key=lambda n: _worth(gates[n].gate, open_to[n]))
+        number = max((n for n, found in enumerate(open_to) if found), key=lambda n: open_to[n][2])  # type: ignore[index]
+        number = _natural(gates, open_to, number)
         condition, since, _ = open_to[number]  # type: ignore[misc]  # there is one
         for other in _attach(gates, gates[number], condition, since):
             open_to[other] = _best(times, gates[other], allowed[other]) if len(gates[other].found) < MOST else None
@@ -242,11 +242,20 @@ def _forbidden(told: Sequence[Wait], gate: Passages, condition: Condition) -> bo
 _Found = tuple[Condition, "Vector", float]
 
 
-def _worth(gate: Gate, found: _Found | None) -> float:
-    """Return the gain of a condition, with NATURAL."""
-    condition, _, gain = found  # type: ignore[misc]  # there is one
-    natural = (condition.event.event == "leaves") == (gate.at == "approach")
-    return gain * (NATURAL if natural else 1.0)
+def _natural(gates: Sequence[Passages], open_to: Sequence[_Found | None], number: int) -> int:
+    """Return the gate that a condition belongs to, of all that the same departures pass and that it explains.
+
+    Who waits until another has left may not approach; who waits until he came, or something is set, may not leave.
+    """
+    event = open_to[number][0].event  # type: ignore[index]  # there is one
+    at = "approach" if event.event == "leaves" else "leave"
+    mine = gates[number]
+    for other, (gate, found) in enumerate(zip(gates, open_to, strict=True)):
+        both = len(np.intersect1d(gate.rows, mine.rows)) if gate.gate.short == mine.gate.short else 0
+        same = both >= SAME * max(len(gate.rows), len(mine.rows))
+        if same and gate.gate.at == at and found is not None and found[0].event[:2] == event[:2]:
+            return other
+    return number
 
 
 def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Found | None:
@@ -297,7 +306,7 @@ def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
 
 
 def times_of(courses: Sequence[Course]) -> Times:
-    """Return when each kind of event came in each execution, shape (executions, most of one, at least 1), NaN behind the last."""
+    """Return when each kind of event came in each execution, shape (executions, at least 1), NaN behind the last."""
     found: Times = {}
     for event in sorted({event for course in courses for event in course.events}, key=str):
         every = [course.events.get(event, np.empty(0)) for course in courses]

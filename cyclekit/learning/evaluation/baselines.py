@@ -17,6 +17,7 @@ import numpy as np
 
 from cyclekit.learning.networks.beaten import STAIRCASE, distance_of, fit_thresholds, staircase_at
 from cyclekit.learning.networks.boosting import TREES, grow
+from cyclekit.learning.windows import GROUPS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,16 +35,37 @@ class Rival:
     note: str
 
 
-def rivals(learn: Samples, judge: Samples, levels: Sequence[float]) -> list[Rival]:
-    """Fit the rivals that take no time on `learn` and return their errors on `judge`."""
+def rivals(learn: Samples, judge: Samples, levels: Sequence[float], *, signals: bool = False) -> list[Rival]:
+    """Fit the rivals that take no time on `learn` and return their errors on `judge`.
+
+    Args:
+        learn: Rows to learn from.
+        judge: Rows to be judged by.
+        levels: Of the scaling, ascending.
+        signals: Signals stand in place of the operator's position: a table of them, and no distance.
+    """
     mean = float(learn.scaling.mean())
     found = [Rival("constant mean", (mean - judge.scaling) ** 2, f"scaling {mean:.3f} everywhere")]
-    if len(levels) > 1:
+    if signals:
+        squared = (_by_state(learn, judge) - judge.scaling) ** 2
+        found.append(Rival("signals alone", squared, "mean scaling while these signals are on"))
+    elif len(levels) > 1:
         thresholds = fit_thresholds(distance_of(learn), learn.scaling, levels)
         shown = ", ".join(f"{threshold:.2f}" if np.isfinite(threshold) else "never" for threshold in thresholds)
         squared = (staircase_at(thresholds, levels, judge) - judge.scaling) ** 2
         found.append(Rival(STAIRCASE, squared, f"thresholds on the distance: {shown} m"))
     return found
+
+
+def _by_state(learn: Samples, judge: Samples) -> Floats:
+    """Return the mean scaling, in the rows to learn from, of the state of the signals in each row to be judged."""
+    human = GROUPS["human"]
+    both = np.concatenate([learn.X[:, human], judge.X[:, human]])
+    state = np.unique(both, axis=0, return_inverse=True)[1].ravel()
+    mine = state[: len(learn)]
+    rows, total = np.bincount(mine, minlength=state.max() + 1), np.bincount(mine, learn.scaling, state.max() + 1)
+    means = np.where(rows > 0, total / np.maximum(rows, 1), learn.scaling.mean())
+    return np.asarray(means[state[len(learn) :]])
 
 
 def boosted(name: str, sees: str, learn: Samples, judge: Samples) -> Rival:

@@ -15,6 +15,7 @@ import polars as pl
 
 from cyclekit.errors import ModelError, command_line
 from cyclekit.learning.labelling import as_learned
+from cyclekit.learning.signal_inputs import learned_rows
 from cyclekit.learning.windows import build_samples
 from cyclekit.parallel.one_thread import one_thread
 
@@ -124,7 +125,7 @@ def drift_between(
         judged_before: Those of `older` by which the model's errors are judged: none that it learned from.
         judged_after: Those of `newer`, likewise.
     """
-    before, after = older.samples(), newer.samples()
+    before, after = (learned_rows(whose, whose.samples()) for whose in (older, newer))
     judged = [
         as_learned(model.card, whose, frame.filter(pl.col("execution").is_in(list(names))), model.levels)
         for whose, frame, names in ((older, before, judged_before), (newer, after, judged_after))

@@ -26,6 +26,8 @@ from cyclekit.learning.networks.metrics import measure
 from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.out_of_core import memory_rows, some_executions
+from cyclekit.learning.rules.safety import RuleSafety, asks_signals
+from cyclekit.learning.signal_inputs import learned_rows
 from cyclekit.learning.windows import Samples, build_samples
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.results import Result
@@ -176,7 +178,7 @@ def evaluate(
         raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
     tell(0.2, f"evaluating {len(rows)} samples")
     metrics = measure(model, rows)
-    table, notes, better = list(_read_outs(metrics)), list[str](), None
+    table, notes, better = [*_read_outs(metrics), *_by_rule(model, rows)], list[str](), None
     if len(executions) < every:
         notes.append(
             f"{len(executions)} of {every} executions are evaluated, drawn at random: the memory is too small for all"
@@ -186,7 +188,7 @@ def evaluate(
         tell(0.4, "reading the training samples of the baselines")
         learned = _rows(model, dataset, some_executions(dataset, _learned_from(model), memory_rows()))
         tell(0.6, f"fitting the baselines to {len(learned)} samples")
-        others = rivals(learned, rows, model.levels)
+        others = rivals(learned, rows, model.levels, signals=bool(model.card.operator_signals))
         if boosting:
             others += _boosted(model, dataset, learned, rows)
         table += [ErrorRow(other.name, float(other.squared.mean()), other.note) for other in others]
@@ -259,7 +261,7 @@ def _boosted(model: TrainedModel, dataset: Dataset, learned: Samples, rows: Samp
 
 def _rows(model: TrainedModel, dataset: Dataset, executions: Sequence[str], *, last_second: bool = False) -> Samples:
     """Return the rows that a model is judged by; with `last_second` the same with all that a model may see of it."""
-    frame, _ = without_slider(dataset, dataset.samples(executions))
+    frame, _ = without_slider(dataset, learned_rows(dataset, dataset.samples(executions)))
     frame = as_learned(model.card, dataset, frame, model.levels)
     known, history = model.weights.known, model.history
     learned_hz = model.card.rate_hz or dataset.rate_hz
@@ -283,6 +285,15 @@ def _read_outs(metrics: MetricsCard) -> list[ErrorRow]:
     if metrics.mse_argmax is not None:
         rows.append(ErrorRow("model, most likely step", metrics.mse_argmax, "the level of the most likely step"))
     return rows
+
+
+def _by_rule(model: TrainedModel, rows: Samples) -> list[ErrorRow]:
+    """Return the error of the rule that answers by signals."""
+    rule = model.card.rule
+    if rule is None or not asks_signals(rule):
+        return []
+    error = RuleSafety(rule, model.card).predict(rows.X) - rows.scaling
+    return [ErrorRow("rule", float(np.mean(error**2)), "which field counts where; it answers in place of the network")]
 
 
 def _confusion(model: TrainedModel, rows: Samples) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:

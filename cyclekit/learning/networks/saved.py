@@ -25,6 +25,7 @@ from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.learning.networks.kinds import names_levels
 from cyclekit.learning.networks.tensors import NotAModel, check_layout, parse_weights, sizes_of, to_safetensors
+from cyclekit.learning.signal_inputs import as_inputs
 from cyclekit.learning.windows import GROUPS, inputs_of
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.storage.atomic import recover, staged
@@ -99,6 +100,15 @@ class TrainedModel(Result):
         out = self._run(X)
         values = np.matmul(out, np.array(self.levels)) if names_levels(self.network) else out[:, 0]
         return np.asarray(np.clip(values, 0.0, 1.0), np.float64)
+
+    def predict_signals(self, robot_m: NDArray[np.floating[Any]], signals: Ints) -> Floats:
+        """Return the scaling where signals tell of people, shape (N,).
+
+        Args:
+            robot_m: The TCP, shape (N, 3), m.
+            signals: Which signals are on, shape (N,): bits as in column `human_signals` of the model's dataset.
+        """
+        return self.predict(np.column_stack([robot_m, as_inputs(signals, len(self.card.operator_signals))]))
 
     def probabilities(self, X: NDArray[np.floating[Any]]) -> Floats:
         """Return the probability of every step, shape (N, P); rows sum to 1.

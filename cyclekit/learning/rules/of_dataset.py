@@ -11,12 +11,14 @@ from msgspec import structs
 from cyclekit.learning.out_of_core import rows_of as count_rows
 from cyclekit.learning.out_of_core import some_executions
 from cyclekit.learning.rules.distances import TO_LINK
+from cyclekit.learning.rules.fields import find_fields, rows_by_signals
 from cyclekit.learning.rules.ladder import RuleSearch, drawn, find_rule
 from cyclekit.learning.rules.law_evidence import find_law
 from cyclekit.learning.rules.law_rows import law_rows
 from cyclekit.learning.rules.links import poses_of
 from cyclekit.learning.rules.rows import rows_of
 from cyclekit.learning.rules.safety import distances_of
+from cyclekit.learning.signal_inputs import by_signals
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -68,6 +70,8 @@ def rule_of(
         seed: Of what is drawn.
     """
     names = _looked_at(dataset, seed)
+    if by_signals(dataset):
+        return _fields(dataset, names, levels, model, judged_apart=judged_apart, seed=seed)
     unseen = set(() if model is None else model.card.held_out) & set(names)
     law = law_of(dataset, model=model, judged_apart=judged_apart, seed=seed)
     if law is not None:
@@ -79,6 +83,36 @@ def rule_of(
         other = _searched(dataset, names, unseen, levels, model, 0.0, **asked)
         found = other if other.clean else found
     return _with_poses(found, dataset, names)
+
+
+def _fields(
+    dataset: Dataset,
+    names: Sequence[str],
+    levels: Sequence[float],
+    model: LevelNamer | None,
+    *,
+    judged_apart: bool,
+    seed: int,
+) -> RuleSearch:
+    """Return which field counts where, for a dataset whose signals tell of people."""
+    rows = rows_by_signals(dataset, names, levels)
+    if _too_few(rows):
+        return RuleSearch(None, rows=len(rows))
+    judged = None if model is None else _numbers(names, model.card.held_out, rows.execution)
+    return find_fields(
+        rows,
+        levels,
+        held_out=judged,
+        network=None if model is None or judged is None else _named(model, rows, levels),
+        latency_s=float(dataset.card.dynamics.latency_s or 0.0),
+        judged_apart=judged_apart,
+        seed=seed,
+    )
+
+
+def _too_few(rows: RuleRows) -> bool:
+    """Tell whether rows are too few to find a rule."""
+    return len(rows) < LEAST_ROWS or len(np.unique(rows.execution)) < LEAST_EXECUTIONS or len(np.unique(rows.level)) < 2
 
 
 def _with_poses(found: RuleSearch, dataset: Dataset, names: Sequence[str]) -> RuleSearch:
@@ -108,6 +142,8 @@ def law_of(
         judged_apart: As of `rule_of`.
         seed: Of what is drawn.
     """
+    if by_signals(dataset):
+        return None
     names = _looked_at(dataset, seed)
     rows = law_rows(dataset, names)
     if rows is None or len(rows) < LEAST_ROWS or len(np.unique(rows.execution)) < LEAST_EXECUTIONS:
@@ -132,7 +168,7 @@ def _searched(
     seed: int,
 ) -> RuleSearch:
     rows = rows_of(dataset, names, levels, latency_s=latency_s, signals=signals)
-    if len(rows) < LEAST_ROWS or len(np.unique(rows.execution)) < LEAST_EXECUTIONS or len(np.unique(rows.level)) < 2:
+    if _too_few(rows):
         return RuleSearch(None, rows=len(rows))
     judged = _numbers(names, unseen, rows.execution)
     named = None if model is None or judged is None else _named(model, rows, levels)

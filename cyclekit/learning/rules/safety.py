@@ -15,6 +15,7 @@ from cyclekit.learning.rules.links import ArmPoses
 from cyclekit.learning.rules.positions import Positions
 from cyclekit.learning.rules.quantities import grown, quantities
 from cyclekit.learning.rules.regions import allowed, asks_operator
+from cyclekit.learning.signal_inputs import from_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,10 +26,6 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.rule import LimitCard, RegionCard, RuleCard
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.schema import Vector
-
-
-ON, OFF = "1", "0"
-"""Values of a signal that tells of people: somebody is there, or not."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +84,12 @@ class RuleSafety:
         return replace(self, rule=structs.replace(self.rule, limits=limits))
 
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
-        """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
+        """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,).
+
+        Where signals tell of people, they stand in place of x_h (`signal_inputs`).
+        """
+        if asks_signals(self.rule):
+            return self.predict_signals(X[:, :3], from_inputs(X[:, 3:6], len(self.card.operator_signals)))
         robot_m, human_m = X[:, :3].astype(np.float64), X[:, 3:6].astype(np.float64)
         apart = {name: self._apart(name, robot_m, human_m) for name in distances_of(self.rule)}
         if self.rule.law is not None:
@@ -105,7 +107,7 @@ class RuleSafety:
             signals: Which signals are on, shape (N,): bits as in column `human_signals` of the model's dataset.
         """
         robot, nobody = np.asarray(robot_m, np.float64), np.full((len(signals), 2), np.nan)
-        rows = Positions({}, nobody, robot[:, :2], bits_as_values(self.card.operator_signals, signals, self.rule))
+        rows = Positions({}, nobody, robot[:, :2], values_of_bits(self.card.operator_signals, signals))
         return allowed(self.rule.limits, self.rule.levels, rows, until=False)
 
     def _apart(self, name: str, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
@@ -136,13 +138,11 @@ def asks_signals(rule: RuleCard) -> bool:
     return any(region.signals for region in _regions(rule))
 
 
-def bits_as_values(
-    named: Sequence[OperatorSignalCard], signals: NDArray[np.int64], rule: RuleCard
+def values_of_bits(
+    named: Sequence[OperatorSignalCard], signals: NDArray[np.int64]
 ) -> dict[tuple[str, float], NDArray[np.str_]]:
-    """Return the values that a rule asks for, by signal and delay, of bit fields (N,)."""
-    bits = {one.name: k for k, one in enumerate(named)}
-    asked = {(one.signal, one.delay_s) for region in _regions(rule) for one in region.signals}
-    return {each: np.where((signals >> bits[each[0]]) & 1, ON, OFF) for each in asked}
+    """Return the values of signals, as `Positions` has them, of bit fields (N,); empty while nobody is there."""
+    return {(one.name, 0.0): np.where((signals >> k) & 1, one.occupied, "") for k, one in enumerate(named)}
 
 
 def distances_of(rule: RuleCard) -> set[str]:

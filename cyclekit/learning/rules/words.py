@@ -113,7 +113,23 @@ def _asked(region: RegionCard, *, away: bool) -> str:
 
 def _signal(signal: SignalCard) -> str:
     after = f" (the speed answers after {signal.delay_s:.2f} s)" if signal.delay_s else ""
-    return f"signal {signal.signal} is {signal.value}{after}"
+    where = f" while the TCP is {place_of(signal)}" if signal.robot else ""
+    return f"signal {signal.signal} is {signal.value}{where}{after}"
+
+
+def place_of(signal: SignalCard) -> str:
+    """Return where the TCP is while a signal counts."""
+    if signal.robot is None:
+        return "anywhere"
+    return "at " + ", ".join(
+        _between(name, *edges) for name, edges in zip("xy", _sides(signal.robot), strict=True) if edges != (None, None)
+    )
+
+
+def _between(name: str, low: MetresCard | None, high: MetresCard | None) -> str:
+    if low is not None and high is not None:
+        return f"{name} {low.value:.3f} to {high.value:.3f} m"
+    return f"{name} above {low.value:.3f} m" if low is not None else f"{name} below {high.value if high else 0:.3f} m"
 
 
 def _polygon(polygon: PolygonCard) -> str:

@@ -28,6 +28,7 @@ from cyclekit.learning.safety_function.fit import (
     hysteresis,
     thresholds,
 )
+from cyclekit.learning.signal_inputs import by_signals
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.results import Result
 
@@ -44,6 +45,7 @@ BY_DISTANCE = 0.02
 """A distance is taken for the rule where it leaves at most this much more unexplained than the best other rule."""
 SAME = 0.003
 """Distances that explain the same within this cannot be told apart by noisy logs: the first of DISTANCES is taken."""
+_NO_PROOF = "read from logs, the safety system was not measured: no safety proof"
 LEAST_SEEN = 5
 """A cell of the floor with fewer samples is left blank."""
 
@@ -150,6 +152,8 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
     """
     refuse_without_levels(model, dataset)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)
+    if by_signals(dataset):
+        return _by_signals(model, dataset, seed)
     rows, told = _rows(dataset)
     if len(rows.scaling) < LEAST_ROWS:
         msg = f"{dataset.path}: {len(rows.scaling)} samples have both positions and a scaling; {LEAST_ROWS} are needed"
@@ -167,10 +171,9 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
     found = rule_of(dataset, levels, model=model, seed=seed)
     said = dataset.card.dynamics.hysteresis_m
     corner, scaling = _floor(rows)
-    share = np.bincount(np.abs(rows.scaling[:, None] - np.array(levels)).argmin(axis=1), minlength=len(levels))
     return SafetyFunction(
         levels=levels,
-        shares=tuple((share / share.sum()).tolist()),
+        shares=_shares(rows.scaling, levels),
         rule=rule,
         is_distance=is_distance,
         explained=parts,
@@ -185,6 +188,35 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
         notes=(*told, *_notes(rule, is_distance=is_distance or found.rule is not None, parts=parts)),
         commanded=found,
         shapes=() if found.rule is None else tuple(_shapes(found.rule, rows)),
+    )
+
+
+def _shares(scaling: Floats, levels: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the part of the samples that lies nearest to each level."""
+    count = np.bincount(np.abs(scaling[:, None] - np.array(levels)).argmin(axis=1), minlength=len(levels))
+    return tuple((count / count.sum()).tolist())
+
+
+def _by_signals(model: TrainedModel, dataset: Dataset, seed: int) -> SafetyFunction:
+    """Return the safety function of a cell whose signals tell of people: no place on the floor, no distance."""
+    frame = dataset.samples(columns=["execution", "scaling", "human_signals"]).drop_nulls()
+    levels, found = model.levels, rule_of(dataset, model.levels, model=model, seed=seed)
+    return SafetyFunction(
+        levels=levels,
+        shares=_shares(frame["scaling"].to_numpy(), levels),
+        rule="signals",
+        is_distance=False,
+        explained=dict(found.explained),
+        thresholds=(),
+        thresholds_of_network=(),
+        hysteresis_m=None,
+        hysteresis_origin="signals",
+        floor_m=np.empty((0, 2)),
+        floor_scaling=np.empty(0),
+        rows=found.rows,
+        executions=found.executions,
+        notes=(_NO_PROOF,),
+        commanded=found,
     )
 
 
@@ -241,5 +273,5 @@ def _notes(rule: str, *, is_distance: bool, parts: Mapping[str, float]) -> tuple
             f"{rule if rule not in DISTANCES else 'the network'} "
             f"{parts[rule] if rule not in DISTANCES else parts['network']:.1%}; thresholds in metres mean little here"
         )
-    found.append("read from logs, the safety system was not measured: no safety proof")
+    found.append(_NO_PROOF)
     return tuple(found)

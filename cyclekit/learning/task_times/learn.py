@@ -9,9 +9,10 @@ import numpy as np
 from msgspec import structs
 
 from cyclekit.config.sequences import PlannedTask
-from cyclekit.dataset.cards.task_model import PAST, HeldOutCard, TaskModelCard, TaskTimesCard
+from cyclekit.dataset.cards.task_model import PAST, HeldOutCard, PaceCard, TaskModelCard, TaskTimesCard
 from cyclekit.errors import DatasetError, EstimateError, UnknownName, command_line
-from cyclekit.learning.task_times.rates import fit_rates
+from cyclekit.learning.task_times.pace import pace_drift
+from cyclekit.learning.task_times.rates import TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import Run, logged_runs
 from cyclekit.learning.task_times.starts import learn_starts
@@ -83,22 +84,45 @@ def plan_of(run: Run) -> list[PlannedTask]:
     ]
 
 
+def rolled_run(model: TaskModelCard, run: Run, *, cycles: int = CYCLES, seed: int = 0) -> Vector:
+    """Return durations of cycles of an execution's plan at the pace of that execution, shape (cycles,), s.
+
+    Raises:
+        UnknownName: The model does not know one of its tasks.
+        EstimateError: Its tasks wait for each other.
+    """
+    pace = {agent: float(found.factor(run.number)) for agent, found in model.pace.items()}
+    return roll_plan(model, plan_of(run), cycles=cycles, seed=seed, pace=pace).duration_s
+
+
 def _learned(runs: Sequence[Run], agents: Mapping[str, str]) -> TaskModelCard:
     pairs = sorted({(agent, done.task) for run in runs for agent, some in run.tasks.items() for done in some})
-    tasks = [_task(runs, agent, task) for agent, task in pairs]
+    rates = {pair: fit_rates(runs, *pair) for pair in pairs}
     kinds = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
-    return TaskModelCard(agents=kinds, tasks=tuple(tasks), executions=len(runs))  # type: ignore[arg-type]  # of these two
+    paces = {agent: _pace(rates, agent) for agent, kind in kinds.items() if kind == "operator"}
+    pace = {agent: found for agent, found in paces.items() if found}
+    tasks = tuple(_task(runs, *pair, rates[pair], pace.get(pair[0])) for pair in pairs)
+    return TaskModelCard(agents=kinds, tasks=tasks, pace=pace, executions=len(runs))  # type: ignore[arg-type]  # of these two
 
 
-def _task(runs: Sequence[Run], agent: str, task: str) -> TaskTimesCard:
-    rates, starts = fit_rates(runs, agent, task), learn_starts(runs, agent, task)
+def _pace(rates: Mapping[tuple[str, str], TaskRates], agent: str) -> PaceCard | None:
+    """Return the drift of the pace of an agent, over all its tasks."""
+    mine = [each for (name, _), each in rates.items() if name == agent]
+    log_work = [np.log(each.work) - np.log(each.work).mean() for each in mine]
+    return pace_drift(np.concatenate([each.number for each in mine]), np.concatenate(log_work))
+
+
+def _task(runs: Sequence[Run], agent: str, task: str, rates: TaskRates, pace: PaceCard | None) -> TaskTimesCard:
+    starts = learn_starts(runs, agent, task)
+    now = 1.0 / pace.factor(rates.number) if pace else np.ones(len(rates.number))
     return TaskTimesCard(
         agent=agent,
         task=task,
-        usual_s=rates.usual_s,
-        work_s=_kept(rates.work),
+        usual_s=rates.usual_s * float(now.mean()),
+        work_s=_kept(rates.work * now),
         rates=dict(rates.rates),
         after=dict(rates.after),
+        turns=rates.turns,
         needs=starts.needs,
         planned=starts.planned,
         lags_s=_kept(starts.lags_s),
@@ -140,7 +164,7 @@ def _judged(
         models.append(model)
         for run in held:
             try:
-                took_s = roll_plan(model, plan_of(run), cycles=CYCLES, seed=seed).duration_s
+                took_s = rolled_run(model, run, seed=seed)
             except (UnknownName, EstimateError):  # a task of it is in no other order
                 continue
             found.append(_HeldOut(run.order, float(took_s.mean()), float(took_s.std(ddof=1)), run.duration_s))
@@ -173,6 +197,7 @@ def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:
     )
     spread = np.array([each.sd_s / each.mean_s for each in found])
     chance = float(np.mean(spread**2) * np.mean([1.0 / len(some) for some in by_order.values()]))
+    chance *= 1.0 + np.sqrt(2.0 / len(errors))  # the mean of their squares scatters by so much
     error = float(np.sqrt(max(np.mean(errors**2) - chance, 0.0)))
     within = float(errors.std(ddof=1) / np.sqrt(len(errors))) if len(errors) > 1 else error
     deviations = [(each.true_s - each.mean_s) / max(each.sd_s, 1e-3 * each.mean_s) for each in found]

@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 
 RATES_SPREAD = 0.7
 """Standard deviation of the logarithm of a rate, before anything is seen: half to double, two times of three."""
-AFTER_SPREAD = 0.1
-"""The same of the factor of the agent's own task before: the way to a task is a small part of it."""
+FACTOR_SPREAD = 0.1
+"""The same of the factors of the agent's own task before and of the turn: the way to a task, and the slot that a part
+comes from, are a small part of it."""
 _LEAST_SPREAD = 1e-3
 ALONE = ""
 
@@ -38,14 +39,18 @@ class TaskRates:
     Attributes:
         rates: By the name of the task beside it, `agent: task`; "" = alone.
         after: Factor of the work by the agent's own task before it; "" = it is the first.
+        turns: Factor of the work the first, second ... time of the task in one execution.
         usual_s: Mean logged duration, s.
-        work: Of each repetition with that factor taken out, s at rate 1; shape (N,).
+        work: Of each repetition with these factors taken out, s at rate 1; shape (N,).
+        number: The how-many-th execution each repetition is of, shape (N,).
     """
 
     rates: Mapping[str, float]
     after: Mapping[str, float]
+    turns: tuple[float, ...]
     usual_s: float
     work: Vector
+    number: Ints
 
 
 @dataclass(frozen=True)
@@ -57,14 +62,18 @@ class _Parts:
         dt_s: Its length, shape (M,).
         beside: Which tasks go on beside it, shape (M, names).
         last: Index of the last part of each repetition, shape (N,).
-        before: Number of the agent's own task before it, shape (N,).
+        factors: Which factors each repetition has, shape (N, factors).
     """
 
     of: Ints
     dt_s: Vector
     beside: Floats
     last: Ints
-    before: Ints
+    factors: Floats
+
+    def work(self, log_rate: Vector) -> Vector:
+        """Return the work of each repetition, shape (N,), s at rate 1."""
+        return np.asarray(np.bincount(self.of, np.exp(self.beside @ log_rate) * self.dt_s, len(self.last)), float)
 
 
 def beside(agent: str, task: str) -> str:
@@ -81,73 +90,76 @@ def fit_rates(runs: Sequence[Run], agent: str, task: str) -> TaskRates:
         task: Which.
     """
     names, before, parts = _parts(runs, agent, task)
-    count, k = len(parts.last), len(names)
-
-    def density(at: Vector) -> tuple[float, Vector]:
-        mean, spread, log_rate, after = at[0], np.exp(at[1]) + _LEAST_SPREAD, at[2 : 2 + k], at[2 + k :]
-        rate = np.exp(parts.beside @ log_rate)
-        done = rate * parts.dt_s
-        work = np.bincount(parts.of, done, count)
-        z = (np.log(work) - mean - after[parts.before]) / spread
-        value = 0.5 * z @ z + count * np.log(spread) + np.log(work).sum() - (parts.beside[parts.last] @ log_rate).sum()
-        value += 0.5 * ((log_rate / RATES_SPREAD) ** 2).sum() + 0.5 * ((after / AFTER_SPREAD) ** 2).sum()
-        pull = z / spread
-        of_rate = parts.beside.T @ (done * ((pull + 1.0) / work)[parts.of]) - parts.beside[parts.last].sum(axis=0)
-        of_after = after / AFTER_SPREAD**2 - np.bincount(parts.before, pull, len(before))
-        of_spread = (count - z @ z) * np.exp(at[1]) / spread
-        slope = np.concatenate([[-pull.sum(), of_spread], of_rate + log_rate / RATES_SPREAD**2, of_after])
-        return float(value), slope
-
-    usual = np.log(np.maximum(np.bincount(parts.of, parts.dt_s, count), 1e-6))
-    begin = np.concatenate([[np.median(usual), np.log(usual.std() + 0.05)], np.zeros(k + len(before))])
-    bounds = [(None, None), (-8.0, 3.0), *[(-4.0, 4.0)] * (k + len(before))]
-    best = minimize(density, begin, jac=True, method="L-BFGS-B", bounds=bounds).x
-    log_rate, after = best[2 : 2 + k], best[2 + k :]
-    work = np.bincount(parts.of, np.exp(parts.beside @ log_rate) * parts.dt_s, count)
+    k = len(names)
+    usual = np.log(np.maximum(np.bincount(parts.of, parts.dt_s), 1e-6))
+    begin = np.concatenate([[np.median(usual), np.log(usual.std() + 0.05)], np.zeros(k + parts.factors.shape[1])])
+    bounds = [(None, None), (-8.0, 3.0), *[(-4.0, 4.0)] * (len(begin) - 2)]
+    best = minimize(_density, begin, args=(parts,), jac=True, method="L-BFGS-B", bounds=bounds).x
+    log_rate, factor = best[2 : 2 + k], best[2 + k :]
+    factors = np.exp(factor).tolist()
     return TaskRates(
         dict(zip(names, np.exp(log_rate).tolist(), strict=True)),
-        dict(zip(before, np.exp(after).tolist(), strict=True)),
-        float(parts.dt_s.sum() / count),
-        work / np.exp(after[parts.before]),
+        dict(zip(before, factors, strict=False)),
+        tuple(factors[len(before) :]),
+        float(parts.dt_s.sum() / len(parts.last)),
+        parts.work(log_rate) / np.exp(parts.factors @ factor),
+        np.array([run.number for run in runs for _ in _done(run, agent, task)], dtype=np.int64),
     )
+
+
+def _density(at: Vector, parts: _Parts) -> tuple[float, Vector]:
+    """Return the negative logarithm of the posterior density, and its slope."""
+    k, count = parts.beside.shape[1], len(parts.last)
+    mean, spread, log_rate, factor = at[0], np.exp(at[1]) + _LEAST_SPREAD, at[2 : 2 + k], at[2 + k :]
+    work, ends = parts.work(log_rate), parts.beside[parts.last]
+    z = (np.log(work) - mean - parts.factors @ factor) / spread
+    value = 0.5 * z @ z + count * np.log(spread) + np.log(work).sum() - (ends @ log_rate).sum()
+    value += 0.5 * ((log_rate / RATES_SPREAD) ** 2).sum() + 0.5 * ((factor / FACTOR_SPREAD) ** 2).sum()
+    pull = z / spread
+    done = np.exp(parts.beside @ log_rate) * parts.dt_s
+    of_rate = parts.beside.T @ (done * ((pull + 1.0) / work)[parts.of]) - ends.sum(axis=0)
+    of_spread = (count - z @ z) * np.exp(at[1]) / spread
+    of_factor = factor / FACTOR_SPREAD**2 - parts.factors.T @ pull
+    return float(value), np.concatenate([[-pull.sum(), of_spread], of_rate + log_rate / RATES_SPREAD**2, of_factor])
 
 
 def _parts(runs: Sequence[Run], agent: str, task: str) -> tuple[list[str], list[str], _Parts]:
     """Return the names of what goes on beside a task, those of the agent's own tasks before it, and its parts."""
-    cut: list[tuple[str, list[tuple[float, frozenset[str]]]]] = []
+    cut: list[tuple[str, int, list[tuple[float, frozenset[str]]]]] = []
     for run in runs:
-        previous = ""
-        for done in run.tasks.get(agent, ()):
-            if done.task == task and done.end_s > done.start_s:
-                cut.append((previous, _cut(run, agent, done)))
-            previous = done.task
-    names = sorted({name for _, some in cut for _, group in some for name in group})
-    before = sorted({previous for previous, _ in cut})
+        for turn, (previous, done) in enumerate(_done(run, agent, task)):
+            cut.append((previous, turn, _cut(run, agent, done)))
+    names = sorted({name for *_, some in cut for _, group in some for name in group})
+    before = sorted({previous for previous, *_ in cut})
     column = {name: number for number, name in enumerate(names)}
-    of = np.array([number for number, (_, some) in enumerate(cut) for _ in some], dtype=np.int64)
-    every = [part for _, some in cut for part in some]
+    of = np.array([number for number, (*_, some) in enumerate(cut) for _ in some], dtype=np.int64)
+    every = [part for *_, some in cut for part in some]
     grid = np.zeros((len(every), len(names)))
     for row, (_, group) in enumerate(every):
         grid[row, [column[name] for name in group]] = 1.0
-    last = np.cumsum([len(some) for _, some in cut]) - 1
-    number = np.array([before.index(previous) for previous, _ in cut], dtype=np.int64)
-    return names, before, _Parts(of, np.array([dt for dt, _ in every]), grid, last, number)
+    last = np.cumsum([len(some) for *_, some in cut]) - 1
+    factors = np.zeros((len(cut), len(before) + max(turn for _, turn, _ in cut) + 1))
+    for row, (previous, turn, _) in enumerate(cut):
+        factors[row, [before.index(previous), len(before) + turn]] = 1.0
+    return names, before, _Parts(of, np.array([length_s for length_s, _ in every]), grid, last, factors)
+
+
+def _done(run: Run, agent: str, task: str) -> list[tuple[str, DoneTask]]:
+    """Return the repetitions of a task in an execution, each with the name of the agent's own task before it."""
+    mine = run.tasks.get(agent, ())
+    before = ["", *(done.task for done in mine)]
+    return [
+        (one, done) for one, done in zip(before, mine, strict=False) if done.task == task and done.end_s > done.start_s
+    ]
 
 
 def _cut(run: Run, agent: str, done: DoneTask) -> list[tuple[float, frozenset[str]]]:
     """Return lengths, s, and what went on beside, of the parts of one repetition, in order of time."""
-    others = [
-        (beside(name, other.task), other.start_s, other.end_s)
-        for name, some in run.tasks.items()
-        if name != agent
-        for other in some
-        if other.start_s < done.end_s and other.end_s > done.start_s
-    ]
-    times = {done.start_s, done.end_s, *(t for _, *at in others for t in at if done.start_s < t < done.end_s)}
-    edges = sorted(times)
+    others = [(name, other) for name, some in run.tasks.items() if name != agent for other in some]
+    at = {t for _, other in others for t in (other.start_s, other.end_s) if done.start_s < t < done.end_s}
     found = []
-    for start_s, end_s in pairwise(edges):
+    for start_s, end_s in pairwise(sorted({done.start_s, done.end_s, *at})):
         middle = 0.5 * (start_s + end_s)
-        group = frozenset(name for name, since, until in others if since <= middle < until)
+        group = frozenset(beside(name, other.task) for name, other in others if other.start_s <= middle < other.end_s)
         found.append((end_s - start_s, group or frozenset((ALONE,))))
     return found

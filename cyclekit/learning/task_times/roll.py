@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -60,6 +61,7 @@ class _Plan:
     Attributes:
         cards: What is known of each task.
         before: Number of the agent's own task before it; -1 = none.
+        turn: How often the agent has done the same task before.
         needs: Numbers of the other tasks that must have ended.
         not_before_s: Earliest start, s.
         log_rate: Logarithm of the rate of a task beside another, shape (tasks, tasks); `alone` beside none.
@@ -67,6 +69,7 @@ class _Plan:
 
     cards: list[TaskTimesCard]
     before: list[int]
+    turn: list[int]
     needs: list[list[int]]
     not_before_s: Vector
     log_rate: Floats
@@ -74,7 +77,13 @@ class _Plan:
 
 
 def roll_plan(
-    model: TaskModelCard, tasks: Sequence[PlannedTask], *, cycles: int = 1000, seed: int = 0, where: str = ""
+    model: TaskModelCard,
+    tasks: Sequence[PlannedTask],
+    *,
+    cycles: int = 1000,
+    seed: int = 0,
+    where: str = "",
+    pace: Mapping[str, float] = MappingProxyType({}),
 ) -> RolledPlan:
     """Return cycles of a plan.
 
@@ -84,6 +93,7 @@ def roll_plan(
         cycles: How many.
         seed: Of what is drawn: work and lag of each task, from its logged repetitions.
         where: How a message names the plan.
+        pace: Durations of agents as part of those at the latest pace, by the agent's name in the logs.
 
     Raises:
         UnknownName: A task or an agent was never logged.
@@ -91,6 +101,7 @@ def roll_plan(
     """
     plan = _laid_out(model, tasks, where)
     work, lag = _drawn(plan, cycles, np.random.default_rng(seed))
+    work *= [pace.get(card.agent, 1.0) for card in plan.cards]
     start, end = np.full(work.shape, np.inf), np.full(work.shape, np.inf)
     t = np.zeros(cycles)
     for _ in range(2 * len(tasks) + 2):
@@ -127,7 +138,9 @@ def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) ->
     rate = np.array([[_log(card.rates, beside(other.agent, other.task)) for other in cards] for card in cards])
     alone = np.array([_log(card.rates, ALONE) for card in cards])
     not_before = np.array([task.not_before_s or 0.0 for task in tasks])
-    return _Plan(cards, _before(tasks), _needs(cards, tasks, names, where), not_before, rate, alone)
+    pairs = list(zip(names, (task.name for task in tasks), strict=True))
+    turn = [pairs[:number].count(pair) for number, pair in enumerate(pairs)]
+    return _Plan(cards, _before(tasks), turn, _needs(cards, tasks, names, where), not_before, rate, alone)
 
 
 def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
@@ -182,13 +195,16 @@ def _needs(
 
 
 def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return work at rate 1 and lag of each task in each cycle, shape (cycles, tasks), s."""
-    work, lag = [], []
-    for card, before in zip(plan.cards, plan.before, strict=True):
+    """Return work at rate 1 and lag of each task in each cycle, shape (cycles, tasks), s: alike in every order."""
+    work, lag = np.empty((cycles, len(plan.cards))), np.empty((cycles, len(plan.cards)))
+    names = [(card.agent, card.task, turn) for card, turn in zip(plan.cards, plan.turn, strict=True)]
+    for number in sorted(range(len(names)), key=lambda each: names[each]):
+        card, before, turn = plan.cards[number], plan.before[number], plan.turn[number]
         factor = card.after.get("" if before < 0 else plan.cards[before].task, 1.0)
-        work.append(factor * rng.choice(card.work_s, cycles))
-        lag.append(np.maximum(rng.choice(card.lags_s, cycles), 0.0))
-    return np.stack(work, axis=1), np.stack(lag, axis=1)
+        factor *= card.turns[turn] if turn < len(card.turns) else 1.0
+        work[:, number] = factor * rng.choice(card.work_s, cycles)
+        lag[:, number] = np.maximum(rng.choice(card.lags_s, cycles), 0.0)
+    return work, lag
 
 
 def _rates(plan: _Plan, running: Bools) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,10 +26,17 @@ class DoneTask:
 
 @dataclass(frozen=True)
 class Run:
-    """One execution: the tasks of each agent, by its name, in order of their start."""
+    """One execution.
+
+    Attributes:
+        name: Of the execution.
+        tasks: Of each agent, by its name, in order of their start.
+        number: The how-many-th of all logged executions, in order of time.
+    """
 
     name: str
     tasks: Mapping[str, tuple[DoneTask, ...]]
+    number: int = 0
 
     @property
     def order(self) -> tuple[tuple[str, ...], ...]:
@@ -44,11 +51,11 @@ class Run:
 
 
 def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
-    """Return the executions whose tasks all have an end, and `robot` or `operator` by the agent's name."""
+    """Return the executions whose tasks all have an end, in order of time; `robot` or `operator` by agent's name."""
     rows = dataset.every_task().with_columns(agent_name=pl.coalesce("agent_name", "agent")).sort("start_s")
     named = rows.select("agent_name", "agent").unique().sort("agent_name")
     agents = {str(name): str(agent) for name, agent in named.iter_rows()}
-    found = []
+    found: list[Run] = []
     for (name,), mine in rows.group_by(["execution"], maintain_order=True):
         if mine["end_s"].null_count():
             continue
@@ -61,4 +68,6 @@ def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
             planned = np.nan if planned_s is None else planned_s
             tasks.setdefault(agent, []).append(DoneTask(task, start_s, end_s, planned))
         found.append(Run(str(name), {agent: tuple(some) for agent, some in tasks.items()}))
-    return found, agents
+    at = {str(name): number for number, name in enumerate(dataset.executions["execution"])}
+    found.sort(key=lambda run: at[run.name])
+    return [replace(run, number=number) for number, run in enumerate(found)], agents

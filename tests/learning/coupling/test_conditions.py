@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cyclekit.config import Wait
 from cyclekit.dataset.cards.coupling import Agent
+from cyclekit.errors import UnknownName
 from cyclekit.learning.coupling.learn import learn_courses
 from cyclekit.learning.coupling.visits import Course, Event, PlaceVisit, events_of
 
@@ -69,6 +71,61 @@ def test_both_conditions_are_found_and_no_other(signals: bool) -> None:
     assert np.median(operator.lag_s) == pytest.approx(0.55, abs=0.1)
     assert min(robot.held, operator.held) > 0.98
     assert min(robot.decided, operator.decided) >= 20
+
+
+def test_the_cell_file_wins_over_what_the_logs_show() -> None:
+    rng = np.random.default_rng(6)
+    courses = [_coupled(rng, str(number)) for number in range(20)]
+    told = (
+        Wait("robot", before="fixture", never=True),
+        Wait("operator", before="fixture", until="robot arrives fixture"),
+    )
+    card = learn_courses(courses, told)
+    (gate,) = (gate for gate in card.gates if gate.conditions)
+    assert (gate.agent, gate.at, gate.place, gate.told) == ("operator", "approach", "fixture", True)
+    (condition,) = gate.conditions
+    assert (condition.agent, condition.place, condition.event, condition.back) == ("robot", "fixture", "arrives", 0)
+    assert np.median(condition.lag_s) == pytest.approx(1.75, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("wait", "kind"),
+    [
+        (Wait("robot", before="fixtur", until="operator leaves fixture"), "place"),
+        (Wait("robot", before="fixture", until="operator leaves banch"), "event"),
+    ],
+)
+def test_a_told_wait_names_what_the_logs_show(wait: Wait, kind: str) -> None:
+    courses = [_coupled(np.random.default_rng(number), str(number)) for number in range(5)]
+    with pytest.raises(UnknownName, match=kind):
+        learn_courses(courses, (wait,))
+
+
+def test_parts_that_come_are_learned_from_their_sensor() -> None:
+    rng = np.random.default_rng(7)
+    card = learn_courses([_fed(rng, str(number)) for number in range(50)])
+    (gate,) = (gate for gate in card.gates if gate.conditions)
+    assert (gate.agent, gate.at, gate.place) == ("robot", "leave", "conveyor")
+    (condition,), (source,) = gate.conditions, card.sources
+    assert (condition.agent, condition.place, condition.event) == ("signal", "part", "set")
+    assert (source.signal, source.taken_by, source.buffer) == ("part", "conveyor", 2)
+    assert np.mean(source.gap_s) == pytest.approx(10.0, rel=0.1)
+
+
+def _fed(rng: np.random.Generator, name: str) -> Course:
+    """Return an execution whose robot takes parts; they come 6 s apart or more, at most two of them wait."""
+    robot, came, at = [PlaceVisit("home", 0.0, 0.0)], [-10.0], 2.0
+    came[0] += 6.0 + rng.exponential(4.0) + 10.0
+    for part in range(6):
+        if part:
+            room = robot[part - 1].left_s if part >= 2 else 0.0
+            came.append(max(came[-1] + 6.0 + rng.exponential(4.0), room))
+        left = max(at + 0.6, came[part] + rng.uniform(0.7, 0.8))
+        robot.append(PlaceVisit("conveyor", at, left))
+        at = left + rng.choice([4.0, 14.0])
+    visits: dict[Agent, list[PlaceVisit]] = {"robot": [*robot, PlaceVisit("home", at, np.nan)]}
+    visits["operator"] = _walk(rng, ["bench"] * 6, (1.0, 4.0), 2.5)
+    return Course(name, visits, events_of(visits) | {Event("signal", "part", "set"): np.array(came)})
 
 
 @pytest.mark.parametrize("seed", range(8))

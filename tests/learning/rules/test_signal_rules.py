@@ -12,9 +12,9 @@ WARNING = OperatorSignalCard(name="warning", signal="digital-input 2", occupied=
 PROTECTIVE = OperatorSignalCard(name="protective", signal="digital-input 3", occupied="0")
 
 
-def test_a_rule_on_signals_answers_by_the_bits_and_the_place_of_the_robot():
+def test_a_rule_on_signals_answers_by_the_bits_and_the_place_of_the_robot() -> None:
     left = RectangleCard(along=(None, None), across=(MetresCard(value=0.2), None))
-    stop = RegionCard(signals=(SignalCard(signal="protective", value="1", robot=left),))
+    stop = RegionCard(signals=(SignalCard(signal="protective", value="0", robot=left),))
     slow = RegionCard(signals=(SignalCard(signal="warning", value="1"),))
     limits = (LimitCard(scaling=0.0, within=stop), LimitCard(scaling=0.5, within=slow))
     rule = RuleCard(family="signals", levels=(0.0, 0.5, 1.0), limits=limits, explained=1.0)

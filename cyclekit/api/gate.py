@@ -1,0 +1,147 @@
+"""`gate_takt`: whether enough cycles are within the takt, as one verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.api.estimate import estimate_cycles
+from cyclekit.api.given import Sequences, sequences_of
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import ConfigError, EstimateError, UnknownName
+from cyclekit.estimate.answers import CycleEstimates
+from cyclekit.estimate.result import CycleEstimate
+from cyclekit.estimate.safety import SafetyModel
+from cyclekit.learning.task_times.saved import TaskTimesModel
+from cyclekit.text.results import Result
+
+_Z = 1.96
+"""Half the width of a 95 % interval, standard errors."""
+
+
+@dataclass(frozen=True, repr=False)
+class TaktVerdict(Result):
+    """Whether enough cycles of each sequence are within the takt; as a frame one row per sequence.
+
+    Attributes:
+        takt_s: The takt time, s.
+        confidence: Which part of the cycles must be within it.
+        sure: Whether the lower end of the 95 % interval must reach that part, too.
+        estimates: Of the sequences that were judged.
+    """
+
+    takt_s: float
+    confidence: float
+    sure: bool
+    estimates: CycleEstimates
+
+    @property
+    def worst(self) -> CycleEstimate:
+        """The sequence of which the least part of the cycles is within the takt."""
+        return min(self.estimates, key=self._reached)
+
+    @property
+    def passed(self) -> bool:
+        """Whether every sequence has enough cycles within the takt."""
+        return self._reached(self.worst) >= self.confidence
+
+    def _reached(self, one: CycleEstimate) -> float:
+        share, low, _ = _share(one)
+        return low if self.sure else share
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        given = {"takt_s": self.takt_s, "confidence": self.confidence, "sure": self.sure}
+        return {"passed": self.passed, **given, "worst": self.worst.name, "sequences": self._frame_rows()}
+
+    def _frame_rows(self) -> list[dict[str, Any]]:
+        rows = []
+        for one in self.estimates:
+            share, low, high = _share(one)
+            found: dict[str, Any] = {"sequence": one.name, "probability": share, "low": low, "high": high}
+            reached = {"passed": self._reached(one) >= self.confidence, "expected_s": one.expected_s}
+            rows.append(found | reached | {"executions": one.executions, "doubts": list(one.doubts)})
+        return rows
+
+    def _said(self) -> list[str]:
+        share, low, high = _share(self.worst)
+        least = f", the least of {len(self.estimates)} sequences" if len(self.estimates) > 1 else ""
+        asked = f"asked for {self.confidence:.1%}" + (" by the lower end" if self.sure else "")
+        return [
+            f"{'passed' if self.passed else 'failed'}: {share:.1%} (95% CI {low:.1%} to {high:.1%}) of the cycles of "
+            f"{self.worst.name!r} are within {self.takt_s:g} s{least}; {asked}"
+        ]
+
+    @property
+    def line(self) -> str:
+        """The verdict in one line."""
+        return self._said()[0]
+
+
+def _share(one: CycleEstimate) -> tuple[float, float, float]:
+    """Return which part of the cycles is within the takt, with a 95 % interval.
+
+    Resampling executions that are all within the takt gives an interval without width; the interval here is never
+    narrower than Wilson's of a part that was counted in so many executions.
+    """
+    share, low, high = one.takt_probability or (0.0, 0.0, 1.0)
+    count = max(one.executions, 1)
+    middle = (share + _Z**2 / (2 * count)) / (1 + _Z**2 / count)
+    half = _Z * sqrt(share * (1 - share) / count + (_Z / (2 * count)) ** 2) / (1 + _Z**2 / count)
+    return share, max(min(low, middle - half), 0.0), min(max(high, middle + half), 1.0)
+
+
+@checked
+def gate_takt(
+    model: SafetyModel | TaskTimesModel | Place,
+    dataset: Dataset | Place,
+    sequences: Sequences,
+    takt_s: float,
+    *,
+    confidence: float = 0.95,
+    sure: bool = False,
+    sequence: str | None = None,
+    seed: int = 0,
+    extrapolate: bool = False,
+    validate: bool = True,
+    other_cell: bool = False,
+    progress: Progress | None = None,
+) -> TaktVerdict:
+    """Judge whether enough cycles are within the takt: of every sequence, or of one.
+
+    Args:
+        model: As of `estimate_cycles`; so are `dataset`, `sequences`, `seed`, `extrapolate`, `validate`, `other_cell`.
+        dataset: The logs.
+        sequences: What is judged: sequences, or the sequence file.
+        takt_s: Takt time, s.
+        confidence: Which part of the cycles must be within it, in (0, 1).
+        sure: The lower end of the 95 % interval of that part must reach it, too.
+        sequence: Judge this one alone, by its name.
+        seed: Of the resampling.
+        extrapolate: Answer although most of it was never logged.
+        validate: Validate on logged executions, and correct the bias.
+        other_cell: Answer by a model of another cell too.
+        progress: Told fraction and text.
+
+    Raises:
+        ConfigError: The confidence is not between 0 and 1.
+        UnknownName: There is no such sequence.
+        EstimateError: A sequence cannot be answered from these logs.
+    """
+    if not 0.0 < confidence < 1.0:
+        raise ConfigError(f"confidence = {confidence:g} is not between 0 and 1", cure="Give 0.95, say.")
+    wanted = sequences_of(sequences)
+    if sequence is not None:
+        names = [one.name for one in wanted]
+        if sequence not in names:
+            raise UnknownName("the sequences", "sequence", sequence, names)
+        wanted = [one for one in wanted if one.name == sequence]
+    given: dict[str, Any] = {"seed": seed, "extrapolate": extrapolate, "validate": validate, "other_cell": other_cell}
+    found = estimate_cycles(model, dataset, wanted, takt_s=takt_s, progress=progress, **given).require_all()
+    for one in found:
+        if one.takt_probability is None:
+            cure = "Log more executions, so that single cycles can be told."
+            raise EstimateError(f"{one.name}: the {one.estimator} estimate has no distribution of cycles", cure=cure)
+    return TaktVerdict(takt_s, confidence, sure, found)

@@ -1,0 +1,208 @@
+"""`start_project`: the project file of a folder of logs; `first_sequence`: the order that was logged most often."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from cyclekit.api.arguments import Place, checked
+from cyclekit.config import Cell, cell_to_toml
+from cyclekit.config.project import PROJECT_FILE, Project, load_project, project_to_toml
+from cyclekit.config.sequences import PlannedTask, TaskSequence
+from cyclekit.config.write import sequence_to_toml
+from cyclekit.dataset.dataset import CARD, Dataset
+from cyclekit.errors import DatasetError, LogError, OutputError, command_line
+from cyclekit.ingest.discover import CELL_FILE, cell_for, find_all, suggest_cell
+from cyclekit.storage.atomic import write_text
+from cyclekit.storage.mistaken import MODEL_CARD
+from cyclekit.storage.outputs import check_writable
+from cyclekit.text.results import Result
+
+
+@dataclass(frozen=True, repr=False)
+class StartedProject(Result):
+    """A project that was begun; as a frame one row per log.
+
+    Attributes:
+        file: The project file.
+        project: What it says.
+        logs: Of each log found: its name, and the adapter that reads it.
+        not_read: Files that no adapter reads, with the reason.
+        written: Every file that was written.
+        unsure: How many lines of the cell file are guesses, marked `# ?`.
+    """
+
+    file: Path
+    project: Project
+    logs: tuple[tuple[str, str], ...]
+    not_read: tuple[tuple[str, str], ...]
+    written: tuple[Path, ...]
+    unsure: int
+
+    def _frame_rows(self) -> list[dict[str, object]]:
+        return [{"log": log, "adapter": adapter} for log, adapter in self.logs]
+
+    def _said(self) -> list[str]:
+        return [f"{self.file}: {len(self.logs)} logs in {', '.join(self.project.logs)}"]
+
+
+@checked
+def start_project(
+    logs: Place = ".", folder: Place = ".", *, name: str = "", takt: str | None = None, follow_links: bool = False
+) -> StartedProject:
+    """Look at a folder of logs and write the project file for it, with a cell file where there is none.
+
+    Where `folder` holds a dataset already, the sequence file is written as well: the order logged most often.
+
+    Args:
+        logs: Folder of logs.
+        folder: Where the project file goes, and later the dataset, the model and the results.
+        name: Title of the report; empty: the name of the folder.
+        takt: Takt time, as `105s`.
+        follow_links: Look at what links in the folder of logs lead to outside of it.
+
+    Raises:
+        LogError: There is nothing there, or nothing that can be read.
+        OutputError: There is a project file already.
+        ConfigError: The takt is no duration, or the cell file beside the logs cannot be followed.
+    """
+    home, root = Path(folder), Path(logs)
+    file = home / PROJECT_FILE
+    if file.exists() or file.is_symlink():
+        cure = f"Bring it up to date with `cyclekit run`; for a new one rename {file} first."
+        raise OutputError(f"{file}: exists, and a project file is never replaced", cure=cure)
+    check_writable(file)
+    roots = _roots(root, home)
+    written: list[Path] = []
+    found, not_read, cell_file, unsure = _looked_at(roots, home, follow_links=follow_links)
+    if cell_file is not None:
+        write_text(home / CELL_FILE, cell_file)
+        written.append(home / CELL_FILE)
+    cell = CELL_FILE if (home / CELL_FILE).is_file() else None
+    given = Project(tuple(_shown(each, home) for each in roots), name=name, cell=cell, takt=takt)
+    write_text(file, project_to_toml(given))
+    written.append(file)
+    try:
+        project = load_project(file)
+    except Exception:
+        file.unlink()
+        raise
+    if (Path(project.dataset) / CARD).is_file() and (made := first_sequences(Dataset.open(project.dataset), project)):
+        written.append(made)
+    return StartedProject(file, project, found, not_read, tuple(written), unsure)
+
+
+def _roots(root: Path, home: Path) -> list[Path]:
+    """Return what holds the logs: the folder, or those in it where the dataset would be made in the same folder.
+
+    Raises:
+        LogError: There is no such folder, or the project would lie among the logs.
+    """
+    if not root.exists():
+        raise LogError(root, "no such file or folder", cure="Give the folder that holds the logs.")
+    if root.resolve() != home.resolve():
+        return [root]
+    inside = [each for each in sorted(root.iterdir()) if not each.name.startswith(".") and not _is_ours(each)]
+    found = [each for each in inside if _holds_logs(each)]
+    if not found:
+        raise LogError(root, "holds no log that can be read", cure="Give the folder that holds the logs.")
+    if all(each.is_dir() for each in found) and not (root / CELL_FILE).exists():
+        return found
+    begin = command_line("init", root.resolve().name)
+    raise LogError(
+        root, "is the folder of logs, and no dataset is made in it", cure=f"Begin one folder up:\n  cd ..\n  {begin}"
+    )
+
+
+def _is_ours(path: Path) -> bool:
+    return path.suffix == ".toml" or any((path / card).is_file() for card in (CARD, MODEL_CARD))
+
+
+def _holds_logs(path: Path) -> bool:
+    try:
+        return bool(find_all([path], cell_for([path], None))[0])
+    except LogError:
+        return False
+
+
+def _cell(roots: list[Path], home: Path) -> Cell:
+    beside = home / CELL_FILE
+    return cell_for(roots, beside if beside.is_file() else None)
+
+
+def _looked_at(
+    roots: list[Path], home: Path, *, follow_links: bool
+) -> tuple[tuple[tuple[str, str], ...], tuple[tuple[str, str], ...], str | None, int]:
+    """Return the logs with their adapters, what is not read, and a cell file where none is there yet.
+
+    Raises:
+        LogError: Nothing can be read.
+    """
+    has_cell = (home / CELL_FILE).is_file() or any((root / CELL_FILE).is_file() for root in roots)
+    suggested = None if has_cell else suggest_cell(roots, follow_links=follow_links)
+    drafts = suggested.drafts if suggested else {}
+    try:
+        logs, not_read = find_all(roots, _cell(roots, home), follow_links=follow_links)
+    except LogError:
+        if not drafts:
+            raise
+        logs, not_read = [], []
+    text = cell_to_toml(suggested.cell, drafts) if suggested else None
+    found = tuple((log.shown, log.adapter) for log in logs)
+    return found, tuple(not_read), text, sum(draft.unsure for draft in drafts.values())
+
+
+def _shown(path: Path, home: Path) -> str:
+    """Return a path as it is written into the project file: from its folder where it lies in it."""
+    try:
+        return path.resolve().relative_to(home.resolve()).as_posix()
+    except ValueError:
+        return str(path if path.is_absolute() else path.resolve())
+
+
+def first_sequences(dataset: Dataset, project: Project) -> Path | None:
+    """Write the sequence file of a project where none is: the order logged most often; None where one is.
+
+    Raises:
+        DatasetError: No whole execution was logged.
+    """
+    file = Path(project.sequences)
+    if file.exists():
+        return None
+    sequence, count, of = first_sequence(dataset)
+    head = f"# Written by cyclekit: the order logged most often, in {count} of {of} whole executions. Add your own.\n"
+    write_text(file, head + sequence_to_toml(sequence))
+    return file
+
+
+def first_sequence(dataset: Dataset) -> tuple[TaskSequence, int, int]:
+    """Return the order of tasks that was logged most often, how often, and how many whole executions there are.
+
+    Task lists alone give a plan for both agents.
+
+    Raises:
+        DatasetError: No whole execution was logged.
+    """
+    if dataset.holds_task_lists_alone:
+        orders: list[Any] = _listed(dataset)
+    else:
+        orders = [one.places for one in dataset.card.executions if one.complete and len(one.places) > 1]
+    if not orders:
+        cure = "Log at least one execution from its start to its end."
+        raise DatasetError(f"{dataset.place}: no whole execution in it, so no order was logged", cure=cure)
+    ((order, count),) = Counter(orders).most_common(1)
+    name = "as logged most often"
+    if dataset.holds_task_lists_alone:
+        return TaskSequence.of_plan(name, [PlannedTask(agent, task) for agent, task in order]), count, len(orders)
+    return TaskSequence(name, order), count, len(orders)
+
+
+def _listed(dataset: Dataset) -> list[tuple[tuple[str, str], ...]]:
+    """Return the tasks (agent, task) of each execution of a task list, each agent's in the order of their starts."""
+    rows = dataset.every_task().drop_nulls("agent_name").sort("execution", "agent_name", "start_s")
+    grouped = rows.group_by("execution", maintain_order=True).agg(pl.struct("agent_name", "task").alias("tasks"))
+    return [tuple((one["agent_name"], one["task"]) for one in tasks) for tasks in grouped["tasks"].to_list()]

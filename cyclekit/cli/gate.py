@@ -1,0 +1,71 @@
+"""`cyclekit gate`: exit code 0 where enough cycles are within the takt, 1 where not."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from cyclekit.cli.estimate import alarmed, doubted
+from cyclekit.cli.options import (
+    Checked,
+    Extrapolate,
+    Json,
+    LoggedPlace,
+    ModelPlace,
+    OtherCell,
+    Quiet,
+    SequenceFile,
+    seconds,
+)
+from cyclekit.cli.terminal import Terminal
+
+EXAMPLE = "cyclekit gate model sequences.toml --dataset dataset --takt 105s --confidence 0.95"
+
+
+def gate(
+    model: ModelPlace,
+    sequences: SequenceFile,
+    dataset: LoggedPlace,
+    takt: Annotated[str, typer.Option(metavar="TIME", help="Takt time, such as 105s or 1min 45s.")],
+    confidence: Annotated[float, typer.Option(help="Which part of the cycles must be within it.")] = 0.95,
+    sure: Annotated[
+        bool, typer.Option("--sure", help="The lower end of that part's 95 % interval must reach it, too.")
+    ] = False,
+    sequence: Annotated[str | None, typer.Option(help="Judge this sequence alone.", metavar="NAME")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling.")] = 0,
+    check: Checked = True,
+    extrapolate: Extrapolate = False,
+    other_cell: OtherCell = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Judge whether enough cycles are within the takt.
+
+    For a CI: exit code 0 where they are, of every sequence in the file; 1 where not; 2 where that cannot be told.
+    """
+    from cyclekit.api.gate import gate_takt
+
+    terminal, takt_s = Terminal(json=json, quiet=quiet), seconds(takt)
+    if not 0 < confidence < 1:
+        raise typer.BadParameter(f"{confidence:g} is not between 0 and 1", param_hint="--confidence")
+    with terminal.progress("estimating") as progress:
+        found = gate_takt(
+            model,
+            dataset,
+            sequences,
+            takt_s,
+            confidence=confidence,
+            sure=sure,
+            sequence=sequence,
+            seed=seed,
+            validate=check,
+            extrapolate=extrapolate,
+            other_cell=other_cell,
+            progress=progress,
+        )
+    for text in (alarmed(found.estimates.alarms), doubted([found.worst])):
+        if text:
+            terminal.remark(text)
+    terminal.answer(found.to_dict(), found.line)
+    return 0 if found.passed else 1

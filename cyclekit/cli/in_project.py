@@ -1,0 +1,93 @@
+"""What is left out of a command line, found in the project file of the working directory (cyclekit.toml).
+
+What is typed wins. A model may be left out before a `.toml` file: `cyclekit plan jobs.toml`. What a command can do
+without (a takt, the model of a report) comes from the project only where its dataset or logs do.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from typer.core import TyperCommand
+
+if TYPE_CHECKING:
+    from cyclekit.config.project import Project
+
+PROJECT_FILE = "cyclekit.toml"
+_ESTIMATE = {"model": "model", "sequences": "sequences", "dataset": "dataset", "takt": "takt"}
+PATHS: dict[str, dict[str, str]] = {
+    "ingest": {"logs": "logs", "out": "dataset", "cell": "cell"},
+    "inspect": {"path": "made", "sequences": "sequences_there"},
+    "trace": {"dataset": "dataset"},
+    "levels": {"dataset": "dataset"},
+    "train": {"dataset": "dataset", "out": "model"},
+    "evaluate": {"model": "model", "dataset": "dataset"},
+    "estimate": _ESTIMATE,
+    "gate": _ESTIMATE,
+    "plan": {"model": "model", "jobs": "jobs", "dataset": "dataset"},
+    "zones": {"model": "model", "dataset": "dataset"},
+    "whatif": {"model": "model", "sequences": "sequences", "dataset": "dataset"},
+    "replay": {"dataset": "dataset", "model": "model"},
+    "report": {
+        **{"dataset": "dataset", "model": "model", "sequences": "sequences", "takt": "takt"},
+        **{"out": "report", "template": "template"},
+    },
+    "export": {"model": "model"},
+}
+"""Of each command the parameters that a project fills, with the key that does; `made` is the dataset, else the logs."""
+
+
+class InProject(TyperCommand):
+    """A command that finds in the project file what was left out."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - typer has its own copy of click
+        """Parse the words of the command line, and say what came from the project file."""
+        keys = PATHS.get(self.name or "", {})
+        if not keys or not Path(PROJECT_FILE).is_file():
+            return super().parse_args(ctx, args)
+        found = _LeftOut()
+        typed, _, _ = self.make_parser(ctx).parse_args(list(args))
+        if self.params[0].name == "model" and str(typed.get("model")).endswith(".toml"):
+            args = [str(found.value("model", "model")), *args]
+        needed = {each.name for each in self.params if each.required}
+        anchors = {"dataset", "logs", "path"} & needed
+        ctx.default_map = {
+            name: partial(found.value, name, key, None if name in needed else anchors) for name, key in keys.items()
+        }
+        rest = super().parse_args(ctx, args)
+        if found.taken and not ctx.params.get("quiet"):
+            from cyclekit.cli.terminal import Terminal
+
+            told = ", ".join(f"{name} = {value}" for name, value in found.taken.items())
+            Terminal(json=False, quiet=False).remark(f"from {PROJECT_FILE}: {told}")
+        return rest
+
+
+class _LeftOut:
+    """Gives values of the project file, which is read when the first is asked for, and keeps which were taken."""
+
+    def __init__(self) -> None:
+        self.taken: dict[str, str] = {}
+        self._project: Project | None = None
+
+    def value(self, name: str, key: str, anchors: set[str] | None = None) -> Any:  # noqa: ANN401 - a text, or several
+        """Return the value of a parameter; None where the project has none, or no anchor was taken from it."""
+        if anchors is not None and not anchors & set(self.taken):
+            return None
+        if self._project is None:
+            from cyclekit.config.project import load_project
+
+            self._project = load_project(Path(PROJECT_FILE))
+        project = self._project
+        if key == "sequences_there":
+            return project.sequences if Path(project.sequences).exists() else None
+        if key == "made":
+            key = "dataset" if Path(project.dataset).exists() or "://" in project.dataset else "logs"
+        value = getattr(project, key)
+        if key == "logs" and name == "path":
+            (value, *_) = value
+        if value is not None:
+            self.taken[name] = " ".join(value) if isinstance(value, tuple) else value
+        return list(value) if isinstance(value, tuple) else value

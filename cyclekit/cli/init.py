@@ -1,0 +1,56 @@
+"""`cyclekit init`: the project file of a folder of logs."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cyclekit.cli.groups import grouped
+from cyclekit.cli.options import FollowLinks, Json, Quiet, Takt, seconds
+from cyclekit.cli.terminal import Terminal, bullet, table
+from cyclekit.errors import command_line
+
+if TYPE_CHECKING:
+    from cyclekit.api.init import StartedProject
+
+EXAMPLE = "cyclekit init logs --takt 105s"
+
+
+def init(
+    logs: Annotated[Path, typer.Argument(help="Folder of logs; default: this one.", metavar="FOLDER")] = Path(),
+    takt: Takt = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing.")] = False,
+    follow_links: FollowLinks = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Look at a folder of logs and write cyclekit.toml here.
+
+    It says where logs, dataset, model, sequences and report lie. In its folder commands find there what is left out,
+    and `cyclekit run` brings all of it up to date. A cell file is written where none is.
+    """
+    from cyclekit.api.init import start_project
+
+    terminal = Terminal(json=json, quiet=quiet)
+    if takt is None and not (yes or json or quiet) and sys.stdin.isatty():
+        takt = typer.prompt("Takt time, such as 105s (Enter: none)", default="", show_default=False, err=True).strip()
+    if takt:
+        seconds(takt)
+    with terminal.progress("looking"):
+        found = start_project(logs, takt=takt or None, follow_links=follow_links)
+    for line in grouped(found.not_read):
+        terminal.remark(f"not read: {line}")
+    terminal.done(found.to_dict(), _said(found))
+
+
+def _said(found: StartedProject) -> str:
+    rows = [[adapter, str(count)] for adapter, count in Counter(adapter for _, adapter in found.logs).most_common()]
+    written = [f"{file}: written" for file in found.written]
+    first = f'look for "# ?" in cell.toml ({found.unsure} lines are not sure), then type' if found.unsure else "type"
+    return "\n".join([*([table(["logs read by ", "count"], rows)] if rows else []), bullet(written, mark="")]) + (
+        f"\nnext: {first}\n  {command_line('run')}"
+    )

@@ -1,0 +1,45 @@
+"""`cyclekit run`: a project brought up to date."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.terminal import Terminal, table
+
+if TYPE_CHECKING:
+    from cyclekit.fleet.project import ProjectRun
+
+EXAMPLE = "cyclekit run"
+
+
+def run(
+    project: Annotated[
+        Path, typer.Argument(help="Project file, or its folder; default: here.", metavar="[cyclekit.toml]")
+    ] = Path("cyclekit.toml"),
+    json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Bring a project up to date: ingest, train, estimate, report.
+
+    Only what changed since the last run is done again. What fails is told, and the rest goes on where it can; then the
+    exit code is 1.
+    """
+    from cyclekit.fleet.project import run_project
+
+    terminal = Terminal(json=json, quiet=quiet)
+    with terminal.progress("running") as progress:
+        found = run_project(project, progress=progress)
+    for row in found.failed:
+        terminal.remark(f"failed: {row.stage}: {row.text}")
+    terminal.done(found.to_dict(), _said(found))
+    return 1 if found.failed else 0
+
+
+def _said(found: ProjectRun) -> str:
+    rows = [[row.stage, row.state, row.text.partition("\n")[0]] for row in found.rows]
+    page = "" if found.failed else f"\n{found.project.report}: open it in any browser"
+    return table(["step ", "state ", "what and why "], rows) + page

@@ -1,0 +1,117 @@
+"""The project file (cyclekit.toml): where the logs, the dataset, the model and the results of one cell lie.
+
+Commands that are typed in its folder find there what was left out; `cyclekit run` brings all of it up to date.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta
+
+from cyclekit.config.toml_file import followed, read_toml
+from cyclekit.config.write import toml_value
+from cyclekit.errors import ConfigError
+from cyclekit.storage.files import resolved
+from cyclekit.storage.remote.folders import is_url, join
+from cyclekit.text.durations import seconds_in
+
+PROJECT_FILE = "cyclekit.toml"
+_Text = Annotated[str, Meta(min_length=1)]
+
+
+@dataclass(frozen=True)
+class Project:
+    """One cell: its logs, and where what is made of them lies; paths from the folder of the file, or URLs.
+
+    Attributes:
+        logs: Files and folders of logs.
+        name: Title of the report; empty: the name of the folder.
+        cell: Cell file; None: the one beside the logs.
+        dataset: Folder of the dataset.
+        model: Folder of the model.
+        sequences: Sequence file that is estimated.
+        jobs: Work whose order `plan` searches.
+        takt: Takt time, as `105s`.
+        estimates: Where the estimates go, `.json`, `.csv` or `.xlsx`.
+        report: Where the report goes.
+        template: Folder with the look of the report.
+    """
+
+    logs: Annotated[tuple[_Text, ...], Meta(min_length=1, examples=[["logs"]])]
+    name: str = ""
+    cell: _Text | None = None
+    dataset: _Text = "dataset"
+    model: _Text = "model"
+    sequences: _Text = "sequences.toml"
+    jobs: _Text | None = None
+    takt: Annotated[str | None, Meta(examples=["105s"])] = None
+    estimates: _Text = "estimates.json"
+    report: _Text = "report.html"
+    template: _Text | None = None
+
+    @property
+    def takt_s(self) -> float | None:
+        """The takt time in seconds; None where there is none."""
+        return None if self.takt is None else seconds_in(self.takt)
+
+
+def load_project(path: Path) -> Project:
+    """Read a project file; its paths come back as they are seen from the working directory.
+
+    Args:
+        path: The file, or the folder that it lies in.
+
+    Raises:
+        ConfigError: The file cannot be read, a value is of the wrong kind, or the takt is no duration.
+        UnknownName: A key is not known.
+    """
+    file = path / PROJECT_FILE if path.is_dir() else path
+    if not file.exists():
+        raise ConfigError(f"{file}: no such project file", cure="Make one: cyclekit init FOLDER_OF_LOGS")
+    told = followed(str(file), read_toml(file), Project)
+    try:
+        _ = told.takt_s
+    except ValueError as error:
+        raise ConfigError(f"{file}: takt: {error}", cure='takt = "105s"') from error
+    places = {key: _place(file.parent, getattr(told, key)) for key in _PLACES if getattr(told, key) is not None}
+    name = told.name or resolved(file).parent.name
+    return replace(told, **places, name=name, logs=tuple(_place(file.parent, each) for each in told.logs))
+
+
+_PLACES = ("cell", "dataset", "model", "sequences", "jobs", "estimates", "report", "template")
+_SAID = {
+    "logs": "files and folders, as they come from the cell",
+    "name": "title of the report; else the name of this folder",
+    "cell": "what the logs cannot say; else the cell.toml beside the logs, if there is one",
+    "dataset": "made by: cyclekit ingest",
+    "model": "made by: cyclekit train",
+    "sequences": "the orders whose cycle time is estimated",
+    "jobs": "the work whose order cyclekit plan searches",
+    "takt": "a part is needed every ...",
+    "estimates": ".json, .csv or .xlsx",
+    "report": "the page for the customer",
+    "template": "folder with your logo and look (docs/report.md)",
+}
+
+
+def project_to_toml(project: Project) -> str:
+    """Return the project file that reads back as this project, with a word on each key; unset keys as comments."""
+    lines = ["# Written by cyclekit init; paths are seen from this folder. Bring all up to date: cyclekit run"]
+    for each in fields(project):
+        value = getattr(project, each.name)
+        told = f"  # {_SAID[each.name]}" if each.name in _SAID else ""
+        if value:
+            lines.append(f"{each.name} = {toml_value(list(value) if isinstance(value, tuple) else value)}{told}")
+        elif each.name in _SAID:
+            lines.append(f'# {each.name} = "{_EXAMPLES[each.name]}"{told}')
+    return "\n".join(lines) + "\n"
+
+
+_EXAMPLES = {"name": "cell 4", "cell": "cell.toml", "jobs": "jobs.toml", "takt": "105s", "template": "look"}
+
+
+def _place(here: Path, text: str) -> str:
+    return text if is_url(text) else join(here, text)

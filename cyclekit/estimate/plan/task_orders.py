@@ -1,0 +1,284 @@
+"""The order of both agents' tasks that takes least time, by a model of task times.
+
+before = [["bring", "weld"]]            # the first, second ... bring before the first, second ... weld
+[[task]]
+agent = "robot"
+name = "bring"
+times = 3                               # how often; 1 where not given
+[[task]]
+agent = "operator"
+name = "mount"
+times = 3
+not_before_s = 5.0                      # optional: earliest start
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from msgspec import Meta
+
+from cyclekit.config.sequences import PlannedTask, TaskSequence
+from cyclekit.config.toml_file import followed, read_toml
+from cyclekit.config.write import sequence_to_toml
+from cyclekit.errors import ConfigError, EstimateError, UnknownName
+from cyclekit.estimate.task_times import SURE, estimate_plans
+from cyclekit.learning.task_times.learn import plan_of
+from cyclekit.learning.task_times.roll import agent_of, roll_plan
+from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    import polars as pl
+
+    from cyclekit.dataset.cards.task_model import TaskModelCard
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.learning.task_times.runs import Run
+    from cyclekit.schema import Progress
+
+    Order = tuple[int, ...]
+
+RANDOM, MOVES, CYCLES = 60, 240, 48
+"""Random orders to begin with, moves tried of the best ones, and cycles rolled out for each."""
+STARTS, FINAL, FINAL_CYCLES = 2, 12, 600
+"""Moves begin with so many of the random orders; so many of the best are rolled out with more cycles."""
+_EXAMPLE = """For example:
+  [[task]]
+  agent = "robot"
+  name = "bring"
+  times = 3"""
+
+
+@dataclass(frozen=True)
+class JobTask:
+    """One kind of task to be done: whose, which, how often, and its earliest start, s."""
+
+    agent: str
+    name: str
+    times: Annotated[int, Meta(ge=1, le=1000)] = 1
+    not_before_s: Annotated[float, Meta(ge=0.0, le=1e6)] | None = None
+
+
+@dataclass(frozen=True)
+class TaskJobs:
+    """The work of both agents.
+
+    Attributes:
+        task: Kinds of tasks.
+        before: Pairs of names: the k-th of the first ends before the k-th of the second starts.
+        shown: How a message names it.
+    """
+
+    task: tuple[JobTask, ...] = ()
+    before: tuple[tuple[str, str], ...] = ()
+    shown: str = "the jobs"
+
+
+@dataclass(frozen=True, repr=False)
+class TaskOrderPlan(Result):
+    """The order found for both agents.
+
+    Attributes:
+        estimate: Its estimate.
+        tasks: Each agent's in order.
+        against: What it is compared with: `logged orders` or `random orders`.
+        against_s: Mean cycle time of those.
+        saves_s: against_s less the expected cycle time, and its 95 % interval.
+        tried: Orders scored.
+    """
+
+    estimate: CycleEstimate
+    tasks: tuple[PlannedTask, ...]
+    against: str
+    against_s: float
+    saves_s: tuple[float, float, float]
+    tried: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the plan as plain JSON values."""
+        return {
+            "order": [task.shown for task in self.tasks],
+            "expected_s": self.estimate.expected_s,
+            "against": self.against,
+            "against_s": self.against_s,
+            "saves_s": list(self.saves_s),
+            "tried": self.tried,
+            "estimate": self.estimate.to_dict(),
+        }
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per task: agent, task, start and end, wait, s."""
+        import polars as pl
+
+        rows = [(one.agent, one.task, one.start_s, one.end_s, one.wait_s) for one in self.estimate.plan]
+        return pl.DataFrame(rows, schema=["agent", "task", "start_s", "end_s", "wait_s"], orient="row")
+
+    def to_toml(self) -> str:
+        """Return the order as a sequence file."""
+        return "# Written by cyclekit plan\n" + sequence_to_toml(TaskSequence.of_plan("planned", self.tasks))
+
+    def _said(self) -> list[str]:
+        saved, low, high = self.saves_s
+        against = f"saves {saved:.1f} s (95% CI {low:.1f} to {high:.1f} s) against {self.against}"
+        return [f"{self.estimate.expected_s:.1f} s; {against}", *(task.shown for task in self.tasks)]
+
+
+def load_task_jobs(path: Path) -> TaskJobs:
+    """Read a jobs file for both agents.
+
+    Raises:
+        ConfigError: It cannot be read, or names places in place of tasks.
+    """
+    raw = read_toml(path)
+    if "task" not in raw:
+        seen = f"{path}: no [[task]] in it, and a model of task times orders tasks of both agents"
+        raise ConfigError(seen, cure=_EXAMPLE)
+    return followed(str(path), raw, TaskJobs, shown=str(path))
+
+
+def plan_tasks(
+    model: TaskModelCard,
+    jobs: TaskJobs,
+    runs: Sequence[Run] = (),
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> TaskOrderPlan:
+    """Search the order of both agents' tasks with the least expected cycle time.
+
+    Args:
+        model: What was learned from task lists.
+        jobs: The work.
+        runs: Logged executions; orders of the same work among them are what the answer is compared with.
+        seed: Of the search and of what is drawn.
+        progress: Told fraction and text.
+
+    Raises:
+        UnknownName: An agent or a task was never logged.
+        ConfigError: The precedence of the jobs names no task of them.
+        EstimateError: No order is possible.
+    """
+    search = _Search(model, jobs, seed)
+    tell = progress or (lambda _fraction, _text: None)
+    tell(0.05, "random orders")
+    first = [search.random() for _ in range(RANDOM)]
+    for number, order in enumerate(sorted(first, key=search.score)[:STARTS]):
+        tell(0.2 + 0.3 * number, "moving tasks")
+        search.improve(order, MOVES // STARTS)
+    best = min(search.best(), key=lambda order: search.rolled(order, FINAL_CYCLES))
+    tell(0.9, "estimating")
+    basis, against = _basis(search, runs, first)
+    found, *others = _estimates(model, [search.plan(best), *basis], seed)
+    against_s = float(np.mean([each.expected_s for each in others]))
+    saved = against_s - found.expected_s
+    error = (found.expected_high_s - found.expected_low_s) / (2 * SURE) / found.expected_s * max(abs(saved), 0.0)
+    spread = SURE * float(np.hypot(error, search.noise_s(best)))
+    return TaskOrderPlan(
+        found, tuple(search.plan(best)), against, against_s, (saved, saved - spread, saved + spread), len(search.scored)
+    )
+
+
+class _Search:
+    """Orders as sequences of all tasks in which what is waited for comes first; so none of them blocks itself."""
+
+    def __init__(self, model: TaskModelCard, jobs: TaskJobs, seed: int) -> None:
+        self.model, self.jobs, self.seed = model, jobs, seed
+        self.rng = np.random.default_rng(seed)
+        self.tasks = [PlannedTask(job.agent, job.name, job.not_before_s) for job in jobs.task for _ in range(job.times)]
+        names = [agent_of(model, task, jobs.shown) for task in self.tasks]
+        self.keys = [(name, task.name) for name, task in zip(names, self.tasks, strict=True)]
+        self.turn = [self.keys[:number].count(key) for number, key in enumerate(self.keys)]
+        self.first = self._precedence()
+        self.scored: dict[Order, float] = {}
+
+    def _precedence(self) -> list[set[int]]:
+        """Return for each task the numbers of those that come before it."""
+        at = {(key, turn): number for number, (key, turn) in enumerate(zip(self.keys, self.turn, strict=True))}
+        needs = {(card.agent, card.task): card.needs for card in self.model.tasks}
+        for name in {name for pair in self.jobs.before for name in pair}:
+            if name not in {task for _, task in self.keys}:
+                raise UnknownName(self.jobs.shown, "task in before", name, {task for _, task in self.keys})
+        found = []
+        for key, turn in zip(self.keys, self.turn, strict=True):
+            if key not in needs:
+                raise UnknownName(self.jobs.shown, f"task of {key[0]}", key[1], {b for a, b in needs if a == key[0]})
+            wanted = [((need.agent, need.task), turn - need.back) for need in needs[key]]
+            told = {one for one, other in self.jobs.before if other == key[1]}
+            wanted += [(other, turn) for other in set(self.keys) if other[1] in told]
+            found.append({at[one] for one in [*wanted, (key, turn - 1)] if one in at})
+        return found
+
+    def random(self) -> Order:
+        """Return a random order that keeps what comes first."""
+        order: list[int] = []
+        while len(order) < len(self.tasks):
+            free = [n for n in range(len(self.tasks)) if n not in order and self.first[n] <= set(order)]
+            if not free:
+                msg = f"{self.jobs.shown}: no order is possible: tasks wait for each other"
+                raise EstimateError(msg, cure="Take a pair out of before, or add the task that is waited for.")
+            order.append(int(self.rng.choice(free)))
+        return tuple(order)
+
+    def plan(self, order: Order) -> list[PlannedTask]:
+        """Return an order as a plan: each agent's tasks in order, with the precedence that was told."""
+        agents = sorted({self.tasks[n].agent for n in order}, key=lambda agent: agent != "robot")
+        told = {task: tuple(a for a, b in self.jobs.before if b == task) for _, task in self.keys}
+        mine = [self.tasks[n] for agent in agents for n in order if self.tasks[n].agent == agent]
+        return [replace(task, after=told[task.name]) for task in mine]
+
+    def rolled(self, order: Order, cycles: int) -> float:
+        """Return the mean cycle time, s."""
+        return float(roll_plan(self.model, self.plan(order), cycles=cycles, seed=self.seed).duration_s.mean())
+
+    def score(self, order: Order) -> float:
+        """Return the mean cycle time of few cycles, s; the same cycles for each order."""
+        if order not in self.scored:
+            self.scored[order] = self.rolled(order, CYCLES)
+        return self.scored[order]
+
+    def improve(self, order: Order, moves: int) -> None:
+        """Move single tasks as long as that helps."""
+        for _ in range(moves):
+            moved = list(order)
+            task = moved.pop(int(self.rng.integers(len(moved))))
+            moved.insert(int(self.rng.integers(len(moved) + 1)), task)
+            place = {number: at for at, number in enumerate(moved)}
+            if any(place[one] > place[number] for number in moved for one in self.first[number]):
+                continue
+            if self.score(tuple(moved)) <= self.score(order):
+                order = tuple(moved)
+
+    def best(self) -> list[Order]:
+        """Return the best orders scored."""
+        return sorted(self.scored, key=lambda order: self.scored[order])[:FINAL]
+
+    def noise_s(self, order: Order) -> float:
+        """Return the standard error of the mean of the rolled-out cycles, s."""
+        took = roll_plan(self.model, self.plan(order), cycles=FINAL_CYCLES, seed=self.seed).duration_s
+        return float(took.std(ddof=1) / np.sqrt(FINAL_CYCLES))
+
+
+def _basis(search: _Search, runs: Sequence[Run], random: Sequence[Order]) -> tuple[list[list[PlannedTask]], str]:
+    """Return what the order found is compared with: at most FINAL logged orders of the same work, else random ones."""
+    work = Counter(search.keys)
+    same = {
+        run.order: run for run in runs if Counter((a, t.task) for a, some in run.tasks.items() for t in some) == work
+    }
+    if same:
+        plans = [plan_of(run) for run in list(same.values())[:FINAL]]
+        return [[replace(task, not_before_s=None) for task in plan] for plan in plans], "logged orders"
+    return [search.plan(order) for order in random[:FINAL]], "random orders"
+
+
+def _estimates(model: TaskModelCard, plans: Sequence[Sequence[PlannedTask]], seed: int) -> list[CycleEstimate]:
+    def refuse(_: TaskSequence, error: EstimateError) -> None:
+        raise error
+
+    asked = [TaskSequence.of_plan("planned" if n == 0 else f"{n}", plan) for n, plan in enumerate(plans)]
+    found = {each.name: each for each in estimate_plans(model, asked, seed=seed, refused=refuse)}
+    return [found[sequence.name] for sequence in asked]

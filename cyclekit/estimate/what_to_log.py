@@ -1,0 +1,179 @@
+"""What to log next: tasks that are missing or rare, and how many executions a narrower interval takes."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.errors import DatasetError
+from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
+
+ENOUGH = 5
+"""Repetitions of a task; with fewer its motion (a median) and its dwell (a mean) hang on single ones."""
+WITHIN = 0.01
+"""Half of the 95 % interval of the mean cycle time that is wanted, as a part of the mean."""
+_Z = 1.96
+
+
+@dataclass(frozen=True)
+class OrderToLog:
+    """An order to be logged.
+
+    Attributes:
+        name: Of the sequence that was asked for; empty where the order was put together from logged tasks.
+        places: In order, the start first.
+        executions: How often.
+        adds: The missing and rare tasks in it.
+    """
+
+    name: str
+    places: tuple[str, ...]
+    executions: int
+    adds: tuple[str, ...]
+
+
+@dataclass(frozen=True, repr=False)
+class RecordingPlan(Result):
+    """What to log next; as a frame one row per order.
+
+    Attributes:
+        missing: Tasks that are asked for and were never logged with a known speed scaling.
+        rare: Tasks logged fewer than ENOUGH times, with how often.
+        orders: What to log for these, in as few executions as were found.
+        executions: Whole executions logged so far.
+        half_width: Half of the 95 % interval of the mean logged cycle time, as a part of the mean; None below two.
+        within: The half width that is wanted.
+        more: Executions to be logged in all, of these orders and of those logged so far.
+    """
+
+    missing: tuple[str, ...]
+    rare: Mapping[str, int]
+    orders: tuple[OrderToLog, ...]
+    executions: int
+    half_width: float | None
+    within: float
+    more: int
+
+    @property
+    def lines(self) -> list[str]:
+        """The plan in sentences; empty where nothing is lacking."""
+        found = [f"missing: {', '.join(self.missing)}"] if self.missing else []
+        if self.rare:
+            found.append(f"logged fewer than {ENOUGH} times: " + ", ".join(f"{t} ({n})" for t, n in self.rare.items()))
+        for one in self.orders:
+            name = f" (sequence {one.name!r})" if one.name else ""
+            found.append(f"log {one.executions} executions of {', '.join(one.places)}{name}")
+        if self.half_width is not None and self.half_width > self.within:
+            known = f"the mean cycle time of {self.executions} executions is known to +-{self.half_width:.1%} (95% CI)"
+            why = "the interval narrows with the root of their number"
+            found.append(f"{known}; for +-{self.within:.1%} log {self.more} more in all: {why}")
+        return found
+
+    def _frame_rows(self) -> list[dict[str, object]]:
+        return [
+            {"order": ", ".join(one.places), "executions": one.executions, "adds": ", ".join(one.adds)}
+            for one in self.orders
+        ]
+
+    def _said(self) -> list[str]:
+        return self.lines or ["nothing is lacking"]
+
+
+def what_to_log(dataset: Dataset, sequences: Sequence[TaskSequence] = (), *, within: float = WITHIN) -> RecordingPlan:
+    """Return what to log next, for these sequences or, without any, for the tasks that were logged.
+
+    Args:
+        dataset: The logs so far, with positions of the robot.
+        sequences: What is to be estimated.
+        within: Half of the 95 % interval of the mean cycle time that is wanted, as a part of the mean.
+
+    Raises:
+        DatasetError: It holds no robot tasks.
+    """
+    dataset.require_positions()
+    counts: dict[str, int] = dict(
+        dataset.tasks().filter(pl.col("nominal_s").is_not_null()).group_by("task").len().sort("task").iter_rows()
+    )
+    if not counts:
+        raise DatasetError(f"{dataset.place}: no robot task in it", cure="Log executions that drive to places.")
+    asked = dict.fromkeys(task for one in sequences for task in one.tasks if not one.plan) or dict.fromkeys(counts)
+    lacking = {task: counts.get(task, 0) for task in asked if counts.get(task, 0) < ENOUGH}
+    orders = _of_sequences(sequences, lacking) if sequences else _one_tour(dataset, counts, lacking)
+    executions, half = _half_width(dataset)
+    wanted = 0 if half is None else math.ceil(executions * (half / within) ** 2) - executions
+    more = max(wanted, sum(one.executions for one in orders))
+    missing = tuple(task for task, count in lacking.items() if count == 0)
+    rare = {task: count for task, count in lacking.items() if count}
+    return RecordingPlan(missing, rare, tuple(orders), executions, half, within, more)
+
+
+def _half_width(dataset: Dataset) -> tuple[int, float | None]:
+    """Return how many whole executions there are, and half of the 95 % interval of their mean, as a part of it."""
+    durations = dataset.executions.filter("complete")["duration_s"]
+    if len(durations) < 2:
+        return len(durations), None
+    return len(durations), _Z * float(durations.std() or 0.0) / math.sqrt(len(durations)) / float(durations.mean())  # type: ignore[arg-type]
+
+
+def _of_sequences(sequences: Sequence[TaskSequence], lacking: Mapping[str, int]) -> list[OrderToLog]:
+    """Cover lacking tasks by the sequences: each time the one with the most repetitions that still lack."""
+    left = {task: ENOUGH - count for task, count in lacking.items()}
+    found: list[OrderToLog] = []
+    while any(left.values()):
+        gains = {one: sum(min(left.get(task, 0), n) for task, n in Counter(one.tasks).items()) for one in sequences}
+        best = max(gains, key=lambda one: gains[one])
+        times = Counter(best.tasks)
+        count = max(math.ceil(left[task] / n) for task, n in times.items() if left.get(task, 0))
+        adds = tuple(task for task in times if left.get(task, 0))
+        found.append(OrderToLog(best.name, best.places, count, adds))
+        left |= dict.fromkeys(adds, 0)
+    return found
+
+
+def _one_tour(dataset: Dataset, counts: Mapping[str, int], lacking: Mapping[str, int]) -> list[OrderToLog]:
+    """Put rare tasks into one order of logged tasks, each time the one that is nearest; home again where that is."""
+    if not lacking:
+        return []
+    whole = [one.places for one in dataset.card.executions if one.complete and len(one.places) > 1]
+    ends = Counter((places[0], places[-1]) for places in whole).most_common(1)
+    (start, end), _ = ends[0] if ends else ((next(iter(lacking)).partition("->")[0], ""), 0)
+    ways = [(a, b) for a, _, b in (task.partition("->") for task in counts)]
+    left, places = {tuple(task.split("->")) for task in lacking}, [start]
+    while left:
+        way = _way(places[-1], {a for a, _ in left}, ways)
+        if way is None:
+            break
+        places += way[1:]
+        places.append(min(b for a, b in left if a == places[-1]))
+        left -= set(pairwise(places))
+    back = _way(places[-1], {end}, ways) if end else None
+    places += back[1:] if back else []
+    adds = tuple(f"{a}->{b}" for a, b in dict.fromkeys(pairwise(places)) if f"{a}->{b}" in lacking)
+    if not adds:
+        return []
+    return [OrderToLog("", tuple(places), ENOUGH - min(lacking[task] for task in adds), adds)]
+
+
+def _way(start: str, goals: Iterable[str], ways: Sequence[tuple[str, str]]) -> list[str] | None:
+    """Return the places of a shortest way over logged tasks to one of the goals; None where there is none."""
+    wanted, seen, waiting = set(goals), {start}, deque([[start]])
+    while waiting:
+        places = waiting.popleft()
+        if places[-1] in wanted:
+            return places
+        for a, b in ways:
+            if a == places[-1] and b not in seen:
+                seen.add(b)
+                waiting.append([*places, b])
+    return None

@@ -1,0 +1,108 @@
+"""Changes of a cell of which task lists alone are known: a faster agent, a removed wait, parts in advance."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from msgspec import structs
+
+from cyclekit.errors import EstimateError, UnknownName
+from cyclekit.estimate.task_times import SURE, estimate_plans
+from cyclekit.estimate.whatif.answer import WhatIf
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.cards.task_model import TaskModelCard, TaskTimesCard
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.whatif.change import Change
+
+
+def what_if_tasks(
+    model: TaskModelCard,
+    sequences: Sequence[TaskSequence],
+    changes: Sequence[Change],
+    *,
+    seed: int = 0,
+    refused: Callable[[Change, EstimateError], None],
+) -> list[WhatIf]:
+    """Estimate every plan as it is and under every change.
+
+    Args:
+        model: What was learned from task lists.
+        sequences: Plans for both agents.
+        changes: Each by itself.
+        seed: Of what is drawn; the same before and after.
+        refused: Told each change that cannot be answered, and why.
+
+    Raises:
+        EstimateError: A plan as it is cannot be answered.
+    """
+    before = _estimates(model, sequences, seed)
+    answers = []
+    for change in changes:
+        try:
+            after = _estimates(altered_times(model, change), sequences, seed)
+        except UnknownName as error:
+            refused(change, EstimateError(error.seen, nearest=error.nearest, cure=error.cure))
+        except EstimateError as error:
+            refused(change, error)
+        else:
+            answers += [
+                WhatIf(change.name, before[name], after[name], _saved(before[name], after[name])) for name in before
+            ]
+    return answers
+
+
+def altered_times(model: TaskModelCard, change: Change) -> TaskModelCard:
+    """Return a model as it is after a change.
+
+    Raises:
+        EstimateError: The change is of positions or of the safety function, which task lists do not hold.
+        UnknownName: An agent or a task is not in the model, or does not wait for what is named.
+    """
+    where = f"change {change.name!r}"
+    if not change.of_tasks:
+        msg = f"{where}: changes positions or the safety function, and task lists hold neither"
+        raise EstimateError(msg, cure="Ask for faster, no_wait or buffer; or ingest the robot's log and the positions.")
+    for agent in change.faster:
+        if agent not in {*model.agents, *model.agents.values()}:
+            raise UnknownName(where, "agent in faster", agent, {*model.agents, *model.agents.values()})
+    waits = {(task.task, need.task) for task in model.tasks for need in task.needs}
+    for task, other in change.no_wait:
+        if (task, other) not in waits:
+            raise UnknownName(where, "wait", f"{task} for {other}", [f"{one} for {two}" for one, two in sorted(waits)])
+    for name in change.buffer:
+        if name not in {task for task, _ in waits}:
+            raise UnknownName(where, "task in buffer that waits for another", name, {task for task, _ in waits})
+    return structs.replace(model, tasks=tuple(_altered(model, task, change) for task in model.tasks))
+
+
+def _altered(model: TaskModelCard, task: TaskTimesCard, change: Change) -> TaskTimesCard:
+    factor = change.faster.get(task.agent, change.faster.get(model.agents[task.agent], 1.0))
+    needs = tuple(need for need in task.needs if (task.task, need.task) not in change.no_wait)
+    ahead = change.buffer.get(task.task, 0)
+    return structs.replace(
+        task,
+        usual_s=task.usual_s / factor,
+        work_s=tuple(work / factor for work in task.work_s),
+        needs=tuple(structs.replace(need, back=need.back + ahead) for need in needs),
+    )
+
+
+def _estimates(model: TaskModelCard, sequences: Sequence[TaskSequence], seed: int) -> dict[str, CycleEstimate]:
+    def refuse(_: TaskSequence, error: EstimateError) -> None:
+        raise error
+
+    return {each.name: each for each in estimate_plans(model, sequences, seed=seed, refused=refuse)}
+
+
+def _saved(before: CycleEstimate, after: CycleEstimate) -> tuple[float, float, float]:
+    """Return what a change saves, s, with its 95 % interval: both estimates are off by the same part."""
+    saved = before.expected_s - after.expected_s
+    part = (before.expected_high_s - before.expected_low_s) / (2 * SURE) / before.expected_s
+    noise = float(np.std(np.array(before.durations_s))) / np.sqrt(len(before.durations_s))
+    error = SURE * float(np.hypot(part * abs(saved), noise))
+    return saved, saved - error, saved + error

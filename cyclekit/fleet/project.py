@@ -1,0 +1,214 @@
+"""A project of one cell brought up to date: the stages of a fleet's cell, and its estimates; only what changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from dataclasses import replace as dataclass_replace
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from msgspec.structs import replace
+
+from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.api.estimate import estimate_cycles
+from cyclekit.api.init import first_sequences
+from cyclekit.api.train import train_task_times
+from cyclekit.config.project import PROJECT_FILE, Project, load_project
+from cyclekit.config.sequences import load_sequences
+from cyclekit.dataset.cards import plain
+from cyclekit.dataset.guard import check_output
+from cyclekit.errors import ModelError, NothingPublished, UnknownName
+from cyclekit.fleet.read import FleetCell
+from cyclekit.fleet.stages import (
+    STAGES,
+    CellAtWork,
+    Stage,
+    StageResult,
+    State,
+    asked_for,
+    dataset_of,
+    is_there,
+    mark_of,
+    work_on,
+)
+from cyclekit.learning.networks.saved import TrainedModel, load_model
+from cyclekit.learning.task_times.saved import TaskTimesModel, holds_task_times, load_task_times
+from cyclekit.storage.remote.folders import join
+from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.guard import Kind
+
+LEDGER = "cyclekit.json"
+_SHOWN = 3
+"""So many estimates are named."""
+
+
+@dataclass(frozen=True)
+class ProjectCell(FleetCell):
+    """The cell of a project, whose paths are those of the project file.
+
+    Attributes:
+        project: What the project file says.
+    """
+
+    project: Project = field(default_factory=lambda: Project(()))
+
+    @property
+    def dataset(self) -> str:
+        """Where its dataset stands."""
+        return self.project.dataset
+
+    @property
+    def model(self) -> str:
+        """Where its model stands."""
+        return self.project.model
+
+    @property
+    def report(self) -> str:
+        """Where its report is written."""
+        return self.project.report
+
+    @property
+    def ledger(self) -> str:
+        """Where it is written down what came of its stages."""
+        return join(self.folder, LEDGER)
+
+    @property
+    def looks(self) -> dict[str, Any]:
+        """What else its report is told."""
+        return {"takt_s": self.project.takt_s, "template": self.project.template}
+
+
+@dataclass(frozen=True, repr=False)
+class ProjectRun(Result):
+    """What came of each stage of a project; as a frame one row per stage.
+
+    Attributes:
+        file: The project file.
+        project: What it says.
+        rows: Of each stage in order.
+    """
+
+    file: Path
+    project: Project
+    rows: tuple[StageResult, ...]
+
+    @property
+    def failed(self) -> tuple[StageResult, ...]:
+        """The stages that failed."""
+        return tuple(row for row in self.rows if row.state == "failed")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {"project": str(self.file), "failed": len(self.failed), "rows": self._frame_rows()}
+
+    def _frame_rows(self) -> list[dict[str, object]]:
+        return [{"stage": row.stage, "state": row.state, "text": row.text} for row in self.rows]
+
+    def _said(self) -> list[str]:
+        return [str(self.file), *(f"{row.stage}: {row.state}: {row.text}" for row in self.rows)]
+
+
+@checked
+def run_project(
+    project: Place = PROJECT_FILE,
+    *,
+    stages: Sequence[str] = ("ingest", "train", "estimate", "report"),
+    progress: Progress | None = None,
+) -> ProjectRun:
+    """Bring a project up to date: ingest, train, estimate, report; only what changed since the last run.
+
+    What was found out stands in `cyclekit.json` beside the project file. Where there is no sequence file, one is
+    written: the order logged most often.
+
+    Args:
+        project: The project file, or its folder.
+        stages: Those to be done, in their order.
+        progress: Told fraction and text.
+
+    Returns:
+        What came of each stage. What fails is in it, and stages that can do without it go on.
+
+    Raises:
+        ConfigError: The project file cannot be followed.
+        UnknownName: There is no such stage.
+        OutputError: Something that is not cyclekit's would be replaced.
+    """
+    file = Path(project) / PROJECT_FILE if Path(project).is_dir() else Path(project)
+    told = load_project(file)
+    for stage in stages:
+        if stage not in PROJECT_STAGES:
+            raise UnknownName("run_project()", "stage", stage, PROJECT_STAGES)
+    cell = ProjectCell(told.name, told.logs, str(file.parent), told.cell, told.sequences, checksums=True, project=told)
+    inputs = [*told.logs, file, told.cell, told.sequences, told.template]
+    check_output(cell.ledger, "cell", inputs, option=f"{file}")
+    page: Kind = "workbook" if told.report.endswith(".xlsx") else "page"
+    places: dict[Kind, str] = {"dataset": told.dataset, "model": told.model, page: told.report}
+    for kind, place in places.items():
+        check_output(place, kind, inputs, option=f"{file}")
+    rows = work_on(cell, stages=tuple(stages), known=PROJECT_STAGES, progress=progress)
+    return ProjectRun(file, told, tuple(rows))
+
+
+def _project(work: CellAtWork) -> Project:
+    return cast("ProjectCell", work.cell).project
+
+
+def _train(work: CellAtWork) -> tuple[State, str]:
+    """Learn the safety function, or of task lists alone the times of tasks."""
+    cell, dataset = work.cell, dataset_of(work.cell)
+    if dataset is None or not dataset.holds_task_lists_alone:
+        return STAGES["train"](work)
+    mark = mark_of(dataset)
+    if work.ledger.marks.get("train") == mark and _model(cell) is not None:
+        return "unchanged", "learned from these task lists"
+    found = train_task_times(dataset, out=cell.model, progress=work.tell)
+    work.ledger = replace(work.ledger, marks={**work.ledger.marks, "train": mark})
+    return "done", f"times of {len(found.card.tasks)} tasks from {found.card.executions} executions"
+
+
+def _estimate(work: CellAtWork) -> tuple[State, str]:
+    """Estimate the sequences where dataset, model, sequences or takt are new."""
+    project, dataset, model = _project(work), dataset_of(work.cell), _model(work.cell)
+    if dataset is None or model is None:
+        return "skipped", "there is no dataset" if dataset is None else "there is no model"
+    written = first_sequences(dataset, project)
+    wanted = load_sequences(Path(project.sequences))
+    mark = mark_of(dataset, plain(model.card), asked_for(wanted), project.takt_s)
+    asked: dict[str, Any] = {"out": project.estimates, "takt_s": project.takt_s, "progress": work.tell}
+    work.estimates = cache(partial(estimate_cycles, model, dataset, wanted, **asked))
+    if work.ledger.marks.get("estimate") == mark and is_there(project.estimates):
+        return "unchanged", "same dataset, model, sequences and takt"
+    found = work.estimates()
+    work.ledger = replace(work.ledger, marks={**work.ledger.marks, "estimate": mark})
+    means = [f"{one.name} {one.expected_s:.1f} s" for one in found]
+    told = [f"wrote {written}"] if written else []
+    refused = [f"not answered: {one.error.seen}" for one in found.refused]
+    return "done", "; ".join([*told, *means[:_SHOWN], *refused])
+
+
+def _report(work: CellAtWork) -> tuple[State, str]:
+    """Write the page; without estimates where there are none."""
+    done = work.ledger.stages.get("estimate")
+    if done is None or done.state in ("failed", "skipped"):
+        work.cell, work.estimates = dataclass_replace(work.cell, sequences=None), lambda: None
+    return STAGES["report"](work)
+
+
+def _model(cell: FleetCell) -> TrainedModel | TaskTimesModel | None:
+    try:
+        return load_task_times(cell.model) if holds_task_times(cell.model) else load_model(cell.model)
+    except (ModelError, NothingPublished):
+        return None
+
+
+PROJECT_STAGES: Mapping[str, Stage] = {
+    "ingest": STAGES["ingest"],
+    "train": _train,
+    "estimate": _estimate,
+    "report": _report,
+}
+"""What brings a project up to date, in the order in which one needs the other."""

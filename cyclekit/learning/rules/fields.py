@@ -1,0 +1,170 @@
+"""Which field counts where: rules on signals that tell of people, for cells without a tracker.
+
+A level holds while any of some signals is on, each of them everywhere or while the TCP is in a rectangle of its own.
+Signals are added to a level as long as they explain more samples; edges of rectangles that explain next to nothing are
+left out, so that a field that counts everywhere has no rectangle.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from msgspec import structs
+
+from cyclekit.dataset.cards.rule import MetresCard, RectangleCard, RegionCard, RuleCard, SignalCard
+from cyclekit.dataset.time_grid import stretches
+from cyclekit.learning.labelling import commanded_in_time, without_slider
+from cyclekit.learning.rules.cuts import best_box
+from cyclekit.learning.rules.families.family import Family
+from cyclekit.learning.rules.fitting import fit_limits
+from cyclekit.learning.rules.ladder import NOISY_EXPLAINS, RuleSearch, drawn
+from cyclekit.learning.rules.regions import followed, inside, turned
+from cyclekit.learning.rules.rows import RuleRows
+from cyclekit.learning.rules.safety import values_of_bits
+from cyclekit.learning.signal_inputs import as_inputs
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.learning.rules.cuts import LimitRows
+    from cyclekit.schema import Bools, Ints
+
+KIND = "table of signals"
+SURE_S = 0.03
+"""So near to a change of the level it is open which one was commanded: delays are known no better."""
+FEW_ROWS, GAIN = 5.0, 1e-3
+"""A signal, or an edge of its rectangle, must explain more rows than this, and more than this part of them."""
+MOST_SIGNALS = 8
+MARGIN = 0.005
+"""A network that names so much more of the held-out levels is better than the rule."""
+
+
+def rows_by_signals(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]) -> RuleRows:
+    """Return what a rule on signals is fitted to: signals, place of the TCP, and commanded level.
+
+    Args:
+        dataset: Whose signals tell of people.
+        executions: Of these.
+        levels: Of the speed scaling, ascending.
+    """
+    frame, _ = without_slider(dataset, dataset.samples(list(executions)))
+    level = commanded_in_time(dataset, frame, levels, dataset.card.dynamics, sure_s=SURE_S)
+    robot_m = frame.select("robot_x_m", "robot_y_m", "robot_z_m").fill_null(float("nan")).to_numpy()
+    level[frame["human_signals"].is_null().to_numpy() | np.isnan(robot_m[:, 0])] = -1
+    bits = frame["human_signals"].fill_null(0).to_numpy()
+    order = {name: number for number, name in enumerate(executions)}
+    number = frame["execution"].replace_strict(order).cast(int).to_numpy()
+    named = dataset.card.operator_signals
+    return RuleRows.made(
+        robot_m,
+        as_inputs(bits, len(named)),
+        level,
+        number,
+        stretch=stretches(frame, dataset.rate_hz),
+        signals=values_of_bits(named, bits),
+    )
+
+
+def find_fields(
+    rows: RuleRows,
+    levels: Sequence[float],
+    *,
+    held_out: Ints | None = None,
+    network: Ints | None = None,
+    latency_s: float = 0.0,
+    judged_apart: bool = False,
+    seed: int = 0,
+) -> RuleSearch:
+    """Return which field counts where; arguments as of `ladder.find_rule`."""
+    levels = tuple(levels)
+    judged = drawn(rows.execution, seed) if held_out is None else held_out
+    learn, judge = rows.of(np.setdiff1d(rows.execution, judged)), rows.of(judged)
+    if not len(learn) or not len(judge) or len(levels) < 2:
+        return RuleSearch(None, rows=len(rows))
+    limits = fit_limits(learn, levels, FIELDS, lag=False)
+    explained = float((followed(limits, levels, judge) == judge.level).mean())
+    rival = None if network is None else float((network[np.isin(rows.execution, judged)] == judge.level).mean())
+    seen = (len(rows), len(np.unique(rows.execution)))
+    if not limits or explained < max(NOISY_EXPLAINS, (rival or 0.0) - MARGIN):
+        return RuleSearch(None, {KIND: explained}, rival, *seen)
+    limits = limits if judged_apart else fit_limits(rows, levels, FIELDS, lag=False)
+    card = RuleCard(
+        family=KIND,
+        levels=levels,
+        limits=limits,
+        latency_s=latency_s,
+        explained=explained,
+        network=rival,
+        rows=seen[0],
+        executions=seen[1],
+    )
+    return RuleSearch(card, {KIND: explained}, rival, *seen)
+
+
+def _fit(rows: LimitRows, start: RegionCard | None) -> RegionCard:
+    """Return the signals, each with its rectangle of the TCP, that explain best which rows are slow."""
+    del start
+    region, wrong = RegionCard(), rows.wrong(RegionCard())
+    least = max(FEW_ROWS, GAIN * float(rows.weight.sum()))
+    while len(region.signals) < MOST_SIGNALS:
+        covered = inside(region, rows.positions)
+        used = {one.signal for one in region.signals}
+        tried = [
+            structs.replace(region, signals=(*region.signals, one))
+            for name, _ in rows.positions.signals
+            if name not in used
+            for one in _with_place(name, rows, ~covered)
+        ]
+        best = min(tried, key=rows.wrong, default=region)
+        if rows.wrong(best) > wrong - least:
+            return region
+        region, wrong = best, rows.wrong(best)
+    return region
+
+
+def _with_place(name: str, rows: LimitRows, left: Bools) -> list[SignalCard]:
+    """Return a signal that counts everywhere, and in the rectangle of the TCP that fits best to the rows that are left.
+
+    None where it is never on.
+    """
+    values = rows.positions.signals[name, 0.0]
+    on = (values != "") & left
+    if not on.any():
+        return []
+    everywhere = SignalCard(signal=name, value=str(values[on][0]))
+    found = best_box(turned(rows.positions.tcp_m, 0.0), rows.slow, rows.weight * on)
+    if found is None:
+        return [everywhere]
+    along, across = ((_middle(low), _middle(high)) for low, high in found)
+    boxed = structs.replace(everywhere, robot=RectangleCard(along=along, across=across))
+    return [everywhere, _without_idle(boxed, rows.where(left))]
+
+
+def _middle(edge: MetresCard | None) -> MetresCard | None:
+    """Return an edge without the gap between samples that it lies in the middle of: that is no interval."""
+    return None if edge is None else MetresCard(value=edge.value)
+
+
+def _without_idle(signal: SignalCard, rows: LimitRows) -> SignalCard:
+    """Return a signal without the edges of its rectangle that explain next to nothing."""
+    least = max(FEW_ROWS, GAIN * float(rows.weight.sum()))
+
+    def wrong(one: SignalCard) -> float:
+        return rows.wrong(RegionCard(signals=(one,)))
+
+    for side, number in ((side, number) for side in ("along", "across") for number in (0, 1)):
+        if (robot := signal.robot) is None:
+            break
+        edges = list(getattr(robot, side))
+        edges[number] = None
+        wider = structs.replace(robot, **{side: tuple(edges)})
+        bounded = any(edge is not None for edge in (*wider.along, *wider.across))
+        tried = structs.replace(signal, robot=wider if bounded else None)
+        if wrong(tried) < wrong(signal) + least:
+            signal = tried
+    return signal
+
+
+FIELDS = Family(_fit, may_lag=False)

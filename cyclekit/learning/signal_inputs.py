@@ -1,0 +1,50 @@
+"""Signals that tell of people, where models expect the operator's position: bits in place of coordinates.
+
+Bit k stands in coordinate k mod 3, with the weight 2 to the power of k div 3: up to three signals have a column each.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Floats, Ints
+
+_AXES = 3
+
+
+def by_signals(dataset: Dataset) -> bool:
+    """Tell whether signals tell of people in a dataset, and no position does."""
+    return bool(dataset.card.operator_signals) and "people" not in dataset.positions
+
+
+def as_inputs(signals: Ints, count: int) -> Floats:
+    """Return bit fields (N,) of `count` signals as three numbers each, shape (N, 3)."""
+    found = np.zeros((len(signals), _AXES))
+    for k in range(count):
+        found[:, k % _AXES] += ((signals >> k) & 1) * 2.0 ** (k // _AXES)
+    return found
+
+
+def from_inputs(numbers: NDArray[np.floating[Any]], count: int) -> Ints:
+    """Return the bit fields (N,) that three numbers (N, 3) stand for; the inverse of `as_inputs`."""
+    whole, found = np.rint(numbers).astype(np.int64), np.zeros(len(numbers), np.int64)
+    for k in range(count):
+        found |= ((whole[:, k % _AXES] >> (k // _AXES)) & 1) << k
+    return found
+
+
+def learned_rows(dataset: Dataset, frame: pl.DataFrame) -> pl.DataFrame:
+    """Return samples as models see them: where signals tell of people, with these in the columns of the operator."""
+    if not by_signals(dataset):
+        return frame
+    known = frame["human_signals"].is_not_null()
+    values = as_inputs(frame["human_signals"].fill_null(0).to_numpy(), len(dataset.card.operator_signals))
+    columns = [pl.when(known).then(pl.Series(values[:, k])).alias(f"human_{axis}_m") for k, axis in enumerate("xyz")]
+    return frame.with_columns(*columns, human_gap=pl.when(~known).then(pl.lit("outside")))

@@ -1,0 +1,56 @@
+"""Drift of an operator's pace: whether tasks become quicker or slower from execution to execution.
+
+Executions near each other are alike (same plan, same parts), so the trend is tested on means of blocks of them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from msgspec import structs
+from scipy.special import stdtr
+
+from cyclekit.dataset.cards.task_model import PaceCard
+
+if TYPE_CHECKING:
+    from cyclekit.schema import Ints, Vector
+
+LEAST_EXECUTIONS = 30
+BLOCKS = 10
+LEVEL = 0.01
+"""Probability of a drift where there is none."""
+LEAST_CHANGE = 0.03
+"""Change of the logarithm of durations from the first to the last execution; less is not worth a correction."""
+
+
+def pace_drift(number: Ints, log_work: Vector) -> PaceCard | None:
+    """Return how the pace of an agent changes over the executions; None where no change is significant.
+
+    Args:
+        number: The how-many-th execution each repetition is of, shape (N,).
+        log_work: Logarithm of the work of each repetition, less the mean of its task, shape (N,).
+    """
+    of, where = np.unique(number, return_inverse=True)
+    if len(of) < LEAST_EXECUTIONS:
+        return None
+    mean = np.bincount(where, log_work) / np.bincount(where)
+    best: tuple[float, PaceCard] | None = None
+    laws: tuple[Literal["linear", "learning"], ...] = ("linear", "learning")
+    for law in laws:
+        card = PaceCard(law=law, change=0.0, first=int(of[0]), last=int(of[-1]))
+        x = card.passed(of)
+        blocks = np.array_split(np.arange(len(of)), BLOCKS)
+        change, chance, left = _trend(*(np.array([values[block].mean() for block in blocks]) for values in (x, mean)))
+        if chance < LEVEL / 2 and abs(change) >= LEAST_CHANGE and (best is None or left < best[0]):
+            best = left, structs.replace(card, change=change, chance=chance)
+    return best[1] if best else None
+
+
+def _trend(x: Vector, y: Vector) -> tuple[float, float, float]:
+    """Return the slope of a line, the two-sided probability of it by chance, and the mean square that is left."""
+    off = x - x.mean()
+    slope = float(off @ y / (off @ off))
+    left = float(((y - y.mean() - slope * off) ** 2).sum()) / (len(x) - 2)
+    t = abs(slope) / np.sqrt(left / float(off @ off) + 1e-18)
+    return slope, float(2.0 * stdtr(len(x) - 2, -t)), left

@@ -1,0 +1,64 @@
+"""Tables as an Excel workbook, put in place as a whole; no text in it is ever a formula, a link or a number."""
+
+from __future__ import annotations
+
+import math
+from numbers import Real
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.errors import MissingExtra
+from cyclekit.storage.atomic import replaced
+from cyclekit.text.plain_text import is_formula, one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    Rows = Sequence[Sequence[object]]
+
+MARK = "written by cyclekit"
+"""Stands in the workbook's properties, by which it is known before it is replaced (`guard`)."""
+LONGEST = 32_767
+"""No cell of Excel holds a longer text."""
+
+
+def write_workbook(file: Path, sheets: Mapping[str, Rows]) -> None:
+    """Write a workbook: the old one or the new one.
+
+    Args:
+        file: The workbook, `.xlsx`.
+        sheets: Rows by the name of the sheet, the first row its heads. Texts stay texts; what is no finite number is
+            an empty cell.
+
+    Raises:
+        MissingExtra: XlsxWriter is not installed.
+        CyclekitError: The file cannot be written; the old one is untouched.
+    """
+    try:
+        from xlsxwriter import Workbook
+    except ImportError as error:
+        raise MissingExtra("xlsxwriter", "excel", f"{file}: writing an Excel workbook") from error
+    with replaced(file) as temporary:
+        book = Workbook(str(temporary), {"in_memory": True})
+        book.set_properties({"comments": MARK})
+        looks = {"head": book.add_format({"bold": True}), "quoted": book.add_format({"quote_prefix": True})}
+        for name, rows in sheets.items():
+            sheet = book.add_worksheet(name)
+            for at, row in enumerate(rows):
+                for column, value in enumerate(row):
+                    _write(sheet, at, column, value, looks)
+            sheet.freeze_panes(1, 0)
+            sheet.autofit()
+        book.close()
+
+
+def _write(sheet: Any, row: int, column: int, value: object, looks: Mapping[str, Any]) -> None:  # noqa: ANN401
+    head = looks["head"] if row == 0 else None
+    if isinstance(value, bool):
+        sheet.write_boolean(row, column, value)
+    elif isinstance(value, Real):
+        if math.isfinite(value):
+            sheet.write_number(row, column, value)
+    elif value is not None:
+        text = one_line(str(value))[:LONGEST]
+        sheet.write_string(row, column, text, looks["quoted"] if is_formula(text) else head)

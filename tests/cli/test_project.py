@@ -1,0 +1,247 @@
+"""A project: begun in a folder of logs, brought up to date, and where commands find what was left out."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cyclekit.api.gate import TaktVerdict
+from cyclekit.config.project import Project, load_project, project_to_toml
+from cyclekit.config.sequences import load_sequences
+from cyclekit.estimate.answers import CycleEstimates
+from cyclekit.estimate.result import CycleEstimate
+from cyclekit.text.durations import seconds_in
+
+if TYPE_CHECKING:
+    from .conftest import Shell
+
+
+@pytest.fixture
+def home(logs: Path, dataset: Path, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with dataset and model of the logs, in which commands are typed."""
+    shutil.copytree(dataset, tmp_path / "dataset")
+    shutil.copytree(model, tmp_path / "model")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def begun(home: Path, logs: Path, cyclekit: Shell) -> Path:
+    assert cyclekit("init", logs, "--takt", "105s", "--yes").code == 0
+    return home
+
+
+def test_init_says_what_it_found_and_writes_a_project_that_reads_back(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(logs, tmp_path / "cell" / "logs", ignore=shutil.ignore_patterns("truth", "cell.toml"))
+    monkeypatch.chdir(tmp_path / "cell")
+    typed = cyclekit("init", "--takt", "1min 45s", "--yes")
+    assert typed.code == 0, typed.err
+    assert "ur-rtde" in typed.out
+    assert "cyclekit run" in typed.out
+    project = load_project(Path())
+    assert (project.name, project.logs, project.cell, project.takt_s) == ("cell", ("logs",), "cell.toml", 105.0)
+    assert not Path("sequences.toml").exists()  # no order is known before there is a dataset
+
+
+def test_init_with_a_dataset_writes_the_order_that_was_logged_most_often(begun: Path, dataset: Path) -> None:
+    from cyclekit.dataset.dataset import Dataset
+
+    (sequence,) = load_sequences(begun / "sequences.toml")
+    assert sequence.places in {one.places for one in Dataset.open(dataset).card.executions if one.complete}
+
+
+def test_init_never_replaces_a_project_and_begins_none_among_the_logs(
+    begun: Path, logs: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell, tmp_path: Path
+) -> None:
+    before = Path("cyclekit.toml").read_bytes()
+    again = cyclekit("init", logs, "--yes")
+    assert (again.code, Path("cyclekit.toml").read_bytes()) == (1, before)
+    monkeypatch.chdir(logs)
+    inside = cyclekit("init", "--yes")
+    assert inside.code == 1
+    assert f"cyclekit init {logs.name}" in inside.err
+    assert not (logs / "cyclekit.toml").exists()
+
+
+def test_init_asks_for_the_takt_on_a_terminal_alone(
+    home: Path, logs: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell
+) -> None:
+    import io
+
+    class Typing(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr("sys.stdin", Typing("98s\n"))
+    assert cyclekit("init", logs).code == 0
+    assert load_project(Path()).takt_s == 98.0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no 'logs'"),
+        ("logs = []", "logs = []"),
+        ('logs = ["a"]\ntakt = "soon"', "'soon' is not a duration"),
+        ('logs = ["a"]\ndatset = "d"', "the nearest is 'dataset'"),
+    ],
+)
+def test_a_project_that_cannot_be_followed_is_named(
+    text: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("cyclekit.toml").write_text(text, encoding="utf-8")
+    for words in (["run"], ["train"]):
+        typed = cyclekit(*words)
+        assert typed.code == 1
+        assert "cyclekit.toml" in typed.err
+        assert said in typed.err
+
+
+_WORDS = st.text(st.characters(blacklist_categories=["Cs", "Cc"], blacklist_characters="/\\"), min_size=1, max_size=12)
+
+
+@given(logs=st.lists(_WORDS.filter(lambda word: word.strip(".") != ""), min_size=1, max_size=3), name=_WORDS)
+def test_a_project_file_reads_back(logs: list[str], name: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+    from cyclekit.text.plain_text import one_line
+
+    file = tmp_path_factory.mktemp("read") / "cyclekit.toml"
+    file.write_text(project_to_toml(Project(tuple(logs), name=name)), encoding="utf-8")
+    back = load_project(file)
+    assert back.name == one_line(name)
+    assert [Path(each).name for each in back.logs] == [Path(one_line(each)).name for each in logs]
+
+
+def test_commands_find_in_the_project_what_was_left_out_and_what_is_typed_wins(
+    begun: Path, sequences: Path, cyclekit: Shell
+) -> None:
+    left_out = cyclekit("estimate", sequences, "--no-check", "--json")
+    assert left_out.code == 0, left_out.err
+    assert "from cyclekit.toml: model = model, dataset = dataset, takt = 105s" in left_out.err
+    assert {one["name"] for one in left_out.document["sequences"]} == {"one way", "two boxes"}
+    assert {one["takt_s"] for one in left_out.document["sequences"]} == {105.0}
+    typed = cyclekit("estimate", "model", sequences, "--dataset", "dataset", "--no-check", "--json", "--quiet")
+    assert {one["takt_s"] for one in typed.document["sequences"]} == {None}  # the takt is of the project's dataset
+    assert "cyclekit.toml" not in typed.err
+    assert cyclekit("estimate", "nothing", "--quiet").code == 1
+    looked = cyclekit("inspect")
+    assert looked.out.startswith("dataset: dataset")
+    shutil.rmtree("dataset")
+    assert "path = " in cyclekit("inspect").err  # the logs
+
+
+def test_without_a_project_an_argument_left_out_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cyclekit("estimate").code == 2
+    Path("cyclekit.toml").write_text('logs = ["logs"]\n', encoding="utf-8")
+    typed = cyclekit("plan")  # the project names no jobs
+    assert typed.code == 2
+    assert "JOBS.toml" in typed.err
+
+
+@pytest.mark.usefixtures("words_only")
+def test_run_does_what_changed_and_nothing_else(begun: Path, sequences: Path, cyclekit: Shell) -> None:
+    shutil.copy(sequences, "sequences.toml")
+    first = states(cyclekit("run", "--json"))
+    assert first == {"ingest": "unchanged", "train": "unchanged", "estimate": "done", "report": "done"}
+    assert Path("report.html").exists()
+    assert states(cyclekit("run", "--json")) == dict.fromkeys(first, "unchanged")
+    text = Path("cyclekit.toml").read_text(encoding="utf-8")
+    Path("cyclekit.toml").write_text(text.replace("105s", "99s"), encoding="utf-8")
+    assert states(cyclekit("run", "--json")) == first
+    Path("sequences.toml").write_text('[[sequence]]\nname = "x"\nplaces = ["home", "moon"]\n', encoding="utf-8")
+    failed = cyclekit("run", "--json")
+    assert failed.code == 1
+    assert states(failed) == first | {"estimate": "failed"}  # the page is written without estimates
+
+
+def states(typed) -> dict[str, str]:
+    return {row["stage"]: row["state"] for row in typed.document["rows"]}
+
+
+@pytest.mark.slow
+def test_run_goes_the_whole_way_from_an_empty_folder(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cyclekit("init", logs, "--yes", "--quiet").code == 0
+    typed = cyclekit("run", "--json")
+    assert typed.code == 0, typed.err
+    assert set(states(typed).values()) == {"done"}
+    assert cyclekit("gate", "--takt", "10min", "--quiet").code == 0
+
+
+def test_the_gate_tells_its_verdict_by_the_exit_code(begun: Path, sequences: Path, cyclekit: Shell) -> None:
+    asked = ["gate", sequences, "--no-check", "--json", "--quiet"]
+    passed = cyclekit(*asked, "--takt", "1h")
+    assert passed.code == 0, passed.err
+    assert passed.document["passed"] is True
+    sure = cyclekit(*asked, "--takt", "1h", "--sure")  # six executions do not show 95 %, whatever they say
+    assert sure.code == 1
+    assert {one["high"] for one in sure.document["sequences"]} == {1.0}
+    assert all(0.5 < one["low"] < 0.95 for one in sure.document["sequences"])
+    failed = cyclekit("gate", sequences, "--no-check", "--quiet", "--takt", "1s", "--sequence", "one way")
+    assert failed.code == 1
+    assert failed.out.startswith("failed: 0.0% (95% CI 0.0% to ")
+    assert len(failed.out.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "words", [["--takt", "soon"], ["--takt", "9s", "--confidence", "95"], ["--takt", "9s", "--sequence", "other"], []]
+)
+def test_the_gate_ends_with_2_where_it_cannot_tell(
+    words: list[str], model: Path, dataset: Path, sequences: Path, cyclekit: Shell, tmp_path: Path
+) -> None:
+    assert cyclekit("gate", model, sequences, "--dataset", dataset, "--no-check", *words).code == 2
+    assert cyclekit("gate", tmp_path / "none", sequences, "--dataset", dataset, "--takt", "9s").code == 2
+
+
+@given(inside=st.integers(0, 40), executions=st.integers(1, 40), asked=st.floats(0.01, 0.99))
+def test_an_interval_of_the_gate_holds_its_share_and_has_a_width(inside: int, executions: int, asked: float) -> None:
+    share = min(inside, executions) / executions
+    zero = dict.fromkeys(("expected_low_s", "expected_high_s", "nominal_s", "safety_loss_s", "dwell_s", "wait_s"), 0.0)
+    one = CycleEstimate(
+        name="a", places=("x", "y"), expected_s=1.0, quantiles_s={}, support=1.0, tracks=1, warnings=(), tasks=(),
+        safety_by_activity_s={}, durations_s=(), executions=executions, takt_probability=(share, share, share), **zero,
+    )  # fmt: skip
+    (row,) = TaktVerdict(1.0, asked, False, CycleEstimates((one,))).to_dict()["sequences"]
+    assert row["low"] <= share <= row["high"]
+    assert row["high"] - row["low"] > 0.02
+    assert row["passed"] == (share >= asked)
+
+
+@given(st.floats(0.001, 1e6), st.sampled_from(["s", "", " s", "min", "ms", "h"]))
+def test_a_duration_is_read_in_its_unit(value: float, unit: str) -> None:
+    scale = {"min": 60.0, "ms": 0.001, "h": 3600.0}.get(unit, 1.0)
+    assert seconds_in(f"{value!r}{unit}") == pytest.approx(value * scale)
+
+
+@given(st.integers(0, 99), st.integers(0, 59), st.integers(1, 59))
+def test_parts_of_a_duration_add_up(hours: int, minutes: int, seconds: int) -> None:
+    assert seconds_in(f"{hours}h {minutes}min {seconds}s") == 3600 * hours + 60 * minutes + seconds
+
+
+@pytest.mark.parametrize("text", ["", "0", "-3s", "nan", "inf", "45s 1min", "1min 45", "1:45", "3 x", "1s 2s", "1e999"])
+def test_what_is_no_duration_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="duration"):
+        seconds_in(text)
+
+
+def test_inspect_and_a_refused_estimate_say_what_to_log_next(begun: Path, cyclekit: Shell) -> None:
+    Path("far.toml").write_text('[[sequence]]\nname = "far"\nplaces = ["left_1", "left_2"]\n', encoding="utf-8")
+    refused = cyclekit("estimate", "far.toml", "--no-check", "--quiet")
+    assert refused.code == 1
+    assert "log 5 executions of left_1, left_2 (sequence 'far')" in refused.err
+    looked = cyclekit("inspect", "--sequences", "far.toml", "--quiet")
+    assert "What to log next\n- missing: left_1->left_2" in looked.out
+    assert cyclekit("inspect", "--json", "--quiet").document["to_log"]["executions"] == 6

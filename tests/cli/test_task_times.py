@@ -1,0 +1,45 @@
+"""What the commands answer by a model of task times, of a cell of which task lists alone are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cyclekit import train_task_times
+from cyclekit.ingest.ingest import ingest
+from cyclekit_sim.task_lists import simulate_task_lists
+
+
+@pytest.fixture(scope="module")
+def listed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of task lists, and a model of it."""
+    folder = tmp_path_factory.mktemp("listed")
+    simulate_task_lists(folder / "logs", executions=15, seed=1)
+    ingest([folder / "logs" / "tasks.csv"], folder / "dataset")
+    train_task_times(folder / "dataset", out=folder / "model")
+    return folder
+
+
+def test_plan_whatif_evaluate_and_report_answer(cyclekit, listed: Path, tmp_path: Path) -> None:
+    agents = {"bring": "robot", "weld": "robot", "mount": "operator"}
+    jobs = [f'[[task]]\nagent = "{agent}"\nname = "{name}"\n' for name, agent in agents.items()]
+    (tmp_path / "jobs.toml").write_text("".join(jobs), encoding="utf-8")
+    (tmp_path / "changes.toml").write_text('[[change]]\nno_wait = [["weld", "mount"]]\n', encoding="utf-8")
+    planned, model, data = tmp_path / "planned.toml", listed / "model", listed / "dataset"
+    done = cyclekit("plan", model, tmp_path / "jobs.toml", "--dataset", data, "--out", planned)
+    assert "robot: bring, weld\noperator: mount" in done.out, done.err
+    done = cyclekit("whatif", model, planned, tmp_path / "changes.toml", "--dataset", data, "--json")
+    assert done.document["answers"][0]["saves_s"][0] == pytest.approx(5.0, abs=0.7)
+    assert "15 executions: cycle time" in cyclekit("evaluate", model, data).out
+    done = cyclekit("report", data, "--model", model, "--plan", tmp_path / "jobs.toml", "--out", tmp_path / "page.html")
+    assert done.code == 0, done.err
+    assert "Shortest of 1: planned" in done.out
+
+
+def test_places_are_refused_with_an_example(cyclekit, listed: Path, tmp_path: Path) -> None:
+    (tmp_path / "places.toml").write_text('start = "home"\nvisit = ["a", "b"]\n', encoding="utf-8")
+    done = cyclekit("plan", listed / "model", tmp_path / "places.toml", "--dataset", listed / "dataset")
+    assert done.code != 0
+    assert "no [[task]] in it" in done.err
+    assert "[[task]]\n" in done.err

@@ -1,0 +1,171 @@
+"""Signals that tell of people, found among others: fields of a scanner beside what the robot and the program set."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+import pytest
+from fabricated import fabricate_dataset
+from simulated_cells import ROBOT_START_S
+
+from cyclekit.config.cells import OperatorSignal
+from cyclekit.config.read import load_cell
+from cyclekit.config.write import cell_to_toml
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.signals import SignalChanges
+from cyclekit.derive.operator_signals import SignalEvidence, find_signals
+from cyclekit.errors import UnknownName
+from cyclekit.learning.evaluation.evaluate import evaluate
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.rules.of_dataset import rule_of
+from cyclekit.learning.rules.safety import RuleSafety, answering
+from cyclekit.learning.rules.words import place_of
+from cyclekit.learning.training import train
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from simulated_cells import Cells, SimulatedCell
+
+LEVELS = (0.0, 0.5, 1.0)
+EXECUTION_S, EXECUTIONS, STEP_S, DELAY_S = 60.0, 10, 0.1, 0.12
+
+
+def changes(times_s: np.ndarray, first: str = "0") -> SignalChanges:
+    """Return a bit that flips at these times."""
+    other = {"0": "1", "1": "0"}
+    values = [first if n % 2 == 0 else other[first] for n in range(len(times_s) + 1)]
+    return SignalChanges(np.append(-1.0, times_s), np.array(values))
+
+
+def evidence(seed: int, *, more: Mapping[str, SignalChanges] | None = None) -> SignalEvidence:
+    """Return a cell: the robot swings along y; a warning field slows it, a protective one stops it where y > 0.3."""
+    rng = np.random.default_rng(seed)
+    end_s = EXECUTION_S * EXECUTIONS
+    t_s = np.arange(0.0, end_s, STEP_S)
+    y_m = 0.6 * np.sin(2 * np.pi * t_s / 8.0)
+    warning_s = np.sort(rng.uniform(0.0, end_s, 80))
+    protective_s = np.sort(rng.uniform(0.0, end_s, 60))
+    warning, protective = changes(warning_s), changes(protective_s, "1")
+    program_s = np.arange(2.0, end_s, 4.0)  # at the turns of the swing
+    fine_s = np.arange(0.0, end_s, 0.004)
+
+    def level(at_s: np.ndarray) -> np.ndarray:
+        stop = (protective.at(at_s - DELAY_S) == "0") & (np.interp(at_s, t_s, y_m) > 0.3)
+        return np.where(stop, 0, np.where(warning.at(at_s - DELAY_S) == "1", 1, 2))
+
+    fine = level(fine_s)
+    falls_s, rises_s = fine_s[1:][np.diff(fine) < 0], fine_s[1:][np.diff(fine) > 0]
+    lamp_s = np.sort(np.concatenate([falls_s, rises_s])) + 0.1
+    signals = {
+        "digital-input 2": warning,
+        "digital-input 3": protective,
+        "digital-input 4": changes(lamp_s),
+        "digital-input 5": changes(program_s),
+        "digital-input 6": changes(np.sort(rng.uniform(0.0, end_s, 200))),
+        "digital-input 7": changes(program_s + 0.04),
+        "digital-output 0": changes(program_s),
+        "register": changes(falls_s - 0.2),
+        **(more or {}),
+    }
+    place = np.column_stack([np.full(len(t_s), 0.4), y_m])
+    task = (t_s // 4.0 % 2).astype(np.int64)
+    execution = (t_s // EXECUTION_S).astype(np.int64)
+    return SignalEvidence(t_s, level(t_s), place, task, execution, falls_s, rises_s, signals, LEVELS)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_fields_are_found_with_delay_and_polarity_and_nothing_else_is(seed: int) -> None:
+    found = find_signals(evidence(seed))
+    assert {one.signal: one.occupied for one in found.cards} == {"digital-input 2": "1", "digital-input 3": "0"}
+    assert [one.delay_s for one in found.cards] == pytest.approx([DELAY_S, DELAY_S], abs=0.01)
+    assert found.cards[-1].explained > 0.9
+    assert found.latency_s == pytest.approx(DELAY_S, abs=0.01)
+
+
+def test_what_the_cell_file_names_is_taken_and_nothing_else_is_looked_for() -> None:
+    told = (OperatorSignal("protective field", "digital-input 3", "0"),)
+    (card,) = find_signals(evidence(3), told).cards
+    assert (card.name, card.signal, card.occupied, card.told) == ("protective field", "digital-input 3", "0", True)
+    assert card.delay_s == pytest.approx(DELAY_S, abs=0.01)
+
+
+def test_a_signal_that_no_log_holds_is_refused_with_those_that_there_are() -> None:
+    with pytest.raises(UnknownName, match="door_closed") as refused:
+        find_signals(evidence(3), (OperatorSignal("door", "door_closed", "0"),))
+    assert "digital-input 3" in (refused.value.cure or "")
+
+
+def test_signals_of_the_cell_file_are_read_and_written(tmp_path: Path) -> None:
+    file = tmp_path / "cell.toml"
+    text = '[[operator_signals]]\nname = "mat"\nsignal = "digital-input 3"\noccupied = '
+    for value in ("0", "false", '"0"'):
+        file.write_text(f'name = "c"\n{text}{value}\n', encoding="utf-8")
+        cell = load_cell(file)
+        assert cell.operator_signals == (OperatorSignal("mat", "digital-input 3", "0"),) or value == "false"
+        assert cell.operator_signals[0].occupied == "0"
+    file.write_text(cell_to_toml(cell), encoding="utf-8")
+    assert load_cell(file).operator_signals == cell.operator_signals
+
+
+def test_a_dataset_of_an_earlier_version_opens_with_the_signals_unknown(tmp_path: Path) -> None:
+    dataset = fabricate_dataset(tmp_path / "old", executions=2, rounds=1)
+    for file in (dataset.path / "samples").iterdir():
+        pl.read_parquet(file).drop("human_signals").write_parquet(file)
+    opened = Dataset.open(dataset.path)
+    assert opened.card.operator_signals == ()
+    assert opened.samples()["human_signals"].null_count() == opened.samples().height > 0
+
+
+@pytest.fixture(scope="module")
+def fields(cells: Cells) -> SimulatedCell:
+    return cells("scanner-fields", 8)
+
+
+def test_bits_in_the_samples_are_those_of_the_true_position(fields: SimulatedCell) -> None:
+    cards = fields.dataset.card.operator_signals
+    assert {(one.signal, one.occupied) for one in cards} == {("digital-input 4", "1"), ("digital-input 5", "0")}
+    true = fields.samples.select("t_s", "human_x_m", "human_y_m").with_columns(pl.col("t_s") - ROBOT_START_S)
+    mine = fields.dataset.samples(columns=["t_s", "human_signals"]).sort("t_s")
+    both = mine.join_asof(true.sort("t_s"), on="t_s", strategy="nearest", tolerance=0.02).drop_nulls("human_signals")
+    warning = pl.col("human_x_m").is_between(-1.2, 2.5) & pl.col("human_y_m").is_between(-1.5, 2.0)
+    bit = next(k for k, one in enumerate(cards) if one.signal == "digital-input 4")
+    agrees = both.select((pl.col("human_signals") // 2**bit % 2 == 1) == warning.fill_null(value=False)).to_series()
+    assert agrees.mean() > 0.995
+
+
+def test_the_rule_says_which_field_counts_where(fields: SimulatedCell) -> None:
+    found = rule_of(fields.dataset, fields.dataset.levels)
+    assert found.rule is not None
+    assert found.rule.explained > 0.99
+    stop, slow = found.rule.limits
+    (protective,), (warning,) = stop.within.signals, slow.within.signals
+    assert (protective.signal, protective.value, warning.signal) == ("digital-input 5", "0", "digital-input 4")
+    assert warning.robot is None
+    assert protective.robot is not None
+    low, high = protective.robot.across
+    assert low is not None
+    assert low.value == pytest.approx(0.05, abs=0.05)
+    assert high is None
+    assert place_of(protective).startswith("at y above 0.0")
+
+
+def test_time_lost_to_a_field_is_lost_to_people(fields: SimulatedCell) -> None:
+    lost = fields.dataset.samples(columns=["lost_to"])["lost_to"].drop_nulls()
+    assert (lost == "person").mean() > 0.95
+
+
+@pytest.mark.slow
+def test_a_model_is_trained_and_judged_without_a_tracker(fields: SimulatedCell) -> None:
+    model = train(fields.dataset, ModelSpec.of("now", "classifier", epochs=3), rules=True)
+    safety = answering(model)
+    assert isinstance(safety, RuleSafety)
+    at_m = np.array([[0.0, 0.5, 0.1], [0.0, -0.5, 0.1], [0.0, 0.5, 0.1]])
+    both = (1 << len(model.card.operator_signals)) - 1
+    assert safety.predict_signals(at_m, np.array([both, both, 0])).tolist() == [0.0, 0.5, 1.0]
+    rows = {row.name: row.mse for row in evaluate(model, fields.dataset, boosting=False).mse}
+    assert rows["rule"] < 0.01 < rows["constant mean"]
+    assert rows["rule"] < rows["signals alone"]

@@ -1,0 +1,86 @@
+"""What to log next: every lacking task is in an order, often enough, and the interval says how many executions."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+import pytest
+from fabricated import fabricate_dataset
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cyclekit import plan_recordings
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.errors import ConfigError, CyclekitError
+from cyclekit.estimate.what_to_log import ENOUGH, _of_sequences, _one_tour
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cyclekit.dataset.dataset import Dataset
+
+PLACES = st.lists(st.sampled_from("abcde"), min_size=2, max_size=6).filter(
+    lambda p: all(x != y for x, y in pairwise(p))
+)
+
+
+@pytest.fixture(scope="module")
+def logged(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return fabricate_dataset(tmp_path_factory.mktemp("logged") / "dataset", executions=4, rounds=1)
+
+
+def test_missing_and_rare_tasks_of_a_sequence_are_named_with_the_order_that_holds_them(logged: Dataset) -> None:
+    plan = plan_recordings(logged, TaskSequence("new", ("conveyor", "left", "right")))
+    assert plan.missing == ("left->right",)
+    (order,) = plan.orders
+    assert (order.name, order.places, order.executions) == ("new", ("conveyor", "left", "right"), ENOUGH)
+    assert any("left->right" in line for line in plan.lines)
+    assert plan.to_frame().height == 1
+
+
+def test_half_the_interval_takes_four_times_the_executions(logged: Dataset) -> None:
+    counts = {}
+    for within in (0.02, 0.01, 0.005):
+        plan = plan_recordings(logged, within=within)
+        counts[within] = plan.executions + plan.more
+    assert counts[0.01] == pytest.approx(4 * counts[0.02], abs=4)
+    assert counts[0.005] == pytest.approx(4 * counts[0.01], abs=4)
+    assert plan_recordings(logged, within=0.9).more < ENOUGH
+
+
+@given(
+    st.lists(PLACES, min_size=1, max_size=4),
+    st.dictionaries(st.tuples(*[st.sampled_from("abcde")] * 2), st.integers(0, 9)),
+)
+def test_the_sequences_bring_every_task_to_enough(orders: list[list[str]], logged: dict[tuple[str, str], int]) -> None:
+    asked = [TaskSequence(str(at), tuple(places)) for at, places in enumerate(orders)]
+    counts = {task: logged.get(tuple(task.split("->")), 0) for one in asked for task in one.tasks}
+    lacking = {task: count for task, count in counts.items() if count < ENOUGH}
+    done: Counter[str] = Counter(counts)
+    for order in _of_sequences(asked, lacking):
+        assert set(order.adds) <= set(lacking)
+        for task, times in Counter(f"{a}->{b}" for a, b in pairwise(order.places)).items():
+            done[task] += times * order.executions
+    assert all(done[task] >= ENOUGH for task in lacking)
+
+
+@given(st.lists(PLACES, min_size=1, max_size=5))
+def test_a_tour_drives_logged_tasks_alone_and_holds_every_rare_one_it_can_reach(orders: list[list[str]]) -> None:
+    executions = [SimpleNamespace(complete=True, places=tuple(places)) for places in orders]
+    counts = Counter(f"{a}->{b}" for places in orders for a, b in pairwise(places))
+    lacking = {task: count for task, count in counts.items() if count < ENOUGH}
+    for order in _one_tour(SimpleNamespace(card=SimpleNamespace(executions=executions)), counts, lacking):
+        driven = {f"{a}->{b}" for a, b in pairwise(order.places)}
+        assert driven <= set(counts)
+        assert set(order.adds) == driven & set(lacking)
+        assert order.executions >= 1
+
+
+def test_what_cannot_be_planned_is_refused(logged: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="within = 2"):
+        plan_recordings(logged, within=2.0)
+    with pytest.raises(CyclekitError):
+        plan_recordings(tmp_path / "none")

@@ -1,0 +1,44 @@
+"""Waits of a simulated cell: those that there are, by what ended them, and none where nobody waits."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import polars as pl
+import pytest
+
+from cyclekit.learning.coupling.learn import learn_coupling
+
+if TYPE_CHECKING:
+    from simulated_cells import Cells, SimulatedCell
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("signals", [True, False], ids=["release button", "positions only"])
+def test_the_waits_of_both_are_those_of_the_truth(cells: Cells, signals: bool) -> None:
+    cell = cells("shared-fixture", 16, seed=31, signals=signals)
+    card = cell.dataset.card.coupling
+    assert card is not None
+    found = {(gate.agent, gate.at, gate.place): one for gate in card.gates for one in gate.conditions}
+    assert set(found) == {("robot", "approach", "fixture"), ("operator", "approach", "fixture")}
+    assert found["robot", "approach", "fixture"].signal == ("release set" if signals else None)
+    assert sorted(cell.dataset.places) == sorted({*cell.routes[0], "rack_1", "rack_2", "rack_3", "rack_4"})
+    tasks = cell.dataset.every_task()
+    for agent, ended in (("robot", "operator leaves fixture"), ("operator", "robot leaves fixture")):
+        true = cell.tasks.filter(pl.col("agent") == agent)
+        mine = tasks.filter(pl.col("agent") == agent, pl.col("waited_for").is_not_null())
+        assert mine["waited_for"].str.starts_with(ended).all()
+        assert mine.height == pytest.approx(true["wait_ended_by"].count(), abs=4)
+        assert mine["wait_s"].sum() == pytest.approx(true["wait_s"].sum(), rel=0.15)
+
+
+def test_nobody_waits_in_a_cell_of_people_who_roam(boxes: SimulatedCell) -> None:
+    assert boxes.dataset.card.coupling is None  # four executions tell nothing
+    tasks = boxes.dataset.every_task()
+    assert tasks["waited_for"].is_null().all()
+    operator = tasks.filter(pl.col("agent") == "operator")
+    assert set(operator["task"]) <= set(boxes.dataset.human_places)
+    assert (operator["arrival_s"] >= operator["start_s"]).all()
+    assert operator.height > 10
+    assert boxes.dataset.tasks().height + operator.height == tasks.height
+    assert learn_coupling(boxes.dataset) is None

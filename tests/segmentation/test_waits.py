@@ -1,0 +1,70 @@
+"""A spot where the robot waits short of a place is no place, and standing there is wait and no motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cyclekit.config import Executions
+from cyclekit.segmentation.arrivals import stands_of
+from cyclekit.segmentation.dwell import usual_dwells
+from cyclekit.segmentation.executions import find_executions, find_visits
+from cyclekit.segmentation.motion import RobotRun
+from cyclekit.segmentation.places import find_places
+from cyclekit.segmentation.standstills import find_stops
+from cyclekit.segmentation.time_account import Leg, account
+from cyclekit.segmentation.waits import with_waits
+
+STEP_S, WAY_S, DWELL_S = 0.01, 1.0, 0.8
+WAITS_S = (2.5, 0.0, 0.6, 0.0, 1.4, 4.0, 0.0, 0.9)
+SPOT_M, END_M = 0.5, 1.0
+
+
+def _run(halted_s: float = 0.0) -> RobotRun:
+    """Return a robot that goes to and fro; on its way there it waits, and is then halted by safety for `halted_s`."""
+    parts: list[tuple[float, float, float]] = [(0.0, 0.0, DWELL_S)]
+    for wait_s in WAITS_S:
+        parts += [(0.0, SPOT_M, WAY_S), (SPOT_M, SPOT_M, wait_s), (SPOT_M, SPOT_M, -halted_s if wait_s else 0.0)]
+        parts += [(SPOT_M, END_M, WAY_S), (END_M, END_M, DWELL_S), (END_M, 0.0, 2 * WAY_S), (0.0, 0.0, DWELL_S)]
+    x, scaling = [], []
+    for begin, end, lasts_s in parts:
+        u = np.arange(round(abs(lasts_s) / STEP_S)) / max(1, round(abs(lasts_s) / STEP_S))
+        x.append(begin + (end - begin) * u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
+        scaling.append(np.full(len(u), 0.0 if lasts_s < 0.0 else 1.0))
+    along = np.concatenate(x)
+    xyz = np.column_stack([along, 0.3 * np.sin(2.0 * along), np.zeros(len(along))])
+    speed = np.linalg.norm(np.gradient(xyz, STEP_S, axis=0), axis=1)
+    t_s = np.arange(len(along), dtype=np.float64) * STEP_S
+    return RobotRun(t_s, xyz, np.asarray(speed, np.float64), np.concatenate(scaling))
+
+
+def _legs(run: RobotRun) -> list[Leg]:
+    stops = find_stops(run, 0)
+    places = find_places([run], stops, {})
+    assert sorted(round(place.xyz_m[0], 2) for place in places.values()) == [0.0, END_M]
+    visits = find_visits(stops, places, [run])
+    executions = find_executions(visits, places, Executions("file"), [np.empty(0, np.int64)])
+    executions = with_waits(executions, stops, [run])
+    stands = stands_of([run], executions, places)
+    return account(run, executions[0], stands, usual_dwells(executions, stands))
+
+
+def test_standing_short_of_a_place_is_wait() -> None:
+    legs = _legs(_run())
+    there = legs[::2]
+    assert [leg.wait_s for leg in there] == pytest.approx(WAITS_S, abs=0.15)
+    assert [leg.nominal_s for leg in legs] == pytest.approx([2 * WAY_S] * len(legs), abs=0.15)
+    for leg, wait_s in zip(there, WAITS_S, strict=True):
+        assert leg.reached_s is not None
+        assert leg.went_on_s is not None
+        assert leg.went_on_s - leg.reached_s == pytest.approx(wait_s, abs=0.15)
+    assert all(leg.reached_s is None for leg in legs[1::2])  # on its way back it waits nowhere
+
+
+def test_what_safety_holds_there_afterwards_is_safety_loss() -> None:
+    halted_s = 1.5
+    there = _legs(_run(halted_s))[::2]
+    waited = [leg for leg, wait_s in zip(there, WAITS_S, strict=True) if wait_s]
+    assert [leg.wait_s for leg in waited] == pytest.approx([w for w in WAITS_S if w], abs=0.15)
+    assert [leg.safety_loss_s for leg in waited] == pytest.approx([halted_s] * len(waited), abs=0.15)
+    assert all(leg.went_on_s is None for leg in waited)  # it would have gone on before, and nobody knows when

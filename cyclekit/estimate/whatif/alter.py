@@ -120,9 +120,6 @@ def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> Safe
         EstimateError: The change is of a rule, and the model has none, or not this threshold or edge; or it is of
             tasks and waits, of which this model knows nothing.
     """
-    if change.faster or change.no_wait or change.buffer:
-        seen = f"change {change.name!r}: faster, no_wait and buffer need a model of task times"
-        raise EstimateError(seen, cure="Train one on a dataset of task lists of both agents.")
     if change.levels:
         return WrittenSafety(change, often=asked_often(model))
     if change.limits:

@@ -160,7 +160,7 @@ class Change:
     @property
     def waits_change(self) -> bool:
         """Whether it changes who waits for whom, or how long."""
-        return bool(self.faster or self.buffer or self.more_places or self.without_waits)
+        return bool(self.faster or self.no_wait or self.buffer or self.more_places or self.without_waits)
 
     @property
     def of_tasks(self) -> bool:

@@ -23,8 +23,9 @@ def altered_coupling(change: Change, card: CouplingCard | None) -> CouplingCard 
     where = f"change {change.name!r}"
     if card is None or not card.coupled:
         if change.waits_change:
-            seen = f"{where}: in these logs nobody waits for anybody"
-            raise EstimateError(seen, cure="Train on a dataset with tracks of both: cyclekit train DATASET --out MODEL")
+            seen = f"{where}: faster, buffer, no_wait, more_places and without_waits need a model that knows waits"
+            cure = "In these logs nobody waits for anybody; train on logs, or task lists, of both agents who do."
+            raise EstimateError(seen, cure=cure)
         return None
     if change.frequency is not None or change.base_m is not None:
         seen = f"{where}: frequency or base, and the operator of this cell works with the robot"

@@ -117,8 +117,7 @@ def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> Safe
     """Return the safety function that holds after the change; `logged` is how s followed it before.
 
     Raises:
-        EstimateError: The change is of a rule, and the model has none, or not this threshold or edge; or it is of
-            tasks and waits, of which this model knows nothing.
+        EstimateError: The change is of a rule, and the model has none, or not this threshold or edge.
     """
     if change.levels:
         return WrittenSafety(change, often=asked_often(model))

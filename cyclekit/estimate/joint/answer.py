@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     _Refuse = Callable[[TaskSequence, EstimateError], None]
 
-CYCLES, OF_MANY, MANY = 1000, 250, 40
-"""Cycles of each plan; of more than MANY plans at once, so many each, and CYCLES of the best MANY."""
+CYCLES, OF_MANY, MANY, BEST = 1000, 120, 40, 12
+"""Cycles of each plan; of more than MANY plans at once OF_MANY each, and CYCLES of the BEST."""
 WHY = "both agents rolled out together: learned safety function, logged walks and stays, who waits for whom"
 RESAMPLES = 1000
 NOT_JUDGED = "not validated on logged executions, so no bias is known or corrected: too few of them can be rolled out"
@@ -135,7 +135,7 @@ class JointAnswers:
         found = self._some(plans, CYCLES if few else OF_MANY, refuse, tell)
         if few:
             return found
-        best = sorted(found, key=lambda each: float(found[each].duration_s.mean()))[:MANY]
+        best = sorted(found, key=lambda each: float(found[each].duration_s.mean()))[:BEST]
         return found | self._some({each: plans[each] for each in best}, CYCLES, refuse, tell)
 
     def _some(

@@ -15,6 +15,7 @@ from cyclekit.cli import app
 from cyclekit.config import load_cell
 from cyclekit.config.sequences import load_sequences
 from cyclekit.estimate.plan import load_jobs
+from cyclekit.estimate.plan.both import load_task_jobs
 from cyclekit.estimate.whatif import load_changes
 from cyclekit.fleet import load_fleet
 from cyclekit_sim import read_rule
@@ -126,6 +127,8 @@ def test_a_toml_example_is_a_file_that_is_accepted(document: str, block: str, tm
         assert load_sequences(file), document
     elif "[[change]]" in block:
         assert load_changes(file), document
+    elif "[[task]]" in block:
+        assert load_task_jobs(file).task, document
     elif "visit = " in block:
         assert load_jobs(file), document
     elif "[[limits]]" in block or "[law]" in block:

@@ -16,6 +16,7 @@ from cyclekit.config import load_cell
 from cyclekit.config.project import load_project
 from cyclekit.config.sequences import load_sequences
 from cyclekit.estimate.plan import load_jobs
+from cyclekit.estimate.plan.both import load_task_jobs
 from cyclekit.estimate.whatif import load_changes
 from cyclekit.fleet import load_fleet
 from cyclekit_sim import read_rule
@@ -129,6 +130,8 @@ def test_a_toml_example_is_a_file_that_is_accepted(document: str, block: str, tm
         assert load_sequences(file), document
     elif "[[change]]" in block:
         assert load_changes(file), document
+    elif "[[task]]" in block:
+        assert load_task_jobs(file).task, document
     elif "visit = " in block:
         assert load_jobs(file), document
     elif "logs = [" in block:

@@ -118,7 +118,7 @@ class HeldOutCard(Card, frozen=True, kw_only=True):
         within: Standard error of that.
         order_error: Standard deviation of it over orders, without the chance of few executions each.
         learning_error: Standard error that finite logs leave in an estimate, as part of it: from models that lack one
-            part of the executions each (jackknife).
+            part of the executions each (jackknife), widened as Student's t for so few of them.
         deviations: Of each execution from its estimate, in standard deviations of the estimated single cycles.
     """
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import structs
+from scipy.special import stdtrit
 
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import PAST, HeldOutCard, PaceCard, TaskModelCard, TaskTimesCard
@@ -184,7 +185,8 @@ def _learning_error(models: Sequence[TaskModelCard], asked: Sequence[Run], seed:
         except (UnknownName, EstimateError):  # a task of it is in no other part
             continue
         found.append(float(np.var(means) * (len(means) - 1)) / float(np.mean(means)) ** 2)
-    return float(np.sqrt(np.mean(found))) if found else 0.0
+    few = float(stdtrit(max(len(models) - 1, 1), 0.975)) / 1.96  # few parts tell a standard error roughly
+    return few * float(np.sqrt(np.mean(found))) if found else 0.0
 
 
 def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:

@@ -61,13 +61,17 @@ class Row:
 
 
 def fresh(asked: argparse.Namespace, scene: str, order: Order, number: int, strength: float) -> NDArray[np.float64]:
-    """Return duration, robot's wait and operator's wait of fresh executions (3, N), s; simulated once."""
+    """Return duration, robot's wait and operator's wait of fresh executions (3, N), s; simulated once.
+
+    Where nobody waits for anybody, the cycle is over when the robot is back home.
+    """
     file = asked.work / "fresh-coupled" / f"{scene}-{strength:g}-{number}-{asked.fresh}.npy"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
         options = SimulationOptions(coupling=strength)
         found = fresh_cycles(scene, order, cycles=asked.fresh, seed=JUDGED_SEED + number, options=options)
-        np.save(file, np.array([found.durations_s, found.robot_waits_s, found.operator_waits_s]))
+        took_s = found.durations_s if strength else found.robot_s
+        np.save(file, np.array([took_s, found.robot_waits_s, found.operator_waits_s]))
     return np.load(file)
 
 
@@ -130,7 +134,7 @@ def rows_of(asked: argparse.Namespace, scene: str, kind: str, executions: int, s
         if asked.each:
             OUT.print(f"    {name}: true {mean:.2f}, expected {entry.expected_s:.2f} ({entry.expected_low_s:.2f} to "
                       f"{entry.expected_high_s:.2f}), inside {found[-1].inside:.0%}, waits of the robot "
-                      f"{true[1].mean():.2f} ({entry.wait_s:.2f}), of the operator {true[2].mean():.2f} "
+                      f"{true[1].mean():.2f} ({told[0]:.2f}), of the operator {true[2].mean():.2f} "
                       f"({told[1]:.2f}); {'; '.join(entry.doubts)}")  # fmt: skip
     return found, missed, invented
 

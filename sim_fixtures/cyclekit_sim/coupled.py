@@ -105,9 +105,10 @@ def random_orders(scene: str, seed: int, count: int) -> list[Order]:
 
 @dataclass(frozen=True)
 class FreshCycles:
-    """Fresh executions of one order: duration and waits of each (N,), s."""
+    """Fresh executions of one order: when both and when the robot alone are done, and the waits of each (N,), s."""
 
     durations_s: Array
+    robot_s: Array
     robot_waits_s: Array
     operator_waits_s: Array
 
@@ -131,7 +132,8 @@ def fresh_cycles(
         cells = [make_cell(cell, order, table, seed, number, options.coupling, FRESH) for number in numbers]
         done += run_cells(cell, cells, table, options)[0]
     waits = ([each.waited_s(agent) for each in done] for agent in ("robot", "operator"))
-    return FreshCycles(np.array([each.duration_s for each in done]), *(np.array(each) for each in waits))
+    robot_s = np.array([each.ends_s["robot"][-2] for each in done])  # the last segment is its idle stay at home
+    return FreshCycles(np.array([each.duration_s for each in done]), robot_s, *(np.array(each) for each in waits))
 
 
 def _cell(name: str) -> Coupled:

@@ -196,6 +196,7 @@ BOTH_WAIT = (
 )
 
 
+@pytest.mark.slow
 def test_plan_orders_the_work_of_both(logged: Dataset, tmp_path: Path) -> None:
     jobs = Jobs(
         visit=("conveyor->left_2", "conveyor->left_5", "conveyor->left_1"),
@@ -212,6 +213,7 @@ def test_plan_orders_the_work_of_both(logged: Dataset, tmp_path: Path) -> None:
     assert again.expected_s == pytest.approx(found.expected_s)
 
 
+@pytest.mark.slow
 def test_what_if_takes_quicker_people_and_a_second_place(logged: Dataset) -> None:
     robot = ("home->conveyor", "conveyor->left_2", "left_2->conveyor", "conveyor->left_5", "left_5->conveyor")
     asked = [both(("inbound", "out_left_1", "inbound", "rest"), robot)]

@@ -48,7 +48,7 @@ def sheets_of_estimates(found: CycleEstimates, dataset: Dataset, model: object) 
     more += [["not answered", f"{one.name}: {one.error.seen}"] for one in found.refused]
     return {
         "answer": [heads, *answer],
-        "tasks": _tasks(found),
+        "tasks": _tasks(found, dataset),
         "levels": _levels(dataset, model),
         "provenance": _provenance(dataset, model, more),
     }
@@ -83,18 +83,18 @@ def _of_frame(frame: pl.DataFrame) -> Rows:
     return [list(frame.columns), *map(list, frame.rows())]
 
 
-def _tasks(found: CycleEstimates) -> Rows:
+def _tasks(found: CycleEstimates, dataset: Dataset) -> Rows:
     """Return one row per task of each sequence, in order; of a plan for both agents who does it, and when."""
     if any(one.plan for one in found):
         names = ("agent", "task", "start_s", "end_s", "wait_s")
         rows = [[one.name, *(getattr(task, name) for name in names)] for one in found for task in one.plan]
         return [["sequence", *names], *rows]
     rows = [
-        [one.name, at, task.task, *(getattr(task, name) for name in _SPLIT)]
+        [one.name, at, task.task, dataset.task_label(task.task), *(getattr(task, name) for name in _SPLIT)]
         for one in found
         for at, task in enumerate(one.tasks, start=1)
     ]
-    return [["sequence", "order", "task", *_SPLIT], *rows]
+    return [["sequence", "order", "task", "label", *_SPLIT], *rows]
 
 
 def _levels(dataset: Dataset, model: object) -> Rows:

@@ -249,10 +249,19 @@ def _operator(seen: Mapping[str, Mapping[str, int]]) -> str:
 
 def _places(title: str, places: Mapping[str, Mapping[str, Any]]) -> str:
     rows = [
-        [name, *(f"{round(value, 2) + 0.0:.2f}" for value in place["xyz_m"]), "found" if place["inferred"] else "named"]
+        [
+            _labelled(name, place),
+            *(f"{round(value, 2) + 0.0:.2f}" for value in place["xyz_m"]),
+            "found" if place["inferred"] else "named",
+        ]
         for name, place in places.items()
     ]
     return table([title, "x, m", "y, m", "z, m", "origin "], rows) if rows else ""
+
+
+def _labelled(name: str, place: Mapping[str, Any]) -> str:
+    label = place["label"]
+    return name if label == name else f"{name} ({label})"
 
 
 def _tasks(tasks: Sequence[Mapping[str, Any]]) -> str:

@@ -94,10 +94,15 @@ class Source:
 
 @dataclass(frozen=True)
 class NamedPlace:
-    """A place that the integrator named: positions within `radius_m` of `xyz_m` (base frame) are there."""
+    """A place that the integrator named: positions within `radius_m` of `xyz_m` (base frame) are there.
+
+    Attributes:
+        label: How results show it to people; None: by its name.
+    """
 
     xyz_m: Point
     radius_m: Positive = 0.05
+    label: Annotated[str | None, Meta(examples=["Left table, slot 2"])] = None
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,7 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
         for name, place in places.items():
             xyz, radius = toml_value(list(place.xyz_m)), toml_value(place.radius_m)
             lines += ["", f"[{title}.{_key(name)}]", f"xyz_m = {xyz}", f"radius_m = {radius}"]
+            lines += [f"label = {toml_value(place.label)}"] if place.label else []
     for name, thing in cell.furniture.items():
         lines += [
             "",

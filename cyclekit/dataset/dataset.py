@@ -129,6 +129,16 @@ class Dataset:
         """Operator places by name (empty where neither the cell file nor events name any)."""
         return {name: _place(name, one) for name, one in self.card.human_places.items()}
 
+    def label(self, place: str) -> str:
+        """Return how people are shown a place of robot or operator: its label in the cell file, else its name."""
+        settings = self.card.settings
+        named = settings.places.get(place) or settings.human_places.get(place)
+        return named.label if named is not None and named.label else place
+
+    def task_label(self, task: str) -> str:
+        """Return how people are shown a task `start->goal`: by the labels of its places."""
+        return "->".join(self.label(place) for place in task.split("->"))
+
     @property
     def furniture(self) -> dict[str, Furniture]:
         """What stands in the cell, by name, as the cell file says."""

@@ -183,7 +183,12 @@ def _finished(
         origin=" and ".join(sorted({name for one in some for name in one.origins}, reverse=True)) or None,
         dynamics=watched.response(read_response([one.changes for one in finished])),
         operator_signals=watched.found.cards,
-        warnings=[*robot.warnings, *(staircase.warnings if some or not made else []), *_inputs(evidence)],
+        warnings=[
+            *robot.warnings,
+            *(staircase.warnings if some or not made else []),
+            *_inputs(evidence),
+            *_signals(watched.found.cards),
+        ],
     )
 
 
@@ -211,6 +216,21 @@ def _inputs(evidence: Evidence) -> list[Note]:
     return [
         note("input-slows", signal=name, state="on" if how.on else "off", percent=round(100 * how.cap))
         for name, how in evidence.inputs.items()
+    ]
+
+
+def _signals(cards: Sequence[OperatorSignalCard]) -> list[Note]:
+    """Say which signals were found to tell of people."""
+    return [
+        note(
+            "operator-signal",
+            signal=one.signal,
+            occupied=one.occupied,
+            delay_s=one.delay_s,
+            explained=one.explained,
+        )
+        for one in cards
+        if not one.told
     ]
 
 

@@ -157,11 +157,11 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
         samples=samples.height,
         rate_hz=dataset.rate_hz,
         places={
-            name: {"xyz_m": p.xyz_m, "radius_m": p.radius_m, "inferred": p.inferred}
+            name: {"xyz_m": p.xyz_m, "radius_m": p.radius_m, "inferred": p.inferred, "label": dataset.label(name)}
             for name, p in dataset.places.items()
         },
         human_places={
-            name: {"xyz_m": p.xyz_m, "radius_m": p.radius_m, "inferred": p.inferred}
+            name: {"xyz_m": p.xyz_m, "radius_m": p.radius_m, "inferred": p.inferred, "label": dataset.label(name)}
             for name, p in dataset.human_places.items()
         },
         tasks=tuple(_task_rows(found)),

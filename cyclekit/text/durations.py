@@ -23,7 +23,7 @@ def seconds_in(text: str) -> float:
         part = _PART.match(word, at)
         unit = None if part is None else _UNITS.get(part[2] or "s")
         if part is None or unit is None or unit >= last or (part[2] is None and (at or part.end() < len(word))):
-            msg = f"{text!r} is not a duration; write it as 105s, 1min 45s, 0.5min or 500ms"
+            msg = f"{text!r} is not a duration; write it as 14s, 1min 45s, 0.5min or 500ms"
             raise ValueError(msg)
         total, last, at = total + float(part[1]) * unit, unit, part.end()
     if not 0 < total < math.inf:

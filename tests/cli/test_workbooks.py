@@ -129,3 +129,32 @@ def test_without_the_extra_the_command_that_installs_it_is_named(
     with pytest.raises(MissingExtra):
         write_workbook(tmp_path / "x.xlsx", {})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_place_is_shown_by_its_label(dataset: Path) -> None:
+    from dataclasses import replace
+
+    from msgspec import structs
+
+    from cyclekit.api.workbooks import sheets_of_logs
+    from cyclekit.config import NamedPlace
+    from cyclekit.dataset.dataset import Dataset
+
+    opened = Dataset.open(dataset)
+    named = {"conveyor": NamedPlace((0.0, 0.0, 0.0), label="Conveyor, east end"), "home": NamedPlace((0.0, 0.0, 0.0))}
+    opened.card = structs.replace(opened.card, settings=replace(opened.card.settings, places=named))
+    assert opened.label("conveyor") == "Conveyor, east end"
+    assert opened.task_label("home->conveyor") == "home->Conveyor, east end"
+    assert opened.label("nowhere") == "nowhere"
+    assert sheets_of_logs(opened)["provenance"][0] == ["what", "value"]
+
+
+def test_a_label_is_read_from_the_cell_file_and_written_again(tmp_path: Path) -> None:
+    from cyclekit.config import cell_to_toml, load_cell
+
+    file = tmp_path / "cell.toml"
+    file.write_text('[places.left_2]\nxyz_m = [0, 0, 0]\nlabel = "Left table, slot 2"\n', encoding="utf-8")
+    cell = load_cell(file)
+    assert cell.places["left_2"].label == "Left table, slot 2"
+    file.write_text(cell_to_toml(cell), encoding="utf-8")
+    assert load_cell(file).places == cell.places

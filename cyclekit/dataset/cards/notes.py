@@ -178,6 +178,11 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "scaling-unknown": lambda values: f"{_scaling(values)}; it cannot be inferred either, because no motion repeats",
     "scaling-inferred": _scaling_inferred,
     "input-slows": "while {signal} is {state}, the robot runs at {percent} % speed at most, wherever the operator is",
+    "operator-signal": (
+        "{signal} = {occupied} is taken as a person's presence: the speed answers {delay_s:.2f} s later, and with it "
+        "{explained:.0%} of the lost time is explained; if it tells of nobody, name the right ones: "
+        "[[operator_signals]] in cell.toml"
+    ),
     "scaling-nowhere": "the scaling is unknown everywhere",
     "levels-none": (
         "no value of the scaling is held long enough to be a level: a continuous function, or none at all; "

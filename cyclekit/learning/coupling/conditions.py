@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Wait
     from cyclekit.dataset.cards.coupling import Agent
-    from cyclekit.learning.coupling.visits import Course, PlaceVisit
+    from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit
     from cyclekit.schema import Floats, Ints, Vector
 
 HELD = 0.98
@@ -106,7 +106,7 @@ class Passages:
         return take_apart(np.array([column[::step] for column in columns]))
 
 
-def passages_of(courses: Sequence[Course], agent: Agent) -> list[Passages]:
+def passages_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Passages]:
     """Return the passages of every gate that an agent may have; own work of different places is made comparable."""
     rows: dict[Gate, list[tuple[int, int, int, float, float]]] = {}
     number = 0
@@ -152,7 +152,7 @@ def _comparable(found: list[Passages]) -> list[Passages]:
     return [each for each in found if each.gate.short or each.gate.at == "leave" or each.gate.place not in short]
 
 
-def find_conditions(courses: Sequence[Course], agent: Agent, told: Sequence[Wait] = ()) -> list[Passages]:
+def find_conditions(courses: Sequence[ExecutionVisits], agent: Agent, told: Sequence[Wait] = ()) -> list[Passages]:
     """Return the passages of an agent's gates with the conditions that were found, or told.
 
     Raises:
@@ -305,7 +305,7 @@ def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
     return np.asarray(np.where(there, gate.left_s - at[gate.course, np.where(there, number, 0)], np.nan))
 
 
-def times_of(courses: Sequence[Course]) -> Times:
+def times_of(courses: Sequence[ExecutionVisits]) -> Times:
     """Return when each kind of event came in each execution, shape (executions, at least 1), NaN behind the last."""
     found: Times = {}
     for event in sorted({event for course in courses for event in course.events}, key=str):

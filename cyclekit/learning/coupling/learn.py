@@ -20,7 +20,7 @@ from cyclekit.learning.coupling.conditions import (
 )
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
 from cyclekit.learning.coupling.sources import find_sources
-from cyclekit.learning.coupling.visits import Course, courses_of
+from cyclekit.learning.coupling.visits import ExecutionVisits, courses_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -46,7 +46,9 @@ def learn_coupling(dataset: Dataset) -> CouplingCard | None:
     return learn_executions(courses, dataset.tasks(), dataset.card.settings.waits)
 
 
-def learn_executions(courses: Sequence[Course], tasks: pl.DataFrame, told: Sequence[Wait] = ()) -> CouplingCard | None:
+def learn_executions(
+    courses: Sequence[ExecutionVisits], tasks: pl.DataFrame, told: Sequence[Wait] = ()
+) -> CouplingCard | None:
     """Return who waits for whom in some executions, None in too few.
 
     Args:
@@ -65,14 +67,14 @@ def learn_executions(courses: Sequence[Course], tasks: pl.DataFrame, told: Seque
     return replace(found, gates=tuple(gates))
 
 
-def learn_courses(courses: Sequence[Course], told: Sequence[Wait] = ()) -> CouplingCard:
+def learn_courses(courses: Sequence[ExecutionVisits], told: Sequence[Wait] = ()) -> CouplingCard:
     """Return who waits for whom in some executions; a robot's `phase` of a motion is left open."""
     found = [_gate(courses, gate, told) for agent in AGENTS for gate in find_conditions(courses, agent, told)]
     gates = tuple(gate for gate in found if gate is not None)
     return CouplingCard(gates=gates, sources=find_sources(courses, gates), executions=len(courses))
 
 
-def _gate(courses: Sequence[Course], found: Passages, told: Sequence[Wait]) -> GateCard | None:
+def _gate(courses: Sequence[ExecutionVisits], found: Passages, told: Sequence[Wait]) -> GateCard | None:
     """Return the card of a gate; of one without conditions there is one for leaving alone, with own work."""
     gate = found.gate
     if gate.at == "approach" and not found.found:
@@ -89,7 +91,7 @@ def _gate(courses: Sequence[Course], found: Passages, told: Sequence[Wait]) -> G
     )
 
 
-def _parts(courses: Sequence[Course], found: Passages) -> tuple[tuple[float, ...], list[ConditionCard]]:
+def _parts(courses: Sequence[ExecutionVisits], found: Passages) -> tuple[tuple[float, ...], list[ConditionCard]]:
     """Return own work by its quantiles, and the conditions."""
     step = -(-len(found.left_s) // KEPT)
     since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
@@ -119,7 +121,7 @@ def _parts(courses: Sequence[Course], found: Passages) -> tuple[tuple[float, ...
     return own_s, cards
 
 
-def _from_leaving(courses: Sequence[Course], found: Passages, condition: Condition) -> Vector:
+def _from_leaving(courses: Sequence[ExecutionVisits], found: Passages, condition: Condition) -> Vector:
     """Return the time from when the agent that gives a signal left its place, which is what a plan knows."""
     return since_event(times_of(courses), found, Condition(condition.event._replace(signal=None), condition.back))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from cyclekit.dataset.cards.coupling import GateCard, SourceCard
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier, take_apart
-from cyclekit.learning.coupling.visits import Course, Event
+from cyclekit.learning.coupling.visits import Event, ExecutionVisits
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +20,7 @@ FULL = 0.98
 """Part of the parts at whose coming no more than the buffer wait."""
 
 
-def find_sources(courses: Sequence[Course], gates: Sequence[GateCard]) -> tuple[SourceCard, ...]:
+def find_sources(courses: Sequence[ExecutionVisits], gates: Sequence[GateCard]) -> tuple[SourceCard, ...]:
     """Return the sources of the signals that the robot waits for at its places."""
     pairs = {
         (one.place, gate.place)
@@ -32,7 +32,7 @@ def find_sources(courses: Sequence[Course], gates: Sequence[GateCard]) -> tuple[
     return tuple(source for source in found if source is not None)
 
 
-def _source(courses: Sequence[Course], signal: str, place: str) -> SourceCard | None:
+def _source(courses: Sequence[ExecutionVisits], signal: str, place: str) -> SourceCard | None:
     came = [course.events.get(Event("signal", signal, "set"), np.empty(0)) for course in courses]
     taken = [course.events.get(Event("robot", place, "leaves"), np.empty(0)) for course in courses]
     begins = [course.visits["robot"][0].left_s for course in courses]

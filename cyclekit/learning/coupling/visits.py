@@ -53,7 +53,7 @@ class PlaceVisit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Course:
+class ExecutionVisits:
     """One execution.
 
     Attributes:
@@ -69,7 +69,7 @@ class Course:
 
 def courses_of(
     executions: Sequence[ExecutionCard], tasks: pl.DataFrame, recordings: Sequence[RecordingCard], read: Read
-) -> list[Course]:
+) -> list[ExecutionVisits]:
     """Return the complete executions in which both agents were seen.
 
     Args:
@@ -91,7 +91,7 @@ def courses_of(
         changes = {key: at[(at >= card.start_s) & (at <= card.end_s)] for key, at in signals[card.session].items()}
         events = {Event("signal", *key): at for key, at in changes.items()}
         visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
-        found.append(Course(card.execution, visits, events_of(visits) | events))
+        found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events))
     return _with_givers(found)
 
 
@@ -144,7 +144,7 @@ def _edges(on: Bools) -> tuple[Bools, Bools]:
     return on & ~before, ~on & before
 
 
-def _with_givers(courses: Sequence[Course]) -> list[Course]:
+def _with_givers(courses: Sequence[ExecutionVisits]) -> list[ExecutionVisits]:
     """Return the courses; a signal that the operator gives at one place is an event of his leaving it."""
     given = {}
     for kind in sorted({key for course in courses for key in course.events if key.agent == "signal"}):
@@ -154,12 +154,12 @@ def _with_givers(courses: Sequence[Course]) -> list[Course]:
         if place is not None and shares[place] >= GIVEN:
             given[kind] = Event("operator", place, "leaves", f"{kind.place} {kind.event}")
     return [
-        Course(one.name, one.visits, {given.get(key, key): times for key, times in one.events.items()})
+        ExecutionVisits(one.name, one.visits, {given.get(key, key): times for key, times in one.events.items()})
         for one in courses
     ]
 
 
-def _share(courses: Sequence[Course], kind: Event, place: str) -> float:
+def _share(courses: Sequence[ExecutionVisits], kind: Event, place: str) -> float:
     """Return which part of a signal's changes the operator's visits of a place account for, each for one."""
     within, total = 0, 0
     for course in courses:

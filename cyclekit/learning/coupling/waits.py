@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import polars as pl
 
-from cyclekit.learning.coupling.visits import Course, Event
+from cyclekit.learning.coupling.visits import Event, ExecutionVisits
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -30,7 +30,7 @@ class _Wait(NamedTuple):
     waited_for: str
 
 
-def with_waits_named(tasks: pl.DataFrame, courses: Sequence[Course], coupling: CouplingCard) -> pl.DataFrame:
+def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], coupling: CouplingCard) -> pl.DataFrame:
     """Return table TASKS with what ended each wait, and with dwell and wait of the operator's tasks.
 
     Args:
@@ -54,7 +54,7 @@ def with_waits_named(tasks: pl.DataFrame, courses: Sequence[Course], coupling: C
     ).select(tasks.columns)
 
 
-def _waits(course: Course, coupling: CouplingCard) -> Iterator[_Wait]:
+def _waits(course: ExecutionVisits, coupling: CouplingCard) -> Iterator[_Wait]:
     usual = {(gate.agent, gate.place): float(np.median(gate.own_s)) for gate in coupling.gates if gate.at == "leave"}
     for gate in coupling.gates:
         if not gate.conditions:
@@ -69,7 +69,7 @@ def _waits(course: Course, coupling: CouplingCard) -> Iterator[_Wait]:
 
 
 def _passages(
-    course: Course, gate: GateCard, usual: dict[tuple[Agent, str], float]
+    course: ExecutionVisits, gate: GateCard, usual: dict[tuple[Agent, str], float]
 ) -> Iterator[tuple[int, float, float, int]]:
     """Yield for each passage of a gate: number of the visit that waits, ready since, gone on at, how-many-th."""
     visits, nth = course.visits[gate.agent], 0
@@ -87,7 +87,7 @@ def _passages(
         nth += gate.at == "leave" or before is not None
 
 
-def _opened(course: Course, condition: ConditionCard, nth: int, left_s: float) -> float | None:
+def _opened(course: ExecutionVisits, condition: ConditionCard, nth: int, left_s: float) -> float | None:
     """Return when a condition let a passage go on, None where it did not decide."""
     event = Event(condition.agent, condition.place, condition.event)
     at = course.events.get(event, np.empty(0))

@@ -9,18 +9,18 @@ from cyclekit.config import Wait
 from cyclekit.dataset.cards.coupling import Agent
 from cyclekit.errors import UnknownName
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.visits import Course, Event, PlaceVisit, events_of
+from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 
 ROBOT, OPERATOR = ("feeder", "fixture", "tray", "rack"), ("bench", "fixture", "shelf")
 
 
-def _alone(rng: np.random.Generator, name: str) -> Course:
+def _alone(rng: np.random.Generator, name: str) -> ExecutionVisits:
     """Return an execution of two agents that do not see each other."""
     visits: dict[Agent, list[PlaceVisit]] = {
         "robot": _walk(rng, [str(place) for place in rng.choice(ROBOT, 12)], (0.5, 0.6), 2.0),
         "operator": _walk(rng, [str(place) for place in rng.choice(OPERATOR, 9)], (1.0, 4.0), 2.5),
     }
-    return Course(name, visits, events_of(visits))
+    return ExecutionVisits(name, visits, events_of(visits))
 
 
 def _walk(rng: np.random.Generator, places: list[str], dwell_s: tuple[float, float], way_s: float) -> list[PlaceVisit]:
@@ -32,7 +32,7 @@ def _walk(rng: np.random.Generator, places: list[str], dwell_s: tuple[float, flo
     return found
 
 
-def _coupled(rng: np.random.Generator, name: str) -> Course:
+def _coupled(rng: np.random.Generator, name: str) -> ExecutionVisits:
     """Return one in which the robot brings parts to a fixture; the operator mounts each and lets the robot in again."""
     robot, operator, pressed = [PlaceVisit("home", 0.0, 0.0)], [PlaceVisit("bench", 0.0, np.nan)], [-np.inf]
     free_s = 0.0
@@ -50,7 +50,7 @@ def _coupled(rng: np.random.Generator, name: str) -> Course:
     robot.append(PlaceVisit("home", robot[-1].left_s + 2.0, np.nan))
     visits: dict[Agent, list[PlaceVisit]] = {"robot": robot, "operator": operator}
     release = {Event("operator", "fixture", "leaves", "release set"): np.array(pressed[1:])}
-    return Course(name, visits, events_of(visits) | release)
+    return ExecutionVisits(name, visits, events_of(visits) | release)
 
 
 @pytest.mark.parametrize("signals", [True, False], ids=["release button", "positions only"])
@@ -58,7 +58,7 @@ def test_both_conditions_are_found_and_no_other(signals: bool) -> None:
     rng = np.random.default_rng(5)
     courses = [_coupled(rng, str(number)) for number in range(40)]
     if not signals:
-        courses = [Course(one.name, one.visits, events_of(one.visits)) for one in courses]
+        courses = [ExecutionVisits(one.name, one.visits, events_of(one.visits)) for one in courses]
     card = learn_courses(courses)
     found = {(gate.agent, gate.at, gate.place): gate for gate in card.gates if gate.conditions}
     assert set(found) == {("robot", "approach", "fixture"), ("operator", "approach", "fixture")}
@@ -112,7 +112,7 @@ def test_parts_that_come_are_learned_from_their_sensor() -> None:
     assert np.mean(source.gap_s) == pytest.approx(10.0, rel=0.1)
 
 
-def _fed(rng: np.random.Generator, name: str) -> Course:
+def _fed(rng: np.random.Generator, name: str) -> ExecutionVisits:
     """Return an execution whose robot takes parts; they come 6 s apart or more, at most two of them wait."""
     robot, came, at = [PlaceVisit("home", 0.0, 0.0)], [-10.0], 2.0
     came[0] += 6.0 + rng.exponential(4.0) + 10.0
@@ -125,7 +125,7 @@ def _fed(rng: np.random.Generator, name: str) -> Course:
         at = left + rng.choice([4.0, 14.0])
     visits: dict[Agent, list[PlaceVisit]] = {"robot": [*robot, PlaceVisit("home", at, np.nan)]}
     visits["operator"] = _walk(rng, ["bench"] * 6, (1.0, 4.0), 2.5)
-    return Course(name, visits, events_of(visits) | {Event("signal", "part", "set"): np.array(came)})
+    return ExecutionVisits(name, visits, events_of(visits) | {Event("signal", "part", "set"): np.array(came)})
 
 
 @pytest.mark.parametrize("seed", range(8))

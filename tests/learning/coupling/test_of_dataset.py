@@ -19,9 +19,13 @@ def test_the_waits_of_both_are_those_of_the_truth(cells: Cells, signals: bool) -
     cell = cells("shared-fixture", 16, seed=31, signals=signals)
     card = cell.dataset.card.coupling
     assert card is not None
-    found = {(gate.agent, gate.at, gate.place): one for gate in card.gates for one in gate.conditions}
-    assert set(found) == {("robot", "approach", "fixture"), ("operator", "approach", "fixture")}
-    assert found["robot", "approach", "fixture"].signal == ("release set" if signals else None)
+    robot, operator = ((gate, one) for gate in card.gates for one in gate.conditions)
+    assert (robot[0].agent, robot[0].at, robot[0].place) == ("robot", "approach", "fixture")
+    assert (robot[1].place, robot[1].event, robot[1].back) == ("fixture", "leaves", 1)
+    assert robot[1].signal == ("release set" if signals else None)
+    assert operator[0].agent == "operator"  # from his bench he goes to the fixture: either of both may be the gate
+    assert (operator[0].at, operator[0].place) in {("approach", "fixture"), ("leave", "bench")}
+    assert (operator[1].place, operator[1].event, operator[1].back) == ("fixture", "leaves", 0)
     assert sorted(cell.dataset.places) == sorted({*cell.routes[0], "rack_1", "rack_2", "rack_3", "rack_4"})
     tasks = cell.dataset.every_task()
     for agent, ended in (("robot", "operator leaves fixture"), ("operator", "robot leaves fixture")):

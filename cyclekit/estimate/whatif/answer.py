@@ -135,8 +135,8 @@ def what_if(
         tell(number / len(changes), change.name)
         try:
             safety = altered_safety(change, model, logged)
-            coupling, pace = altered_coupling(change, model.card.coupling), change.faster.get("operator", 1.0)
-            altered = replace(_altered(change, safety, dataset, logged), moved=moved, coupling=coupling, pace=pace)
+            altered = replace(_altered(change, safety, dataset, logged), moved=moved, pace=change.operator_pace)
+            altered = replace(altered, coupling=altered_coupling(change, model.card.coupling))
             after = estimates(safety, altered, check=_check_of(change, check))
         except EstimateError as error:
             if refused is None:

@@ -32,17 +32,12 @@ ramp_up_per_s = 2.0              # inf: at once
 hysteresis_m = 0.0               # also ramp_down_per_s, latency_s
 
 [[change]]
-name = "two operators' work, parts in advance"   # of a model of task times (task lists without positions)
-faster = { operator = 1.2 }                      # 1.2 times as fast; robot, operator, or the agent's name in the logs
-no_wait = [["weld", "mount"]]                    # weld no longer waits for mount
-buffer = { mount = 1 }                           # mount has one part in advance of what it waits for
-
-[[change]]
-name = "a second fixture, a practised operator"  # where robot and operator wait for each other, by positions
-faster = { operator = 1.2 }                      # he works and walks 1.2 times as fast
-more_places = { fixture = 1 }                    # so many more of a place that must be free again
-buffer = { part = 3 }                            # so many parts of a source may wait, by its signal
-without_waits = ["robot approach fixture"]       # nobody waits there any more
+name = "a practised operator, parts in advance"   # where robot and operator wait for each other
+faster = { operator = 1.2 }                       # 1.2 times as fast; in task lists also robot or the agent's name
+buffer = { part = 3 }                             # so many parts of a source, or of a task of task lists, in advance
+more_places = { fixture = 1 }                     # so many more of a place that must be free again
+without_waits = ["robot approach fixture"]        # nobody waits there any more
+no_wait = [["weld", "mount"]]                     # in task lists: weld no longer waits for mount
 """
 
 from __future__ import annotations
@@ -132,13 +127,12 @@ class Change:
         base_m, base_yaw_deg: Where the robot's base shall stand, in the present base frame.
         places: Robot places that move: name -> TCP, m, in the frame of the robot's base.
         frequency: The operator's visits per hour, as a multiple of the logged ones.
-        dynamics: What changes of how s follows the safety function, by the name of `Dynamics`: s, 1/s or m.
-        faster: How many times as fast an agent's tasks go, by agent.
-        no_wait: Pairs of tasks: the first no longer waits for the second.
-        buffer: Parts in advance, by the task that waits for them; a second fixture is one. Of a source of parts, by its
-            signal, how many may wait.
         more_places: So many more of a place that somebody waits for to be free again, by its name.
         without_waits: Waits that fall away: `robot approach fixture`.
+        dynamics: What changes of how s follows the safety function, by the name of `Dynamics`: s, 1/s or m.
+        faster: How many times as fast an agent works and walks, by agent; where there are positions only the operator.
+        no_wait: Pairs of tasks of task lists: the first no longer waits for the second.
+        buffer: So many parts may wait, by the signal of their source; in task lists by the task that waits for them.
     """
 
     name: str
@@ -151,11 +145,16 @@ class Change:
     places: Mapping[str, Point] = field(default_factory=dict)
     frequency: float | None = None
     dynamics: Mapping[str, float] = field(default_factory=dict)
+    more_places: Mapping[str, int] = field(default_factory=dict)
+    without_waits: tuple[str, ...] = ()
     faster: Mapping[str, float] = field(default_factory=dict)
     no_wait: tuple[tuple[str, str], ...] = ()
     buffer: Mapping[str, int] = field(default_factory=dict)
-    more_places: Mapping[str, int] = field(default_factory=dict)
-    without_waits: tuple[str, ...] = ()
+
+    @property
+    def operator_pace(self) -> float:
+        """How many times as fast the operator works and walks."""
+        return self.faster.get("operator", 1.0)
 
     @property
     def waits_change(self) -> bool:
@@ -164,12 +163,13 @@ class Change:
 
     @property
     def of_tasks(self) -> bool:
-        """Whether it changes tasks and waits, and nothing of positions or the safety function."""
+        """Whether it changes tasks and waits of task lists, and nothing that needs positions."""
         return bool(self.faster or self.no_wait or self.buffer) and not self._of_positions
 
     @property
     def _of_positions(self) -> bool:
-        return bool(self.levels or self.limits or self.base_m or self.places or self.frequency or self.dynamics)
+        found = self.levels, self.limits, self.base_m, self.places, self.frequency, self.dynamics
+        return any(map(bool, (*found, self.more_places, self.without_waits)))
 
     def __post_init__(self) -> None:
         """Refuse what is no safety function or no change.
@@ -200,12 +200,10 @@ class Change:
         self._refuse_dynamics()
         if slow := [value for value in self.faster.values() if not 0 < value <= FASTEST]:
             self._refuse(f"faster {slow[0]:g}", "1.2 means 1.2 times as fast; give more than 0.")
-        if less := [count for count in self.buffer.values() if not 0 < count <= FASTEST]:
-            self._refuse(f"buffer {less[0]}", "Give the number of parts in advance, 1 or more.")
-        for name, more in self.more_places.items():
-            if more < 1:
-                self._refuse(f"more_places {name} = {more}", "Give a whole number, 1 or more.")
-        if not self.of_tasks and not self._of_positions and not self.waits_change:
+        for name, count in (*self.more_places.items(), *self.buffer.items()):
+            if not 0 < count <= FASTEST:
+                self._refuse(f"{name}: {count}", "Give a whole number, 1 or more.")
+        if not self.waits_change and not self._of_positions:
             self._refuse("nothing is changed", _CURE)
 
     def _refuse_dynamics(self) -> None:
@@ -255,11 +253,11 @@ class _Entry:
     ramp_down_per_s: float | None = None
     ramp_up_per_s: float | None = None
     hysteresis_m: float | None = None
+    more_places: Mapping[str, int] = field(default_factory=dict)
+    without_waits: tuple[str, ...] = ()
     faster: Mapping[str, float] = field(default_factory=dict)
     no_wait: tuple[tuple[str, str], ...] = ()
     buffer: Mapping[str, int] = field(default_factory=dict)
-    more_places: Mapping[str, int] = field(default_factory=dict)
-    without_waits: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -23,16 +23,17 @@ def altered_coupling(change: Change, card: CouplingCard | None) -> CouplingCard 
     where = f"change {change.name!r}"
     if card is None or not card.coupled:
         if change.waits_change:
-            seen = f"{where}: faster, buffer, no_wait, more_places and without_waits need a model that knows waits"
-            cure = "In these logs nobody waits for anybody; train on logs, or task lists, of both agents who do."
-            raise EstimateError(seen, cure=cure)
+            seen = f"{where}: in these logs nobody waits for anybody"
+            raise EstimateError(seen, cure="Train on a dataset with tracks of both: cyclekit train DATASET --out MODEL")
         return None
     if change.frequency is not None or change.base_m is not None:
         seen = f"{where}: frequency or base, and the operator of this cell works with the robot"
         raise EstimateError(seen, cure="Change faster, places or the safety function.")
-    if strange := (set(change.faster) - {"operator"}) or change.no_wait:
-        seen = f"{where}: {'no_wait' if change.no_wait else 'faster'} {', '.join(map(str, strange))}"
-        raise EstimateError(seen, cure='In cells with positions: faster = { operator = 1.2 }, without_waits = ["..."].')
+    if change.no_wait or set(change.faster) - {"operator"}:
+        seen = f"{where}: no_wait and a faster robot are of task lists, and this cell has positions"
+        raise EstimateError(
+            seen, cure="Name a wait in without_waits; how fast the robot moves is what its levels allow."
+        )
     known = {shown(gate): gate for gate in card.gates if gate.conditions}
     if missing := [name for name in change.without_waits if name not in known]:
         raise UnknownName(where, "wait", missing[0], known)
@@ -52,7 +53,7 @@ def shown(gate: GateCard) -> str:
 
 def _gate(change: Change, gate: GateCard) -> GateCard:
     conditions = () if shown(gate) in change.without_waits else gate.conditions
-    pace = change.faster.get("operator", 1.0) if gate.agent == "operator" else 1.0
+    pace = change.operator_pace if gate.agent == "operator" else 1.0
     return replace(
         gate,
         own_s=tuple(seconds / pace for seconds in gate.own_s),

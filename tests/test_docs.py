@@ -16,7 +16,7 @@ from cyclekit.config import load_cell
 from cyclekit.config.project import load_project
 from cyclekit.config.sequences import load_sequences
 from cyclekit.estimate.plan import load_jobs
-from cyclekit.estimate.plan.both import load_task_jobs
+from cyclekit.estimate.plan.task_orders import load_task_jobs
 from cyclekit.estimate.whatif import load_changes
 from cyclekit.fleet import load_fleet
 from cyclekit_sim import read_rule

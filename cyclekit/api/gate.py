@@ -22,7 +22,7 @@ _Z = 1.96
 
 
 @dataclass(frozen=True, repr=False)
-class TaktVerdict(Result):
+class GateVerdict(Result):
     """Whether enough cycles of each sequence are within the takt; as a frame one row per sequence.
 
     Attributes:
@@ -108,7 +108,7 @@ def gate_takt(
     validate: bool = True,
     other_cell: bool = False,
     progress: Progress | None = None,
-) -> TaktVerdict:
+) -> GateVerdict:
     """Judge whether enough cycles are within the takt: of every sequence, or of one.
 
     Args:
@@ -144,4 +144,4 @@ def gate_takt(
         if one.takt_probability is None:
             cure = "Log more executions, so that single cycles can be told."
             raise EstimateError(f"{one.name}: the {one.estimator} estimate has no distribution of cycles", cure=cure)
-    return TaktVerdict(takt_s, confidence, sure, found)
+    return GateVerdict(takt_s, confidence, sure, found)

@@ -16,13 +16,19 @@ from cyclekit.estimate.whatif.change import Change, load_changes
 from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.rules.safety import answering
 from cyclekit.learning.task_times.saved import TaskTimesModel, holds_task_times, load_task_times
+from cyclekit.learning.unseen.saved import holds_unseen, load_unseen
 
 Sequences = Place | TaskSequence | Sequence[TaskSequence]
 Changes = Place | Change | Sequence[Change]
 
 
 def model_of(given: SafetyModel | Place) -> SafetyModel:
-    """Return a safety function; of a trained model the rule beside it, if it has one, else its network."""
+    """Return a safety function; of a trained model the rule beside it, if it has one, else its network.
+
+    One learned from a robot's log alone is a safety function of states.
+    """
+    if isinstance(given, str | Path) and holds_unseen(given):
+        return load_unseen(given)
     opened = load_model(given) if isinstance(given, str | Path) else given
     return answering(opened) if isinstance(opened, TrainedModel) else opened
 

@@ -16,7 +16,10 @@ from cyclekit.learning.networks.saved import TrainedModel, check_model_output, l
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.task_times.learn import learn_task_times
 from cyclekit.learning.task_times.saved import TaskTimesModel, save_task_times
-from cyclekit.learning.training import Training, need_torch, train, train_at
+from cyclekit.learning.training import Training, learns_unseen, need_torch, train, train_at
+from cyclekit.learning.unseen.fit import learn_unseen
+from cyclekit.learning.unseen.model import UnseenOperator
+from cyclekit.learning.unseen.saved import holds_unseen, load_unseen
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.storage.remote.folders import join
 
@@ -30,11 +33,12 @@ def train_model(
     out: Place | None = None,
     engine: Engine = LOCAL,
     progress: Progress | None = None,
-) -> TrainedModel:
+) -> TrainedModel | UnseenOperator:
     """Learn from a dataset when the robot slows down.
 
     Args:
-        dataset: With a speed scaling, logged or inferred, and positions of robot and operator.
+        dataset: With a speed scaling, logged or inferred, and positions of robot and operator. Where no log shows
+            people the model is one of an unseen operator: it answers estimates, and knows no positions of people.
         spec: What to train; None: `ModelSpec.of()`.
         rules: Also look for the simplest rule that explains the commanded level, for the problem now; where there is
             one, estimates ask it in place of the network.
@@ -50,7 +54,10 @@ def train_model(
     """
     wanted = spec or ModelSpec.of()
     if out is None:
-        return train(Dataset.of(dataset), wanted, rules=rules, progress=progress)
+        opened = Dataset.of(dataset)
+        if learns_unseen(opened, wanted):
+            return learn_unseen(opened, seed=wanted.seed, progress=progress)
+        return train(opened, wanted, rules=rules, progress=progress)
     (model,) = _put([Training(_place(dataset), wanted, str(out), rules)], engine, progress)
     return model
 
@@ -65,7 +72,7 @@ def train_seeds(
     rules: bool = True,
     engine: Engine = LOCAL,
     progress: Progress | None = None,
-) -> dict[str, TrainedModel]:
+) -> dict[str, TrainedModel | UnseenOperator]:
     """Train one model for each seed, and put each into `out`/seed-N; by that place, in the order of the seeds.
 
     Args:
@@ -116,10 +123,11 @@ def _place(dataset: Dataset | Place) -> str:
     return dataset.place if isinstance(dataset, Dataset) else str(dataset)
 
 
-def _put(todo: Sequence[Training], engine: Engine, progress: Progress | None) -> list[TrainedModel]:
+def _put(todo: Sequence[Training], engine: Engine, progress: Progress | None) -> list[TrainedModel | UnseenOperator]:
     """Train every model and put it in its place; all that can be refused is refused before the first."""
     for each in todo:
-        need_torch(each.spec)
+        if not learns_unseen(Dataset.open(each.dataset), each.spec):
+            need_torch(each.spec)
         check_output(each.out, "model", [each.dataset])
         check_model_output(each.out)
     here = len(todo) == 1 and engine.stays_here(1)
@@ -128,4 +136,4 @@ def _put(todo: Sequence[Training], engine: Engine, progress: Progress | None) ->
     for count, done in enumerate(engine.map(work, todo), start=1):
         done.get()
         tell(count / len(todo), done.item.out)
-    return [load_model(each.out) for each in todo]
+    return [load_unseen(each.out) if holds_unseen(each.out) else load_model(each.out) for each in todo]

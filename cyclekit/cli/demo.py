@@ -128,10 +128,12 @@ def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) ->
 
 def _model(run: _Run, dataset: Dataset, seed: int) -> TrainedModel:
     from cyclekit.api.train import train_model
+    from cyclekit.learning.networks.saved import load_model
     from cyclekit.learning.networks.spec import ModelSpec
 
     with run.step("train the safety function") as progress:
-        model = train_model(dataset, ModelSpec.of(seed=seed), out=run.out / "model", progress=progress)
+        train_model(dataset, ModelSpec.of(seed=seed), out=run.out / "model", progress=progress)
+    model = load_model(run.out / "model")
     run.terminal.remark(f"  {summary(model.card)}")
     return model
 

@@ -22,7 +22,9 @@ from cyclekit.cli.terminal import Terminal
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import TrainingCard
     from cyclekit.dataset.cards.rule import RuleCard
+    from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.learning.task_times.saved import TaskTimesModel
+    from cyclekit.learning.unseen.model import UnseenOperator
 
 EXAMPLE = "cyclekit train dataset --out model"
 Problem = Literal["now", "ahead", "average"]
@@ -113,7 +115,7 @@ def train(
     terminal.warnings(list(dict.fromkeys(text for card in cards.values() for text in texts(card.warnings))))
     shown = {place: card.to_dict() for place, card in cards.items()}
     documents = [{"model": place, "metrics": card["metrics"], "card": card} for place, card in shown.items()]
-    told = "\n".join(f"{place}: {summary(card)}" for place, card in cards.items())
+    told = "\n".join(f"{place}: {summary_of(model)}" for place, model in models.items())
     following = command_line("evaluate", out, dataset)
     if chosen is None and problem != "ahead":  # no estimator works with a forecast
         following = command_line("estimate", out, "SEQUENCES.toml", "--dataset", dataset)
@@ -162,6 +164,14 @@ def task_times_summary(found: TaskTimesModel) -> str:
     lines = [held, *(pace.said(agent) for agent, pace in found.card.pace.items())]
     told = "\n".join(f"  {line}" for line in lines)
     return f"task times from {found.card.executions} executions\n{table(heads, rows)}\n{told}"
+
+
+def summary_of(model: TrainedModel | UnseenOperator) -> str:
+    """Return what was learned; of an unseen operator, that no network was trained."""
+    from cyclekit.learning.networks.saved import TrainedModel
+    from cyclekit.learning.unseen.model import said
+
+    return summary(model.card) if isinstance(model, TrainedModel) else "\n  ".join(said(model))
 
 
 def summary(card: TrainingCard) -> str:

@@ -32,6 +32,7 @@ from cyclekit.estimate.logged import (
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.operator_model import OperatorModel, operator_model
 from cyclekit.estimate.safety import OnStates, SafetyModel
+from cyclekit.estimate.signal_states import on_states_of
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.parallel.one_thread import one_thread
@@ -180,7 +181,11 @@ class Check:
     def quantile(self, cycles_s: Vector, level: float) -> float:
         """Return the conformal quantile of corrected cycles (K,), s, each off by a residual."""
         off = np.resize(np.array(self.residuals) - np.mean(self.residuals), len(cycles_s))
-        return conformal(cycles_s * (1.0 + np.random.default_rng(0).permutation(off)), level)
+        rng = np.random.default_rng(0)
+        off = rng.permutation(off)
+        if self.unseen_error:
+            off = off + self.unseen_error * rng.standard_normal(len(off))
+        return conformal(cycles_s * (1.0 + off), level)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the check as plain JSON values."""
@@ -210,6 +215,7 @@ def check_rollout(
     Raises:
         EstimateError: Fewer than LEAST complete executions have an operator track and tasks of known scaling.
     """
+    model = on_states_of(model, dataset)
     dataset, _ = in_memory(dataset)
     nominal = nominal_tasks(dataset)
     sequences = logged_sequences(dataset, nominal)
@@ -237,12 +243,12 @@ def check_rollout(
     some = np.isfinite(crossed).any(axis=1)
     means = np.full(len(sequences), np.nan)
     means[some] = np.nanmean(crossed[some], axis=1) * found.factor
-    unseen = model.unseen_error * float(np.nanstd(logged / means)) if isinstance(model, OnStates) else 0.0
+    unseen_error = model.unseen_error * float(np.nanstd(logged / means)) if isinstance(model, OnStates) else 0.0
     return replace(
         found,
         order_error=order_error(TaskTimes(dataset), sequences, means),
         operator=operator_model([sequence.name for sequence in sequences], beside, entries),
-        unseen_error=unseen,
+        unseen_error=unseen_error,
     )
 
 

@@ -78,7 +78,7 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     samples = dataset.samples(columns=["execution", "human_x_m", "human_z_m", "human_gap", "scaling_origin"])
     found += said_of_height(samples)
     absent = samples.filter(nobody_there()).height / max(samples.height, 1)
-    if absent > 0.01 and model.card.scaling_without_operator is None:
+    if absent > 0.01 and not isinstance(model, OnStates) and model.card.scaling_without_operator is None:
         found.append(f"in {absent:.0%} of the samples there is no operator: full speed assumed")
     ran = {one.execution for one in dataset.card.executions if one.complete and not one.reference}
     away = samples.group_by("execution").agg(away=(pl.col("human_gap") == "absent").fill_null(value=False).all())

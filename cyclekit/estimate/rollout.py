@@ -27,6 +27,8 @@ from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.question import Altered, Question
 from cyclekit.estimate.ranked import ranked
 from cyclekit.estimate.resample import TOGETHER, resampled
+from cyclekit.estimate.safety import OnStates
+from cyclekit.estimate.signal_states import on_states_of
 from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.walk import Rolled, roll_out
 from cyclekit.learning.networks.cell import refuse_other_cell
@@ -99,6 +101,7 @@ def estimate(
     tell = progress or (lambda fraction, text: None)
     dataset.require_positions()
     chosen = _chosen(model, estimator)
+    model = on_states_of(model, dataset)
     if ESTIMATORS[chosen].needs is not None:
         refuse_other_cell(model.card, dataset, other_cell=other_cell)
     if both := [each for each in sequences if chosen == "rollout" and (each.plan or waits_are_known(model, altered))]:
@@ -128,6 +131,7 @@ def estimate(
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, model)]
     if check and check.operator and check.operator.said:
         limits.append(check.operator.said)
+    unseen = model.doubts if chosen == "rollout" and isinstance(model, OnStates) else ()
     found: list[CycleEstimate] = []
     means: list[Vector] = []
     looked_up: list[bool] = []
@@ -141,7 +145,7 @@ def estimate(
         for sequence, cycles in zip(mine, rolled, strict=True):
             mean = means_of(ask, sequence, cycles, weights, history)
             entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights, mean)
-            doubts = (*doubts_of(cycles, entry, check), *unknown)
+            doubts = (*unseen, *doubts_of(cycles, entry, check), *unknown)
             found.append(replace(entry, doubts=doubts, warnings=(*doubts, *limits_of_cycles(cycles, entry), *limits)))
             means.append(mean.resampled_s)
             looked_up.append(not cycles.looked_closely)

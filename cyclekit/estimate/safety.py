@@ -114,8 +114,12 @@ class OnStates(SafetyModel, Protocol):
         """What an estimate with it is, in a few words."""
 
     @property
+    def doubts(self) -> tuple[str, ...]:
+        """What makes every number from it doubtful, one sentence each."""
+
+    @property
     def limits(self) -> tuple[str, ...]:
-        """What limits every number from it, one sentence each."""
+        """What else limits them, one sentence each."""
 
     def scaling_in(self, robot_m: Floats, state: Floats, /) -> Vector:
         """Return s with the TCP there, shape (N, 3), m, in states, shape (N, D); shape (N,)."""

@@ -127,7 +127,7 @@ def transit_table(
     Memory: 4 bytes per task, track and start, and as much for s per point of the motions and cell of positions.
     """
     tell = progress or (lambda fraction, text: None)
-    cell_of, cells = _human_cells(tracks)
+    cell_of, cells = cells_of(tracks)
     names = tuple(sorted(tasks))
     arrivals = []
     for number, name in enumerate(names):
@@ -142,11 +142,17 @@ def _every(step_s: float) -> int:
     return samples_in(START_S, 1 / step_s)
 
 
-def _human_cells(tracks: OperatorTracks) -> tuple[Ints, Floats]:
+def cells_of(tracks: OperatorTracks) -> tuple[Ints, Floats]:
     """Return the cell of every sample (K, T) and the mean position in each cell (C, 3); the last is NaN: no operator.
 
-    Where heights are unknown the cells are those of the floor, and theirs is unknown too.
+    Of an operator known by states the cells are these, to a hundredth. Where heights are unknown the cells are those
+    of the floor, and theirs is unknown too.
     """
+    if tracks.state is not None:
+        states, numbers = np.unique(
+            np.round(tracks.state, 2).reshape(-1, tracks.state.shape[2]), axis=0, return_inverse=True
+        )
+        return numbers.reshape(tracks.state.shape[:2]), states
     flat = tracks.xyz_m.reshape(-1, 3)
     seen = np.isfinite(flat[:, :2]).all(axis=1)
     edge = HUMAN_M

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import polars as pl
 
 from cyclekit import schema
@@ -36,6 +37,7 @@ from cyclekit.learning.coupling.learn import learn_coupling
 from cyclekit.learning.networks.saved import CARD as MODEL_CARD
 from cyclekit.learning.networks.saved import load_model
 from cyclekit.learning.task_times.saved import holds_task_times, load_task_times
+from cyclekit.learning.unseen.saved import holds_unseen, load_unseen
 from cyclekit.storage.atomic import recover
 
 if TYPE_CHECKING:
@@ -80,6 +82,10 @@ def describe(
 
 
 def _describe_model(path: Path) -> ModelDescription:
+    if holds_unseen(path):
+        unseen = load_unseen(path)
+        count = np.array(unseen.unseen.shares).size
+        return ModelDescription(path, unseen.problem, "unseen operator", 0.0, unseen.levels, count, unseen.card)
     model = load_model(path)
     count = model.weights.count
     return ModelDescription(path, model.problem, model.network, model.horizon_s, model.levels, count, model.card)

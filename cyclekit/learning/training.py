@@ -53,6 +53,8 @@ from cyclekit.learning.rules.of_dataset import law_of, rule_of
 from cyclekit.learning.rules.safety import answering
 from cyclekit.learning.rules.words import verdict
 from cyclekit.learning.signal_inputs import by_signals, learned_rows
+from cyclekit.learning.unseen.fit import learn_unseen
+from cyclekit.learning.unseen.saved import save_unseen
 from cyclekit.learning.windows import (
     GROUPS,
     Samples,
@@ -322,7 +324,7 @@ class Training:
 
 
 def train_at(what: Training, *, progress: Progress | None = None) -> TrainingCard:
-    """Train a model and put it in its place; return its card.
+    """Train a model and put it in its place; return its card. Of a robot's log alone it is one of an unseen operator.
 
     Raises:
         OutputError: The model would replace what is no model, or lie in the dataset.
@@ -330,9 +332,21 @@ def train_at(what: Training, *, progress: Progress | None = None) -> TrainingCar
     """
     check_output(what.out, "model", [what.dataset])
     check_model_output(what.out)
-    model = train(Dataset.open(what.dataset), what.spec, rules=what.rules, progress=progress)
+    dataset = Dataset.open(what.dataset)
+    if learns_unseen(dataset, what.spec):
+        unseen = learn_unseen(dataset, seed=what.spec.seed, progress=progress)
+        save_unseen(what.out, unseen)
+        return unseen.card
+    model = train(dataset, what.spec, rules=what.rules, progress=progress)
     save_model(what.out, model)
     return model.card
+
+
+def learns_unseen(dataset: Dataset, spec: ModelSpec) -> bool:
+    """Tell whether the present scaling is learned from a robot's log alone: no tracker and no signal shows people."""
+    if spec.problem != "now" or dataset.card.operator_signals or not dataset.positions:
+        return False
+    return bool(dataset.samples(columns=["human_x_m"])["human_x_m"].is_null().all())
 
 
 def need_torch(spec: ModelSpec | None = None) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit_sim.coupled_program import Order, Script, operator_script, plan_all, random_order, robot_script
-from cyclekit_sim.coupled_run import CoupledTrace
+from cyclekit_sim.coupled_run import coupled_runs
 from cyclekit_sim.program import IDLE
 
 if TYPE_CHECKING:
@@ -37,8 +37,7 @@ class Listed(NamedTuple):
 def task_list(session: Session, cell: Coupled) -> pl.DataFrame:
     """Return the tasks of a session's executions as logged: run, agent, task, t_start, t_end."""
     rows = []
-    for trace, begin_s in zip(session.traces, session.begins_s, strict=True):
-        assert isinstance(trace, CoupledTrace)
+    for trace, begin_s in coupled_runs(session):
         run = f"{trace.program.executions[0].index:04d}"
         for agent, name in NAMES.items():
             ends_s = trace.done.ends_s[agent]

@@ -32,6 +32,7 @@ from cyclekit_sim.motion import MotionTable
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.program import Ints, Program
 from cyclekit_sim.safety import SpeedScaling
+from cyclekit_sim.session import Session
 from cyclekit_sim.walking import Leg, WalkedTrack
 
 _LONGEST_S = 1800.0
@@ -102,6 +103,12 @@ class CoupledTrace(Trace):
     """What the robot of one execution did, and what everybody did and waited for."""
 
     done: Done = field(kw_only=True)
+
+
+def coupled_runs(session: Session) -> list[tuple[CoupledTrace, float]]:
+    """Return the runs of a coupled cell's session, and when each begins, s."""
+    runs = zip(session.traces, session.begins_s, strict=True)
+    return [(trace, begin_s) for trace, begin_s in runs if isinstance(trace, CoupledTrace)]
 
 
 def make_cell(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from typing import cast
 
 import numpy as np
 import polars as pl
 
-from cyclekit_sim.coupled_run import CoupledTrace, Waited, realised
-from cyclekit_sim.coupled_scenes import Coupled, Moment
+from cyclekit_sim.coupled_run import CoupledTrace, Waited, coupled_runs, realised
+from cyclekit_sim.coupled_scenes import Coupled, Gate, Moment
 from cyclekit_sim.engine import Trace
 from cyclekit_sim.session import Session
 from cyclekit_sim.truth import task_rows
@@ -21,8 +22,7 @@ _SHORTEST_S = 1e-6  # what is no wait
 def coupled_tasks(session: Session, cell: Coupled, clock_s: float) -> pl.DataFrame:
     """Return the tasks of both agents, those of an execution together, the robot's first."""
     rows: list[dict[str, object]] = []
-    for trace, begin_s in zip(session.traces, session.begins_s, strict=True):
-        assert isinstance(trace, CoupledTrace)
+    for trace, begin_s in coupled_runs(session):
         rows += _rows(trace, cell, clock_s + begin_s)
     return pl.DataFrame(rows, schema_overrides={"wait_ended_by": pl.String})
 
@@ -40,15 +40,12 @@ def _rows(trace: CoupledTrace, cell: Coupled, clock_s: float) -> Iterator[dict[s
             if wait.end_s - wait.begin_s > _SHORTEST_S:
                 ended[wait.task].append(ended_by(wait, cell.signals))
         for row in task_rows(each, clock_s):
-            index = row["index"]
-            assert isinstance(index, int)
-            yield {"agent": agent, **row, "wait_ended_by": "; ".join(ended[index]) or None}
+            yield {"agent": agent, **row, "wait_ended_by": "; ".join(ended[cast(int, row["index"])]) or None}
 
 
 def ended_by(wait: Waited, signals: Mapping[tuple[str, str, Moment], str]) -> str:
     """Return what ended a wait: agent, place and moment, and the signal that tells it."""
-    assert wait.opening.gate is not None
-    need = wait.opening.gate.need
+    need = cast(Gate, wait.opening.gate).need
     signal = signals.get((need.agent, need.place, need.moment))
     return f"{need.agent} {need.moment} {need.place}" + (f" ({signal})" if signal else "")
 
@@ -56,8 +53,7 @@ def ended_by(wait: Waited, signals: Mapping[tuple[str, str, Moment], str]) -> st
 def coupled_executions(tasks: pl.DataFrame, session: Session) -> pl.DataFrame:
     """Return one row per execution: times of the robot's tasks, waits of both, orders, from first start to last end."""
     rows = []
-    for trace in session.traces:
-        assert isinstance(trace, CoupledTrace)
+    for trace, _ in coupled_runs(session):
         index, done = trace.program.executions[0].index, trace.done
         mine = tasks.filter(pl.col("execution") == index, pl.col("agent") == "robot")
         start_s = float(mine["start_s"].to_numpy()[0])

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit.api.gate import TaktVerdict
+from cyclekit.api.gate import GateVerdict
 from cyclekit.config.project import Project, load_project, project_to_toml
 from cyclekit.config.sequences import load_sequences
 from cyclekit.estimate.answers import CycleEstimates
@@ -214,7 +214,7 @@ def test_an_interval_of_the_gate_holds_its_share_and_has_a_width(inside: int, ex
         name="a", places=("x", "y"), expected_s=1.0, quantiles_s={}, support=1.0, tracks=1, warnings=(), tasks=(),
         safety_by_activity_s={}, durations_s=(), executions=executions, takt_probability=(share, share, share), **zero,
     )  # fmt: skip
-    (row,) = TaktVerdict(1.0, asked, False, CycleEstimates((one,))).to_dict()["sequences"]
+    (row,) = GateVerdict(1.0, asked, False, CycleEstimates((one,))).to_dict()["sequences"]
     assert row["low"] <= share <= row["high"]
     assert row["high"] - row["low"] > 0.02
     assert row["passed"] == (share >= asked)

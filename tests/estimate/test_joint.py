@@ -230,5 +230,5 @@ def test_what_if_takes_quicker_people_and_a_second_place(logged: Dataset) -> Non
     assert saved["two"] > 0.1
     with pytest.raises(UnknownName, match="robot leave home"):
         what_if(model, logged, asked, [Change("wrong", without_waits=("robot leave home",))], validate=False)
-    with pytest.raises(EstimateError, match="nobody waits|knows waits"):
+    with pytest.raises(EstimateError, match="waits"):
         what_if(Constant(1.0), logged, [TaskSequence("plain", ("home", "conveyor"))], changes[:1], validate=False)

@@ -59,7 +59,7 @@ class UnseenOperatorCard(Card, frozen=True, kw_only=True):
             raise ValueError(msg)
 
 
-FORMAT = "cyclekit-unseen-operator"
+FORMAT: Literal["cyclekit-unseen-operator"] = "cyclekit-unseen-operator"
 """How the file of such a model says that it is one."""
 
 

@@ -20,6 +20,7 @@ from cyclekit.estimate.plan.jobs import ROW
 from cyclekit.estimate.plan.search import Scorer, best_order, first_order, random_order
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.signal_states import on_states_of
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import TransitTable, transit_table
 from cyclekit.learning.networks.cell import refuse_other_cell
@@ -138,6 +139,7 @@ def plan(
         cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
         raise ModelError(msg, cure=cure)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)
+    model = on_states_of(model, dataset)
     tasks, unlogged = _tasks(jobs, dataset)
     jobs = replace(jobs, unlogged=frozenset(unlogged))
     first_order(jobs, lambda _, options: options)  # refused before the tracks are walked
@@ -146,7 +148,7 @@ def plan(
     length = max(task.nominal_s + task.dwell_s + task.wait_s for task in tasks.values()) * (2 * len(jobs.visit) + 2)
     if check is None and validate:
         check, _ = validated(model, dataset, seed=seed)
-    tracks = operator_tracks(dataset, horizon_s=3.0 * length, phases=check.phases if check else None)
+    tracks = operator_tracks(dataset, horizon_s=3.0 * length, phases=check.phases if check else None, model=model)
     table = transit_table(model, tasks, tracks, progress=progress)
     every = Scorer(table, jobs, seed=seed, executions=len(set(tracks.executions)))
     order, searched, tried = best_order(every, seed=seed, progress=progress)

@@ -15,7 +15,18 @@ import numpy as np
 
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.safety import Classifier, Dynamics, SafetyModel, around, asked_often, likeliest_of, scaling_of
+from cyclekit.estimate.safety import (
+    Classifier,
+    Dynamics,
+    OnStates,
+    SafetyModel,
+    around,
+    asked_often,
+    likeliest_of,
+    scaling_of,
+)
+from cyclekit.estimate.transit import cells_of
+from cyclekit.estimate.whatif.signals import with_other_signals
 from cyclekit.learning.networks.kinds import names_levels
 from cyclekit.learning.rules.quantities import RulePlace, quantities, shifted
 from cyclekit.learning.rules.safety import RuleSafety
@@ -119,6 +130,13 @@ def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> Safe
     Raises:
         EstimateError: The change is of a rule, and the model has none, or not this threshold or edge.
     """
+    by_states = isinstance(model, OnStates) or bool(model.card.operator_signals)
+    if by_states and _asks_positions(change):
+        seen = f"change {change.name!r}: it is one of distances to people, whose positions no log shows"
+        cure = "Change signals, latency_s, ramp_down_per_s, ramp_up_per_s, places or frequency; or log a tracker."
+        raise EstimateError(seen, cure=cure)
+    if change.signals:
+        return with_other_signals(change, model)
     if change.levels:
         return WrittenSafety(change, often=asked_often(model))
     if change.limits:
@@ -128,6 +146,11 @@ def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> Safe
     if isinstance(model, RuleSafety) and model.rule.law is None:
         return model.with_hysteresis(change.dynamics["hysteresis_m"] or 0.0)
     return LearnedSafety(model, logged.hysteresis_m or 0.0)
+
+
+def _asks_positions(change: Change) -> bool:
+    """Tell whether a change can be answered only where the positions of people are known."""
+    return bool(change.levels or change.limits or change.base_m is not None or "hysteresis_m" in change.dynamics)
 
 
 def _with_other_limits(change: Change, model: SafetyModel) -> RuleSafety:
@@ -237,19 +260,24 @@ def _as_often(
     rows = np.arange(len(at))[:, None]
     logged = np.array([int(np.searchsorted(row, n)) for row, n in zip(at, tracks.logged, strict=True)])
     goal = None if tracks.goal_m is None else tracks.goal_m[rows, at]
-    return replace(tracks, xyz_m=tracks.xyz_m[rows, at], activity=tracks.activity[rows, at], logged=logged, goal_m=goal)
+    state = None if tracks.state is None else tracks.state[rows, at]
+    xyz_m, activity = tracks.xyz_m[rows, at], tracks.activity[rows, at]
+    return replace(tracks, xyz_m=xyz_m, activity=activity, logged=logged, goal_m=goal, state=state)
 
 
 def _away(tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: SafetyModel) -> NDArray[np.bool_]:
     """Tell where the operator slows the robot nowhere on its way, shape (K, T); nobody seen is away."""
     points = np.concatenate([task.xyz_m for task in tasks.values()])
     points = points[np.linspace(0, len(points) - 1, min(LOOKED_AT, len(points))).astype(np.int64)]
-    flat = tracks.xyz_m.reshape(-1, 3)
-    cells, code = np.unique(np.round(np.nan_to_num(flat, nan=1e3) / 0.1), axis=0, return_inverse=True)
-    human = cells * 0.1
-    human[human > 1e2] = np.nan  # nobody, or nobody's height
+    if tracks.state is not None:
+        code, human = cells_of(tracks)
+    else:
+        flat = tracks.xyz_m.reshape(-1, 3)
+        cells, code = np.unique(np.round(np.nan_to_num(flat, nan=1e3) / 0.1), axis=0, return_inverse=True)
+        human = cells * 0.1
+        human[human > 1e2] = np.nan  # nobody, or nobody's height
     least = np.full(len(human), np.inf)
     for point in points:
-        least = np.minimum(least, scaling_of(safety, np.broadcast_to(point, human.shape), human))
+        least = np.minimum(least, scaling_of(safety, np.broadcast_to(point, (len(human), 3)), human))
     away = (least >= AWAY * max(getattr(safety, "levels", ()), default=1.0)) | ~np.isfinite(human[:, 0])
     return np.asarray(away[code.ravel()].reshape(tracks.xyz_m.shape[:2]))

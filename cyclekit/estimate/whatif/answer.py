@@ -13,6 +13,7 @@ from cyclekit.estimate.question import Altered
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.signal_states import on_states_of
 from cyclekit.estimate.whatif.alter import altered_safety, altered_tasks, altered_tracks
 from cyclekit.estimate.whatif.coupled import altered_coupling
 from cyclekit.parallel.one_thread import one_thread
@@ -134,7 +135,7 @@ def what_if(
     for number, change in enumerate(changes):
         tell(number / len(changes), change.name)
         try:
-            safety = altered_safety(change, model, logged)
+            safety = on_states_of(altered_safety(change, model, logged), dataset)
             altered = replace(_altered(change, safety, dataset, logged), moved=moved, pace=change.operator_pace)
             altered = replace(altered, coupling=altered_coupling(change, model.card.coupling))
             after = estimates(safety, altered, check=_check_of(change, check))

@@ -21,6 +21,10 @@ name = "single numbers of the rule in the model"                  # the others s
 limits = [{ level = 0.5, threshold_m = 1.3 }, { level = 0.0, x_m = [0.9, 2.0] }]
 
 [[change]]
+name = "another level, and a mat that counts in a part of the path only"      # where signals tell of people
+signals = [{ signal = "warning field", level = 0.7 }, { signal = "mat", x_m = [0.0, 1.0], y_m = [-0.3, 0.3] }]
+
+[[change]]
 name = "robot half a metre back, fewer visits"
 base = { xyz_m = [-0.5, 0.0, 0.0], yaw_deg = 0.0 }   # where the base shall stand, in the present base frame
 places = { conveyor = [0.7, 0.0, 0.1] }              # places of the robot that move, in the frame of its base
@@ -115,6 +119,36 @@ class LimitChange:
 
 
 @dataclass(frozen=True)
+class SignalChange:
+    """What a signal that tells of people asks for: another level, or only while the TCP is in a rectangle, m.
+
+    What is None stays.
+    """
+
+    signal: str
+    level: float | None = None
+    x_m: tuple[Number, Number] | None = None
+    y_m: tuple[Number, Number] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what changes nothing, is no level or no rectangle.
+
+        Raises:
+            ValueError: It is none.
+        """
+        if self.level is None and self.x_m is None and self.y_m is None:
+            msg = f"signal {self.signal!r}: give level, x_m or y_m"
+            raise ValueError(msg)
+        if self.level is not None and not 0 <= self.level <= 1:
+            msg = f"signal {self.signal!r}: level {self.level} must be between 0 and 1"
+            raise ValueError(msg)
+        for name, edges in (("x_m", self.x_m), ("y_m", self.y_m)):
+            if edges is not None and edges[0] >= edges[1]:
+                msg = f"signal {self.signal!r}: {name} {edges}: the first must be less than the second"
+                raise ValueError(msg)
+
+
+@dataclass(frozen=True)
 class Change:
     """One change of the cell; what is None or empty stays as it was.
 
@@ -124,6 +158,7 @@ class Change:
         thresholds_m: Its thresholds on ||x_r - x_h||, one fewer than levels.
         zones: Its zones on the floor; with thresholds as well, the slower of both holds.
         limits: Single thresholds and edges of the rule in the model, in place of `levels`.
+        signals: What single signals of people ask for, where the model knows people by signals.
         base_m, base_yaw_deg: Where the robot's base shall stand, in the present base frame.
         places: Robot places that move: name -> TCP, m, in the frame of the robot's base.
         frequency: The operator's visits per hour, as a multiple of the logged ones.
@@ -140,6 +175,7 @@ class Change:
     thresholds_m: tuple[float, ...] = ()
     zones: tuple[Zone, ...] = ()
     limits: tuple[LimitChange, ...] = ()
+    signals: tuple[SignalChange, ...] = ()
     base_m: Point | None = None
     base_yaw_deg: float = 0.0
     places: Mapping[str, Point] = field(default_factory=dict)
@@ -168,7 +204,7 @@ class Change:
 
     @property
     def _of_positions(self) -> bool:
-        found = self.levels, self.limits, self.base_m, self.places, self.frequency, self.dynamics
+        found = self.levels, self.limits, self.signals, self.base_m, self.places, self.frequency, self.dynamics
         return any(map(bool, (*found, self.more_places, self.without_waits)))
 
     def __post_init__(self) -> None:
@@ -246,6 +282,7 @@ class _Entry:
     thresholds_m: tuple[Number, ...] = ()
     zones: tuple[Zone, ...] = ()
     limits: tuple[LimitChange, ...] = ()
+    signals: tuple[SignalChange, ...] = ()
     base: _Base | None = None
     places: Mapping[str, Point] = field(default_factory=dict)
     frequency: float | None = None
@@ -274,6 +311,7 @@ def _change(entry: _Entry, number: int) -> Change:
         thresholds_m=entry.thresholds_m,
         zones=entry.zones,
         limits=entry.limits,
+        signals=entry.signals,
         base_m=entry.base.xyz_m if entry.base else None,
         base_yaw_deg=entry.base.yaw_deg if entry.base else 0.0,
         places=entry.places,

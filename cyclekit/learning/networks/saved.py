@@ -21,6 +21,7 @@ import numpy as np
 from cyclekit import schema
 from cyclekit.dataset.cards import BadCard, TrainingCard, model_card, plain, read_json
 from cyclekit.dataset.cards.task_model import FORMAT as TASK_TIMES
+from cyclekit.dataset.cards.unseen import FORMAT as UNSEEN
 from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.learning.networks.kinds import names_levels
@@ -267,6 +268,9 @@ def load_model(place: Path | str) -> TrainedModel:
         if isinstance(cause, TaskTimesInstead):
             plans = command_line("estimate", place, "SEQUENCES.toml", "--dataset", "DATASET")
             raise ModelError(msg, cure=f"It answers plans for robot and operator: {plans}") from cause
+        if isinstance(cause, UnseenInstead):
+            asked = command_line("estimate", place, "SEQUENCES.toml", "--dataset", "DATASET")
+            raise ModelError(msg, cure=f"Leave it out here; it answers estimate, plan and whatif: {asked}") from cause
         again = command_line("train", "DATASET", "--out", place)
         raise ModelError(msg, cure=f"Train it again: {again}") from cause
     except (FileNotFoundError, NotADirectoryError) as cause:
@@ -307,10 +311,17 @@ class TaskTimesInstead(NotAModel):
     """The model was learned from task lists."""
 
 
+class UnseenInstead(NotAModel):
+    """The model was learned from a robot's log alone."""
+
+
 def _check_versions(about: dict[str, Any]) -> None:
     if about.get("format") == TASK_TIMES:
         msg = "a model of task times: it was learned without positions and knows no safety function"
         raise TaskTimesInstead(msg)
+    if about.get("format") == UNSEEN:
+        msg = "a model of an unseen operator: learned from the robot's log alone, it knows no positions of people"
+        raise UnseenInstead(msg)
     if about.get("format") != FORMAT:
         raise NotAModel("not the card of a cyclekit model")
     expected = {"model_version": MODEL_VERSION, "schema_version": schema.SCHEMA_VERSION}

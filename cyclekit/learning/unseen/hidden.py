@@ -36,7 +36,7 @@ STEPS_OF_STATE = 1.0
 
 
 @dataclass(frozen=True)
-class Seen:
+class LevelCourses:
     """What E executions of at most T steps show.
 
     Attributes:
@@ -49,9 +49,9 @@ class Seen:
     region: Ints
     steps: Ints
 
-    def of(self, executions: Ints) -> Seen:
+    def of(self, executions: Ints) -> LevelCourses:
         """Return some of the executions."""
-        return Seen(self.level[executions], self.region[executions], self.steps[executions])
+        return LevelCourses(self.level[executions], self.region[executions], self.steps[executions])
 
 
 @dataclass(frozen=True)
@@ -71,24 +71,24 @@ class Chain:
     steps: Floats
 
 
-def of_levels(seen: Seen, levels: int) -> Chain:
+def of_levels(seen: LevelCourses, levels: int) -> Chain:
     """Return the chain whose states are the levels themselves, wherever the robot is."""
     return _maximised(seen, np.eye(levels)[np.maximum(seen.level, 0)] * (seen.level >= 0)[..., None], None, 1, levels)
 
 
-def fit(seen: Seen, states: int, regions: int, levels: int, *, seed: int = 0) -> Chain:
+def fit(seen: LevelCourses, states: int, regions: int, levels: int, *, seed: int = 0) -> Chain:
     """Return the chain under which the levels are likeliest, from the best of BEGUN random beginnings."""
     begun = [_random(seen, states, regions, levels, np.random.default_rng([seed, number])) for number in range(BEGUN)]
     tried = [_turned(seen, chain, FIRST_TURNS) for chain in begun]
     return _turned(seen, max(tried, key=lambda pair: pair[1])[0], TURNS)[0]
 
 
-def log_likelihoods(seen: Seen, chain: Chain) -> Vector:
+def log_likelihoods(seen: LevelCourses, chain: Chain) -> Vector:
     """Return the logarithm of the probability of each execution's levels, shape (E,)."""
     return np.asarray(_forward(seen, chain)[1].sum(axis=1))
 
 
-def draw_states(seen: Seen, chain: Chain, *, seed: int = 0) -> Ints:
+def draw_states(seen: LevelCourses, chain: Chain, *, seed: int = 0) -> Ints:
     """Return the states of each execution, one draw given all of its levels, shape (E, T)."""
     ahead, _ = _forward(seen, chain)
     luck = np.random.default_rng(seed).random(seen.level.shape)
@@ -102,7 +102,7 @@ def draw_states(seen: Seen, chain: Chain, *, seed: int = 0) -> Ints:
     return drawn
 
 
-def _random(seen: Seen, states: int, regions: int, levels: int, rng: np.random.Generator) -> Chain:
+def _random(seen: LevelCourses, states: int, regions: int, levels: int, rng: np.random.Generator) -> Chain:
     counts = np.full((regions, levels), 0.5)
     known = seen.level >= 0
     np.add.at(counts, (seen.region[known], seen.level[known]), 1.0)
@@ -118,7 +118,7 @@ def _random(seen: Seen, states: int, regions: int, levels: int, rng: np.random.G
     )
 
 
-def _turned(seen: Seen, chain: Chain, turns: int) -> tuple[Chain, float]:
+def _turned(seen: LevelCourses, chain: Chain, turns: int) -> tuple[Chain, float]:
     """Return the chain after some turns, and the log-likelihood per step before the last of them."""
     before, count = -np.inf, max(int((seen.level >= 0).sum()), 1)
     for _ in range(turns):
@@ -144,7 +144,7 @@ def _normed(ahead: Floats, later: Floats, chain: Chain) -> Floats:
     return np.asarray(later / np.maximum(total, 1e-300))
 
 
-def _maximised(seen: Seen, share: Floats, both: Floats | None, regions: int, levels: int) -> Chain:
+def _maximised(seen: LevelCourses, share: Floats, both: Floats | None, regions: int, levels: int) -> Chain:
     """Return the chain of these probabilities of states: `share` (E, T, H), and of pairs `both` (H, H)."""
     known = seen.level >= 0
     states = share.shape[2]
@@ -163,7 +163,7 @@ def _maximised(seen: Seen, share: Floats, both: Floats | None, regions: int, lev
     return Chain(start / start.sum(), follows / follows.sum(axis=1, keepdims=True), shares, steps)
 
 
-def _emitted(seen: Seen, chain: Chain) -> Floats:
+def _emitted(seen: LevelCourses, chain: Chain) -> Floats:
     """Return the probability of the level of each step in each state, shape (E, T, H); 1 where it is unknown."""
     region = seen.region if chain.levels.shape[1] > 1 else np.zeros_like(seen.region)
     found = chain.levels.transpose(1, 2, 0)[region, seen.level]
@@ -171,7 +171,7 @@ def _emitted(seen: Seen, chain: Chain) -> Floats:
     return np.asarray(found)
 
 
-def _forward(seen: Seen, chain: Chain) -> tuple[Floats, Floats]:
+def _forward(seen: LevelCourses, chain: Chain) -> tuple[Floats, Floats]:
     """Return the probability of each state given the levels so far (E, T, H), and the logs of their steps (E, T)."""
     emitted = _emitted(seen, chain)
     ahead, norm = np.empty_like(emitted), np.empty(seen.level.shape)
@@ -184,7 +184,7 @@ def _forward(seen: Seen, chain: Chain) -> tuple[Floats, Floats]:
     return ahead, np.log(norm)
 
 
-def _backward(seen: Seen, chain: Chain) -> Floats:
+def _backward(seen: LevelCourses, chain: Chain) -> Floats:
     """Return what the later levels say of each state (E, T, H), up to a factor per step."""
     emitted = _emitted(seen, chain)
     behind = np.ones_like(emitted)

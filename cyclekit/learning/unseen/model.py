@@ -12,11 +12,13 @@ import polars as pl
 from cyclekit.dataset.cards import TrainingCard, plain
 from cyclekit.errors import DatasetError
 from cyclekit.learning.labelling import commanded_in_time, follows_late, staircase_of, without_slider
-from cyclekit.learning.unseen.hidden import Chain, Seen, draw_states
+from cyclekit.learning.unseen.hidden import Chain, LevelCourses, draw_states
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from cyclekit.dataset.cards.unseen import UnseenOperatorCard
     from cyclekit.dataset.dataset import Dataset
@@ -85,17 +87,22 @@ class UnseenOperator(Result):
         return "simulation with the logged speed as that of an unseen operator"
 
     @property
+    def doubts(self) -> tuple[str, ...]:
+        """What makes every number from it doubtful."""
+        return (NOBODY_SEEN,)
+
+    @property
     def limits(self) -> tuple[str, ...]:
-        """What limits every number from it."""
-        return (NOBODY_SEEN, ONE_BIT)
+        """What else limits them."""
+        return (ONE_BIT,)
 
     @property
     def states(self) -> tuple[str, ...]:
         """Names of the states: by the mean speed that each leaves the robot."""
         mean = (self._shares @ np.array(self.levels)).mean(axis=1)
-        return tuple(f"unseen operator, state {number + 1} ({speed:.0%})" for number, speed in enumerate(mean))
+        return tuple(f"hidden state {number + 1} (mean speed {speed:.0%})" for number, speed in enumerate(mean))
 
-    def predict(self, X: Floats) -> Vector:
+    def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
         """Return the mean scaling of rows x_r, x_h, shape (N, 6), m; only x_r counts; shape (N,)."""
         weight = np.array(self.unseen.seen_s).sum(axis=1)
         mean = (self._shares @ np.array(self.levels)).T @ (weight / weight.sum())
@@ -228,7 +235,7 @@ def courses_of(dataset: Dataset, levels: Sequence[float] | None = None) -> tuple
     }
 
 
-def side_by_side(courses: Sequence[Course], centres_m: Points, every: int) -> Seen:
+def side_by_side(courses: Sequence[Course], centres_m: Points, every: int) -> LevelCourses:
     """Return every n-th sample of the courses, side by side."""
     steps = np.array([len(one.t_s[::every]) for one in courses])
     level = np.full((len(courses), int(steps.max())), -1)
@@ -236,7 +243,7 @@ def side_by_side(courses: Sequence[Course], centres_m: Points, every: int) -> Se
     for row, one in enumerate(courses):
         level[row, : steps[row]] = one.level[::every]
         region[row, : steps[row]] = nearest(one.robot_m[::every], centres_m)
-    return Seen(level, region, steps)
+    return LevelCourses(level, region, steps)
 
 
 def nearest(xyz_m: Points, centres_m: Points) -> Ints:

@@ -1,0 +1,116 @@
+"""Cycle times in cells without a tracker: the robot's log alone, or signals of people, beside the same cell's tracker.
+
+A cell is simulated and ingested twice: with the tracker's log, and without it. Expected cycle times of sequences that
+were never logged are compared with fresh executions. Beside them stand history (sums of logged mean durations) and a
+Markov chain of slow-downs from task to task.
+
+    python benchmarks/no_tracker_estimates.py --scenes box-picking,scanner-visits --executions 60 --seeds 1 2
+    python benchmarks/no_tracker_estimates.py --scenes scanner-fields,light-curtain --fresh 1000
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from cells import dataset_of, durations_of, fresh, logged, unseen_sequences
+from order_rivals import markov_s
+
+from cyclekit.api.given import model_of
+from cyclekit.api.train import train_model
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.rollout import estimate
+from cyclekit.ingest.ingest import ingest
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.estimate.result import CycleEstimate
+
+WITHOUT_TRACKER = ("scanner-fields", "light-curtain")
+"""Scenes whose logs hold signals of people and no tracker."""
+OF_PEOPLE = ("operator.csv", "events.csv", "truth")
+MEAN_OF_SIZE = (2 / np.pi) ** 0.5
+
+
+def robot_alone(cell: Path) -> Dataset:
+    """Return the dataset of a cell made of its robot's logs alone; made once."""
+    if not (cell / "blind" / "dataset.json").is_file():
+        logs = cell / "robot-logs"
+        shutil.copytree(cell / "logs", logs, ignore=shutil.ignore_patterns(*OF_PEOPLE))
+        head, *sources = (logs / "cell.toml").read_text().split("[[sources]]")
+        rest = sources[-1].partition("\n[places")
+        robot = [f"[[sources]]{text.partition(chr(10) + '[places')[0]}" for text in sources if 'role = "robot"' in text]
+        (logs / "cell.toml").write_text("".join([head, *robot, *rest[1:]]))
+        ingest([logs], cell / "blind")
+        shutil.rmtree(logs)
+    return Dataset.open(cell / "blind")
+
+
+def row(name: str, found: Mapping[str, tuple[float, float, float]], took: Mapping[str, np.ndarray]) -> str:
+    """Return the errors of expected cycle times, the coverage of 90 % intervals, and that of 95 % ones of the mean."""
+    errors = [100 * (found[one][0] / took[one].mean() - 1) for one in took]
+    inside = [np.mean((took[one] >= found[one][1]) & (took[one] <= found[one][2])) for one in took]
+    shown = "" if np.isnan([found[one][1] for one in took]).any() else f"{100 * np.mean(inside):.0f}"
+    return f"{name} | {np.abs(errors).mean():.2f} | {np.mean(errors):+.2f} | {max(errors, key=abs):+.2f} | {shown}"
+
+
+def of(found: list[CycleEstimate]) -> dict[str, tuple[float, float, float]]:
+    """Return mean and 90 % interval of each sequence."""
+    return {one.name: (one.expected_s, one.quantiles_s[0.05], one.quantiles_s[0.95]) for one in found}
+
+
+def held(found: list[CycleEstimate], took: Mapping[str, np.ndarray]) -> str:
+    """Return in how many of the 95 % intervals of the mean it lies."""
+    inside = [one.expected_low_s <= took[one.name].mean() <= one.expected_high_s for one in found]
+    return f"{sum(inside)} of {len(inside)}"
+
+
+def compared(asked: argparse.Namespace, work: Path, scene: str, executions: int, seed: int) -> None:
+    """Print the rows of one cell."""
+    dataset = dataset_of(work, scene, executions, seed=seed)
+    blind = dataset if scene in WITHOUT_TRACKER else robot_alone(dataset.path.parent)
+    wanted: list[TaskSequence] = unseen_sequences(blind, scene, asked.sequences)
+    took = {one.name: durations_of(fresh(work, scene, one.places, asked.fresh)) for one in wanted}
+    chance = 100 * MEAN_OF_SIZE * np.mean([x.std(ddof=1) / x.mean() for x in took.values()]) / executions**0.5
+    models = {"signals" if scene in WITHOUT_TRACKER else "robot log alone": (model_of(train_model(blind)), blind)}
+    if scene not in WITHOUT_TRACKER and not asked.no_tracker:
+        models["tracker"] = (model_of(logged(work, scene, executions, seed=seed, rules=True).model), dataset)
+    cell = f"| {scene} | {executions} | {seed} |"
+    for name, (model, data) in models.items():
+        found = estimate(model, data, wanted)
+        print(f"{cell} {row(name, of(found), took)} | {held(found, took)} | {chance:.2f} |", flush=True)
+    found = estimate(model, blind, wanted, estimator="history")
+    print(f"{cell} {row('history', of(found), took)} | {held(found, took)} | {chance:.2f} |", flush=True)
+    chain = {one.name: (s, np.nan, np.nan) for one, s in zip(wanted, markov_s(blind, wanted), strict=True)}
+    print(f"{cell} {row('Markov chain', chain, took)} | | {chance:.2f} |", flush=True)
+
+
+def main() -> None:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
+    parser.add_argument("--scenes", type=lambda text: text.split(","), default=["box-picking", "scanner-visits"])
+    parser.add_argument("--executions", type=int, nargs="+", default=[60])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--sequences", type=int, default=5, help="never logged")
+    parser.add_argument("--fresh", type=int, default=500, help="fresh executions of each")
+    parser.add_argument("--no-tracker", action="store_true", help="leave the same cell with its tracker out")
+    parser.add_argument("--work", type=Path, help="folder in which cells are kept")
+    asked = parser.parse_args()
+    print("| cell | executions | seed | estimate | error, % | bias, % | worst, % | in the 90 % intervals, % "
+          "| mean in its 95 % interval | chance, % |")  # fmt: skip
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        for scene in asked.scenes:
+            for executions in asked.executions:
+                for seed in asked.seeds:
+                    compared(asked, asked.work or Path(folder), scene, executions, seed)
+
+
+if __name__ == "__main__":
+    main()

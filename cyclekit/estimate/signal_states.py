@@ -1,0 +1,135 @@
+"""A safety function of signals that tell of people: which of them are on is the operator's state.
+
+Logged courses of the signals stand in place of tracks. The bits are as they were logged; how late the speed answers is
+in the dataset's `dynamics`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.errors import ModelError
+from cyclekit.estimate.safety import BLOCK, OnStates, SafetyModel, asked_often
+from cyclekit.estimate.support import Support
+from cyclekit.learning.signal_inputs import as_inputs, by_signals
+from cyclekit.segmentation.arrivals import fill_nearest
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.cards import TrainingCard
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Bools, Floats, Points, Vector
+
+ROBOT = ["robot_x_m", "robot_y_m", "robot_z_m"]
+NOBODY = "no signal of people"
+
+
+@dataclass(frozen=True, eq=False)
+class SignalStates:
+    """A safety function asked by the number of a set of signals that are on.
+
+    Attributes:
+        model: Asked with the signals in place of x_h (`signal_inputs`).
+        patterns: Bit field of each state, as logged.
+        logged: Where the TCP was while they were on.
+        unseen_error: People are seen as far as the safety system sees them.
+        doubts: None.
+    """
+
+    model: SafetyModel
+    patterns: tuple[int, ...]
+    logged: Support
+    unseen_error: float = 0.0
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def problem(self) -> str:
+        """It gives the present scaling."""
+        return self.model.problem
+
+    @property
+    def card(self) -> TrainingCard:
+        """How it came about."""
+        return self.model.card
+
+    @property
+    def often(self) -> bool:
+        """Whether it answers so fast that a rollout asks it in every step."""
+        return asked_often(self.model)
+
+    @property
+    def why(self) -> str:
+        """What an estimate with it is."""
+        return "simulation of the learned safety function with every logged course of the signals of people"
+
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """What limits every number from it."""
+        names = ", ".join(one.name for one in self.card.operator_signals)
+        return (f"people are known by signals alone ({names}), and positions of people are not",)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states: the signals that are on."""
+        named = [one.name for one in self.card.operator_signals]
+        on = [[name for k, name in enumerate(named) if pattern >> k & 1] for pattern in self.patterns]
+        return tuple(" + ".join(names) or NOBODY for names in on)
+
+    def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
+        """Return the scaling of rows x_r and signals, shape (N, 6); shape (N,)."""
+        return self.model.predict(X.astype(np.float32))
+
+    def scaling_in(self, robot_m: Points, state: Floats) -> Vector:
+        """Return the scaling with the TCP there, shape (N, 3), m, in states of that number, shape (N, 1)."""
+        inputs = np.hstack([robot_m, self._inputs_of(state)]).astype(np.float32)
+        found = [self.model.predict(inputs[start : start + BLOCK]) for start in range(0, len(inputs), BLOCK)]
+        return np.asarray(np.clip(np.concatenate([np.empty(0), *found]), 0.0, 1.0))
+
+    def near_logged(self, robot_m: Points, state: Floats) -> Bools:
+        """Return whether the logs show these signals with the TCP there, shape (N,)."""
+        return self.logged.near_logged(robot_m, self._inputs_of(state))
+
+    def logged_states(self, dataset: Dataset) -> dict[str, tuple[Vector, Floats]]:
+        """Return times (T,), s, and states (T, 1) of each execution; a gap of the signals is filled by the nearest."""
+        frame = dataset.samples(columns=["execution", "t_s", "human_signals"])
+        found = {}
+        for (name,), rows in frame.group_by(["execution"], maintain_order=True):
+            bits = rows["human_signals"].cast(float).fill_null(np.nan).to_numpy()
+            known = np.flatnonzero(np.isfinite(bits))
+            if len(known):
+                number = np.searchsorted(self.patterns, fill_nearest(bits, known).astype(np.int64))
+                found[str(name)] = rows["t_s"].to_numpy(), number[:, None].astype(np.float64)
+        return found
+
+    def _inputs_of(self, state: Floats) -> Floats:
+        return np.asarray(self._inputs[state[:, 0].astype(np.int64)])
+
+    @cached_property
+    def _inputs(self) -> Floats:
+        return as_inputs(np.array(self.patterns, np.int64), len(self.card.operator_signals))
+
+
+def on_states_of(model: SafetyModel, dataset: Dataset) -> SafetyModel:
+    """Return what is asked for estimates: a model learned on signals by states, any other one as it is.
+
+    Raises:
+        ModelError: The dataset has other signals than the model was learned on.
+    """
+    if isinstance(model, OnStates) or model.problem != "now" or not model.card.operator_signals:
+        return model
+    learned, here = ([one.name for one in card.operator_signals] for card in (model.card, dataset.card))
+    if learned != here or not by_signals(dataset):
+        seen = f"{dataset.path}: signals of people: {', '.join(here) or 'none'}; the model knows {', '.join(learned)}"
+        raise ModelError(seen, cure="Train it on these logs: cyclekit train DATASET --out MODEL")
+    frame = dataset.samples(columns=[*ROBOT, "human_signals"]).drop_nulls("human_signals")
+    bits = frame["human_signals"].to_numpy()
+    patterns = np.unique(bits)
+    support = Support(frame.select(ROBOT).to_numpy(), as_inputs(bits, len(here)))
+    return SignalStates(model, tuple(patterns.tolist()), support)

@@ -1,0 +1,105 @@
+"""A robot's log alone: it trains a model of an unseen operator, which answers estimates, plans and changes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from cyclekit.api.estimate import estimate_cycles
+from cyclekit.api.train import train_model
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import ModelError
+from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.tracks import operator_tracks
+from cyclekit.learning.networks.saved import load_model
+from cyclekit.learning.unseen.model import NOBODY_SEEN, UnseenOperator
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+HUMAN = [f"human_{part}{axis}_m" for part in ("", "goal_") for axis in "xyz"]
+
+
+@pytest.fixture(scope="module")
+def robot_alone(logged: Dataset) -> Iterator[Dataset]:
+    """The logged cell, whose samples show nobody."""
+    samples = Dataset.samples
+
+    def nobody(self: Dataset, *args: Any, **named: Any) -> pl.DataFrame:
+        found = samples(self, *args, **named)
+        gone = [name for name in (*HUMAN, "human_task", "human_gap") if name in found.columns]
+        return found.with_columns(pl.lit(None).cast(found.schema[name]).alias(name) for name in gone)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Dataset, "samples", nobody)
+        yield logged
+
+
+@pytest.fixture(scope="module")
+def unseen(robot_alone: Dataset, tmp_path_factory: pytest.TempPathFactory) -> tuple[UnseenOperator, Path]:
+    """Its model, and where it lies."""
+    place = tmp_path_factory.mktemp("unseen") / "model"
+    model = train_model(robot_alone, out=place)
+    assert isinstance(model, UnseenOperator)
+    return model, place
+
+
+def test_a_cell_is_answered_from_the_robots_log_alone(
+    robot_alone: Dataset, unseen: tuple[UnseenOperator, Path], routes: list[tuple[str, ...]]
+) -> None:
+    (found,) = estimate_cycles(unseen[1], robot_alone, TaskSequence("asked", routes[0]))
+    durations = robot_alone.executions["duration_s"]
+    assert found.expected_s == pytest.approx(durations.mean(), rel=0.15)
+    assert NOBODY_SEEN in found.doubts
+    assert any("one logged bit" in text for text in found.warnings)
+    assert not any("full speed assumed" in text for text in found.warnings)
+    low, high = found.expected_low_s, found.expected_high_s
+    assert found.check is not None
+    assert found.check.unseen_error > 0.0
+    assert (high - low) / 2 > 1.9 * found.check.unseen_error * 0.5 * found.expected_s
+
+
+def test_beside_its_own_states_each_execution_takes_as_long_as_logged(
+    robot_alone: Dataset, unseen: tuple[UnseenOperator, Path], routes: list[tuple[str, ...]]
+) -> None:
+    (found,) = estimate_cycles(unseen[0], robot_alone, TaskSequence("asked", routes[0]))
+    assert found.check is not None
+    assert abs(found.check.own_bias) < 0.01
+
+
+def test_tracks_hold_states_in_place_of_positions(robot_alone: Dataset, unseen: tuple[UnseenOperator, Path]) -> None:
+    tracks = operator_tracks(robot_alone, horizon_s=100.0, model=unseen[0])
+    assert tracks.state is not None
+    assert tracks.state.shape[:2] == tracks.activity.shape
+    assert np.array_equal(tracks.state[..., 0], tracks.activity)
+    assert tracks.activities == unseen[0].states
+
+
+def test_a_plan_and_a_change_of_the_ramps_are_answered(
+    robot_alone: Dataset, unseen: tuple[UnseenOperator, Path], routes: list[tuple[str, ...]]
+) -> None:
+    from cyclekit.api.plan import plan_order
+    from cyclekit.api.whatif import what_if
+    from cyclekit.estimate.whatif.change import Change
+
+    visit = tuple(dict.fromkeys(place for place in routes[0] if place not in {"home", "conveyor"}))[:2]
+    jobs = Jobs(visit=visit, start="home", via="conveyor", end="home")
+    assert set(plan_order(unseen[0], robot_alone, jobs, validate=False).order) == set(visit)
+    slower = Change("slow", dynamics={"ramp_up_per_s": 0.1})
+    moved = Change("moved", base_m=(0.1, 0.0, 0.0))
+    found = what_if(unseen[0], robot_alone, TaskSequence("asked", routes[0]), [slower, moved], validate=False)
+    (slow,) = found
+    assert slow.after.expected_s > slow.before.expected_s
+    assert [one.name for one in found.refused] == ["moved"]
+    assert "whose positions no log shows" in found.refused[0].error.seen
+
+
+def test_who_needs_positions_of_people_is_told_so(unseen: tuple[UnseenOperator, Path]) -> None:
+    with pytest.raises(ModelError, match="the robot's log alone") as told:
+        load_model(unseen[1])
+    assert "cyclekit estimate" in (told.value.cure or "")

@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 
 EXAMPLE = "cyclekit estimate model sequences.toml --dataset dataset"
 CAPTION = "seconds: motion at full speed + slow-down for safety + dwell + wait = expected"
-PLANNED = (
-    "seconds of the robot: its tasks as usual + what differs here, as other tasks go on beside them + wait = expected"
-)
+OF_LISTS = "seconds of the robot: its tasks as usual + what differs here, as other tasks go on beside them + wait"
+IDLE = "seconds: motion at full speed + slow-down for safety + dwell + wait"
+UNTIL_DONE = " + idle until the operator is done = expected"
 DOUBTED = "* "
 SPLIT_HEADS = ["motion", "safety", "dwell", "wait"]
 LEAST_WAIT_S = 0.2
@@ -99,7 +99,7 @@ def estimate(
         if file is not None:
             terminal.remark(f"written: {file}")
     by_task = "" if len(found) != 1 else plan_table(found[0]) if found[0].plan else tasks_table(found[0])
-    caption = PLANNED if any(entry.plan for entry in found) else CAPTION
+    caption = _caption(found)
     numbers = f"{estimates_table(found)}\n{bullet([caption], mark='')}\n{doubted(found)}".rstrip()
     parts = [
         alarmed(found.alarms),
@@ -147,8 +147,9 @@ def estimates_table(found: Sequence[CycleEstimate]) -> str:
     from cyclekit.estimate.same_work import by_work
 
     low, high = _range(found)
-    parts = ["usual", "beside", "dwell", "wait"] if any(one.plan for one in found) else SPLIT_HEADS
-    heads = ["sequence ", "expected", f"{100 * (high - low):.0f}% of cycles", *parts]
+    parts = ["usual", "beside", "dwell", "wait"] if _of_lists(found) else SPLIT_HEADS
+    idle = ["idle_s"] if any(one.plan for one in found) else []
+    heads = ["sequence ", "expected", f"{100 * (high - low):.0f}% of cycles", *parts, *(["idle"] if idle else [])]
     works = by_work(found)
     tables = []
     for work, entries in works.items():
@@ -157,12 +158,24 @@ def estimates_table(found: Sequence[CycleEstimate]) -> str:
                 f"{place}. {entry.name}" if len(entries) > 1 else entry.name,
                 starred(entry, f"{entry.expected_s:.1f} s"),
                 f"{entry.quantiles_s[low]:.0f}-{entry.quantiles_s[high]:.0f} s",
-                *(f"{getattr(entry, part):.1f}" for part in _SPLIT),
+                *(f"{getattr(entry, part):.1f}" for part in (*_SPLIT, *idle)),
             ]
             for place, entry in enumerate(entries, start=1)
         ]
         tables.append(table(heads, rows, title=bullet([str(work)], mark="") if len(works) > 1 else ""))
     return "\n\n".join(tables)
+
+
+def _of_lists(found: Sequence[CycleEstimate]) -> bool:
+    """Return whether the numbers are of task lists, which know no motion."""
+    return any(entry.estimator == "task times" for entry in found)
+
+
+def _caption(found: Sequence[CycleEstimate]) -> str:
+    """Return what the columns of the table add up to."""
+    if not any(entry.plan for entry in found):
+        return CAPTION
+    return (OF_LISTS if _of_lists(found) else IDLE) + UNTIL_DONE
 
 
 def ranking(found: Sequence[CycleEstimate]) -> str:
@@ -267,9 +280,10 @@ def rests_on(found: Sequence[CycleEstimate]) -> str:
     every = [set(entry.warnings) - set(entry.doubts) for entry in found]
     of_all = set.intersection(*every) if len(found) > 1 else set[str]()
     for entry in found:
+        basis = "cycles drawn" if entry.plan else "operator tracks"
         lines.append(
             f"{entry.name}: {entry.estimator}: {entry.why}; {entry.executions} logged executions, {entry.tracks} "
-            f"operator tracks; {_support(entry)}; mean {entry.expected_s:.1f} s (95% CI {entry.expected_low_s:.1f} to "
+            f"{basis}; {_support(entry)}; mean {entry.expected_s:.1f} s (95% CI {entry.expected_low_s:.1f} to "
             f"{entry.expected_high_s:.1f} s)"
         )
         mine = (text for text in entry.warnings if text not in entry.doubts and text not in of_all)
@@ -282,7 +296,7 @@ def _support(entry: CycleEstimate) -> str:
     """Return how much of the cycle is supported by the logs, or that this was not counted."""
     from math import isnan
 
-    if entry.plan:
+    if entry.estimator == "task times":
         return "no positions"
     return (
         "support not counted" if isnan(entry.support) else f"{percent(entry.support)} of the time near logged positions"

@@ -72,7 +72,7 @@ class CycleEstimate(Result):
             it was validated the network's error, and a bias that a doubt names and nothing takes out. What is off in
             positions that were never logged is not known and not in it.
         quantiles_s: Quantiles of single cycles, by level.
-        nominal_s, safety_loss_s, dwell_s, wait_s: Split of `expected_s`.
+        nominal_s, safety_loss_s, dwell_s, wait_s: Split of `expected_s`, with `idle_s` of a plan for both.
         support: Fraction of the rolled-out time whose robot and operator positions lie near logged samples.
         tracks: Number of logged operator tracks it rests on.
         doubts: What makes the number itself doubtful, one sentence each: shown beside it.
@@ -93,8 +93,9 @@ class CycleEstimate(Result):
         check: The validation on logged executions that corrected it; None where there was none.
         combined: The rollout and the sum of logged task durations that it is the weighted mean of; None where it rests
             on one of them.
-        plan: Start, end and wait of each task of both agents, where it is a plan for both; the split is then that of
-            the robot: `nominal_s` its tasks as long as usual, `safety_loss_s` what differs as other tasks go on beside.
+        plan: Start, end and wait of each task of both agents, where both are rolled out. Of task lists `nominal_s`
+            is the robot's tasks as long as usual, `safety_loss_s` what differs as other tasks go on beside them.
+        idle_s: From the end of the robot's last task to that of the operator's, mean; 0 where the robot ends the cycle.
     """
 
     name: str
@@ -126,6 +127,7 @@ class CycleEstimate(Result):
     check: Check | None = field(default=None, repr=False)
     combined: Combined | None = None
     plan: tuple[PlannedShare, ...] = ()
+    idle_s: float = 0.0
 
     @property
     def per_visit_s(self) -> float:
@@ -173,4 +175,5 @@ class CycleEstimate(Result):
     def _said(self) -> list[str]:
         expected = f"{self.expected_s:.1f} s (95% CI {self.expected_low_s:.1f} to {self.expected_high_s:.1f} s)"
         parts = f"motion {self.nominal_s:.1f}, safety {self.safety_loss_s:.1f}, dwell {self.dwell_s:.1f}"
-        return [f"{self.name!r} {expected}; {parts}, wait {self.wait_s:.1f} s", *(f"* {text}" for text in self.doubts)]
+        parts += f", wait {self.wait_s:.1f}" + (f", idle {self.idle_s:.1f}" if self.idle_s else "")
+        return [f"{self.name!r} {expected}; {parts} s", *(f"* {text}" for text in self.doubts)]

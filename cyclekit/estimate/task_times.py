@@ -77,7 +77,8 @@ def _estimated(
     single = _single(durations, judged)
     shares, planned = _shares(model, rolled, sequence)
     robot = [share for share, task in zip(shares, sequence.plan, strict=True) if _is_robot(model, task, sequence)]
-    nominal, beside = (sum(getattr(share, part) for share in robot) for part in ("nominal_s", "safety_loss_s"))
+    parts = ("nominal_s", "safety_loss_s", "wait_s")
+    nominal, beside, waited = (sum(getattr(share, part) for share in robot) for part in parts)
     within = None if takt_s is None else _within(single, takt_s, (high - low) / (2 * SURE))
     return CycleEstimate(
         name=sequence.name,
@@ -89,7 +90,7 @@ def _estimated(
         nominal_s=nominal,
         safety_loss_s=beside,
         dwell_s=0.0,
-        wait_s=expected - nominal - beside,
+        wait_s=waited,
         support=float("nan"),
         tracks=0,
         warnings=(NOT_KNOWN, *(() if judged else (NOT_JUDGED,)), *_drift(model)),
@@ -103,6 +104,7 @@ def _estimated(
         takt_s=takt_s,
         takt_probability=within,
         plan=planned,
+        idle_s=max(expected - nominal - beside - waited, 0.0),
     )
 
 

@@ -13,6 +13,7 @@ from known_cells import Constant, TrueStaircase
 from cyclekit.api.estimate import estimate_cycles
 from cyclekit.api.plan import plan_order
 from cyclekit.api.whatif import what_if
+from cyclekit.cli.estimate import estimates_table
 from cyclekit.config.sequences import PlannedTask, TaskSequence, load_sequences
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard, TrainingCard
 from cyclekit.dataset.dataset import Dataset
@@ -129,6 +130,17 @@ def test_a_cycle_for_both_lasts_to_the_last_end_of_either(logged: Dataset) -> No
     assert found.duration_s.min() > found.robot.times.passes_s[:, -1].max() + 3.0
 
 
+def test_the_time_that_the_operator_needs_after_the_robot_is_idle_time_and_no_wait(logged: Dataset) -> None:
+    plan = both(("inbound", "out_left_1", "inbound", "rest"), ROBOT[:1])
+    asked = {"validate": False, "extrapolate": True}
+    (found,) = estimate(Coupled(gates(own_s=3.0)), logged, [plan], **asked)
+    assert found.wait_s == pytest.approx(0.0, abs=1e-6)
+    assert found.idle_s > 3.0
+    said = estimates_table([found])
+    assert "idle" in said.splitlines()[0]
+    assert "motion" in said.splitlines()[0]
+
+
 @pytest.mark.parametrize("buffer", [1, 2])
 def test_parts_come_after_a_gap_as_long_as_there_is_room(logged: Dataset, buffer: int) -> None:
     need = ConditionCard(agent="signal", place="part", event="set", lag_s=(0.1,))
@@ -179,7 +191,8 @@ def test_an_estimate_says_who_waited_for_what(logged: Dataset, tmp_path: Path) -
     assert both_["wait_s"] > 1.0
     waited = next(task for task in both_["plan"] if task["task"] == "conveyor->left_5")
     assert max(waited["decided"], key=waited["decided"].get) == "operator: inbound"
-    parts = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
+    assert both_["wait_s"] == pytest.approx(sum(task["wait_s"] for task in both_["plan"] if task["agent"] == "robot"))
+    parts = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s", "idle_s")
     assert both_["expected_s"] == pytest.approx(sum(both_[part] for part in parts))
     assert "both: operator" in chart.read_text()
 

@@ -166,7 +166,7 @@ class JointAnswers:
             seed=ask.seed,
         )
         shares = _slowed(task_shares(cycles), factor)
-        parts = ("nominal_s", "safety_loss_s", "dwell_s")
+        parts = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
         split = {part: sum(getattr(share, part) for share in shares) for part in parts}
         within = None if ask.takt_s is None else share_within(durations, ask.takt_s, weights)
         entry = CycleEstimate(
@@ -179,7 +179,6 @@ class JointAnswers:
                 p: check.quantile(durations, p) if check else float(np.quantile(durations, p)) for p in ask.quantiles
             },
             **split,
-            wait_s=expected - sum(split.values()),
             support=cycles.support,
             tracks=len(durations),
             warnings=(),
@@ -196,6 +195,7 @@ class JointAnswers:
             operator=sequence.operator,
             check=check,
             plan=tuple(planned_shares(cycles)),
+            idle_s=max(expected - sum(split.values()), 0.0),
         )
         return entry, means
 

@@ -121,7 +121,7 @@ def coupling_table(found: CouplingCard | None) -> str:
             )
     if not rows:
         return f"nobody waits for anybody, by {found.executions} executions"
-    parts = [table(["who waits ", "until ", "lag", "5-95%", "held", "decided"], rows)]
+    parts = [table(["who waits ", "until ", "lag, s", "5-95%", "held", "decided"], rows)]
     for source in found.sources:
         gap = f"{_quantile(source.gap_s, 0.05):.1f} to {_quantile(source.gap_s, 0.95):.1f} s"
         parts.append(f"parts of {source.signal} come {gap} apart; at most {source.buffer} wait at {source.taken_by}")

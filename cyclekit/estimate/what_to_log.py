@@ -73,7 +73,9 @@ class RecordingPlan(Result):
             found.append(f"logged fewer than {ENOUGH} times: " + ", ".join(f"{t} ({n})" for t, n in self.rare.items()))
         for one in self.orders:
             name = f" (sequence {one.name!r})" if one.name else ""
-            found.append(f"log {one.executions} executions of {', '.join(one.places)}{name}")
+            found.append(
+                f"log {one.executions} execution{'s' * (one.executions != 1)} of {', '.join(one.places)}{name}"
+            )
         if self.half_width is not None and self.half_width > self.within:
             known = f"the mean cycle time of {self.executions} executions is known to +-{self.half_width:.1%} (95% CI)"
             why = "the interval narrows with the root of their number"

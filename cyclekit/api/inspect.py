@@ -13,7 +13,7 @@ from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import Sequences, path_of, sequences_of
 from cyclekit.config import cell_to_toml
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.errors import ConfigError, OutputError
+from cyclekit.errors import ConfigError, DatasetError, OutputError
 from cyclekit.estimate.what_to_log import WITHIN, RecordingPlan, what_to_log
 from cyclekit.ingest.discover import suggest_cell
 from cyclekit.inspect.describe import describe
@@ -79,7 +79,10 @@ def inspect_logs(
     found = describe(local(path), cell=path_of(cell), progress=progress, follow_links=follow_links)
     if not isinstance(found, DatasetDescription):
         return found
-    plan = plan_recordings(path, sequences) if found.tasks else None
+    try:
+        plan = plan_recordings(path, sequences) if found.tasks else None
+    except DatasetError:  # no task of the robot is known whole
+        plan = None
     return replace(found, verified=count, to_log=plan)
 
 

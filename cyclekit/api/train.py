@@ -12,6 +12,7 @@ from functools import partial
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
+from cyclekit.errors import CyclekitError
 from cyclekit.learning.networks.saved import TrainedModel, check_model_output, load_model
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.task_times.learn import learn_task_times
@@ -123,13 +124,21 @@ def _place(dataset: Dataset | Place) -> str:
     return dataset.place if isinstance(dataset, Dataset) else str(dataset)
 
 
+def _learns_unseen(each: Training) -> bool:
+    """Return whether no network is trained; of a dataset that cannot be opened the training itself will tell."""
+    try:
+        return learns_unseen(Dataset.open(each.dataset), each.spec)
+    except CyclekitError:
+        return False
+
+
 def _put(todo: Sequence[Training], engine: Engine, progress: Progress | None) -> list[TrainedModel | UnseenOperator]:
     """Train every model and put it in its place; all that can be refused is refused before the first."""
     for each in todo:
-        if not learns_unseen(Dataset.open(each.dataset), each.spec):
-            need_torch(each.spec)
         check_output(each.out, "model", [each.dataset])
         check_model_output(each.out)
+        if not _learns_unseen(each):
+            need_torch(each.spec)
     here = len(todo) == 1 and engine.stays_here(1)
     tell = progress or (lambda _fraction, _text: None)
     work = partial(train_at, progress=tell) if here else train_at

@@ -12,10 +12,21 @@ from cyclekit.cli.terminal import Terminal
 from cyclekit.errors import command_line
 
 EXAMPLE = "cyclekit simulate box-picking --out logs --executions 20 --seed 1"
+SCENES = (
+    *("box-picking", "pick-and-package", "laser-zones", "scanner-visits", "scanner-fields", "light-curtain"),
+    *("shared-fixture", "handover", "fed-line"),
+)
+"""Of the simulator, which is imported only where something is simulated."""
+
+
+def _known(scene: str) -> str:
+    if scene not in SCENES:
+        raise typer.BadParameter(f"{scene!r} is not one of {', '.join(SCENES)}")
+    return scene
 
 
 def simulate(
-    scene: Annotated[str, typer.Argument(help="Which cell to simulate.", metavar="SCENE")],
+    scene: Annotated[str, typer.Argument(help="Which cell to simulate.", metavar="SCENE", callback=_known)],
     out: Annotated[Path, typer.Option(help="Folder for the logs.", metavar="LOGS")],
     executions: Annotated[int, typer.Option(min=1, help="How many times the process runs.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 0,

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cyclekit.cli import main, without_warnings_of_libraries
+from cyclekit.cli.simulate import SCENES as OF_THE_COMMAND
+from cyclekit_sim import COUPLED, FIELD_SCENES, SCENES
 
 if TYPE_CHECKING:
     from .conftest import Shell
@@ -134,3 +136,7 @@ def test_no_command_shows_a_warning_that_a_library_has_for_programmers(monkeypat
         warnings.warn("All-NaN slice encountered", RuntimeWarning, stacklevel=1)
     assert shown == []
     assert os.environ["PYTHONWARNINGS"] == "ignore"  # processes begun from here
+
+
+def test_simulate_knows_every_scene_of_the_simulator() -> None:
+    assert set(OF_THE_COMMAND) == {*SCENES, *FIELD_SCENES, *COUPLED}

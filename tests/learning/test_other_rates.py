@@ -177,7 +177,7 @@ def test_a_slow_down_costs_the_same_at_any_rate(rate_hz):
 def test_starts_in_the_table_of_arrivals_lie_a_fifth_of_a_second_apart(rate_hz, apart_s):
     model = SimpleNamespace(predict=lambda x: np.ones(len(x)), card=TrainingCard())
     task = SimpleNamespace(nominal_s=1.0, xyz_m=np.zeros((11, 3)))
-    tracks = SimpleNamespace(xyz_m=np.ones((2, int(10 * rate_hz), 3)), step_s=1 / rate_hz)
+    tracks = SimpleNamespace(xyz_m=np.ones((2, int(10 * rate_hz), 3)), step_s=1 / rate_hz, state=None)
     table = transit_table(model, {"a->b": task}, tracks)
     assert table.start_s == pytest.approx(apart_s)
     starts = np.arange(table.arrival_s.shape[2]) * table.start_s

@@ -20,6 +20,8 @@ _EXAMPLE = """Add one:
   [[sequence]]
   name = "A"
   places = ["home", "conveyor", "left_1", "home"]"""
+PLAN = "plan"
+"""What the places of a plan for robot and operator begin with."""
 MOST_S, EARLY_S = 1e7, 1e-3
 """No plan is longer; a planner's zero may be a little below it, s."""
 
@@ -63,7 +65,7 @@ class TaskSequence:
     @classmethod
     def of_plan(cls, name: str, plan: Sequence[PlannedTask], file: Path | None = None) -> TaskSequence:
         """Return a plan for robot and operator."""
-        return cls(name, ("plan", *(task.shown for task in plan)), file=file, plan=tuple(plan))
+        return cls(name, (PLAN, *(task.shown for task in plan)), file=file, plan=tuple(plan))
 
     @property
     def shown(self) -> str:

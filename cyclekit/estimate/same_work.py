@@ -12,6 +12,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
+from cyclekit.config.sequences import PLAN
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -61,7 +63,13 @@ class Work:
 
 
 def work_of(places: Sequence[str], operator: tuple[str, ...] | None = None) -> Work:
-    """Return the work of a cycle through ordered places, the start first."""
+    """Return the work of a cycle through ordered places, the start first; of a plan for both, of its tasks.
+
+    A task `a->b` of the robot counts for where it leads, so that orders of the same visits are the same work.
+    """
+    if places[:1] == (PLAN,):
+        tasks = (task.partition(": ") for task in places[1:])
+        return Work(tuple(sorted(f"{agent}: {name.rpartition('->')[2]}" for agent, _, name in tasks)), None, operator)
     closed = len(places) > 1 and places[0] == places[-1]
     return Work(tuple(sorted(places[1:])), None if closed or not places else places[0], operator)
 

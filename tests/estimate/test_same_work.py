@@ -8,6 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from report_pages import estimate
 
+from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.estimate.same_work import by_work, work_of
 
 PLACES = st.lists(st.sampled_from("abcd"), min_size=2, max_size=8).filter(
@@ -19,6 +20,15 @@ PLACES = st.lists(st.sampled_from("abcd"), min_size=2, max_size=8).filter(
 def test_any_order_of_the_same_visits_is_the_same_work(places, data):
     other = data.draw(st.permutations(places[1:-1]))
     assert work_of(places) == work_of([places[0], *other, places[-1]])
+
+
+def test_a_plan_for_both_is_the_same_work_in_any_order_of_the_same_visits():
+    mine = [PlannedTask("robot", "home->feeder"), PlannedTask("robot", "feeder->fixture")]
+    other = [PlannedTask("robot", "home->fixture"), PlannedTask("robot", "fixture->feeder")]
+    his = [PlannedTask("operator", "bench")]
+    works = [work_of(TaskSequence.of_plan("a", [*some, *his]).places) for some in (mine, other, mine[:1])]
+    assert works[0] == works[1] != works[2]
+    assert works[0].start is None
 
 
 @given(PLACES, st.integers(0, 8))

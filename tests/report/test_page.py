@@ -128,6 +128,6 @@ def test_the_takt_is_held_against_single_cycles(dataset, tmp_path):
     )  # fmt: skip
     page = Page(facts.path.read_text("utf-8"))
     assert (
-        "30 % of the cycles of “A first” are within the takt of 27.5 s, as counted on 10 logged operator tracks."
+        "30 % of the cycles of “A first” are within the takt of 27.5 s, as counted on 10 simulated cycles."
         in page.text.replace("\N{NO-BREAK SPACE}", " ")
     )

@@ -294,6 +294,8 @@ def _follows(causes: Causes, since: Vector) -> bool:
 
 def _before(condition: Condition, since: Vector) -> float:
     """Return how far before the departures an event comes, s; the end of a button's pulse counts as later."""
+    if not np.isfinite(since).any():
+        return float("inf")
     return abs(float(np.nanquantile(since, 0.1))) + (PULSE_S if "cleared" in str(condition.event) else 0.0)
 
 

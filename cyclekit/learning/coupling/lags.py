@@ -108,7 +108,8 @@ def quantiles(since_s: Vector, mass: Vector) -> tuple[float, ...]:
 
 def _first_guess(since_s: Floats) -> Floats:
     """Return shares by which cause is nearest to its shortest times: where it decides, its time is short."""
-    low = np.nanquantile(np.where(np.isfinite(since_s), since_s, np.nan), 0.05, axis=1, keepdims=True)
+    low, some = np.zeros((len(since_s), 1)), np.isfinite(since_s).any(axis=1)
+    low[some] = np.nanquantile(np.where(np.isfinite(since_s), since_s, np.nan)[some], 0.05, axis=1, keepdims=True)
     far = np.where(np.isfinite(since_s), np.abs(since_s - low), np.inf)
     guess = np.full(since_s.shape, 0.1 / len(since_s))
     guess[far.argmin(axis=0), np.arange(far.shape[1])] += 0.9

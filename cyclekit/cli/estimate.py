@@ -40,6 +40,8 @@ IDLE = "seconds: motion at full speed + slow-down for safety + dwell + wait"
 UNTIL_DONE = " + idle until the operator is done = expected"
 DOUBTED = "* "
 SPLIT_HEADS = ["motion", "safety", "dwell", "wait"]
+OF_STATES = ("signals ", "hidden state ")
+"""How states that stand in place of the operator's activity begin."""
 LEAST_WAIT_S = 0.2
 """A shorter wait between two tasks has no cause worth a word."""
 _SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
@@ -237,7 +239,8 @@ def loses_most(found: Sequence[CycleEstimate]) -> str:
         text = f"{entry.name}: {task.safety_loss_s:.1f} of {entry.safety_loss_s:.1f} s at {task.task}, {_largest(part)}"
         if entry.costliest_activity is not None:
             activity, lost = entry.costliest_activity
-            text += f"; {lost:.1f} s with the operator at or on the way to {activity}"
+            where = "" if activity.startswith(OF_STATES) else "the operator at or on the way to "
+            text += f"; {lost:.1f} s with {where}{activity}"
             text += f", {_largest(lost / entry.safety_loss_s)}"
         lines.append(text)
     return "Where safety slows the robot\n" + bullet(lines)

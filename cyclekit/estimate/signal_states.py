@@ -80,7 +80,7 @@ class SignalStates:
         """Names of the states: the signals that are on."""
         named = [one.name for one in self.card.operator_signals]
         on = [[name for k, name in enumerate(named) if pattern >> k & 1] for pattern in self.patterns]
-        return tuple(" + ".join(names) or NOBODY for names in on)
+        return tuple(f"signals {' + '.join(names)} on" if names else NOBODY for names in on)
 
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
         """Return the scaling of rows x_r and signals, shape (N, 6); shape (N,)."""

@@ -54,6 +54,12 @@ def test_most_is_said_of_more_than_half_only(lost: float, said: str) -> None:
     assert "4.0 s with the operator at or on the way to shelf, the largest share (12%)" in told
 
 
+def test_a_signal_is_no_place_that_the_operator_walks_to() -> None:
+    tasks = (TaskShare("home->left_1", 9.0, 5.0, 4.0, 0.0, 0.0),)
+    told = loses_most([estimate(tasks=tasks, safety_loss_s=4.0, safety_by_activity_s={"signals mat on": 4.0})])
+    assert "4.0 s with signals mat on, most of it (100%)" in " ".join(told.split())
+
+
 def test_support_that_was_not_counted_is_said_to_be_so() -> None:
     told = " ".join(rests_on([estimate(support=math.nan)]).split())
     assert "support not counted" in told

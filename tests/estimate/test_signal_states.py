@@ -50,7 +50,7 @@ def speeds(rule: RuleSafety, *places: tuple[float, float, float]) -> list[list[f
 
 def test_each_state_has_its_name_its_speed_and_its_support() -> None:
     model = states_of(RULE)
-    assert model.states == (NOBODY, "warning", "warning + stop")
+    assert model.states == (NOBODY, "signals warning on", "signals warning + stop on")
     assert speeds(RULE, NEAR, FAR) == [[1.0, 1.0], [0.5, 0.5], [0.0, 0.0]]
     both = np.array([NEAR, FAR])
     assert model.near_logged(both, np.ones((2, 1))).tolist() == [True, False]

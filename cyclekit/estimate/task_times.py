@@ -73,9 +73,10 @@ def _estimated(
     judged = model.held_out
     durations = rolled.duration_s
     expected, low, high = _mean(durations, judged, model.executions)
-    durations = durations * (expected / float(durations.mean()))
+    corrected = expected / float(durations.mean())
+    durations = durations * corrected
     single = _single(durations, judged)
-    shares, planned = _shares(model, rolled, sequence)
+    shares, planned = _shares(model, rolled, sequence, corrected)
     robot = [share for share, task in zip(shares, sequence.plan, strict=True) if _is_robot(model, task, sequence)]
     parts = ("nominal_s", "safety_loss_s", "wait_s")
     nominal, beside, waited = (sum(getattr(share, part) for share in robot) for part in parts)
@@ -154,28 +155,32 @@ def _within(single: Vector, takt_s: float, error_s: float) -> tuple[float, float
 
 
 def _shares(
-    model: TaskModelCard, rolled: RolledPlan, sequence: TaskSequence
+    model: TaskModelCard, rolled: RolledPlan, sequence: TaskSequence, corrected: float
 ) -> tuple[tuple[TaskShare, ...], tuple[PlannedShare, ...]]:
-    """Return for each task where its time goes, and when it starts and ends and what decided its start."""
-    took = (rolled.end_s - rolled.start_s).mean(axis=0).tolist()
-    usual, wait = rolled.usual_s.tolist(), rolled.wait_s.mean(axis=0).tolist()
-    begin = rolled.start_s.min(axis=1)[:, None]
-    start, end = (rolled.start_s - begin).mean(axis=0).tolist(), (rolled.end_s - begin).mean(axis=0).tolist()
+    """Return for each task where its time goes, and when it starts and ends and what decided its start.
+
+    `corrected` is what a bias on held-out orders makes of every second, so that the parts add up to the cycle time.
+    """
+    began = rolled.start_s.min(axis=1)[:, None]
+    start, end = (corrected * (at - began).mean(axis=0) for at in (rolled.start_s, rolled.end_s))
+    took, wait = end - start, corrected * rolled.wait_s.mean(axis=0)
+    usual = corrected * rolled.usual_s
     shares, planned = [], []
     for number, task in enumerate(rolled.tasks):
         shares.append(
             TaskShare(
                 task.shown,
-                took[number] + wait[number],
-                usual[number],
-                took[number] - usual[number],
+                float(took[number] + wait[number]),
+                float(usual[number]),
+                float(took[number] - usual[number]),
                 0.0,
-                wait[number],
+                float(wait[number]),
             )
         )
         kind = "robot" if _is_robot(model, task, sequence) else "operator"
         decided = _decided(rolled, number)
-        planned.append(PlannedShare(task.agent, kind, task.name, start[number], end[number], wait[number], decided))
+        at = float(start[number]), float(end[number]), float(wait[number])
+        planned.append(PlannedShare(task.agent, kind, task.name, *at, decided))
     return tuple(shares), tuple(planned)
 
 

@@ -84,7 +84,9 @@ def test_a_plan_never_logged_takes_what_fresh_executions_take(coupled) -> None:
         assert answer.expected_low_s < true_s.mean() < answer.expected_high_s
         inside = (true_s >= answer.quantiles_s[0.05]) & (true_s <= answer.quantiles_s[0.95])
         assert 0.8 <= inside.mean() <= 1.0
-        assert answer.nominal_s + answer.safety_loss_s + answer.wait_s == pytest.approx(answer.expected_s)
+        split = answer.nominal_s, answer.safety_loss_s, answer.wait_s, answer.idle_s
+        assert sum(split) == pytest.approx(answer.expected_s)
+        assert min(split) >= 0.0 or min(split) == answer.safety_loss_s
 
 
 def test_waits_appear_with_what_ended_them(coupled) -> None:

@@ -49,8 +49,8 @@ class RolledPlan:
 
     @property
     def wait_s(self) -> Floats:
-        """Time between a task and the agent's own one before it, shape (cycles, tasks), s."""
-        ends = np.concatenate([self.end_s, np.zeros((len(self.end_s), 1))], axis=1)
+        """Time from the agent's own task before, or else from the first start of all, shape (cycles, tasks), s."""
+        ends = np.concatenate([self.end_s, self.start_s.min(axis=1)[:, None]], axis=1)
         return np.asarray(self.start_s - ends[:, self.before])
 
 

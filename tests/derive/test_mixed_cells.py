@@ -94,3 +94,28 @@ def test_an_unknown_signal_hides_nobody():
     on = Switches(pl.Series([0.5]).to_numpy(), pl.Series([True]).to_numpy())
     changed, hidden = _with_unseen(samples, {"field": on}, ["field"])
     assert (changed["human_gap"].to_list(), hidden) == (["absent", "occluded"], 1)
+
+
+def test_robot_logs_of_one_folder_share_a_trace_each_with_a_clock_of_its_own(tmp_path):
+    made, shared = logs(tmp_path / "made", 8, executions_per_session=4, plc_trace="wide"), tmp_path / "logs"
+    shared.mkdir()
+    rows = []
+    for number, later_s in enumerate((0, 2000)):
+        shutil.copy(made / f"session_00{number}" / "robot.csv", shared / f"shift_{number}.csv")
+        lines = (made / f"session_00{number}" / "plc.csv").read_text().splitlines()[1:]
+        times = ((float(line.split(";")[0].replace(",", ".")) + 1e3 * later_s, line) for line in lines)
+        rows += [f"{t_ms:.1f}".replace(".", ",") + line[line.index(";") :] for t_ms, line in times]
+    header = (made / "session_000" / "plc.csv").read_text().splitlines()[0]
+    (shared / "plc.csv").write_text("\n".join([header, *rows]) + "\n")
+    cell = (
+        (made / "cell.toml").read_text().replace("session_*/plc.csv", "plc.csv").replace("session_*/robot", "shift_*")
+    )
+    (shared / "cell.toml").write_text(cell)
+    ingest(shared, tmp_path / "dataset", pseudonymise=True)
+    ingest(shared, tmp_path / "dataset")
+    dataset = Dataset.open(tmp_path / "dataset")
+    traces = [one for one in dataset.recordings if one.tables == ("events",)]
+    assert sorted(round(one.clock.offset_s) for one in traces) == [-2041, -41]
+    assert {one.session for one in traces} == {one.session for one in dataset.recordings}
+    assert len({one.id for one in traces}) == len({one.sources[0].path for one in traces}) + 1 == 2
+    assert dataset.samples()["human_signals"].null_count() == 0

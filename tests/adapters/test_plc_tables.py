@@ -1,6 +1,9 @@
 """PLC traces through the map: a column per tag, or rows of tag, time and value, as plants export them."""
 
 import json
+import re
+import tomllib
+from pathlib import Path
 
 import pytest
 from damage import read_damaged, read_or_refuse
@@ -134,3 +137,27 @@ def test_the_changes_of_a_tag_are_those_of_its_states(tmp_path_factory, states, 
     changed = [i for i, on in enumerate(states) if i == 0 or on != states[i - 1]]
     assert events["t_s"].to_list() == [float(i) for i in changed]
     assert events["value"].to_list() == [words[not states[i]] for i in changed]
+
+
+def test_the_export_of_a_safety_scanner_is_read_by_the_map_of_the_guide(tmp_path):
+    guide = (Path(__file__).parents[2] / "docs/howto/no-tracker.md").read_text(encoding="utf-8")
+    cell = tomllib.loads(
+        next(text for text in re.findall(r"```toml\n(.*?)```", guide, re.DOTALL) if "skip_rows" in text)
+    )
+    lines = ["Safety scanner;report", "", "Date;Time;Device;Event;State"]
+    lines += [
+        "01.05.2024;12:00:00.250;S1;Field set 1 / WF;interrupted",
+        "01.05.2024;12:00:00.900;S1;Field set 1 / PF;free",
+    ]
+    log = read(
+        tmp_path / "scanner.csv",
+        "\n".join([*lines, "01.05.2024;12:00:01.000;S1;Contamination;70 %", ""]),
+        cell["sources"][0]["map"],
+    )
+    assert log.events.select("t_s", "signal", "value").rows() == [
+        (1714557600.25, "warning field", "interrupted"),
+        (1714557600.9, "protective field", "free"),
+        (1714557601.0, "Contamination", "70 %"),
+    ]
+    assert log.clock == "epoch"
+    assert cell["operator_signals"][0]["occupied"] == "interrupted"

@@ -5,13 +5,16 @@ import shutil
 import polars as pl
 import pytest
 
-from cyclekit.config import load_cell
+from cyclekit import estimate_cycles
+from cyclekit.config import TaskSequence, load_cell
 from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.derive.seen_slow import Switches
 from cyclekit.derive.session_end import _with_unseen
 from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.signal_inputs import by_signals, mixed
+from cyclekit.learning.training import Training, train_at
 from cyclekit_sim import SimulationOptions, simulate
 
 
@@ -119,3 +122,13 @@ def test_robot_logs_of_one_folder_share_a_trace_each_with_a_clock_of_its_own(tmp
     assert {one.session for one in traces} == {one.session for one in dataset.recordings}
     assert len({one.id for one in traces}) == len({one.sources[0].path for one in traces}) + 1 == 2
     assert dataset.samples()["human_signals"].null_count() == 0
+
+
+@pytest.mark.slow  # trains a model
+def test_the_whole_way_with_a_trace_beside_a_robot_log_without_inputs(traced, tmp_path):
+    card = train_at(Training(str(traced.path), ModelSpec.of(epochs=3), str(tmp_path / "model")))
+    assert [one.name for one in card.operator_signals] == [one.name for one in traced.card.operator_signals]
+    order = traced.card.executions[0].places
+    (found,) = estimate_cycles(tmp_path / "model", traced.path, TaskSequence("logged", order))
+    logged = traced.executions.filter("complete")["duration_s"].mean()
+    assert found.expected_s == pytest.approx(logged, rel=0.15)

@@ -188,8 +188,8 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "`train` learns from what more executions have, and says so"
     ),
     "people-learned": (
-        "learned from {what} of people in {used} executions; {left} executions know nothing but {other}, and are left "
-        "out: a model of them alone needs a dataset of their logs"
+        "learned from {what} of people in {used} executions; {left} executions hold {other} alone and are left out: "
+        "to learn from those, ingest their logs alone"
     ),
     "operator-unseen": (
         "in {samples} samples of {sessions} sessions a signal shows somebody whom the tracker does not: the operator "

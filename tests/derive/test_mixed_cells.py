@@ -6,7 +6,8 @@ import polars as pl
 import pytest
 
 from cyclekit import estimate_cycles
-from cyclekit.config import TaskSequence, load_cell
+from cyclekit.config import load_cell
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.derive.seen_slow import Switches

@@ -82,10 +82,11 @@ class _MappedCsv:
                 back.add(rows.frame)
             rows = replace(rows, frame=seen.without_missing(rows.frame))
             seen.add(rows.frame)
-            inputs = role == "robot" and mapping.tags
+            tables = {role: canonical(rows.frame, mapping)}
+            if role == "robot" and mapping.tags:
+                tables["events"] = events.changes(rows.frame, T_S, mapping.tags)
             return Recording(
-                **({"events": events.changes(rows.frame, T_S, mapping.tags)} if inputs else {}),
-                **{role: canonical(rows.frame, mapping)},  # type: ignore[arg-type]  # the three roles are three fields
+                **tables,  # type: ignore[arg-type]  # roles are fields
                 clock=clock,
                 joint_names=mapping.joints if role == "robot" else (),
                 rows_are="row" if "sheet" in table.facts else "line",

@@ -144,7 +144,30 @@
     return kept.get(key);
   };
 
+  const evenly = (value) => { // numpy rounds halves to even
+    const below = Math.floor(value);
+    return value - below === 0.5 ? below + (below % 2 ? 1 : 0) : Math.round(value);
+  };
+  let spots; // where operators are, to a decimetre: the number of each sample's spot (-1: nobody), and their positions
+  const spotsOf = () => {
+    const number = new Map();
+    const xyz = [];
+    const of = new Int32Array(people.length / 3).fill(-1);
+    for (let i = 0; i < of.length; i += 1) {
+      if (Number.isNaN(people[3 * i])) continue;
+      const spot = [0, 1, 2].map((axis) => evenly(people[3 * i + axis] / 0.1));
+      const key = Number.isNaN(spot[2]) ? `${spot[0]} ${spot[1]}` : keyOf(...spot);
+      if (!number.has(key)) {
+        number.set(key, xyz.length);
+        xyz.push(spot.map((decimetres) => decimetres * 0.1));
+      }
+      of[i] = number.get(key);
+    }
+    return { of, xyz };
+  };
+
   const awayOf = (legs, safety, samples) => {
+    spots = spots || spotsOf();
     const names = [...new Set(legs)].map((name) => facts.legs[name]);
     const total = names.reduce((sum, leg) => sum + leg.points, 0);
     const count = Math.min(facts.away.points, total);
@@ -157,26 +180,16 @@
       points.push([paths[from], paths[from + 1], paths[from + 2]]);
     }
     const best = facts.away.part * facts.rule.fastest;
-    const seen = new Map();
+    const free = spots.xyz.map((spot) => points.every((r) => {
+      const h = [spot[0], spot[1], Number.isNaN(spot[2]) ? r[2] : spot[2]];
+      const s = facts.rule.lags ? (safety(r, h, false) + safety(r, h, true)) / 2 : safety(r, h, false);
+      return s >= best;
+    }));
     const found = new Uint8Array(COUNT * samples);
-    const h = [0, 0, 0];
     for (let k = 0; k < COUNT; k += 1) {
       for (let i = 0; i < samples; i += 1) {
-        const from = 3 * (k * SAMPLES + i);
-        if (Number.isNaN(people[from])) { found[k * samples + i] = 1; continue; }
-        const [x, y, z] = [0, 1, 2].map((axis) => Math.round(people[from + axis] * 10));
-        const key = Number.isNaN(z) ? `${x} ${y}` : keyOf(x, y, z);
-        let away = seen.get(key);
-        if (away === undefined) {
-          away = 1;
-          for (const r of points) {
-            h[0] = x / 10; h[1] = y / 10; h[2] = Number.isNaN(z) ? r[2] : z / 10;
-            const s = facts.rule.lags ? (safety(r, h, false) + safety(r, h, true)) / 2 : safety(r, h, false);
-            if (s < best) { away = 0; break; }
-          }
-          seen.set(key, away);
-        }
-        found[k * samples + i] = away;
+        const spot = spots.of[k * SAMPLES + i];
+        found[k * samples + i] = spot < 0 || free[spot] ? 1 : 0;
       }
     }
     return found;

@@ -49,11 +49,7 @@ def metres(steps, unit):
     return np.where(units == UNKNOWN, np.nan, units / unit)
 
 
-@given(
-    xyz_m=arrays_of.arrays(
-        np.float64, (3, 7, 3), elements=st.one_of(st.floats(-30.0, 30.0), st.just(float("nan")))
-    )
-)
+@given(xyz_m=arrays_of.arrays(np.float64, (3, 7, 3), elements=st.one_of(st.floats(-30.0, 30.0), st.just(float("nan")))))
 def test_coordinates_come_back_as_fine_as_their_unit(xyz_m):
     unit = units_per_metre(xyz_m)
     assert metres(in_steps(in_units(xyz_m, unit)), unit) == pytest.approx(xyz_m, abs=0.5001 / unit, nan_ok=True)
@@ -113,6 +109,7 @@ def test_a_page_says_why_it_cannot_be_played_with(logged, monkeypatch):
     assert "MB" in play_part(PageInputs(texts, logged, rule, [short])).missing[0]
 
 
+@pytest.mark.usefixtures("words_only")
 def test_a_page_without_the_part_says_nothing_of_it(logged, tmp_path):
     rule = staircase()
     found = estimate(rule, logged, ORDERS[:1], validate=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib.resources import files
 
 import browser
 import pytest
@@ -43,7 +44,7 @@ def cell(request, logged, tmp_path_factory):
     given = {each.name: each for each in estimate(model, data, ORDERS, takt_s=TAKT_S)}
     check = given["long"].check
     changed = {}
-    for each in ORDERS:
+    for each in ORDERS[:2]:
         for found in what_if(model, data, [each], [change for _, change in changes.values()], check=check):
             changed[each.name, found.change] = found.after
     page = tmp_path_factory.mktemp("play") / f"{request.param}.html"
@@ -59,6 +60,7 @@ def told(asked):
 def same(found, wanted):
     """The mean, its interval, the quantiles and the slow-down within 0.2 %; shares within one of 16 cycles."""
     assert "unknown" not in found
+    assert found["durations_s"] == pytest.approx(list(wanted.durations_s), rel=2e-3)  # each cycle by itself
     numbers = [wanted.expected_s, wanted.expected_low_s, wanted.expected_high_s, *wanted.quantiles_s.values()]
     assert [found["expected_s"], found["low_s"], found["high_s"], *found["quantiles_s"]] == pytest.approx(
         numbers, rel=2e-3
@@ -80,7 +82,7 @@ def test_orders_and_changes_have_the_numbers_of_the_library(tab, cell):
     for each in ORDERS:
         places = json.dumps(list(each.places))
         same(tab.ask(f"cyclekitPlay.answer({places}, {{}}, {TAKT_S})"), given[each.name])
-        for asked, change in changes.values():
+        for asked, change in changes.values() if each in ORDERS[:2] else ():
             same(tab.ask(f"cyclekitPlay.answer({places}, {told(asked)}, null)"), changed[each.name, change.name])
     assert tab.said() == []
     assert set(tab.requests()) == {page.resolve().as_uri()}
@@ -157,7 +159,9 @@ def test_a_task_that_was_never_logged_is_not_known(desk):
 
 def test_a_slider_moves_the_numbers_and_goes_back(desk, played):
     before = shown(desk, "mean")
-    desk.ask("(s => { s.value = '0.4'; s.dispatchEvent(new Event('input')); })(document.querySelector('#play-slider-0'))")
+    desk.ask(
+        "(s => { s.value = '0.4'; s.dispatchEvent(new Event('input')); })(document.querySelector('#play-slider-0'))"
+    )
     assert shown(desk, "mean") != before
     assert "1.60" in desk.ask("document.querySelector('.play-slider output').textContent")
     desk.ask("document.querySelector('.play-slider button').click()")
@@ -169,3 +173,14 @@ def test_the_part_fits_its_window(tab, played, width):
     tab.show(played[0], width=width, height=900, phone=width < 500)
     tab.ask("cyclekitPlay.ready.then(() => 1)")
     assert tab.ask("document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.parametrize("width", [390, 1180])
+def test_axe_finds_nothing_that_shuts_people_out(tab, played, width):
+    tab.show(played[0], width=width, height=900, phone=width < 500)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    tab.ask("document.querySelector('#play [data-play=copy]').click()")
+    tab.call("Runtime.evaluate", expression=files("axe_core_python").joinpath("axe.min.js").read_text("utf-8"))
+    found = tab.ask("axe.run('#play', {resultTypes: ['violations']}).then(r => JSON.stringify("
+                    "r.violations.map(v => [v.id, v.nodes[0].html.slice(0, 200)])))")  # fmt: skip
+    assert json.loads(found) == []

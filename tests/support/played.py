@@ -31,8 +31,8 @@ def zoned() -> RuleSafety:
     """Return a threshold with hysteresis, on the floor, and a zone beside the table."""
     flat = "distance TCP to operator on the floor"
     return ruled(
-        (0.0, near(1.0, flat), near(1.2, flat)),
-        (0.3, box(-1.3, 1.4, -1.6, 1.5), box(-1.4, 1.5, -1.7, 1.6)),
+        (0.0, near(1.03, flat), near(1.23, flat)),
+        (0.3, box(-1.33, 1.42, -1.58, 1.51), box(-1.43, 1.52, -1.68, 1.61)),
         (0.6, near(2.2), near(2.5)),
     )
 
@@ -49,14 +49,14 @@ STAIRS = {
 ZONED = {
     "zone": (
         {"moved": [0, 0.2, 0]},
-        Change("z", limits=(LimitChange(0.3, x_m=(-1.5, 1.6), y_m=(-1.8, 1.7)),)),
+        Change("z", limits=(LimitChange(0.3, x_m=(-1.53, 1.62), y_m=(-1.78, 1.71)),)),
     ),
     "at once": ({"ramp": math.inf}, Change("o", dynamics={"ramp_up_per_s": math.inf})),
     "all": (
         {"moved": [0.1, 0, -0.2], "ramp": 0.3, "frequency": 0.8},
         Change(
             "a",
-            limits=(LimitChange(0.0, threshold_m=1.1), LimitChange(0.6, threshold_m=2.0)),
+            limits=(LimitChange(0.0, threshold_m=1.13), LimitChange(0.6, threshold_m=2.0)),
             dynamics={"ramp_up_per_s": 0.3},
             frequency=0.8,
         ),

@@ -9,6 +9,7 @@
   const words = facts.words;
   const say = (key, values = {}) => words[key].replace(/\{(\w+)\}/g, (_, name) => values[name]);
   const UNKNOWN = -32768;
+  const NOBODY = 65535;
   const NOTHING = 1e-9;
 
   // ---- the tables
@@ -33,7 +34,7 @@
   };
   const metres = (array) => Float64Array.from(array, (units) => (units === UNKNOWN ? NaN : units / facts.per_metre));
 
-  let COUNT, SAMPLES, STEP_S, people, paths, robotCell, peopleCell;
+  let COUNT, SAMPLES, STEP_S, people, paths;
   const prepare = () => {
     COUNT = facts.tracks.count;
     SAMPLES = tables.tracks.length / 3 / COUNT;
@@ -42,21 +43,6 @@
     summed(tables.paths, 0, tables.paths.length / 3);
     people = metres(tables.tracks);
     paths = metres(tables.paths);
-    robotCell = cellsOf(paths, facts.support.robot_m, facts.support.robots);
-    peopleCell = cellsOf(people, facts.support.operator_m, facts.support.operators);
-  };
-
-  const keyOf = (x, y, z) => ((x + 512) * 1024 + (y + 512)) * 1024 + (z + 512);
-  const cellsOf = (xyz, edge, cells) => { // Support: which cell each position lies in; -1: nobody
-    const number = new Map(cells.map(([x, y, z], index) => [keyOf(x, y, z), index]));
-    const found = new Int32Array(xyz.length / 3).fill(-1);
-    for (let i = 0; i < found.length; i += 1) {
-      if (Number.isNaN(xyz[3 * i])) continue;
-      const z = Number.isNaN(xyz[3 * i + 2]) ? 0 : xyz[3 * i + 2];
-      const at = number.get(keyOf(Math.floor(xyz[3 * i] / edge), Math.floor(xyz[3 * i + 1] / edge), Math.floor(z / edge)));
-      found[i] = at === undefined ? -1 : at;
-    }
-    return found;
   };
 
   // ---- the safety function: `RuleSafety.predict` with the limits that were moved
@@ -144,30 +130,7 @@
     return kept.get(key);
   };
 
-  const evenly = (value) => { // numpy rounds halves to even
-    const below = Math.floor(value);
-    return value - below === 0.5 ? below + (below % 2 ? 1 : 0) : Math.round(value);
-  };
-  let spots; // where operators are, to a decimetre: the number of each sample's spot (-1: nobody), and their positions
-  const spotsOf = () => {
-    const number = new Map();
-    const xyz = [];
-    const of = new Int32Array(people.length / 3).fill(-1);
-    for (let i = 0; i < of.length; i += 1) {
-      if (Number.isNaN(people[3 * i])) continue;
-      const spot = [0, 1, 2].map((axis) => evenly(people[3 * i + axis] / 0.1));
-      const key = Number.isNaN(spot[2]) ? `${spot[0]} ${spot[1]}` : keyOf(...spot);
-      if (!number.has(key)) {
-        number.set(key, xyz.length);
-        xyz.push(spot.map((decimetres) => decimetres * 0.1));
-      }
-      of[i] = number.get(key);
-    }
-    return { of, xyz };
-  };
-
   const awayOf = (legs, safety, samples) => {
-    spots = spots || spotsOf();
     const names = [...new Set(legs)].map((name) => facts.legs[name]);
     const total = names.reduce((sum, leg) => sum + leg.points, 0);
     const count = Math.min(facts.away.points, total);
@@ -180,16 +143,17 @@
       points.push([paths[from], paths[from + 1], paths[from + 2]]);
     }
     const best = facts.away.part * facts.rule.fastest;
-    const free = spots.xyz.map((spot) => points.every((r) => {
-      const h = [spot[0], spot[1], Number.isNaN(spot[2]) ? r[2] : spot[2]];
+    const free = Array.from({ length: tables.spots.length / 3 }, (_, spot) => points.every((r) => {
+      const h = [...tables.spots.subarray(3 * spot, 3 * spot + 3)];
+      if (Number.isNaN(h[2])) h[2] = r[2];
       const s = facts.rule.lags ? (safety(r, h, false) + safety(r, h, true)) / 2 : safety(r, h, false);
       return s >= best;
     }));
     const found = new Uint8Array(COUNT * samples);
     for (let k = 0; k < COUNT; k += 1) {
       for (let i = 0; i < samples; i += 1) {
-        const spot = spots.of[k * SAMPLES + i];
-        found[k * samples + i] = spot < 0 || free[spot] ? 1 : 0;
+        const spot = tables.people_spots[k * SAMPLES + i];
+        found[k * samples + i] = spot === NOBODY || free[spot] ? 1 : 0;
       }
     }
     return found;
@@ -301,8 +265,9 @@
           if (Number.isNaN(h[2])) h[2] = r[2];
           if (looks) {
             found.looked += 1;
-            const [robot, human] = [robotCell[part.first + (far < 0.5 ? point : next)], peopleCell[weight < 0.5 ? from : to]];
-            if (human < 0 || tables.support[robot * facts.support.operators.length + human]) found.known += 1;
+            const robot = tables.robot_cells[part.first + (far < 0.5 ? point : next)];
+            const human = tables.people_cells[weight < 0.5 ? from : to];
+            if (human === NOBODY || tables.support[robot * facts.support.operators + human]) found.known += 1;
           }
         }
         if (follows) {
@@ -459,6 +424,7 @@
     const stretch = stands > 0 ? (expected - nominal - lost * slower) / stands : 0;
     return {
       expected_s: expected,
+      durations_s: [...durations],
       low_s: quantile(spread, 0.025) - bias * expected,
       high_s: quantile(spread, 0.975) + bias * expected,
       quantiles_s: [0.05, 0.5, 0.95].map((level) => quantile(single, level, conformal)),

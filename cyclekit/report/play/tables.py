@@ -20,7 +20,7 @@ from cyclekit.estimate.spread import logged_support
 from cyclekit.estimate.support import HUMAN_M, ROBOT_M
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
-from cyclekit.estimate.whatif.alter import AWAY, LOOKED_AT
+from cyclekit.estimate.whatif.alter import AWAY, LOOKED_AT, NOWHERE_M, SPOT_M
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.learning.rules.distances import TO_LINK
 from cyclekit.learning.rules.quantities import RulePlace, quantities
@@ -44,6 +44,8 @@ SEED = 0
 """Of the estimates on the page."""
 LONGER = 3.5
 """Tracks are this many times as long as the longest sequence at full speed; slower cycles are not known."""
+NOBODY = 2**16 - 1
+"""Stands for the cell of an operator who is not there."""
 MOVED_M = 0.5
 """A threshold can be moved by this much to either side."""
 
@@ -92,7 +94,7 @@ def tables_of(page: PageInputs) -> tuple[dict[str, Any], Arrays]:
     unit = facts["per_metre"] = units_per_metre(tracks.xyz_m, paths)
     arrays = {"tracks": in_steps(in_units(tracks.xyz_m, unit)), "paths": in_steps(in_units(paths, unit))}
     facts["legs"] = _legs(legs, arrays, len(tracks.executions), [each.places for each in shown])
-    facts["support"] = _support(dataset, paths, tracks, unit, arrays)
+    facts["support"] = _support(dataset, paths, tracks, arrays)
     facts["check"] = _corrected(check, dataset, tracks, legs, arrays)
     return facts, arrays
 
@@ -153,27 +155,31 @@ def _legs(
     return found
 
 
-def _support(
-    dataset: Dataset, paths: NDArray[np.float64], tracks: OperatorTracks, unit: float, arrays: Arrays
-) -> dict[str, Any]:
-    """Return the cells of robot and operator; `support` (R, H) says which pairs were logged."""
+def _support(dataset: Dataset, paths: NDArray[np.float64], tracks: OperatorTracks, arrays: Arrays) -> dict[str, Any]:
+    """Put the cells of each point and of each sample into `arrays`; return how many cells of operators there are.
+
+    `support` (R, H) says which pairs of cells were logged. The operator is away where he slows the robot nowhere:
+    that is asked at `spots`, a decimetre apart, as `whatif` does.
+    """
     people = tracks.xyz_m.reshape(-1, 3)
-    people = people[np.isfinite(people[:, 0])]
-    people = np.where(np.isnan(people), 0.0, people)  # an unknown height is that of the floor there
-    robots, humans = _cells(paths, ROBOT_M, unit), _cells(people, HUMAN_M, unit)
+    absent = ~np.isfinite(people[:, 0])
+    on_floor = np.where(np.isnan(people), 0.0, people)  # an unknown height is that of the floor there
+    robots, arrays["robot_cells"] = _numbered(np.floor(paths / ROBOT_M))
+    humans, arrays["people_cells"] = _numbered(np.floor(on_floor / HUMAN_M), absent)
+    spots, arrays["people_spots"] = _numbered(np.round(np.nan_to_num(people, nan=NOWHERE_M) / SPOT_M), absent)
     middles = (robots + 0.5) * ROBOT_M, (humans + 0.5) * HUMAN_M
     rows, columns = np.repeat(middles[0], len(humans), axis=0), np.tile(middles[1], (len(robots), 1))
     arrays["support"] = logged_support(dataset).near_logged(rows, columns).astype(np.uint8)
-    return {
-        "robot_m": ROBOT_M,
-        "operator_m": HUMAN_M,
-        "robots": robots.tolist(),
-        "operators": humans.tolist(),
-    }
+    arrays["spots"] = np.where(spots * SPOT_M == NOWHERE_M, np.nan, spots * SPOT_M).astype(np.float32)
+    return {"operators": len(humans)}
 
 
-def _cells(xyz_m: NDArray[np.float64], edge_m: float, unit: float) -> NDArray[np.int64]:
-    return np.unique(np.floor(np.round(xyz_m * unit) / unit / edge_m).astype(np.int64), axis=0)
+def _numbered(
+    cells: NDArray[np.float64], absent: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
+    """Return the cells that occur (C, 3), and which one each row is in (N,); NOBODY for who is `absent`."""
+    found, number = np.unique(cells, axis=0, return_inverse=True)
+    return found, (number if absent is None else np.where(absent, NOBODY, number)).astype(np.uint16)
 
 
 def _corrected(

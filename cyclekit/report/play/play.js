@@ -608,7 +608,8 @@
   const update = () => {
     const began = performance.now();
     const entry = answer(placesOf(), state.asked, state.takt_s);
-    const given = answer(facts.sequences[state.number].places, AS_LOGGED(), state.takt_s);
+    const given = remembered(["given", state.number, state.takt_s].join(),
+      () => answer(facts.sequences[state.number].places, AS_LOGGED(), state.takt_s));
     showNumbers(entry, given);
     showChart(entry, given);
     section.dataset.took = String(performance.now() - began);

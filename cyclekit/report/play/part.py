@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from cyclekit.errors import CyclekitError
 from cyclekit.report.play.packed import packed
-from cyclekit.report.play.tables import tables_of, unfit
+from cyclekit.report.play.tables import playable, tables_of
 
 if TYPE_CHECKING:
     from cyclekit.report.inputs import PageInputs
@@ -27,10 +27,10 @@ def play_part(page: PageInputs) -> PlayPart:
     if not page.ranked:
         return PlayPart(None)
     texts = page.texts
-    if (why := unfit(page)) is not None:
-        return PlayPart(None, (texts(f"play.{why}"),))
+    if isinstance(model := playable(page), str):
+        return PlayPart(None, (texts(f"play.{model}"),))
     try:
-        facts, arrays = tables_of(page)
+        facts, arrays = tables_of(page, model)
     except CyclekitError as error:  # the estimates were made in another process, on other tracks
         return PlayPart(None, (texts("play.failed", why=error.seen),))
     data = packed({**facts, "words": texts.section("play")}, arrays)

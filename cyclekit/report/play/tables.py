@@ -50,31 +50,34 @@ MOVED_M = 0.5
 """A threshold can be moved by this much to either side."""
 
 
-def unfit(page: PageInputs) -> str | None:
-    """Return the text that says why this page cannot be played with; None where it can."""
+def playable(page: PageInputs) -> RuleSafety | str:
+    """Return the rule that a page can be played with, or the name of the text that says why it cannot."""
     model = page.answers
     if not isinstance(model, RuleSafety):
         return "no_rule"
     if asks_signals(model.rule) or TO_LINK in distances_of(model.rule):
         return "other_rule"
-    return None if _played(page) else "both"
+    return model if _played(page, model) else "both"
 
 
-def _played(page: PageInputs) -> list[CycleEstimate]:
+def _played(page: PageInputs, model: RuleSafety) -> list[CycleEstimate]:
     """Return the sequences of the robot alone, beside operators of any order."""
-    if waits_are_known(page.answers):  # type: ignore[arg-type]  # a rule, as `unfit` has found
+    if waits_are_known(model):
         return []
     return [each for each in page.ranked if each.estimator == "rollout" and not each.plan and each.operator is None]
 
 
-def tables_of(page: PageInputs) -> tuple[dict[str, Any], Arrays]:
-    """Return facts (plain JSON values) and arrays of a page's sequences; see `unfit`.
+def tables_of(page: PageInputs, model: RuleSafety) -> tuple[dict[str, Any], Arrays]:
+    """Return facts (plain JSON values) and arrays of a page's sequences.
+
+    Args:
+        page: What the page is made of.
+        model: What answers for it, as `playable` has found.
 
     Raises:
         EstimateError: There is no operator track.
     """
-    model, shown = page.answers, _played(page)
-    assert isinstance(model, RuleSafety)  # `unfit` has found so
+    shown = _played(page, model)
     dataset, _ = in_memory(page.dataset)
     check = shown[0].check
     legs = nominal_tasks(dataset)

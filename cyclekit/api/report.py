@@ -68,6 +68,7 @@ def write_report(
     what_if: Sequence[Place | Change | Tried] = (),
     jobs: Jobs | Place | None = None,
     takt_s: float | None = None,
+    baseline: str | None = None,
     kind: Format | None = None,
     pdf: Place | None = None,
     template: Place | None = None,
@@ -90,6 +91,7 @@ def write_report(
             `FILE.json` of `what_if`, `LABEL=FILE.json` of `estimate_cycles`.
         jobs: Work whose quickest order is searched, estimated and changed with the sequences.
         takt_s: Takt time that the cycles are held against, s.
+        baseline: Name of the sequence that the others are held against; by default what was logged most.
         kind: `html`, `json`, `csv`, `md` or `xlsx`; by default by the ending of `out`.
         pdf: Also print the page here, by an installed browser.
         template: Folder whose files take the place of the page's own.
@@ -126,16 +128,17 @@ def write_report(
     page["what_if"] = tried
     times = times_of(model)
     if times is not None:
-        facts = _of_tasks(times, data, file, sequences, changes, jobs, chosen, folder, cell_name)
+        looks |= {"takt_s": takt_s, "baseline": baseline, "kind": chosen, "template": folder, "cell_name": cell_name}
+        facts = _of_tasks(times, data, file, sequences, changes, jobs, looks)
         if printed is not None:
             write_pdf(file, printed)
         return replace(facts, pdf=printed)
     trained = None if model is None else trained_of(model)  # type: ignore[arg-type]  # none of task times
     if trained is not None:
         asked = _Asked(trained, data, validate, extrapolate, other_cell, tell)
-        asked.takt_s = takt_s if chosen == "xlsx" else None  # the page counts its share itself
+        asked.takt_s = takt_s
         page = asked.found(sequences, changes, tried, jobs, estimates, evaluation)
-    looks: dict[str, Any] = {"takt_s": takt_s, "template": folder, "cell_name": cell_name}
+    looks: dict[str, Any] = {"takt_s": takt_s, "baseline": baseline, "template": folder, "cell_name": cell_name}
     if chosen == "xlsx":
         return _as_workbook(data, trained, file, page, looks)
     facts = compose_report(data, trained, file, kind=chosen, **page, **looks, progress=_part(tell, 0.7, 1.0))
@@ -152,21 +155,18 @@ def _of_tasks(
     sequences: Sequences | None,
     changes: list[Change],
     jobs: Jobs | Place | None,
-    kind: str,
-    template: Path | None,
-    cell_name: str | None,
+    looks: dict[str, Any],
 ) -> ReportFacts:
     """Write the report of a model of task times."""
     wanted = [] if sequences is None else sequences_of(sequences)
     planned = None if jobs is None else cast("TaskOrderPlan", plan_order(model, data, jobs))
-    asked = [*wanted, *([TaskSequence.of_plan("planned", planned.tasks)] if planned else [])]
+    asked = [*wanted, *([TaskSequence.of_plan(ORDER, planned.tasks)] if planned else [])]
     if changes and not asked:
         raise ConfigError("changes are tried on sequences, and none are given", cure="Give sequences or jobs.")
-    found = estimate_cycles(model, data, wanted).require_all() if wanted else None
+    found = estimate_cycles(model, data, asked, takt_s=looks["takt_s"]).require_all() if asked else None
     changed = try_changes(model, data, asked, changes).require_all() if changes else ()
-    name = cell_name or data.card.name or data.path.name
     parts: dict[str, Any] = {"estimates": found, "planned": planned, "changed": list(changed)}
-    return report_tasks(model.card, file, name=name, kind=kind, template=template, **parts)
+    return report_tasks(model.card, data, file, **parts, **looks)
 
 
 def _as_workbook(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cyclekit.cli.options import (
+    Baseline,
     Checked,
     EngineName,
     Extrapolate,
@@ -57,6 +58,7 @@ def estimate(
         str | None, typer.Option(help="rollout, average, history or nominal; by default what suits the model.")
     ] = None,
     takt: Takt = None,
+    baseline: Baseline = None,
     quantiles: Annotated[str, typer.Option(metavar="LEVELS", help="Quantiles of single cycles, percent.")] = "5,50,95",
     check: Checked = True,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling of operator tracks.")] = 0,
@@ -77,6 +79,9 @@ def estimate(
     from cyclekit.api.estimate import estimate_cycles
     from cyclekit.api.inspect import plan_recordings
     from cyclekit.cli.facts import to_log
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.report.texts import load_texts
+    from cyclekit.report.verdict import basis, in_words, verdict
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
@@ -113,7 +118,11 @@ def estimate(
         by_task,
         "" if any(entry.plan for entry in found) else loses_most(found),
     ]
-    terminal.answer(found.to_dict(), *parts, rests_on(found), judged(found.check) if found.check else "")
+    parts += [rests_on(found), judged(found.check) if found.check else ""]
+    held, texts = verdict(Dataset.of(dataset), found, (), None, takt_s, baseline), load_texts()
+    said = in_words(texts, held) if held else ""
+    parts.append(bullet([said, basis(texts, held)], mark="") if held else "")
+    terminal.answer(found.to_dict() | {"verdict": held.to_dict(said) if held else None}, *parts)
 
 
 def not_answered(refused: Sequence[Refusal]) -> str:

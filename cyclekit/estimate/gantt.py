@@ -53,8 +53,8 @@ def legend_of(found: Sequence[CycleEstimate], takt_s: float | None = None) -> di
     legend = {_MOTION: colours.NOMINAL} if split else {_ROBOT: colours.NOMINAL}
     if any(share.safety_loss_s > 0.0 for each in found if not _of_lists(each) for share in each.tasks):
         first, *others = _SPEEDS
-        legend[f"slow-down to a mean speed of {first:.0%}"] = colours.scaling_hex(first)
-        legend |= {f"{speed:.0%}": colours.scaling_hex(speed) for speed in others}
+        legend[f"slow-down to a mean speed of {_percent(first)}"] = colours.scaling_hex(first)
+        legend |= {_percent(speed): colours.scaling_hex(speed) for speed in others}
     known = {_DWELL: colours.DWELL, _WAIT: colours.WAIT, _OPERATOR: colours.OPERATOR}
     legend |= {text: colour for text, colour in known.items() if colour in drawn}
     legend |= {f"operator at {name}": colour for name, colour in _operator_colours(found).items() if name != AWAY}
@@ -92,7 +92,7 @@ def _parts(share: TaskShare, lane: int, start_s: float, end_s: float, row: str) 
     slow = colours.scaling_hex(min(max(speed, 0.0), 1.0))
     parts = [
         (share.nominal_s, colours.NOMINAL, "motion at full speed"),
-        (share.safety_loss_s, slow, f"slow-down (mean speed {speed:.0%})"),
+        (share.safety_loss_s, slow, f"slow-down (mean speed {_percent(speed)})"),
         (share.dwell_s, colours.DWELL, _DWELL),
         (share.wait_s, colours.WAIT, _WAIT),
     ]
@@ -101,7 +101,7 @@ def _parts(share: TaskShare, lane: int, start_s: float, end_s: float, row: str) 
     for part_s, colour, what in parts:
         if part_s > 0.0:
             long_s = (end_s - start_s) * part_s / whole_s
-            tip = f"{row}: {what} {part_s:.1f} s ({part_s / whole_s:.0%} of the task)"
+            tip = f"{row}: {what} {part_s:.1f} s ({_percent(part_s / whole_s)} of the task)"
             bars.append(Bar(lane, at_s, at_s + long_s, colour, colour == colours.WAIT, tip, row))
             at_s += long_s
     return bars
@@ -111,9 +111,10 @@ def _of_plan(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
     agents = _agents(each.plan)
     lane = {agent: number for number, agent in enumerate(agents)}
     bars, arrows, labels = list[Bar](), list[Arrow](), list[Label]()
-    shares = _shares_of(each)
+    shares, turn = _shares_of(each), Counter[str]()
     for number, task in enumerate(each.plan, start=1):
-        at, row = lane[task.agent], f"{task.agent}: {spelt(task.task)}"
+        turn[task.agent] += 1
+        at, row = lane[task.agent], f"{task.agent}: {turn[task.agent]} {spelt(task.task)}"
         if task.wait_s > SHOWN_S:
             ended = _ended_by(task, each.plan)
             cause = f", until {ended.agent}: {spelt(ended.task)}" if ended else ""
@@ -128,7 +129,7 @@ def _of_plan(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
             colour = colours.NOMINAL if task.kind == "robot" else colours.OPERATOR
             tip = f"{row}: {task.start_s:.1f} to {task.end_s:.1f} s"
             bars.append(Bar(at, task.start_s, task.end_s, colour, tip=tip, row=row))
-        labels.append(Label(at, task.start_s, task.end_s, _texts(task.task)))
+        labels.append(Label(at, task.start_s, task.end_s, _texts(task.task, turn[task.agent])))
     ends = [_Ended(f"{one.agent}: {spelt(one.task)}", one.end_s, one.end_low_s, one.end_high_s) for one in each.plan]
     parts = tuple(bars), tuple(labels), tuple(arrows), _course(ends), _layers(each, tints)
     return Block(_titles(each), tuple(agents), *parts, "operator")
@@ -186,10 +187,9 @@ def _titles(each: CycleEstimate) -> tuple[str, ...]:
     return (f"{mean} ({cycles})", mean, each.name)
 
 
-def _texts(task: str, number: int | None = None) -> tuple[str, ...]:
-    """Return the label of a task, longest first: the task, where it leads, its number."""
-    texts = (spelt(task), task.rpartition("->")[2], *([str(number)] if number else []))
-    return tuple(dict.fromkeys(texts))
+def _texts(task: str, number: int) -> tuple[str, ...]:
+    """Return the label of a task, longest first: its number and where it leads, its number."""
+    return f"{number} {task.rpartition('->')[2]}", str(number)
 
 
 def spelt(task: str) -> str:
@@ -228,7 +228,7 @@ def _layers(each: CycleEstimate, tints: Mapping[str, str]) -> tuple[Layer, ...]:
         merged[_REST] = tuple(map(sum, zip(*rest, strict=True)))
     said = "operator at or on the way to"
     return tuple(
-        Layer(merged[name], each.expected_s, tint, f"{said} {name}: {_mean(merged[name]):.0%} of the time")
+        Layer(merged[name], each.expected_s, tint, f"{said} {name}: {_percent(_mean(merged[name]))} of the time")
         for name, tint in tints.items()
         if name in merged
     )
@@ -236,3 +236,7 @@ def _layers(each: CycleEstimate, tints: Mapping[str, str]) -> tuple[Layer, ...]:
 
 def _mean(parts: Sequence[float]) -> float:
     return sum(parts) / max(len(parts), 1)
+
+
+def _percent(part: float) -> str:
+    return f"{100 * part:.0f} %"

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _WIDTH_IN, _WIDE_IN = 11.0, 6.0
 _LEFT_IN, _RIGHT_IN, _FOOT_IN, _KEY_IN = 0.82, 0.16, 0.5, 0.2
-_TITLE_IN, _COURSE_IN, _LABEL_IN, _BAR_IN, _GAP_IN = 0.27, 0.4, 0.17, 0.24, 0.09
+_TITLE_IN, _COURSE_IN, _LABEL_IN, _BAR_IN, _GAP_IN = 0.27, 0.5, 0.17, 0.24, 0.09
 _TITLE_PT, _LABEL_PT, _NAME_PT = 9.0, 7.5, 8.5
 _INK, _MUTED, _RULE, _BAND = "#1c232b", "#55606c", "#d9dee4", "#b9c8db"
 
@@ -202,7 +202,7 @@ class _Drawing:
         room_in = self._axes.get_xlim()[1] / self._s_per_in
         title = _fitting(block.titles, room_in, _TITLE_PT, cut=True)
         at_in = self._top_in + _TITLE_IN - 0.06
-        self._axes.text(0.0, at_in, title, fontsize=_TITLE_PT, fontweight="semibold", color=_INK, va="baseline")
+        self._axes.text(0.0, at_in, title, fontsize=_TITLE_PT, fontweight="bold", color=_INK, va="baseline")
         if block.course is not None:
             names[self._draw_course(block.course)] = "tasks done"
         for bar in block.bars:

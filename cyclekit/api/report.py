@@ -126,10 +126,10 @@ def write_report(
     data = Dataset.of(dataset)
     page: dict[str, Any] = {"estimates": estimates or (), "check": estimates.check if estimates else None}
     page["what_if"] = tried
+    looks: dict[str, Any] = {"takt_s": takt_s, "baseline": baseline, "template": folder, "cell_name": cell_name}
     times = times_of(model)
     if times is not None:
-        looks |= {"takt_s": takt_s, "baseline": baseline, "kind": chosen, "template": folder, "cell_name": cell_name}
-        facts = _of_tasks(times, data, file, sequences, changes, jobs, looks)
+        facts = _of_tasks(times, data, file, sequences, changes, jobs, {"kind": chosen, **looks})
         if printed is not None:
             write_pdf(file, printed)
         return replace(facts, pdf=printed)
@@ -138,7 +138,6 @@ def write_report(
         asked = _Asked(trained, data, validate, extrapolate, other_cell, tell)
         asked.takt_s = takt_s
         page = asked.found(sequences, changes, tried, jobs, estimates, evaluation)
-    looks: dict[str, Any] = {"takt_s": takt_s, "baseline": baseline, "template": folder, "cell_name": cell_name}
     if chosen == "xlsx":
         return _as_workbook(data, trained, file, page, looks)
     facts = compose_report(data, trained, file, kind=chosen, **page, **looks, progress=_part(tell, 0.7, 1.0))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
+from cyclekit.config.sequences import PLAN
 from cyclekit.estimate.resample import TOGETHER, resampled, wilson
 from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, CycleEstimate, TaskShare
 from cyclekit.estimate.same_work import work_of
@@ -75,13 +76,14 @@ def today_of(dataset: Dataset, work: Work, takt_s: float | None, named: CycleEst
         named: The sequence that was named for the baseline: its logged executions, or else its estimate.
     """
     durations = dict(dataset.executions.filter("complete").select("execution", "duration_s").iter_rows())
+    logged = _orders(dataset)
     ran = {
-        one.execution: one.places
+        one.execution: logged[one.execution]
         for one in dataset.card.executions
-        if one.execution in durations and not one.reference and work_of(one.places) == work
+        if one.execution in durations and not one.reference and _does(logged.get(one.execution, ()), work)
     }
     if named is not None:
-        ran = {name: places for name, places in ran.items() if places == named.places}
+        ran = {name: places for name, places in ran.items() if places == _order_of(named)}
         if not ran:
             return _estimated(named, takt_s)
     if not ran:
@@ -96,6 +98,34 @@ def today_of(dataset: Dataset, work: Work, takt_s: float | None, named: CycleEst
     within = None if missed is None else (1 - missed / len(names), *wilson(1 - missed / len(names), len(names)))
     mean_s, name = float(cycles_s.mean()), named.name if named else None
     return Today(len(names), mean_s, low_s, high_s, missed, within, order if same else None, names, name)
+
+
+def _orders(dataset: Dataset) -> dict[str, tuple[str, ...]]:
+    """Return the order that each execution ran: its places, or of task lists the tasks of robot and operator."""
+    found = {one.execution: tuple(one.places) for one in dataset.card.executions if one.places}
+    if not found:
+        tasks = dataset.every_task().sort("start_s").select("execution", "agent", "task")
+        for (name,), rows in tasks.group_by(["execution"], maintain_order=True):
+            found[str(name)] = _plan_order(rows.select("agent", "task").rows())
+    return found
+
+
+def _order_of(named: CycleEstimate) -> tuple[str, ...]:
+    return named.places if named.tracks else _plan_order([(task.kind, task.task) for task in named.plan])
+
+
+def _plan_order(tasks: Sequence[tuple[str, str]]) -> tuple[str, ...]:
+    return (PLAN, *(f"{agent}: {task}" for agent, task in sorted(tasks, key=lambda each: each[0] != "robot")))
+
+
+def _does(order: tuple[str, ...], work: Work) -> bool:
+    """Tell whether an order does this work; tasks of lists are compared by their names, whatever agents are called."""
+    if order[:1] != (PLAN,):
+        return work_of(order) == work
+    mine, wanted = (
+        sorted(visit.rpartition(": ")[2] for visit in some) for some in (work_of(order).visits, work.visits)
+    )
+    return mine == wanted
 
 
 def _estimated(named: CycleEstimate, takt_s: float | None) -> Today:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _WIDTH_IN, _WIDE_IN = 11.0, 6.0
 _LEFT_IN, _RIGHT_IN, _FOOT_IN, _KEY_IN = 0.82, 0.16, 0.5, 0.2
 _TITLE_IN, _COURSE_IN, _LABEL_IN, _BAR_IN, _GAP_IN = 0.27, 0.5, 0.17, 0.24, 0.09
-_TITLE_PT, _LABEL_PT, _NAME_PT = 9.0, 7.5, 8.5
+_TITLE_PT, _LABEL_PT, _NAME_PT = 9.0, 8.0, 8.5
 _INK, _MUTED, _RULE, _BAND = "#1c232b", "#55606c", "#d9dee4", "#b9c8db"
 
 
@@ -202,7 +202,7 @@ class _Drawing:
         room_in = self._axes.get_xlim()[1] / self._s_per_in
         title = _fitting(block.titles, room_in, _TITLE_PT, cut=True)
         at_in = self._top_in + _TITLE_IN - 0.06
-        self._axes.text(0.0, at_in, title, fontsize=_TITLE_PT, fontweight="bold", color=_INK, va="baseline")
+        self._write(0.0, at_in, title, _TITLE_PT, weight="bold")
         if block.course is not None:
             names[self._draw_course(block.course)] = "tasks done"
         for bar in block.bars:
@@ -238,10 +238,17 @@ class _Drawing:
             self._tip(self._axes.figure, drawn.patches[0], bar.tip, bar.row)  # type: ignore[arg-type]
 
     def _draw_label(self, label: Label) -> None:
+        arrives = any((arrow.to_lane, arrow.to_s) == (label.lane, label.start_s) for arrow in self._block.arrows)
+        beside_in = 0.07 if arrives else 0.0
         room_in = (label.end_s - label.start_s) / self._s_per_in
-        if text := _fitting(label.texts, room_in - 0.03, _LABEL_PT):
+        if text := _fitting(label.texts, room_in - 0.03 - beside_in, _LABEL_PT):
             at_in = self._bars_in[label.lane] - 0.04
-            self._axes.text(label.start_s, at_in, text, fontsize=_LABEL_PT, color=_INK, va="baseline", clip_on=True)
+            self._write(label.start_s + beside_in * self._s_per_in, at_in, text, _LABEL_PT)
+
+    def _write(self, at_s: float, at_in: float, text: str, size_pt: float, weight: str = "normal") -> None:
+        """Write on white, so that neither the grid nor the takt goes through a letter."""
+        look: dict[str, Any] = {"fontsize": size_pt, "fontweight": weight, "color": _INK, "va": "baseline", "zorder": 6}
+        self._axes.text(at_s, at_in, text, bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.4}, **look)
 
     def _draw_arrow(self, arrow: Arrow) -> None:
         below = arrow.from_lane < arrow.to_lane

@@ -154,6 +154,7 @@ def _today(texts: ReportTexts, found: TaktVerdict) -> str:
     if today is None:
         return ""
     mean, _ = with_uncertainty(today.mean_s, today.low_s, today.high_s)
+    mean = fixed(today.mean_s, 1) if today.executions == 1 else mean
     said = texts("verdict.today", mean=mean)
     if today.sequence is not None:
         said = texts("verdict.baseline", name=today.sequence, mean=mean)
@@ -176,7 +177,9 @@ def _found(texts: ReportTexts, found: TaktVerdict) -> str:
         if found.order.saves_s[1] > 0 and found.expected_s is not None:
             said = texts("verdict.order", mean=_mean(found), change=_beside(texts, found, found.expected_s))
             said += _within(texts, "verdict.within", found.within, found.takt_s)
-    elif best is not None and not _is_today(found, best):
+    elif best is not None and found.today is not None and found.today.sequence == best.name:
+        said = texts("verdict.none_faster")
+    elif best is not None:
         clear = found.today is None or not _overlap(best, found.today)
         beside = _beside(texts, found, best.expected_s) if clear else texts("verdict.not_clear")
         said = texts("verdict.sequence", name=best.name, mean=_mean(found), change=beside)
@@ -191,11 +194,6 @@ def _found(texts: ReportTexts, found: TaktVerdict) -> str:
     if change.places == named:
         return f"{said}; {texts('verdict.with_change', **values)}."
     return f"{said}; {texts('verdict.with_change_of', name=change.sequence, **values)}."
-
-
-def _is_today(found: TaktVerdict, best: CycleEstimate) -> bool:
-    """Return whether the best sequence is the estimate that was named for the baseline."""
-    return found.today is not None and not found.today.executions and found.today.sequence == best.name
 
 
 def _mean(found: TaktVerdict) -> str:

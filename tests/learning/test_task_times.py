@@ -24,7 +24,7 @@ from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import PaceCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, DatasetError, EstimateError, ModelError
-from cyclekit.estimate.gantt import chart_of
+from cyclekit.estimate.gantt import blocks_of
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.plan.task_orders import JobTask, TaskJobs, TaskOrderPlan
 from cyclekit.estimate.whatif.change import Change
@@ -107,14 +107,14 @@ def test_the_time_chart_shows_waits_with_an_arrow_from_what_ended_them(coupled, 
     file = tmp_path / "chart.svg"
     found = estimate_cycles(folder / "model", folder / "dataset", plan_of(order), gantt=file)
     assert "written by cyclekit" in file.read_text(encoding="utf-8")
-    lanes, bars, arrows = chart_of(found)
-    assert lanes == ["plan: robot", "plan: operator"]
-    by_text = {bar.text: bar for bar in bars if bar.text}
-    assert set(by_text) == {"bring", "weld", "inspect", "mount", "pack"}
-    (wait,) = (bar for bar in bars if bar.waits and bar.lane == 0)
-    assert (wait.start_s, wait.end_s) == pytest.approx((by_text["bring"].end_s, by_text["weld"].start_s))
-    (arrow,) = (arrow for arrow in arrows if arrow.to_lane == 0)
-    assert (arrow.from_s, arrow.to_s) == pytest.approx((by_text["mount"].end_s, by_text["weld"].start_s))
+    (block,) = blocks_of(found)
+    assert block.lanes == ("robot", "operator")
+    named = {label.texts[0].partition(" ")[2]: label for label in block.labels}
+    assert set(named) == {"bring", "weld", "inspect", "mount", "pack"}
+    (wait,) = (bar for bar in block.bars if bar.waits and bar.lane == 0)
+    assert (wait.start_s, wait.end_s) == pytest.approx((named["bring"].end_s, named["weld"].start_s))
+    (arrow,) = (arrow for arrow in block.arrows if arrow.to_lane == 0)
+    assert (arrow.from_s, arrow.to_s) == pytest.approx((named["mount"].end_s, named["weld"].start_s))
 
 
 def test_an_earliest_start_and_a_told_precedence_are_kept(coupled) -> None:
@@ -321,14 +321,25 @@ def test_the_report_has_a_time_chart_and_who_waits_for_what_and_what_is_not_know
     facts = write_report(folder / "dataset", tmp_path / "page.html", **asked)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert facts.pictures == 1
-    assert "data:image/svg+xml;base64," in page
-    assert facts.headline.startswith("Shortest of 1: plan 3")
+    assert "<title>robot: 2 weld: " in page
+    assert "“plan 3” takes " in facts.headline
     write_report(folder / "dataset", tmp_path / "page.md", **asked)
     words = (tmp_path / "page.md").read_text(encoding="utf-8")
     assert "operator: mount (" in words
     assert "| arm | weld | 120 |" in words
     assert "Nothing is known of positions, distances, zones and the safety function" in words
     assert "| faster | plan 3 |" in words
+
+
+def test_the_report_of_task_lists_holds_today_and_plans_against_the_takt(coupled, tmp_path) -> None:
+    folder, _ = coupled
+    logged = Dataset(folder / "dataset")
+    order = logged.card.executions[0].places
+    print(order)
+    agents = {"robot": ["bring", "weld"], "operator": ["inspect", "mount"]}
+    asked = {"model": folder / "model", "sequences": plan_of(agents, "plan 3"), "takt_s": 40.0}
+    facts = write_report(folder / "dataset", tmp_path / "page.json", **asked)
+    print(facts.headline, json.loads((tmp_path / "page.json").read_text(encoding="utf-8"))["verdict"])
 
 
 def test_evaluate_names_a_pace_that_changed_since_the_training(coupled, tmp_path) -> None:

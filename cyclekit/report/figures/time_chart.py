@@ -40,6 +40,7 @@ _WORDS = {
     "tasks": "{name}: mean split per task, in order",
     "plan": "{name}: start, end and wait of each task",
     "cycle": "Cycle",
+    "idle": "Until the operator is done, s",
     "number": "No.",
     "agent": "Agent",
     "task": "Task",
@@ -115,10 +116,11 @@ def _heads(texts: ReportTexts) -> list[str]:
 
 
 def _split(texts: ReportTexts, found: Sequence[CycleEstimate]) -> ReportTable:
-    heads = [texts("time_chart.cycle"), *_heads(texts)]
-    rows = [
-        [each.name, *(fixed(getattr(each, part), 1) for part in _FIELDS), fixed(each.expected_s, 1)] for each in found
-    ]
+    *parts, total = _heads(texts)
+    idle = ["idle_s"] if any(each.idle_s > SHOWN_S for each in found) else []
+    heads = [texts("time_chart.cycle"), *parts, *(texts("time_chart.idle") for _ in idle), total]
+    fields = (*_FIELDS, *idle, "expected_s")
+    rows = [[each.name, *(fixed(getattr(each, field), 1) for field in fields)] for each in found]
     return ReportTable(texts("time_chart.split"), heads, rows, frozenset(range(1, len(heads))))
 
 

@@ -142,9 +142,11 @@ def _interval(names: Sequence[str], cycles_s: Vector) -> tuple[float, float]:
 
 def logged_order(dataset: Dataset) -> tuple[str, ...]:
     """Return the complete executions of the order that was run most; of orders run once, the one of median length."""
-    complete = dataset.executions.filter("complete").sort("duration_s")
-    of = {one.execution: one.places for one in dataset.card.executions if not one.reference and len(one.places) > 1}
-    names = [name for name in complete["execution"] if name in of]
+    alone = [one.execution for one in dataset.card.executions if one.reference]
+    complete = dataset.executions.filter("complete").sort("duration_s")["execution"].to_list()
+    tasks = dataset.tasks().sort("start_s").group_by("execution").agg("task")
+    of = {name: tuple(order) for name, order in tasks.iter_rows() if name not in alone}
+    names = [name for name in complete if name in of]
     if not names:
         return ()
     order, times = Counter(of[name] for name in names).most_common(1)[0]
@@ -179,7 +181,7 @@ def logged_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEst
     cycles_s, split = ends_s[:, -1], dict(zip(_SPLIT, parts_s.sum(axis=0).tolist(), strict=True))
     low_s, high_s = _interval(names, cycles_s)
     quantiles = {level: float(np.quantile(cycles_s, level)) for level in LEVELS} if single else {}
-    places = next(one.places for one in dataset.card.executions if one.execution == names[0])
+    places = next(tuple(one.places) for one in dataset.card.executions if one.execution == names[0])
     return CycleEstimate(
         title, places, float(cycles_s.mean()), low_s, high_s, quantiles, **split,
         support=1.0, tracks=len(each), warnings=(), tasks=shares, safety_by_activity_s={},

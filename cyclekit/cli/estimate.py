@@ -77,6 +77,7 @@ def estimate(
     is an error.
     """
     from cyclekit.api.estimate import estimate_cycles
+    from cyclekit.api.given import refuse_baseline, sequences_of
     from cyclekit.api.inspect import plan_recordings
     from cyclekit.cli.facts import to_log
     from cyclekit.dataset.dataset import Dataset
@@ -84,6 +85,8 @@ def estimate(
     from cyclekit.report.verdict import basis, in_words, verdict
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
+    if baseline is not None:
+        refuse_baseline(baseline, [each.name for each in sequences_of(sequences)])
     asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
     with terminal.progress("estimating") as progress:
         found = estimate_cycles(
@@ -120,9 +123,8 @@ def estimate(
     ]
     parts += [rests_on(found), judged(found.check) if found.check else ""]
     held, texts = verdict(Dataset.of(dataset), found, (), None, takt_s, baseline), load_texts()
-    said = in_words(texts, held) if held else ""
-    parts.append(bullet([said, basis(texts, held)], mark="") if held else "")
-    terminal.answer(found.to_dict() | {"verdict": held.to_dict(said) if held else None}, *parts)
+    parts.append(bullet([in_words(texts, held), basis(texts, held)], mark="") if held else "")
+    terminal.answer(found.to_dict(), *parts)
 
 
 def not_answered(refused: Sequence[Refusal]) -> str:

@@ -333,13 +333,28 @@ def test_the_report_has_a_time_chart_and_who_waits_for_what_and_what_is_not_know
 
 def test_the_report_of_task_lists_holds_today_and_plans_against_the_takt(coupled, tmp_path) -> None:
     folder, _ = coupled
-    logged = Dataset(folder / "dataset")
-    order = logged.card.executions[0].places
-    print(order)
-    agents = {"robot": ["bring", "weld"], "operator": ["inspect", "mount"]}
-    asked = {"model": folder / "model", "sequences": plan_of(agents, "plan 3"), "takt_s": 40.0}
-    facts = write_report(folder / "dataset", tmp_path / "page.json", **asked)
-    print(facts.headline, json.loads((tmp_path / "page.json").read_text(encoding="utf-8"))["verdict"])
+    logged = Dataset.of(folder / "dataset")
+    tasks = logged.every_task().sort("start_s").filter(execution=logged.card.executions[0].execution)
+    order = {agent: tasks.filter(agent=agent)["task"].to_list() for agent in ("robot", "operator")}
+    again = {"robot": ["polish", *order["robot"]], "operator": order["operator"]}
+    asked = {"model": folder / "model", "sequences": [plan_of(order, "same"), plan_of(again, "more")], "takt_s": 60.0}
+    write_report(folder / "dataset", tmp_path / "page.json", **asked)
+    found = json.loads((tmp_path / "page.json").read_text(encoding="utf-8"))
+    same = next(each for each in found["estimates"] if each["name"] == "same")
+    assert found["verdict"]["today"]["executions"] == 40  # all do the same work
+    mean_s = logged.executions["duration_s"].mean()
+    assert found["verdict"]["today"]["mean_s"] == pytest.approx(mean_s)
+    within = float((logged.executions["duration_s"] <= 60.0).mean())
+    assert found["verdict"]["today"]["within"][0] == pytest.approx(within)
+    assert found["verdict"]["best"]["sequence"] == "same"
+    assert found["verdict"]["best"]["within"][0] == pytest.approx(same["takt_probability"][0])
+    assert found["verdict"]["best"]["saves_s"] == pytest.approx(mean_s - same["expected_s"])
+    assert "of cycles within the takt of 60 s" in found["headline"].replace("\N{NO-BREAK SPACE}", " ")
+    ends = [task["end_high_s"] for task in same["plan"]]
+    assert max(ends) == pytest.approx(same["quantiles_s"]["0.95"], rel=0.01)
+    named = write_report(folder / "dataset", tmp_path / "page.html", **asked, baseline="same").headline
+    duration_s = logged.executions["duration_s"][0]
+    assert named.startswith(f"“same” (baseline) {duration_s:.1f}")
 
 
 def test_evaluate_names_a_pace_that_changed_since_the_training(coupled, tmp_path) -> None:

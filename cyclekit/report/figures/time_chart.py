@@ -83,14 +83,16 @@ def draw(found: Sequence[CycleEstimate], takt_s: float | None, width_in: float) 
 def alt_of(texts: ReportTexts, found: Sequence[CycleEstimate]) -> str:
     """Return the alternative text of the time chart of these cycles."""
     first = found[0]
-    worst = max(first.tasks, key=lambda share: share.safety_loss_s)
-    values = {"count": len(found), "name": first.name, "mean": fixed(first.expected_s, 1)}
-    return texts("time_chart.picture", **values, task=spelt(worst.task), loss=fixed(worst.safety_loss_s, 1))
+    worst = max(first.tasks, key=lambda share: share.safety_loss_s, default=None)
+    task, loss = (spelt(worst.task), fixed(worst.safety_loss_s, 1)) if worst else (UNKNOWN, UNKNOWN)
+    mean = fixed(first.expected_s, 1)
+    return texts("time_chart.picture", count=len(found), name=first.name, mean=mean, task=task, loss=loss)
 
 
 def _said(texts: ReportTexts, drawn: Sequence[CycleEstimate], left: int) -> Iterator[str]:
     yield texts("time_chart.caption")
-    if levels := sorted(drawn[-1].quantiles_s)[:: max(len(drawn[-1].quantiles_s) - 1, 1)]:
+    levels = sorted(drawn[-1].quantiles_s)
+    if len(levels) > 1:
         yield texts("time_chart.course", share=f"{100 * (levels[-1] - levels[0]):.0f} %")
     if any(each.operator_at for each in drawn):
         yield texts("time_chart.lane")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
 from typing import Any
 
 from cyclekit.api.arguments import Place, Progress, checked
@@ -12,13 +11,11 @@ from cyclekit.api.given import Sequences, sequences_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.answers import CycleEstimates
+from cyclekit.estimate.resample import least_wide
 from cyclekit.estimate.result import CycleEstimate
 from cyclekit.estimate.safety import SafetyModel
 from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.text.results import Result
-
-_Z = 1.96
-"""Half the width of a 95 % interval, standard errors."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,16 +78,8 @@ class GateVerdict(Result):
 
 
 def _share(one: CycleEstimate) -> tuple[float, float, float]:
-    """Return which part of the cycles is within the takt, with a 95 % interval.
-
-    Resampling executions that are all within the takt gives an interval without width; the interval here is never
-    narrower than Wilson's of a part that was counted in so many executions.
-    """
-    share, low, high = one.takt_probability or (0.0, 0.0, 1.0)
-    count = max(one.executions, 1)
-    middle = (share + _Z**2 / (2 * count)) / (1 + _Z**2 / count)
-    half = _Z * sqrt(share * (1 - share) / count + (_Z / (2 * count)) ** 2) / (1 + _Z**2 / count)
-    return share, max(min(low, middle - half), 0.0), min(max(high, middle + half), 1.0)
+    """Return which part of the cycles is within the takt, with a 95 % interval."""
+    return least_wide(one.takt_probability or (0.0, 0.0, 1.0), one.executions)
 
 
 @checked

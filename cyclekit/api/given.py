@@ -8,7 +8,7 @@ from pathlib import Path
 from cyclekit.api.arguments import Place
 from cyclekit.config.sequences import TaskSequence, load_sequences
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.errors import ConfigError
+from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.estimate.plan.jobs import Jobs, load_jobs
 from cyclekit.estimate.plan.task_orders import TaskJobs, load_task_jobs
 from cyclekit.estimate.safety import SafetyModel
@@ -89,6 +89,16 @@ def task_jobs_of(given: Jobs | TaskJobs | Place) -> TaskJobs:
         return given
     seen = f"{given.shown}: places to visit, and a model of task times orders tasks of both agents"
     raise ConfigError(seen, cure="Give TaskJobs, or a jobs file with [[task]].")
+
+
+def refuse_baseline(baseline: str | None, names: Sequence[str]) -> None:
+    """Refuse a baseline that is none of the sequences, before anything is computed.
+
+    Raises:
+        UnknownName: There is no sequence of that name.
+    """
+    if baseline is not None and baseline not in names:
+        raise UnknownName("the baseline", "sequence", baseline, names)
 
 
 def place_of(given: object) -> Path | str | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.estimate import estimate_cycles
 from cyclekit.api.evaluate import evaluate_model
-from cyclekit.api.given import Sequences, jobs_of, place_of, sequences_of, times_of, trained_of
+from cyclekit.api.given import Sequences, jobs_of, place_of, refuse_baseline, sequences_of, times_of, trained_of
 from cyclekit.api.plan import plan_order
 from cyclekit.api.whatif import what_if as try_changes
 from cyclekit.api.workbooks import need_workbook, sheets_of_estimates, sheets_of_logs
@@ -68,6 +68,7 @@ def write_report(
     what_if: Sequence[Place | Change | Tried] = (),
     jobs: Jobs | Place | None = None,
     takt_s: float | None = None,
+    baseline: str | None = None,
     kind: Format | None = None,
     pdf: Place | None = None,
     template: Place | None = None,
@@ -91,6 +92,7 @@ def write_report(
             `FILE.json` of `what_if`, `LABEL=FILE.json` of `estimate_cycles`.
         jobs: Work whose quickest order is searched, estimated and changed with the sequences.
         takt_s: Takt time that the cycles are held against, s.
+        baseline: Name of the sequence that the others are held against; by default what was logged most.
         kind: `html`, `json`, `csv`, `md` or `xlsx`; by default by the ending of `out`.
         pdf: Also print the page here, by an installed browser.
         template: Folder whose files take the place of the page's own.
@@ -116,6 +118,8 @@ def write_report(
         need_workbook(file)
     check_output(printed, "pdf", [*read, file], option="--pdf", endings=(".pdf",))
     changes, tried = _tried(what_if)
+    asked_for = [each.name for each in ([] if sequences is None else sequences_of(sequences))]
+    refuse_baseline(baseline, [*asked_for, *([] if jobs is None else [ORDER])])
     if model is None and (sequences or jobs or changes):
         raise ConfigError("estimates need a model", cure="Give a model, or leave the sequences out.")
     if printed is not None:
@@ -126,18 +130,18 @@ def write_report(
     data = Dataset.of(dataset)
     page: dict[str, Any] = {"estimates": estimates or (), "check": estimates.check if estimates else None}
     page["what_if"] = tried
+    looks: dict[str, Any] = {"takt_s": takt_s, "baseline": baseline, "template": folder, "cell_name": cell_name}
     times = times_of(model)
     if times is not None:
-        facts = _of_tasks(times, data, file, sequences, changes, jobs, chosen, folder, cell_name)
+        facts = _of_tasks(times, data, file, sequences, changes, jobs, {"kind": chosen, **looks})
         if printed is not None:
             write_pdf(file, printed)
         return replace(facts, pdf=printed)
     trained = None if model is None else trained_of(model)  # type: ignore[arg-type]  # none of task times
     if trained is not None:
         asked = _Asked(trained, data, validate, extrapolate, other_cell, tell)
-        asked.takt_s = takt_s if chosen == "xlsx" else None  # the page counts its share itself
+        asked.takt_s = takt_s
         page = asked.found(sequences, changes, tried, jobs, estimates, evaluation)
-    looks: dict[str, Any] = {"takt_s": takt_s, "template": folder, "cell_name": cell_name}
     if chosen == "xlsx":
         return _as_workbook(data, trained, file, page, looks)
     facts = compose_report(data, trained, file, kind=chosen, play=play, **page, **looks, progress=_part(tell, 0.7, 1.0))
@@ -154,21 +158,18 @@ def _of_tasks(
     sequences: Sequences | None,
     changes: list[Change],
     jobs: Jobs | Place | None,
-    kind: str,
-    template: Path | None,
-    cell_name: str | None,
+    looks: dict[str, Any],
 ) -> ReportFacts:
     """Write the report of a model of task times."""
     wanted = [] if sequences is None else sequences_of(sequences)
     planned = None if jobs is None else cast("TaskOrderPlan", plan_order(model, data, jobs))
-    asked = [*wanted, *([TaskSequence.of_plan("planned", planned.tasks)] if planned else [])]
+    asked = [*wanted, *([TaskSequence.of_plan(ORDER, planned.tasks)] if planned else [])]
     if changes and not asked:
         raise ConfigError("changes are tried on sequences, and none are given", cure="Give sequences or jobs.")
-    found = estimate_cycles(model, data, wanted).require_all() if wanted else None
+    found = estimate_cycles(model, data, asked, takt_s=looks["takt_s"]).require_all() if asked else None
     changed = try_changes(model, data, asked, changes).require_all() if changes else ()
-    name = cell_name or data.card.name or data.path.name
     parts: dict[str, Any] = {"estimates": found, "planned": planned, "changed": list(changed)}
-    return report_tasks(model.card, file, name=name, kind=kind, template=template, **parts)
+    return report_tasks(model.card, data, file, **parts, **looks)
 
 
 def _as_workbook(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cyclekit.cli.options import (
+    Baseline,
     Checked,
     EngineName,
     Extrapolate,
@@ -57,6 +58,7 @@ def estimate(
         str | None, typer.Option(help="rollout, average, history or nominal; by default what suits the model.")
     ] = None,
     takt: Takt = None,
+    baseline: Baseline = None,
     quantiles: Annotated[str, typer.Option(metavar="LEVELS", help="Quantiles of single cycles, percent.")] = "5,50,95",
     check: Checked = True,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling of operator tracks.")] = 0,
@@ -75,10 +77,16 @@ def estimate(
     is an error.
     """
     from cyclekit.api.estimate import estimate_cycles
+    from cyclekit.api.given import refuse_baseline, sequences_of
     from cyclekit.api.inspect import plan_recordings
     from cyclekit.cli.facts import to_log
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.report.texts import load_texts
+    from cyclekit.report.verdict import basis, in_words, verdict
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
+    if baseline is not None:
+        refuse_baseline(baseline, [each.name for each in sequences_of(sequences)])
     asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
     with terminal.progress("estimating") as progress:
         found = estimate_cycles(
@@ -113,7 +121,10 @@ def estimate(
         by_task,
         "" if any(entry.plan for entry in found) else loses_most(found),
     ]
-    terminal.answer(found.to_dict(), *parts, rests_on(found), judged(found.check) if found.check else "")
+    parts += [rests_on(found), judged(found.check) if found.check else ""]
+    held, texts = verdict(Dataset.of(dataset), found, (), None, takt_s, baseline), load_texts()
+    parts.append(bullet([in_words(texts, held), basis(texts, held)], mark="") if held else "")
+    terminal.answer(found.to_dict(), *parts)
 
 
 def not_answered(refused: Sequence[Refusal]) -> str:

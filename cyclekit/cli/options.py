@@ -34,6 +34,10 @@ SequenceFile = Annotated[
 Takt = Annotated[
     str | None, typer.Option(metavar="TIME", help="Takt time, such as 105s or 1min 45s: compare the cycles with it.")
 ]
+Baseline = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Sequence that the others are held against; default: what was logged most."),
+]
 OperatorLog = Annotated[
     Path | None, typer.Option(help="Real tracker recording to use instead of the simulated operator.")
 ]

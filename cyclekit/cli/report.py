@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from cyclekit.cli.options import Checked, DatasetPlace, Extrapolate, Json, OtherCell, Quiet, Takt, seconds
+from cyclekit.cli.options import Baseline, Checked, DatasetPlace, Extrapolate, Json, OtherCell, Quiet, Takt, seconds
 from cyclekit.cli.terminal import Terminal, megabytes
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ def report(
     ] = None,
     sequences: Annotated[Path | None, typer.Option(help="Sequence file whose estimates go into the page.")] = None,
     takt: Takt = None,
+    baseline: Baseline = None,
     what_if: Annotated[
         list[str] | None,
         typer.Option(
@@ -74,6 +75,7 @@ def report(
             what_if=what_if or [],
             jobs=plan,
             takt_s=takt_s,
+            baseline=baseline,
             kind=chosen,
             pdf=pdf,
             template=template,

@@ -9,7 +9,7 @@ import numpy as np
 
 from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.resample import share_within
-from cyclekit.estimate.result import CycleEstimate, TaskShare
+from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, CycleEstimate, TaskShare
 from cyclekit.estimate.safety import OnStates
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.question import Question
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled
-    from cyclekit.schema import Floats
+    from cyclekit.schema import Floats, Vector
 
 LEAST_SUPPORT = 0.5
 """Below this part of the cycle in logged cells the question is refused."""
@@ -53,7 +53,8 @@ def entry_of(
     check = ask.check
     cycles, slower = _corrected(cycles, means.factor)
     durations = cycles.duration_s
-    shares = tuple(_shares(program, cycles))
+    split = zip(_shares(program, cycles), _ends(ask, program, cycles), strict=True)
+    shares = tuple(replace(share, end_low_s=first, end_high_s=last) for share, (first, last) in split)
     expected = float(durations.mean())
     bias = check.doubted_bias if check else 0.0
     low, high = means.interval(bias_s=bias * expected, seed=ask.seed)
@@ -66,9 +67,7 @@ def entry_of(
         expected_s=expected,
         expected_low_s=low,
         expected_high_s=high,
-        quantiles_s={
-            p: check.quantile(durations, p) if check else float(np.quantile(durations, p)) for p in ask.quantiles
-        },
+        quantiles_s={p: check.quantile(durations, p) if check else _quantile(durations, p) for p in ask.quantiles},
         nominal_s=sum(share.nominal_s for share in shares),
         safety_loss_s=sum(share.safety_loss_s for share in shares),
         dwell_s=sum(share.dwell_s for share in shares),
@@ -89,7 +88,37 @@ def entry_of(
         operator=sequence.operator,
         check=check,
         combined=means.combined,
+        operator_at=operator_at(tracks, expected) if tracks else {},
     )
+
+
+def operator_at(tracks: OperatorTracks, cycle_s: float) -> dict[str, tuple[float, ...]]:
+    """Return on which part of the tracks the operator is at each of his tasks, in PARTS equal parts of a cycle."""
+    middle_s = (np.arange(PARTS) + 0.5) / PARTS * cycle_s
+    sample = np.minimum((middle_s / tracks.step_s).astype(np.int64), tracks.activity.shape[1] - 1)
+    doing = tracks.activity[:, sample]
+    names = [*tracks.activities, ELSEWHERE, AWAY]
+    doing = np.where(doing < 0, len(tracks.activities), doing)
+    if tracks.state is None:
+        doing = np.where(np.isnan(tracks.xyz_m[:, sample, 0]), len(names) - 1, doing)
+    parts = ((name, (doing == number).mean(axis=0)) for number, name in enumerate(names))
+    return {name: tuple(np.round(part, 4).tolist()) for name, part in parts if part.any()}
+
+
+def _ends(ask: Question, program: Program, cycles: Rolled) -> list[tuple[float, float] | tuple[None, None]]:
+    """Return between which times each task ends in single cycles; the last one ends with the cycle."""
+    if not cycles.looked_closely or len(cycles.duration_s) < 2 or len(ask.quantiles) < 2:
+        return [(None, None)] * len(program.tasks)
+    motion = np.array([task.nominal_s for task in program.tasks])
+    ends = np.cumsum(motion + cycles.safety_s + cycles.stands_s, axis=1)
+    ends *= (cycles.duration_s / ends[:, -1])[:, None]
+    quantile = ask.check.quantile if ask.check else _quantile
+    low, high = min(ask.quantiles), max(ask.quantiles)
+    return [(quantile(end, low), quantile(end, high)) for end in ends.T]
+
+
+def _quantile(cycles_s: Vector, level: float) -> float:
+    return float(np.quantile(cycles_s, level))
 
 
 def _why(ask: Question, combined: Combined | None) -> str:

@@ -1,27 +1,38 @@
-"""Estimates as a time chart: one lane for the robot of each sequence, and one for the operator of a plan for both."""
+"""Estimates as a time chart: a block for each sequence, with the robot's tasks, and the operator where he is known."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import re
+from collections import Counter
+from typing import TYPE_CHECKING, NamedTuple
 
+from cyclekit.estimate.result import AWAY, ELSEWHERE, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.plots import colours
-from cyclekit.plots.gantt import Arrow, Bar, draw_gantt
+from cyclekit.plots.gantt import Arrow, Bar, Block, Course, Label, Layer, draw_gantt
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from cyclekit.estimate.result import CycleEstimate, PlannedShare
-
-LEGEND = {
-    "motion at full speed": colours.NOMINAL,
-    "slow-down for safety": colours.SAFETY,
-    "dwell": colours.DWELL,
-    "wait": colours.WAIT,
-}
-PLAN_LEGEND = {"robot's task": colours.NOMINAL, "operator's task": colours.OPERATOR, "wait": colours.WAIT}
+_MOTION, _DWELL, _WAIT = "motion at full speed", "dwell", "wait"
+_ROBOT, _OPERATOR, _TAKT = "robot's task", "operator's task", "takt"
+_SPEEDS = (0.75, 0.5, 0.25)
+"""Mean speeds whose colours the legend names."""
 SHOWN_S = 0.2
 """A shorter wait is not drawn."""
+_TINTS = ("#0f7b6c", "#56aa9d", "#a3d1c9")
+"""What the operator does most, by how often; the rest is told as one."""
+_OTHER, _AWAY = "#d8ebe7", "#ffffff"
+_REST = "other places"
+
+
+class _Ended(NamedTuple):
+    """When a task ends: mean, and between which times in single cycles, s."""
+
+    name: str
+    end_s: float
+    low_s: float | None
+    high_s: float | None
 
 
 def write_gantt(path: Path, found: Sequence[CycleEstimate]) -> None:
@@ -31,49 +42,97 @@ def write_gantt(path: Path, found: Sequence[CycleEstimate]) -> None:
         path: File to write, `.svg`, `.png` or `.pdf`.
         found: What is drawn.
     """
-    lanes, bars, arrows = chart_of(found)
-    draw_gantt(path, lanes, bars, arrows, legend_of(found))
+    takt_s = found[0].takt_s if found else None
+    draw_gantt(path, blocks_of(found), legend_of(found, takt_s), takt_s)
 
 
-def legend_of(found: Sequence[CycleEstimate]) -> dict[str, str]:
-    """Return colour by meaning of a chart of estimates."""
-    plain, timed, split = {}, {}, {}
-    for each in found:
-        if not each.plan:
-            plain = LEGEND
-        elif each.tracks:
-            split = LEGEND | {"operator's task": colours.OPERATOR}
-        else:
-            timed = PLAN_LEGEND
-    return plain | timed | split
+def legend_of(found: Sequence[CycleEstimate], takt_s: float | None = None) -> dict[str, str]:
+    """Return colour by meaning of a chart of estimates: what is drawn, and no more."""
+    drawn = {bar.colour for block in blocks_of(found) for bar in block.bars}
+    split = any(not _of_lists(each) for each in found)
+    legend = {_MOTION: colours.NOMINAL} if split else {_ROBOT: colours.NOMINAL}
+    if any(share.safety_loss_s > 0.0 for each in found if not _of_lists(each) for share in each.tasks):
+        first, *others = _SPEEDS
+        legend[f"slow-down to a mean speed of {_percent(first)}"] = colours.scaling_hex(first)
+        legend |= {_percent(speed): colours.scaling_hex(speed) for speed in others}
+    known = {_DWELL: colours.DWELL, _WAIT: colours.WAIT, _OPERATOR: colours.OPERATOR}
+    legend |= {text: colour for text, colour in known.items() if colour in drawn}
+    legend |= {f"operator at {name}": colour for name, colour in _operator_colours(found).items() if name != AWAY}
+    return legend | ({f"{_TAKT} {takt_s:g} s": colours.SCALING_ANCHORS[0][1]} if takt_s is not None else {})
 
 
-def chart_of(found: Sequence[CycleEstimate]) -> tuple[list[str], list[Bar], list[Arrow]]:
-    """Return lanes, bars and arrows of a time chart of estimates."""
-    lanes: list[str] = []
-    bars: list[Bar] = []
-    arrows: list[Arrow] = []
-    for each in found:
-        if each.plan:
-            some, more = _plan(each, len(lanes))
-            arrows += more
-            lanes += [f"{each.name}: {agent}" for agent in _agents(each.plan)]
-        else:
-            some = _tasks(each, len(lanes))
-            lanes.append(each.name)
-        bars += some
-    return lanes, bars, arrows
+def blocks_of(found: Sequence[CycleEstimate]) -> list[Block]:
+    """Return the blocks of a time chart of estimates."""
+    tints = _operator_colours(found)
+    return [_of_plan(each, tints) if each.plan else _of_tasks(each, tints) for each in found]
 
 
-def _tasks(each: CycleEstimate, lane: int) -> list[Bar]:
-    bars, at = [], 0.0
-    for task in each.tasks:
-        parts = (task.nominal_s, task.safety_loss_s, task.dwell_s, task.wait_s)
-        for part_s, colour, text in zip(parts, LEGEND.values(), (task.task, "", "", ""), strict=True):
-            if part_s > 0.0:
-                bars.append(Bar(lane, at, at + part_s, colour, text, waits=colour == colours.WAIT))
-                at += part_s
+def _of_lists(each: CycleEstimate) -> bool:
+    """Return whether it knows no motion, only tasks."""
+    return bool(each.plan) and not each.tracks
+
+
+def _of_tasks(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
+    bars, labels, at_s, ended = list[Bar](), list[Label](), 0.0, list[_Ended]()
+    for number, share in enumerate(each.tasks, start=1):
+        parts = _parts(share, 0, at_s, at_s + share.expected_s, f"{number} {spelt(share.task)}")
+        end_s = max((bar.end_s for bar in parts), default=at_s)
+        labels.append(Label(0, at_s, end_s, _texts(share.task, number)))
+        bars += parts
+        ended.append(_Ended(spelt(share.task), end_s, share.end_low_s, share.end_high_s))
+        at_s = end_s
+    layers = _layers(each, tints)
+    return Block(_titles(each), ("robot",), tuple(bars), tuple(labels), (), _course(ended), layers, "operator")
+
+
+def _parts(share: TaskShare, lane: int, start_s: float, end_s: float, row: str) -> list[Bar]:
+    """Return the bars of a task of the robot: motion, slow-down in the colour of the mean speed, dwell, wait."""
+    motion_s = share.nominal_s + share.safety_loss_s
+    speed = share.nominal_s / motion_s if motion_s > 0.0 else 1.0
+    slow = colours.scaling_hex(min(max(speed, 0.0), 1.0))
+    parts = [
+        (share.nominal_s, colours.NOMINAL, "motion at full speed"),
+        (share.safety_loss_s, slow, f"slow-down (mean speed {_percent(speed)})"),
+        (share.dwell_s, colours.DWELL, _DWELL),
+        (share.wait_s, colours.WAIT, _WAIT),
+    ]
+    whole_s = sum(max(part_s, 0.0) for part_s, _, _ in parts)
+    bars, at_s = list[Bar](), start_s
+    for part_s, colour, what in parts:
+        if part_s > 0.0:
+            long_s = (end_s - start_s) * part_s / whole_s
+            tip = f"{row}: {what} {part_s:.1f} s ({_percent(part_s / whole_s)} of the task)"
+            bars.append(Bar(lane, at_s, at_s + long_s, colour, colour == colours.WAIT, tip, row))
+            at_s += long_s
     return bars
+
+
+def _of_plan(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
+    agents = _agents(each.plan)
+    lane = {agent: number for number, agent in enumerate(agents)}
+    bars, arrows, labels = list[Bar](), list[Arrow](), list[Label]()
+    shares, turn = _shares_of(each), Counter[str]()
+    for number, task in enumerate(each.plan, start=1):
+        turn[task.agent] += 1
+        at, row = lane[task.agent], f"{task.agent}: {turn[task.agent]} {spelt(task.task)}"
+        if task.wait_s > SHOWN_S:
+            ended = _ended_by(task, each.plan)
+            cause = f", until {ended.agent}: {spelt(ended.task)}" if ended else ""
+            tip = f"{task.agent} waits {task.wait_s:.1f} s before {spelt(task.task)}{cause}"
+            bars.append(Bar(at, task.start_s - task.wait_s, task.start_s, colours.WAIT, waits=True, tip=tip, row=row))
+            if ended:
+                arrows.append(Arrow(lane[ended.agent], at, min(ended.end_s, task.start_s), task.start_s))
+        share = shares.get(number)
+        if share is not None:
+            bars += _parts(share, at, task.start_s, task.end_s, row)
+        else:
+            colour = colours.NOMINAL if task.kind == "robot" else colours.OPERATOR
+            tip = f"{row}: {task.start_s:.1f} to {task.end_s:.1f} s"
+            bars.append(Bar(at, task.start_s, task.end_s, colour, tip=tip, row=row))
+        labels.append(Label(at, task.start_s, task.end_s, _texts(task.task, turn[task.agent])))
+    ends = [_Ended(f"{one.agent}: {spelt(one.task)}", one.end_s, one.end_low_s, one.end_high_s) for one in each.plan]
+    parts = tuple(bars), tuple(labels), tuple(arrows), _course(ends), _layers(each, tints)
+    return Block(_titles(each), tuple(agents), *parts, "operator")
 
 
 def _agents(plan: Sequence[PlannedShare]) -> list[str]:
@@ -82,17 +141,16 @@ def _agents(plan: Sequence[PlannedShare]) -> list[str]:
     return sorted(kinds, key=lambda agent: kinds[agent] != "robot")
 
 
-def _plan(each: CycleEstimate, first: int) -> tuple[list[Bar], list[Arrow]]:
-    lane = {agent: first + number for number, agent in enumerate(_agents(each.plan))}
-    bars, arrows = [], []
-    for task in each.plan:
-        at = lane[task.agent]
-        if task.wait_s > SHOWN_S:
-            bars.append(Bar(at, task.start_s - task.wait_s, task.start_s, colours.WAIT, waits=True))
-            if ended := _ended_by(task, each.plan):
-                arrows.append(Arrow(lane[ended.agent], at, min(ended.end_s, task.start_s), task.start_s))
-        bars += _parts(task, each, at) if task.kind == "robot" else [_whole(task, at, colours.OPERATOR)]
-    return bars, arrows
+def _shares_of(each: CycleEstimate) -> dict[int, TaskShare]:
+    """Return the split of the robot's tasks by their number in the plan, without the wait before; those known."""
+    found, turn = dict[int, TaskShare](), Counter[str]()
+    for number, task in enumerate(each.plan, start=1):
+        mine = [share for share in each.tasks if share.task == task.task]
+        if task.kind == "robot" and mine and not _of_lists(each):
+            share = mine[min(turn[task.task], len(mine) - 1)]
+            turn[task.task] += 1
+            found[number] = TaskShare(share.task, 0.0, share.nominal_s, share.safety_loss_s, share.dwell_s, 0.0)
+    return {number: share for number, share in found.items() if share.nominal_s + share.safety_loss_s > 0.0}
 
 
 def _ended_by(task: PlannedShare, plan: Sequence[PlannedShare]) -> PlannedShare | None:
@@ -104,19 +162,81 @@ def _ended_by(task: PlannedShare, plan: Sequence[PlannedShare]) -> PlannedShare 
     return max(ended or begun, key=lambda one: one.end_s, default=None)
 
 
-def _whole(task: PlannedShare, lane: int, colour: str) -> Bar:
-    return Bar(lane, task.start_s, task.end_s, colour, task.task)
+def _course(ended: Sequence[_Ended]) -> Course | None:
+    """Return how many tasks have ended when, in the order of their ends; None for a single task."""
+    if len(ended) < 2:
+        return None
+    ended = sorted(ended, key=lambda each: each.end_s)
+    low, high = (sorted(s for s in some if s is not None) for some in zip(*(each[2:] for each in ended), strict=True))
+    known = len(low) == len(high) == len(ended)
+    tips = []
+    for done, each in enumerate(ended, start=1):
+        band = f"; in single cycles {each.low_s:.1f} to {each.high_s:.1f} s" if known else ""
+        tips.append(f"{done} of {len(ended)} tasks done, {each.name}: {each.end_s:.1f} s{band}")
+    band_s = (tuple(low), tuple(high)) if known else ((), ())
+    return Course(tuple(each.end_s for each in ended), *band_s, tuple(tips))
 
 
-def _parts(task: PlannedShare, each: CycleEstimate, lane: int) -> list[Bar]:
-    """Return the bars of a task of the robot, split where its split is known."""
-    share = next((share for share in each.tasks if share.task == task.task), None)
-    parts = (share.nominal_s, share.safety_loss_s, share.dwell_s) if share else ()
-    if sum(parts) <= 0.0:
-        return [_whole(task, lane, colours.NOMINAL)]
-    bars, at, times = [], task.start_s, (task.end_s - task.start_s) / sum(parts)
-    for part_s, colour, text in zip(parts, LEGEND.values(), (task.task, "", ""), strict=False):
-        if part_s > 0.0:
-            bars.append(Bar(lane, at, at + times * part_s, colour, text))
-            at += times * part_s
-    return bars
+def _titles(each: CycleEstimate) -> tuple[str, ...]:
+    mean = f"{each.name}: {each.expected_s:.1f} s"
+    levels = sorted(each.quantiles_s)
+    if len(levels) < 2:
+        return (mean, each.name)
+    low, high = levels[0], levels[-1]
+    cycles = f"{100 * (high - low):.0f} % of cycles {each.quantiles_s[low]:.1f} to {each.quantiles_s[high]:.1f} s"
+    return (f"{mean} ({cycles})", mean, each.name)
+
+
+def _texts(task: str, number: int) -> tuple[str, ...]:
+    """Return the label of a task, longest first: its number and where it leads, its number."""
+    return f"{number} {task.rpartition('->')[2]}", str(number)
+
+
+def spelt(task: str) -> str:
+    """Write a task `a->b` for display."""
+    return task.replace("->", " → ")
+
+
+def _families(each: CycleEstimate) -> dict[str, tuple[float, ...]]:
+    """Return what the operator does, numbered tasks of one name (`shelf_1`, `shelf_2`) as one."""
+    found: dict[str, tuple[float, ...]] = {}
+    for name, parts in each.operator_at.items():
+        stem = re.sub(r"[ _-]?\d+$", "", name) or name
+        found[stem] = tuple(map(sum, zip(found[stem], parts, strict=True))) if stem in found else parts
+    return found
+
+
+def _operator_colours(found: Sequence[CycleEstimate]) -> dict[str, str]:
+    """Return the colours of what operators do, the same in all blocks: the most frequent first, the rest as `other`."""
+    total = Counter[str]()
+    for each in found:
+        total.update({name: sum(parts) for name, parts in _families(each).items()})
+    named = [name for name, _ in total.most_common() if name not in (AWAY, ELSEWHERE)]
+    tints = dict(zip(named, _TINTS, strict=False))
+    if len(named) > len(_TINTS) or ELSEWHERE in total:
+        tints[_REST] = _OTHER
+    return tints | ({AWAY: _AWAY} if AWAY in total else {})
+
+
+def _layers(each: CycleEstimate, tints: Mapping[str, str]) -> tuple[Layer, ...]:
+    families = _families(each)
+    if not families or set(families) <= {ELSEWHERE}:
+        return ()
+    rest = [parts for name, parts in families.items() if name not in tints]
+    merged = {name: parts for name, parts in families.items() if name in tints}
+    if rest:
+        merged[_REST] = tuple(map(sum, zip(*rest, strict=True)))
+    said = "operator at or on the way to"
+    return tuple(
+        Layer(merged[name], each.expected_s, tint, f"{said} {name}: {_percent(_mean(merged[name]))} of the time")
+        for name, tint in tints.items()
+        if name in merged
+    )
+
+
+def _mean(parts: Sequence[float]) -> float:
+    return sum(parts) / max(len(parts), 1)
+
+
+def _percent(part: float) -> str:
+    return f"{100 * part:.0f} %"

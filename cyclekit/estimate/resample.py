@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 RESAMPLES = 1000
 TOGETHER = 3
 """Neighbouring executions drawn together where the log runs on."""
+_Z = 1.96
+"""Half the width of a 95 % interval, standard errors."""
 
 
 def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> Floats:
@@ -86,3 +88,21 @@ def means_below(means: Sequence[Vector], index: int) -> Vector:
     """Return the probability that the mean of sequence `index` is below that of each, shape (N,); ties count half."""
     mine = means[index]
     return np.array([float(np.mean(mine < other) + 0.5 * np.mean(mine == other)) for other in means])
+
+
+def wilson(share: float, count: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a part that was counted in `count` cases."""
+    count = max(count, 1)
+    middle = (share + _Z**2 / (2 * count)) / (1 + _Z**2 / count)
+    half = _Z * np.sqrt(share * (1 - share) / count + (_Z / (2 * count)) ** 2) / (1 + _Z**2 / count)
+    return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
+
+
+def least_wide(within: tuple[float, float, float], executions: int) -> tuple[float, float, float]:
+    """Return a part of the cycles with its interval, which is never narrower than Wilson's of so many executions.
+
+    Resampling executions that are all within a takt gives an interval without width.
+    """
+    share, low, high = within
+    least, most = wilson(share, executions)
+    return share, min(low, least), max(high, most)

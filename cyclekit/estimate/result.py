@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.history import Combined
 
+PARTS = 50
+"""In so many parts of the cycle it is told what the operator does."""
+AWAY, ELSEWHERE = "away", "elsewhere"
+"""What he does where he is not there, and where it is not known at which of his tasks he is."""
 MOST = 0.5
 """A share is called most of something only above this part of it; the largest of several may be far less."""
 
@@ -27,7 +31,9 @@ MOST = 0.5
 class TaskShare:
     """Mean time of one task of the sequence, split; seconds.
 
-    `nominal_s + safety_loss_s + dwell_s + wait_s = expected_s`.
+    `nominal_s + safety_loss_s + dwell_s + wait_s = expected_s`. Between `end_low_s` and `end_high_s` (seconds from the
+    start of the cycle) it ends in single cycles: the lowest and the highest quantile that was asked for; None where
+    single cycles are not known, and of plans for both agents, whose tasks have them in `plan`.
     """
 
     task: str
@@ -36,6 +42,8 @@ class TaskShare:
     safety_loss_s: float
     dwell_s: float
     wait_s: float
+    end_low_s: float | None = None
+    end_high_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -58,6 +66,8 @@ class PlannedShare:
     end_s: float
     wait_s: float
     decided: Mapping[str, float]
+    end_low_s: float | None = None
+    end_high_s: float | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,6 +106,8 @@ class CycleEstimate(Result):
         plan: Start, end and wait of each task of both agents, where both are rolled out. Of task lists `nominal_s`
             is the robot's tasks as long as usual, `safety_loss_s` what differs as other tasks go on beside them.
         idle_s: From the end of the robot's last task to that of the operator's, mean; 0 where the robot ends the cycle.
+        operator_at: In which part of the cycles the operator is at each task or on the way to it, in PARTS equal parts
+            of `expected_s`; empty where he is not known, and where `plan` has his tasks.
     """
 
     name: str
@@ -128,6 +140,7 @@ class CycleEstimate(Result):
     combined: Combined | None = None
     plan: tuple[PlannedShare, ...] = ()
     idle_s: float = 0.0
+    operator_at: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def per_visit_s(self) -> float:

@@ -76,7 +76,7 @@ def _estimated(
     corrected = expected / float(durations.mean())
     durations = durations * corrected
     single = _single(durations, judged)
-    shares, planned = _shares(model, rolled, sequence, corrected)
+    shares, planned = _shares(model, rolled, sequence, corrected, quantiles)
     robot = [share for share, task in zip(shares, sequence.plan, strict=True) if _is_robot(model, task, sequence)]
     parts = ("nominal_s", "safety_loss_s", "wait_s")
     nominal, beside, waited = (sum(getattr(share, part) for share in robot) for part in parts)
@@ -155,7 +155,7 @@ def _within(single: Vector, takt_s: float, error_s: float) -> tuple[float, float
 
 
 def _shares(
-    model: TaskModelCard, rolled: RolledPlan, sequence: TaskSequence, corrected: float
+    model: TaskModelCard, rolled: RolledPlan, sequence: TaskSequence, corrected: float, quantiles: Sequence[float]
 ) -> tuple[tuple[TaskShare, ...], tuple[PlannedShare, ...]]:
     """Return for each task where its time goes, and when it starts and ends and what decided its start.
 
@@ -180,7 +180,9 @@ def _shares(
         kind = "robot" if _is_robot(model, task, sequence) else "operator"
         decided = _decided(rolled, number)
         at = float(start[number]), float(end[number]), float(wait[number])
-        planned.append(PlannedShare(task.agent, kind, task.name, *at, decided))
+        single = _single(corrected * (rolled.end_s[:, number] - began[:, 0]), model.held_out)
+        band = np.quantile(single, (min(quantiles), max(quantiles))).tolist() if len(quantiles) > 1 else ()
+        planned.append(PlannedShare(task.agent, kind, task.name, *at, decided, *band))
     return tuple(shares), tuple(planned)
 
 

@@ -1,41 +1,67 @@
-"""A time chart: lanes one above the other on a common time axis, bars for tasks, hatched bars for waits."""
+"""A time chart: one block of lanes per cycle, one above the other on a common time axis.
+
+A block has its title, the expected course (tasks done over time, with a band for single cycles), a lane per agent with
+bars for tasks and hatched bars for waits, and a lane of shares where only these are known of an agent. Labels are
+measured: the longest text that fits is drawn, or none, so that they never cover each other.
+"""
 
 from __future__ import annotations
 
+import unicodedata
+import warnings
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.plots import colours
 from cyclekit.plots.canvas import canvas
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-_LANE_IN, _HEAD_IN, _WIDTH_IN = 0.42, 1.1, 11.0
-_LETTER_PART, _LEAST_LETTERS = 0.007, 4
-"""A letter is so wide, as part of the axis; fewer letters tell nothing."""
+    Tip = Callable[[Figure, Artist, str, str], None]
+
+_WIDTH_IN, _WIDE_IN = 11.0, 6.0
+_LEFT_IN, _RIGHT_IN, _FOOT_IN, _KEY_IN = 0.82, 0.16, 0.5, 0.2
+_TITLE_IN, _COURSE_IN, _LABEL_IN, _BAR_IN, _GAP_IN = 0.27, 0.5, 0.17, 0.24, 0.09
+_TITLE_PT, _LABEL_PT, _NAME_PT = 9.0, 8.0, 8.5
+_INK, _MUTED, _RULE, _BAND = "#1c232b", "#55606c", "#d9dee4", "#b9c8db"
 
 
 @dataclass(frozen=True)
 class Bar:
-    """One bar of a time chart.
+    """One bar.
 
     Attributes:
-        lane: Number of the lane, 0 = the top one.
+        lane: Number of the lane in its block, 0 = the top one.
         start_s, end_s: From when to when, s.
         colour: `#rrggbb`.
-        text: Written into it where there is room.
         waits: Drawn hatched: nothing is done.
+        tip: Its numbers in words; `row`: the task that it belongs to.
     """
 
     lane: int
     start_s: float
     end_s: float
     colour: str
-    text: str = ""
     waits: bool = False
+    tip: str = ""
+    row: str = ""
+
+
+@dataclass(frozen=True)
+class Label:
+    """A name above the bars of a lane from `start_s` to `end_s`: the first of `texts` that fits, or none."""
+
+    lane: int
+    start_s: float
+    end_s: float
+    texts: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -48,68 +74,249 @@ class Arrow:
     to_s: float
 
 
-def draw_gantt(
-    path: Path, lanes: Sequence[str], bars: Sequence[Bar], arrows: Sequence[Arrow] = (), legend: Mapping[str, str] = {}
-) -> None:
+@dataclass(frozen=True)
+class Course:
+    """When each task has ended: mean, and between which times in single cycles; s, ascending, empty if not known."""
+
+    ends_s: tuple[float, ...]
+    low_s: tuple[float, ...] = ()
+    high_s: tuple[float, ...] = ()
+    tips: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What an agent does on which part of the cycles, in equal parts of the time until `end_s`."""
+
+    parts: tuple[float, ...]
+    end_s: float
+    colour: str
+    tip: str = ""
+
+
+@dataclass(frozen=True)
+class Block:
+    """One cycle.
+
+    Attributes:
+        titles: Title, longest first; the first that fits is drawn.
+        lanes: Names of its lanes, the top one first.
+        bars, labels, arrows: What is in them.
+        course: Above the lanes; None for none.
+        layers: A lane below the others, filled from below; empty for none.
+        layers_name: Name of that lane.
+    """
+
+    titles: tuple[str, ...]
+    lanes: tuple[str, ...]
+    bars: tuple[Bar, ...]
+    labels: tuple[Label, ...] = ()
+    arrows: tuple[Arrow, ...] = ()
+    course: Course | None = None
+    layers: tuple[Layer, ...] = ()
+    layers_name: str = ""
+
+    @property
+    def end_s(self) -> float:
+        """When the last bar, or single cycle of the course, ends."""
+        course = (self.course.high_s or self.course.ends_s) if self.course else ()
+        return max((*(bar.end_s for bar in self.bars), *course), default=1.0)
+
+    @property
+    def lane_tops_in(self) -> list[float]:
+        """Top of the bars of each lane below the top of the block, inches; last, of the layers."""
+        first = _TITLE_IN + (_COURSE_IN if self.course else 0.0)
+        count = len(self.lanes) + bool(self.layers)
+        return [first + number * (_LABEL_IN + _BAR_IN + _GAP_IN) + _LABEL_IN for number in range(count)]
+
+    @property
+    def height_in(self) -> float:
+        """Height, inches."""
+        return (self.lane_tops_in[-1] if self.lane_tops_in else _TITLE_IN) + _BAR_IN + 2 * _GAP_IN
+
+
+def draw_gantt(path: Path, blocks: Sequence[Block], legend: Mapping[str, str], takt_s: float | None = None) -> None:
     """Draw a time chart.
 
     Args:
         path: File to write, `.svg`, `.png` or `.pdf`.
-        lanes: Their names, the top one first.
-        bars: All bars.
-        arrows: From what a wait ended with to what waited.
-        legend: Colour by meaning; a colour with an empty text is left out.
+        blocks: The cycles, the top one first.
+        legend: Colour by meaning.
+        takt_s: A line across all of them, s.
     """
-    with canvas(path, _WIDTH_IN, height_in(lanes)) as (axes,):
-        draw_bars(axes, lanes, bars, arrows, legend)
+    with canvas(path, _WIDTH_IN, height_in(blocks, legend, _WIDTH_IN)) as (axes,):
+        draw_blocks(axes, blocks, legend, takt_s)
 
 
-def height_in(lanes: Sequence[str]) -> float:
-    """Return the height of a chart of these lanes, inches."""
-    return _HEAD_IN + _LANE_IN * len(lanes)
+def height_in(blocks: Sequence[Block], legend: Mapping[str, str], width_in: float) -> float:
+    """Return the height of a chart, inches."""
+    return sum(block.height_in for block in blocks) + _FOOT_IN + _KEY_IN * len(_key_rows(legend, width_in)) + 0.06
 
 
-def draw_bars(
-    axes: Axes, lanes: Sequence[str], bars: Sequence[Bar], arrows: Sequence[Arrow], legend: Mapping[str, str]
+def draw_blocks(
+    axes: Axes,
+    blocks: Sequence[Block],
+    legend: Mapping[str, str],
+    takt_s: float | None = None,
+    tip: Tip = lambda _figure, _artist, _text, _row: None,
 ) -> None:
-    """Draw a time chart on axes; arguments as of `draw_gantt`."""
-    from matplotlib.patches import Patch
+    """Draw a time chart on the axes of a figure of its own, of `height_in`; arguments as of `draw_gantt`.
 
-    end_s = max((bar.end_s for bar in bars), default=1.0)
-    letter_s = _LETTER_PART * end_s * _WIDTH_IN / float(axes.figure.get_figwidth())  # type: ignore[union-attr]
-    for bar in bars:
-        style: dict[str, Any] = {"hatch": "////", "edgecolor": "#9aa5b1"} if bar.waits else {"edgecolor": "white"}
-        long_s = bar.end_s - bar.start_s
-        axes.barh(bar.lane, long_s, left=bar.start_s, height=0.72, color=bar.colour, linewidth=0.6, **style)
-        text = _fitting(bar.text, int(long_s / letter_s))
-        axes.text(bar.start_s + long_s / 2, bar.lane, text, ha="center", va="center", fontsize=8, color="white")
-    for arrow in arrows:
-        axes.annotate(
-            "",
-            xy=(arrow.to_s, arrow.to_lane),
-            xytext=(arrow.from_s, arrow.from_lane),
-            arrowprops={"arrowstyle": "->", "color": "#2b3440", "linewidth": 0.9},
-        )
-    axes.set_yticks(range(len(lanes)), lanes)
-    axes.set_ylim(len(lanes) - 0.45, -0.55)
-    axes.set_xlim(0.0, 1.02 * end_s)
+    `tip` is told figure, artist, text and task of all that has numbers to say.
+    """
+    figure: Figure = axes.figure  # type: ignore[assignment]  # no subfigure
+    figure.set_layout_engine("none")
+    width_in, all_in = figure.get_size_inches().tolist()
+    body_in = sum(block.height_in for block in blocks)
+    axes.set_position((_LEFT_IN / width_in, _FOOT_IN / all_in, 1 - (_LEFT_IN + _RIGHT_IN) / width_in, body_in / all_in))
+    end_s = 1.01 * max(max((block.end_s for block in blocks), default=1.0), takt_s or 0.0)
+    axes.set(xlim=(0.0, end_s), ylim=(body_in, 0.0))
     axes.set_xlabel("time, s")
     for side in ("top", "right", "left"):
         axes.spines[side].set_visible(False)
-    axes.tick_params(axis="y", length=0)
-    if legend:
-        axes.legend(
-            handles=[Patch(facecolor=colour, label=text) for text, colour in legend.items()],
-            loc="lower left",
-            bbox_to_anchor=(0.0, 1.0),
-            ncols=len(legend),
-            frameon=False,
-            fontsize=8,
-        )
+    axes.grid(visible=True, axis="x", color=_RULE, linewidth=0.6)
+    axes.set_axisbelow(True)
+    s_per_in = end_s / (width_in - _LEFT_IN - _RIGHT_IN)
+    top_in, names = 0.0, dict[float, str]()
+    for block in blocks:
+        names |= _Drawing(axes, block, top_in, s_per_in, tip).draw()
+        top_in += block.height_in
+    axes.set_yticks(list(names), [_fitting((text,), _LEFT_IN - 0.1, _NAME_PT, cut=True) for text in names.values()])
+    axes.tick_params(axis="y", length=0, labelsize=_NAME_PT)
+    if takt_s is not None:
+        line = axes.axvline(takt_s, color=colours.SCALING_ANCHORS[0][1], linewidth=1.3, linestyle=(0, (5, 2)), zorder=4)
+        tip(figure, line, f"takt {takt_s:g} s", "")
+    _draw_key(figure, legend, width_in, all_in)
 
 
-def _fitting(text: str, letters: int) -> str:
-    """Return a text cut to so many letters; nothing where too few are left to tell."""
-    if len(text) <= letters:
-        return text
-    return f"{text[: letters - 1]}…" if letters >= _LEAST_LETTERS else ""
+class _Drawing:
+    """Draws one block, whose top is `top_in` inches below that of the axes."""
+
+    def __init__(self, axes: Axes, block: Block, top_in: float, s_per_in: float, tip: Tip) -> None:
+        self._axes, self._block, self._top_in, self._s_per_in, self._tip = axes, block, top_in, s_per_in, tip
+        self._bars_in = [top_in + part for part in block.lane_tops_in]
+
+    def draw(self) -> dict[float, str]:
+        """Draw it; return the names of its lanes by their place, inches."""
+        block, names = self._block, dict[float, str]()
+        room_in = self._axes.get_xlim()[1] / self._s_per_in
+        title = _fitting(block.titles, room_in, _TITLE_PT, cut=True, weight="bold")
+        at_in = self._top_in + _TITLE_IN - 0.06
+        self._write(0.0, at_in, title, _TITLE_PT, weight="bold")
+        if block.course is not None:
+            names[self._draw_course(block.course)] = "tasks done"
+        for bar in block.bars:
+            self._draw_bar(bar)
+        for label in block.labels:
+            self._draw_label(label)
+        for arrow in block.arrows:
+            self._draw_arrow(arrow)
+        self._draw_layers()
+        lanes = [*block.lanes, *([block.layers_name] if block.layers else [])]
+        middles = (top + _BAR_IN / 2 for top in self._bars_in)
+        return names | dict(zip(middles, lanes, strict=True))
+
+    def _draw_course(self, course: Course) -> float:
+        foot_in, high_in = self._top_in + _TITLE_IN + _COURSE_IN - 0.03, _COURSE_IN - 0.08
+        count = max(len(course.ends_s), 1)
+        done_in = [foot_in - high_in * number / count for number in range(count + 1)]
+        if course.low_s:
+            low, high = (0.0, *course.low_s), (0.0, *course.high_s)
+            self._axes.fill_betweenx(done_in, low, high, color=_BAND, linewidth=0.0, zorder=2)
+        self._axes.plot((0.0, *course.ends_s), done_in, color=colours.NOMINAL, linewidth=1.1, zorder=3)
+        for at_s, at_in, text in zip(course.ends_s, done_in[1:], course.tips, strict=False):
+            (dot,) = self._axes.plot([at_s], [at_in], ".", color=colours.NOMINAL, markersize=3.5, zorder=3)
+            self._tip(self._axes.figure, dot, text, "")  # type: ignore[arg-type]  # no subfigure
+        return foot_in - high_in / 2
+
+    def _draw_bar(self, bar: Bar) -> None:
+        hatched: dict[str, Any] = {"hatch": "////", "edgecolor": "#9aa5b1"} if bar.waits else {"edgecolor": "white"}
+        at_in, long_s = self._bars_in[bar.lane] + _BAR_IN / 2, bar.end_s - bar.start_s
+        style: dict[str, Any] = {"height": _BAR_IN, "color": bar.colour, "linewidth": 0.5, "zorder": 3} | hatched
+        drawn = self._axes.barh(at_in, long_s, left=bar.start_s, **style)
+        if bar.tip:
+            self._tip(self._axes.figure, drawn.patches[0], bar.tip, bar.row)  # type: ignore[arg-type]
+
+    def _draw_label(self, label: Label) -> None:
+        arrives = any((arrow.to_lane, arrow.to_s) == (label.lane, label.start_s) for arrow in self._block.arrows)
+        beside_in = 0.07 if arrives else 0.0
+        room_in = (label.end_s - label.start_s) / self._s_per_in
+        if text := _fitting(label.texts, room_in - 0.03 - beside_in, _LABEL_PT):
+            at_in = self._bars_in[label.lane] - 0.04
+            self._write(label.start_s + beside_in * self._s_per_in, at_in, text, _LABEL_PT)
+
+    def _write(self, at_s: float, at_in: float, text: str, size_pt: float, weight: str = "normal") -> None:
+        """Write on white, so that neither the grid nor the takt goes through a letter."""
+        look: dict[str, Any] = {"fontsize": size_pt, "fontweight": weight, "color": _INK, "va": "baseline", "zorder": 6}
+        self._axes.text(at_s, at_in, text, bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.4}, **look)
+
+    def _draw_arrow(self, arrow: Arrow) -> None:
+        below = arrow.from_lane < arrow.to_lane
+        ends = self._bars_in[arrow.from_lane] + below * _BAR_IN, self._bars_in[arrow.to_lane] + (not below) * _BAR_IN
+        look = {"arrowstyle": "->", "color": colours.ROBOT, "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0}
+        self._axes.annotate("", xy=(arrow.to_s, ends[1]), xytext=(arrow.from_s, ends[0]), arrowprops=look, zorder=5)
+
+    def _draw_layers(self) -> None:
+        layers = self._block.layers
+        below = [self._bars_in[-1] + _BAR_IN] * (len(layers[0].parts) + 1) if layers else []
+        for layer in layers:
+            edges = [layer.end_s * number / len(layer.parts) for number in range(len(below))]
+            parts = (*layer.parts, layer.parts[-1])
+            above = [low - (_BAR_IN + _LABEL_IN - 0.04) * part for low, part in zip(below, parts, strict=True)]
+            look: dict[str, Any] = {"step": "post", "color": layer.colour, "linewidth": 0.0, "zorder": 3}
+            area = self._axes.fill_between(edges, below, above, **look)
+            self._tip(self._axes.figure, area, layer.tip, "")  # type: ignore[arg-type]  # no subfigure
+            below = above
+
+
+def _key_rows(legend: Mapping[str, str], width_in: float) -> list[list[str]]:
+    """Return the entries of the legend in rows that fit."""
+    rows: list[list[str]] = [[]]
+    used_in = 0.0
+    for text in legend:
+        needs_in = _text_in(text, _NAME_PT) + 0.36
+        if rows[-1] and used_in + needs_in > width_in - 0.1:
+            rows.append([])
+            used_in = 0.0
+        rows[-1].append(text)
+        used_in += needs_in
+    return rows if legend else []
+
+
+def _draw_key(figure: Figure, legend: Mapping[str, str], width_in: float, all_in: float) -> None:
+    from matplotlib.patches import Rectangle
+
+    for number, row in enumerate(_key_rows(legend, width_in)):
+        at_in, foot_in = 0.06, all_in - _KEY_IN * (number + 1) + 0.06
+        for text in row:
+            look: dict[str, Any] = {"hatch": "//////", "edgecolor": "#9aa5b1"} if legend[text] == colours.WAIT else {}
+            square = (at_in / width_in, foot_in / all_in), 0.12 / width_in, 0.1 / all_in
+            figure.add_artist(Rectangle(*square, facecolor=legend[text], linewidth=0.0, **look))
+            place = (at_in + 0.17) / width_in, (foot_in - 0.005) / all_in
+            figure.text(*place, text, fontsize=_NAME_PT, color=_MUTED, va="baseline")
+            at_in += _text_in(text, _NAME_PT) + 0.36
+
+
+def _fitting(texts: Sequence[str], room_in: float, size_pt: float, *, cut: bool = False, weight: str = "normal") -> str:
+    """Return the first text that fits; with `cut` the last one shortened where none does, else nothing."""
+    for text in texts:
+        if _text_in(text, size_pt, weight) <= room_in:
+            return text
+    short = texts[-1] if cut and texts else ""
+    while short and _text_in(f"{short}…", size_pt, weight) > room_in:
+        short = short[:-1]
+    return f"{short.rstrip()}…" if short else ""
+
+
+@cache
+def _text_in(text: str, size_pt: float, weight: str = "normal") -> float:
+    """Return how wide a text is at most, inches: DejaVu Sans is wider than the fonts of the page."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import TextToPath
+
+    wide = sum(unicodedata.east_asian_width(letter) in "WF" for letter in text)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # a letter that DejaVu lacks; browsers have it
+        font = FontProperties(size=size_pt, weight=weight)
+        width_pt, _, _ = TextToPath().get_text_width_height_descent(text, font, ismath=False)
+    return float((width_pt + 0.5 * size_pt * wide) / 72.0)

@@ -1,4 +1,4 @@
-"""Bar charts of the page: cycle times, and where the time goes.
+"""Charts of rows on the page: cycle times, and what time was lost to.
 
 Each function draws one figure for a width in inches and leaves out what does not fit a phone. Numbers come from
 `findings` and the estimates; `pictures` turns a figure into SVG.
@@ -21,15 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.report.findings import Share
-
-PARTS = (
-    ("nominal_s", "nominal", colours.NOMINAL),
-    ("safety_s", "safety", colours.SAFETY),
-    ("dwell_s", "dwell", colours.DWELL),
-    ("wait_s", "wait", colours.WAIT),
-)
-"""Parts of a cycle in drawing order: field of `Share`, key of its text, colour."""
 
 FEW_ROWS, MANY_ROWS = 9, 16
 _ROW_IN, _LOW_ROW_IN, _LOWEST_ROW_IN = 0.42, 0.31, 0.25
@@ -74,34 +65,6 @@ def cycle_times(
     if takt_s is not None:
         entries.append(("|", colours.SCALING_ANCHORS[0][1], labels["takt"]))
     _key(figure, axes, entries, width_in)
-    return figure
-
-
-def shares(width_in: float, rows: Sequence[Share], labels: Mapping[str, str], longest_s: float | None = None) -> Figure:
-    """One stacked bar per row: nominal motion, safety loss, dwell, wait; the axis reaches to `longest_s`."""
-    figure, axes = _rows(width_in, len(rows), bottom_in=0.95)
-    longest = longest_s or max((row.total_s for row in rows), default=1.0)
-    for number, row in enumerate(rows):
-        start = 0.0
-        for field, _, colour in PARTS:
-            value = max(0.0, getattr(row, field))
-            if value <= 0:
-                continue
-            bar = axes.barh(number, value, left=start, height=0.62, color=colour, edgecolor="white", linewidth=0.6)
-            part = next(labels[key] for name, key, _ in PARTS if name == field)
-            text = f"{row.name.strip()}: {part} {value:.1f} s ({100 * value / max(row.total_s, 1e-9):.0f} %)"
-            tip(figure, bar.patches[0], text, row.name.strip())
-            if value > 0.09 * longest * (WIDE_IN / width_in):
-                ink = "white" if colour == colours.NOMINAL else INK
-                axes.text(start + value / 2, number, f"{value:.1f}", ha="center", va="center", color=ink, fontsize=8.5)
-            start += value
-    _name_rows(axes, [row.name for row in rows], width_in)
-    axes.set_xlim(0, longest * 1.02)
-    axes.set_xlabel(labels["seconds"])
-    axes.grid(axis="x")
-    axes.set_axisbelow(True)
-    shown = [(field, key, colour) for field, key, colour in PARTS if any(getattr(row, field) > 0 for row in rows)]
-    _key(figure, axes, [("s", colour, labels[key]) for _, key, colour in shown], width_in)
     return figure
 
 

@@ -112,7 +112,7 @@ def _tables(value: object) -> Iterator[ReportTable]:
     if isinstance(value, ReportTable):
         yield value
     elif isinstance(value, Chart):
-        yield from _tables([value.numbers, value.table])
+        yield from _tables([value.numbers, value.table, *value.more])
     elif isinstance(value, dict):
         for entry in value.values():
             yield from _tables(entry)

@@ -42,6 +42,7 @@ class PageInputs:
         evaluation: Of the model.
         check: The backtest on logged executions.
         takt_s: The takt time, s.
+        baseline: Name of the sequence that the others are held against.
     """
 
     texts: ReportTexts
@@ -53,6 +54,7 @@ class PageInputs:
     evaluation: Judged | None = None
     check: Check | None = None
     takt_s: float | None = None
+    baseline: str | None = None
 
     @cached_property
     def samples(self) -> pl.DataFrame:
@@ -86,8 +88,8 @@ class PageInputs:
 
     @cached_property
     def verdict(self) -> TaktVerdict | None:
-        """The verdict; None without a takt, an order search or changes."""
-        return verdict(self.dataset, self.ranked, self.what_if, self.planned, self.takt_s)
+        """The verdict; None without sequences, an order search or changes."""
+        return verdict(self.dataset, self.ranked, self.what_if, self.planned, self.takt_s, self.baseline)
 
     @cached_property
     def best(self) -> CycleEstimate | None:

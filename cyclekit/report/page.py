@@ -87,6 +87,7 @@ def compose_report(
     what_if: Sequence[Tried] = (),
     planned: OrderPlan | None = None,
     takt_s: float | None = None,
+    baseline: str | None = None,
     missing: Sequence[str] = (),
     cell_name: str | None = None,
     kind: str = "html",
@@ -106,6 +107,7 @@ def compose_report(
         what_if: The same sequences under other conditions.
         planned: The order found for the same work.
         takt_s: Takt time to compare the cycles with, s.
+        baseline: Name of the sequence that the others are held against; by default what was logged most.
         missing: Optional parts that could not be computed, and why, one sentence each; shown in the last section.
         cell_name: Title of the page; the dataset's name where not given.
         kind: `html`; `json` for everything, `csv` for the seconds per task, `md` for words and tables.
@@ -123,7 +125,7 @@ def compose_report(
     quickest = sorted(estimates, key=lambda each: each.expected_s)
     ranked = [each for work in by_work(quickest).values() for each in work]
     name, texts = cell_name or dataset.card.name or dataset.path.name, look.texts
-    page = PageInputs(texts, dataset, model, ranked, what_if, planned, evaluation, check, takt_s)
+    page = PageInputs(texts, dataset, model, ranked, what_if, planned, evaluation, check, takt_s, baseline)
     if kind == "csv":
         write_text(out, as_csv(page))
         return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing), len(ranked))

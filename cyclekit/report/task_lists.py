@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-import base64
 import datetime as dt
-import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version as installed
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cyclekit.estimate.gantt import write_gantt
 from cyclekit.report.document import MARK
-from cyclekit.report.numbers import fixed, percent
+from cyclekit.report.figures.time_chart import MOST_SEQUENCES, alt_of, draw
+from cyclekit.report.numbers import fixed, given, percent
 from cyclekit.report.page import ReportFacts
+from cyclekit.report.pictures import Picture
 from cyclekit.report.template import Template
+from cyclekit.report.tried import Tried
+from cyclekit.report.verdict import basis, in_words, verdict
 from cyclekit.storage.atomic import write_text
 from cyclekit.text.plain_json import json_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from cyclekit.dataset.cards.task_model import TaskModelCard
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.answers import CycleEstimates
     from cyclekit.estimate.plan.task_orders import TaskOrderPlan
     from cyclekit.estimate.result import CycleEstimate
@@ -38,73 +41,79 @@ NOT_KNOWN = (
 
 @dataclass(frozen=True)
 class Part:
-    """One part of the page: sentences, a picture as a data address, and a table."""
+    """One part of the page: sentences, a picture, and a table."""
 
     title: str
     sentences: Sequence[str] = ()
     heads: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
-    chart: str = ""
+    chart: Picture | None = None
 
 
 def report_tasks(
     card: TaskModelCard,
+    dataset: Dataset,
     out: Path,
     *,
-    name: str,
     estimates: CycleEstimates | None = None,
     planned: TaskOrderPlan | None = None,
     changed: Sequence[WhatIf] = (),
+    takt_s: float | None = None,
+    baseline: str | None = None,
     kind: str = "html",
     template: Path | None = None,
+    cell_name: str | None = None,
 ) -> ReportFacts:
     """Write the report of a model of task times.
 
     Args:
         card: What was learned.
+        dataset: The logs that today's cycle is read from.
         out: File to write.
-        name: Title of the page.
-        estimates: Of plans.
+        estimates: Of plans, the order found among them.
         planned: The order found.
         changed: Plans under changes.
+        takt_s: Takt time that the cycles are held against, s.
+        baseline: Name of the plan that the others are held against; by default what was logged most.
         kind: `html`, `json`, `md`, or `csv` for the estimates alone.
-        template: Folder whose style replaces the page's own.
+        template: Folder whose style and words replace the page's own.
+        cell_name: Title of the page; the dataset's name where not given.
 
     Raises:
+        UnknownName: There is no plan of that name.
         CyclekitError: The file cannot be written.
     """
-    found = [*(estimates or ()), *([planned.estimate] if planned else [])]
-    parts = [*_ranking(found), *_order(planned), *_changes(changed), _learned(card), _trust(card)]
-    plans = [_plan(one, kind == "html") for one in found]
-    parts[1:1] = plans
-    headline = _headline(card, found)
-    today = dt.datetime.now(tz=dt.UTC).date().isoformat()
+    look, found = Template(template), sorted(estimates or (), key=lambda one: one.expected_s)
+    texts, tried = look.texts, [Tried.of(one) for one in changed]
+    held = verdict(dataset, found, tried, None, takt_s, baseline)
+    parts = [*_ranking(found, takt_s), *_order(planned), *_changes(changed), _learned(card), _trust(card)]
+    parts[1:1] = [_plan(one) for one in found]
+    if found:
+        drawn = found[:MOST_SEQUENCES]
+        chart = Picture("timechart", alt_of(texts, drawn), partial(draw, drawn, takt_s))
+        parts[0] = replace(parts[0], chart=chart)
+    headline = in_words(texts, held) if held else f"{len(card.tasks)} tasks of {len(card.agents)} agents."
+    said = [basis(texts, held)] if held else []
+    name, today = cell_name or dataset.card.name or dataset.path.name, dt.datetime.now(tz=dt.UTC).date().isoformat()
     made = f"{today}, cyclekit {installed('cyclekit')}, {card.executions} executions"
     if kind == "csv":
         content = estimates.to_csv() if estimates else ""
     elif kind == "json":
-        data = {"name": name, "headline": headline, "parts": [vars(part) for part in parts]}
+        shown = [{key: value for key, value in vars(part).items() if key != "chart"} for part in parts]
+        data = {"name": name, "headline": headline, "verdict": held.to_dict(headline) if held else None, "parts": shown}
         content = json_text(data | {"estimates": [one.to_dict() for one in found]}) + "\n"
     elif kind == "md":
-        content = _markdown(name, made, headline, parts)
+        content = _markdown(name, made, [headline, *said], parts)
     else:
-        look = Template(template)
-        values = {"cell": name, "made": made, "headline": headline, "parts": parts, "version": installed("cyclekit")}
-        content = look.render(page=PAGE, **values) + f"\n{MARK}\n"
+        values = {"cell": name, "made": made, "headline": headline, "said": said, "parts": parts}
+        content = look.render(page=PAGE, **values, version=installed("cyclekit")) + f"\n{MARK}\n"
     write_text(out, content)
     return ReportFacts(out, out.stat().st_size, headline, content.count("<figure>"), (NOT_KNOWN[0],), len(found))
 
 
-def _headline(card: TaskModelCard, found: Sequence[CycleEstimate]) -> str:
-    if not found:
-        return f"{len(card.tasks)} tasks of {len(card.agents)} agents, learned from {card.executions} executions."
-    best = min(found, key=lambda one: one.expected_s)
-    interval = f"95 % CI {fixed(best.expected_low_s, 1)} to {fixed(best.expected_high_s, 1)} s"
-    return f"Shortest of {len(found)}: {best.name}, expected cycle time {fixed(best.expected_s, 1)} s ({interval})."
-
-
-def _ranking(found: Sequence[CycleEstimate]) -> list[Part]:
+def _ranking(found: Sequence[CycleEstimate], takt_s: float | None) -> list[Part]:
     heads = ["plan", "expected, s", "95 % CI, s", "90 % of cycles, s", "robot waits, s"]
+    heads += [f"within {given(takt_s)} s"] if takt_s is not None else []
     rows = [
         [
             one.name,
@@ -112,28 +121,20 @@ def _ranking(found: Sequence[CycleEstimate]) -> list[Part]:
             f"{fixed(one.expected_low_s, 1)} to {fixed(one.expected_high_s, 1)}",
             f"{fixed(min(one.quantiles_s.values()), 1)} to {fixed(max(one.quantiles_s.values()), 1)}",
             fixed(sum(task.wait_s for task in one.plan if task.kind == "robot"), 1),
+            *([percent(one.takt_probability[0])] if one.takt_probability else []),
         ]
-        for one in sorted(found, key=lambda one: one.expected_s)
+        for one in found
     ]
     return [Part("Plans", heads=heads, rows=rows)] if found else []
 
 
-def _plan(one: CycleEstimate, drawn: bool) -> Part:
+def _plan(one: CycleEstimate) -> Part:
     rows = []
     for task in sorted(one.plan, key=lambda task: task.start_s):
         cause = max(task.decided, key=lambda name: task.decided[name])
         waits = [fixed(task.wait_s, 1), f"{cause} ({percent(task.decided[cause])})"]
         rows.append([task.agent, task.task, fixed(task.start_s, 1), fixed(task.end_s, 1), *waits])
-    heads = ["agent", "task", "start, s", "end, s", "wait, s", "start decided by"]
-    return Part(one.name, heads=heads, rows=rows, chart=_chart(one) if drawn else "")
-
-
-def _chart(one: CycleEstimate) -> str:
-    """Return the time chart of a plan as a data address."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "chart.svg"
-        write_gantt(file, [one])
-        return f"data:image/svg+xml;base64,{base64.b64encode(file.read_bytes()).decode()}"
+    return Part(one.name, heads=["agent", "task", "start, s", "end, s", "wait, s", "start decided by"], rows=rows)
 
 
 def _order(planned: TaskOrderPlan | None) -> list[Part]:
@@ -182,8 +183,8 @@ def _trust(card: TaskModelCard) -> Part:
     return Part("How reliable are these numbers?", [said, *NOT_KNOWN])
 
 
-def _markdown(name: str, made: str, headline: str, parts: Sequence[Part]) -> str:
-    lines = [f"# {name}", "", made, "", headline, ""]
+def _markdown(name: str, made: str, said: Sequence[str], parts: Sequence[Part]) -> str:
+    lines = [f"# {name}", "", made, "", *(line for text in said for line in (text, ""))]
     for part in parts:
         lines += [f"## {part.title}", "", *(line for text in part.sentences for line in (text, ""))]
         if part.rows:

@@ -1,6 +1,7 @@
 """The verdict: today's logged cycle time against the best order and change found for the same work.
 
-"Today" uses only the logged executions that did this work, never an estimate of an order that did not run.
+"Today" is the logged executions of the order run most, or of the sequence that was named for the baseline; only where
+that was never logged, its estimate.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.estimate.resample import TOGETHER, resampled
+from cyclekit.errors import UnknownName
+from cyclekit.estimate.baseline import today_of
+from cyclekit.estimate.resample import least_wide, wilson
 from cyclekit.estimate.same_work import by_work, work_of
 from cyclekit.report.numbers import count, fixed, given, percent, signed_percent, with_uncertainty
 
@@ -18,34 +21,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.baseline import Today
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.same_work import Work
     from cyclekit.report.texts import ReportTexts
     from cyclekit.report.tried import Tried
-
-
-@dataclass(frozen=True)
-class Today:
-    """The logged executions that did the work.
-
-    Attributes:
-        executions: Number of them.
-        mean_s: Their mean cycle time.
-        low_s, high_s: Its 95 % interval from resampling executions; both equal the mean for one execution.
-        missed: Number of executions longer than the takt; None without a takt.
-    """
-
-    executions: int
-    mean_s: float
-    low_s: float
-    high_s: float
-    missed: int | None = None
-
-    @property
-    def missed_share(self) -> float | None:
-        """Share of the executions longer than the takt."""
-        return None if self.missed is None else self.missed / self.executions
 
 
 @dataclass(frozen=True)
@@ -84,16 +65,39 @@ class TaktVerdict:
     def to_dict(self, text: str) -> dict[str, Any]:
         """Return plain JSON values; `text` is the verdict in words."""
         order, change = self.order, self.change
-        best = {"sequence": None if order or not self.best else self.best.name, "expected_s": self.expected_s}
-        tried = {} if change is None else {"label": change.label, "sequence": change.sequence}
+        best: dict[str, Any] = {
+            "sequence": None if order or not self.best else self.best.name,
+            "expected_s": self.expected_s,
+        }
+        best |= {"within": self.within, "saves_s": self.saves_s(self.expected_s)}
+        tried: dict[str, Any] = {} if change is None else {"label": change.label, "sequence": change.sequence}
         return {
             "text": text,
             "work": vars(self.work),
             "takt_s": self.takt_s,
-            "today": None if self.today is None else vars(self.today) | {"missed_share": self.today.missed_share},
+            "today": None if self.today is None else self.today.to_dict(),
             "best": None if self.expected_s is None else best | {"order": order and order.places},
-            "change": None if change is None else tried | {"expected_s": change.expected_s},
+            "change": None if change is None else tried | _saving(self, change.expected_s),
         }
+
+    @property
+    def within(self) -> tuple[float, float, float] | None:
+        """Share of the cycles of `best` within the takt, with its 95 % interval; None without either."""
+        best = self.best
+        if best is None or self.takt_s is None or not best.durations_s:
+            return None
+        if best.takt_probability is not None and best.takt_s == self.takt_s:
+            return least_wide(best.takt_probability, best.executions)
+        share = float((np.array(best.durations_s) <= self.takt_s).mean())
+        return share, *wilson(share, best.executions or len(best.durations_s))
+
+    def saves_s(self, expected_s: float | None) -> float | None:
+        """Return what a mean cycle time saves against today, s; None without a cycle of today."""
+        return None if self.today is None or expected_s is None else self.today.mean_s - expected_s
+
+
+def _saving(found: TaktVerdict, expected_s: float) -> dict[str, Any]:
+    return {"expected_s": expected_s, "saves_s": found.saves_s(expected_s)}
 
 
 def verdict(
@@ -102,10 +106,12 @@ def verdict(
     tried: Sequence[Tried],
     planned: OrderPlan | None,
     takt_s: float | None,
+    baseline: str | None = None,
 ) -> TaktVerdict | None:
-    """Compare the results with today's cycle; None without a takt, an order search or changes.
+    """Compare the results with today's cycle; None without sequences, an order search or changes.
 
-    The compared work is that of the order found; otherwise of the first sequences whose work was logged.
+    The compared work is that of the baseline that was named, or of the order found; otherwise of the first sequences
+    whose work was logged.
 
     Args:
         dataset: The logs.
@@ -113,31 +119,22 @@ def verdict(
         tried: Sequences under changes.
         planned: The order found.
         takt_s: The takt time.
+        baseline: Name of the sequence that the others are held against; None: what was logged most.
+
+    Raises:
+        UnknownName: No sequence has that name.
     """
+    named = next((each for each in ranked if each.name == baseline), None)
+    if baseline is not None and named is None:
+        raise UnknownName("the baseline", "sequence", baseline, [each.name for each in ranked])
     works = [work_of(planned.places)] if planned else [*by_work(ranked)] or [*by_work(tried)]
-    works = [work for work in works if work.visits]
+    works = [work_of(named.places, named.operator)] if named else [work for work in works if work.visits]
     if not works:
         return None
-    logged = {work: today_of(dataset, work, takt_s) for work in works}
+    logged = {work: today_of(dataset, work, takt_s, named) for work in works}
     work = next((work for work in works if logged[work] is not None), works[0])
     mine = by_work(ranked).get(work, [])
     return TaktVerdict(work, takt_s, logged[work], planned, mine[0] if mine else None, best_change(work, ranked, tried))
-
-
-def today_of(dataset: Dataset, work: Work, takt_s: float | None) -> Today | None:
-    """Return the logged executions that did this work, without reference runs (those without an operator)."""
-    durations = dict(dataset.executions.filter("complete").select("execution", "duration_s").iter_rows())
-    names = [
-        one.execution
-        for one in dataset.card.executions
-        if one.execution in durations and not one.reference and work_of(one.places) == work
-    ]
-    if not names:
-        return None
-    cycles = np.array([durations[name] for name in names], dtype=np.float64)
-    low, high = np.quantile(resampled(names, 0, together=min(TOGETHER, len(names))) @ cycles, (0.025, 0.975)).tolist()
-    missed = None if takt_s is None else int((cycles > takt_s).sum())
-    return Today(len(names), float(cycles.mean()), low, high, missed)
 
 
 def best_change(work: Work, ranked: Sequence[CycleEstimate], tried: Sequence[Tried]) -> Tried | None:
@@ -153,13 +150,23 @@ def in_words(texts: ReportTexts, found: TaktVerdict) -> str:
 
 
 def _today(texts: ReportTexts, found: TaktVerdict) -> str:
-    today, takt_s = found.today, found.takt_s
+    today = found.today
     if today is None:
         return ""
     mean, _ = with_uncertainty(today.mean_s, today.low_s, today.high_s)
-    if today.missed_share is None or takt_s is None:
-        return texts("verdict.today", mean=mean)
-    return texts("verdict.today_takt", mean=mean, missed=percent(today.missed_share), takt=given(takt_s))
+    mean = fixed(today.mean_s, 1) if today.executions == 1 else mean
+    said = texts("verdict.today", mean=mean)
+    if today.sequence is not None:
+        said = texts("verdict.baseline", name=today.sequence, mean=mean)
+    return f"{said}{_within(texts, 'verdict.within_takt', today.within, found.takt_s)}."
+
+
+def _within(texts: ReportTexts, key: str, within: tuple[float, float, float] | None, takt_s: float | None) -> str:
+    """Return the share of cycles within the takt and its interval, as the end of a sentence; empty without a takt."""
+    if within is None or takt_s is None:
+        return ""
+    share, low, high = map(percent, within)
+    return texts(key, share=share, takt=given(takt_s), low=low.partition("\N{NO-BREAK SPACE}")[0], high=high)
 
 
 def _found(texts: ReportTexts, found: TaktVerdict) -> str:
@@ -168,15 +175,19 @@ def _found(texts: ReportTexts, found: TaktVerdict) -> str:
     if found.order is not None:
         said = texts("verdict.order_none")
         if found.order.saves_s[1] > 0 and found.expected_s is not None:
-            said = texts("verdict.order", mean=_mean(found), change=_beside(found, found.expected_s))
+            said = texts("verdict.order", mean=_mean(found), change=_beside(texts, found, found.expected_s))
+            said += _within(texts, "verdict.within", found.within, found.takt_s)
+    elif best is not None and found.today is not None and found.today.sequence == best.name:
+        said = texts("verdict.none_faster")
     elif best is not None:
         clear = found.today is None or not _overlap(best, found.today)
-        beside = _beside(found, best.expected_s) if clear else texts("verdict.not_clear")
+        beside = _beside(texts, found, best.expected_s) if clear else texts("verdict.not_clear")
         said = texts("verdict.sequence", name=best.name, mean=_mean(found), change=beside)
+        said += _within(texts, "verdict.within", found.within, found.takt_s)
     if change is None:
         return f"{said}." if said else ""
     mean, _ = with_uncertainty(change.expected_s, change.low_s, change.high_s)
-    values = {"label": change.label, "mean": mean, "change": _beside(found, change.expected_s)}
+    values = {"label": change.label, "mean": mean, "change": _beside(texts, found, change.expected_s)}
     if not said:
         return f"{texts('verdict.change_alone', name=change.sequence, **values)}."
     named = best.places if best else found.order.places if found.order else ()
@@ -196,9 +207,14 @@ def _overlap(best: CycleEstimate, today: Today) -> bool:
     return best.expected_low_s <= today.high_s and today.low_s <= best.expected_high_s
 
 
-def _beside(found: TaktVerdict, mean_s: float) -> str:
-    """The difference from today, as ` (-9 %)`; empty without a cycle of today."""
-    return "" if found.today is None else f" ({signed_percent(mean_s / found.today.mean_s - 1)})"
+def _beside(texts: ReportTexts, found: TaktVerdict, mean_s: float) -> str:
+    """The difference from today, as `, 8.9 s less (−9 %)`; empty without a cycle of today."""
+    saves_s = found.saves_s(mean_s)
+    if saves_s is None or found.today is None:
+        return ""
+    key = "verdict.saves" if saves_s >= 0 else "verdict.longer"
+    part = signed_percent(mean_s / found.today.mean_s - 1)
+    return texts(key, seconds=fixed(abs(saves_s), 1), part=part)
 
 
 def basis(texts: ReportTexts, found: TaktVerdict) -> str:
@@ -207,10 +223,13 @@ def basis(texts: ReportTexts, found: TaktVerdict) -> str:
     if today is None:
         return texts("verdict.no_today", work=str(found.work))
     mean, interval = with_uncertainty(today.mean_s, today.low_s, today.high_s)
-    values = {"mean": mean, "interval": interval, "executions": count(today.executions)}
+    if not today.executions:
+        return texts("verdict.estimated", name=today.sequence, mean=mean, interval=interval)
     if today.executions == 1:
         return texts("verdict.today_one", mean=fixed(today.mean_s, 1))
+    values = {"mean": mean, "interval": interval, "executions": count(today.executions)}
+    said = texts("verdict.basis_order" if today.order else "verdict.basis", **values)
     if today.missed is None or found.takt_s is None:
-        return texts("verdict.basis", **values)
+        return f"{said}."
     missed = {"missed": count(today.missed), "share": percent(today.missed_share), "takt": given(found.takt_s)}
-    return texts("verdict.basis_takt", **values, **missed)
+    return f"{said}; {texts('verdict.basis_missed', **missed)}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.report.figures import charts_of
-from cyclekit.report.figures.time_shares import MOST_SEQUENCES
+from cyclekit.report.figures.time_chart import MOST_SEQUENCES
 from cyclekit.report.numbers import fixed
 from cyclekit.report.tables import ReportTable, spell
 

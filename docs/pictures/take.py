@@ -121,7 +121,7 @@ def page_pictures(tab: Tab, page: Path, printed: Path) -> None:
     """Save the page as on a desk, on a phone and printed."""
     tab.show(page, width=1180, height=980)
     save(tab.picture(), HERE / "report.png")
-    for section in ("why", "helps"):
+    for section in ("where", "why", "helps"):
         top = tab.ask(f"document.getElementById('{section}').getBoundingClientRect().top + scrollY")
         tab.ask(f"scrollTo(0, {top})")
         tab.call("Emulation.setDeviceMetricsOverride", width=1180, height=1600, deviceScaleFactor=1, mobile=False)

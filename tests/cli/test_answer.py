@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
@@ -197,3 +198,17 @@ def test_evaluate_says_whether_the_cell_has_changed(model: Path, dataset: Path, 
     assert typed.code == 0, typed.err
     assert "the operator's habits: no change seen" in typed.out
     assert "drift" in cyclekit("evaluate", model, dataset, "--trained-on", dataset, "--json", "--quiet").document
+
+
+def test_an_estimate_ends_with_the_verdict_against_a_baseline(
+    model: Path, dataset: Path, sequences: Path, cyclekit: Shell
+) -> None:
+    name = tomllib.loads(sequences.read_text("utf-8"))["sequence"][0]["name"]
+    words = ("estimate", model, sequences, "--dataset", dataset, "--no-check", "--extrapolate", "--quiet")
+    typed = cyclekit(*words, "--takt", "1000s", "--baseline", name)
+    last = " ".join(typed.out.rpartition("\n\n")[2].split())
+    assert last.startswith(f"“{name}” (baseline) ")
+    assert "100 % of cycles within the takt of 1000 s (95 % CI " in last
+    refused = cyclekit(*words, "--baseline", "nobody")
+    assert refused.code != 0
+    assert "nobody" in refused.err

@@ -23,6 +23,7 @@ from cyclekit.estimate import walk as walking
 from cyclekit.estimate.entry import _shares
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, draw_stands
+from cyclekit.estimate.result import PARTS
 from cyclekit.estimate.rollout import estimate as estimate_validated
 from cyclekit.estimate.rollout import lay_out, roll_out
 from cyclekit.estimate.support import Support
@@ -130,6 +131,28 @@ def test_the_parts_add_up_to_the_whole_by_task_and_by_activity(logged: Dataset, 
     assert set(found.safety_by_activity_s) <= {*logged.human_places, "unknown"}
     assert found.expected_s == pytest.approx(np.mean(found.durations_s))
     assert found.quantiles_s[0.05] <= found.quantiles_s[0.5] <= found.quantiles_s[0.95]
+
+
+def test_each_task_ends_between_quantiles_of_single_cycles_and_the_last_one_with_the_cycle(
+    logged: Dataset, staircase: Any, routes: Any
+):
+    (found,) = estimate(staircase, logged, [TaskSequence("A", routes[0])], quantiles=(0.1, 0.5, 0.8))
+    ends = [(share.end_low_s, share.end_high_s) for share in found.tasks]
+    assert ends[-1] == pytest.approx((found.quantiles_s[0.1], found.quantiles_s[0.8]))
+    assert all(low <= high for low, high in ends)
+    assert [low for low, _ in ends] == sorted(low for low, _ in ends)
+    mean_s = np.cumsum([share.expected_s for share in found.tasks])
+    assert all(low - 2.0 <= mean <= high + 2.0 for (low, high), mean in zip(ends, mean_s, strict=True))
+    (one,) = estimate(staircase, logged, [TaskSequence("A", routes[0])], quantiles=(0.5,))
+    assert one.tasks[0].end_low_s is None
+
+
+def test_what_the_operator_does_over_the_cycle_adds_up_to_all_cycles(logged: Dataset, staircase: Any, routes: Any):
+    (found,) = estimate(staircase, logged, [TaskSequence("A", routes[0])])
+    parts = np.array(list(found.operator_at.values()))
+    assert parts.shape[1] == PARTS
+    assert parts.sum(axis=0) == pytest.approx(1.0, abs=0.001)
+    assert set(found.safety_by_activity_s) - {"unknown"} <= set(found.operator_at)
 
 
 def test_sequences_come_back_shortest_first(logged: Dataset, staircase: Any, routes: Any):

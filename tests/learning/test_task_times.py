@@ -24,7 +24,7 @@ from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import PaceCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, DatasetError, EstimateError, ModelError
-from cyclekit.estimate.gantt import chart_of
+from cyclekit.estimate.gantt import blocks_of
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.plan.task_orders import JobTask, TaskJobs, TaskOrderPlan
 from cyclekit.estimate.whatif.change import Change
@@ -108,14 +108,14 @@ def test_the_time_chart_shows_waits_with_an_arrow_from_what_ended_them(coupled, 
     file = tmp_path / "chart.svg"
     found = estimate_cycles(folder / "model", folder / "dataset", plan_of(order), gantt=file)
     assert "written by cyclekit" in file.read_text(encoding="utf-8")
-    lanes, bars, arrows = chart_of(found)
-    assert lanes == ["plan: robot", "plan: operator"]
-    by_text = {bar.text: bar for bar in bars if bar.text}
-    assert set(by_text) == {"bring", "weld", "inspect", "mount", "pack"}
-    (wait,) = (bar for bar in bars if bar.waits and bar.lane == 0)
-    assert (wait.start_s, wait.end_s) == pytest.approx((by_text["bring"].end_s, by_text["weld"].start_s))
-    (arrow,) = (arrow for arrow in arrows if arrow.to_lane == 0)
-    assert (arrow.from_s, arrow.to_s) == pytest.approx((by_text["mount"].end_s, by_text["weld"].start_s))
+    (block,) = blocks_of(found)
+    assert block.lanes == ("robot", "operator")
+    named = {label.texts[0].partition(" ")[2]: label for label in block.labels}
+    assert set(named) == {"bring", "weld", "inspect", "mount", "pack"}
+    (wait,) = (bar for bar in block.bars if bar.waits and bar.lane == 0)
+    assert (wait.start_s, wait.end_s) == pytest.approx((named["bring"].end_s, named["weld"].start_s))
+    (arrow,) = (arrow for arrow in block.arrows if arrow.to_lane == 0)
+    assert (arrow.from_s, arrow.to_s) == pytest.approx((named["mount"].end_s, named["weld"].start_s))
 
 
 def test_an_earliest_start_and_a_told_precedence_are_kept(coupled) -> None:
@@ -322,14 +322,40 @@ def test_the_report_has_a_time_chart_and_who_waits_for_what_and_what_is_not_know
     facts = write_report(folder / "dataset", tmp_path / "page.html", **asked)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert facts.pictures == 1
-    assert "data:image/svg+xml;base64," in page
-    assert facts.headline.startswith("Shortest of 1: plan 3")
+    assert "<title>robot: 2 weld: " in page
+    assert "“plan 3” takes " in facts.headline
     write_report(folder / "dataset", tmp_path / "page.md", **asked)
     words = (tmp_path / "page.md").read_text(encoding="utf-8")
     assert "operator: mount (" in words
     assert "| arm | weld | 120 |" in words
     assert "Nothing is known of positions, distances, zones and the safety function" in words
     assert "| faster | plan 3 |" in words
+
+
+def test_the_report_of_task_lists_holds_today_and_plans_against_the_takt(coupled, tmp_path) -> None:
+    folder, _ = coupled
+    logged = Dataset.of(folder / "dataset")
+    tasks = logged.every_task().sort("start_s").filter(execution=logged.card.executions[0].execution)
+    order = {agent: tasks.filter(agent=agent)["task"].to_list() for agent in ("robot", "operator")}
+    again = {"robot": ["polish", *order["robot"]], "operator": order["operator"]}
+    asked = {"model": folder / "model", "sequences": [plan_of(order, "same"), plan_of(again, "more")], "takt_s": 60.0}
+    write_report(folder / "dataset", tmp_path / "page.json", **asked)
+    found = json.loads((tmp_path / "page.json").read_text(encoding="utf-8"))
+    same = next(each for each in found["estimates"] if each["name"] == "same")
+    assert found["verdict"]["today"]["executions"] == 40  # all do the same work
+    mean_s = logged.executions["duration_s"].mean()
+    assert found["verdict"]["today"]["mean_s"] == pytest.approx(mean_s)
+    within = float((logged.executions["duration_s"] <= 60.0).mean())
+    assert found["verdict"]["today"]["within"][0] == pytest.approx(within)
+    assert found["verdict"]["best"]["sequence"] == "same"
+    assert found["verdict"]["best"]["within"][0] == pytest.approx(same["takt_probability"][0])
+    assert found["verdict"]["best"]["saves_s"] == pytest.approx(mean_s - same["expected_s"])
+    assert "of cycles within the takt of 60 s" in found["headline"].replace("\N{NO-BREAK SPACE}", " ")
+    ends = [task["end_high_s"] for task in same["plan"]]
+    assert max(ends) == pytest.approx(same["quantiles_s"]["0.95"], rel=0.01)
+    named = write_report(folder / "dataset", tmp_path / "page.html", **asked, baseline="same").headline
+    duration_s = logged.executions["duration_s"][0]
+    assert named.startswith(f"“same” (baseline) {duration_s:.1f}")
 
 
 def test_evaluate_names_a_pace_that_changed_since_the_training(coupled, tmp_path) -> None:

@@ -106,7 +106,7 @@ def test_pointing_at_a_bar_says_its_numbers(desk):
     at = desk.ask(
         "(async () => {"
         " const bars = [...document.querySelectorAll('#where .wide g.tip')];"
-        " const bar = bars.find(g => g.dataset.tip.includes('slot_3: safety'));"
+        " const bar = bars.find(g => g.dataset.tip.includes('slot_3: slow-down'));"
         " bar.scrollIntoView({block: 'center'});"
         " await new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)));"
         " const b = bar.getBoundingClientRect();"
@@ -115,7 +115,9 @@ def test_pointing_at_a_bar_says_its_numbers(desk):
     assert desk.ask("document.querySelector('.tip-box').hidden")
     desk.point_at(*at)
     assert not desk.ask("document.querySelector('.tip-box').hidden")
-    assert "safety slow-down 1.6 s (38 %)" in desk.ask("document.querySelector('.tip-box').textContent")
+    assert "slow-down (mean speed 49 %) 1.6 s (38 % of the task)" in desk.ask(
+        "document.querySelector('.tip-box').textContent"
+    )
     desk.point_at(2, 2)
     assert desk.ask("document.querySelector('.tip-box').hidden")
 

@@ -11,9 +11,13 @@ from msgspec import structs
 from report_pages import Page, estimate
 
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import UnknownName
+from cyclekit.estimate.baseline import today_of
 from cyclekit.estimate.plan import OrderPlan
 from cyclekit.estimate.result import TaskShare
+from cyclekit.estimate.same_work import work_of
 from cyclekit.report import Tried, compose_report
+from cyclekit.report.verdict import verdict
 
 pytestmark = pytest.mark.usefixtures("words_only")
 
@@ -49,21 +53,58 @@ def test_today_is_the_logged_cycle_and_the_order_and_change_stand_beside_it(logg
     given = {"estimates": [estimate("as now", 31.0, places=ROUTE), order], "what_if": [change], "planned": PLANNED}
     found = document(logged, tmp_path, takt_s=30.5, **given)
     said = (
-        "Today 31.0 s, 50 % of cycles miss the takt of 30.5 s. "
-        "The order found takes 25.0 s (−19 %); with “smaller zone” 20.0 s (−35 %)."
+        "Today 31.0 s, 50 % of cycles within the takt of 30.5 s (95 % CI 15 to 85 %). "
+        "The order found takes 25.0 s, saving 6.0 s (−19 %), 100 % of cycles within the takt (95 % CI 44 to 100 %); "
+        "with “smaller zone” 20.0 s, saving 11.0 s (−35 %)."
     )
     assert found["answer"] == said
     assert found["verdict"]["text"] == said
-    assert found["verdict"]["today"] | {"low_s": 0, "high_s": 0} == {
-        "executions": 4, "mean_s": 31.0, "low_s": 0, "high_s": 0, "missed": 2, "missed_share": 0.5,
-    }  # fmt: skip
-    assert found["verdict"]["best"] == {"sequence": None, "expected_s": 25.0, "order": list(TURNED)}
-    assert found["verdict"]["change"]["expected_s"] == 20.0
+    today = found["verdict"]["today"]
+    assert (today["executions"], today["mean_s"], today["missed"], today["order"]) == (4, 31.0, 2, list(ROUTE))
+    assert today["within"] == pytest.approx([0.5, 0.15, 0.85], abs=0.005)  # Wilson's interval of 2 of 4
+    best = found["verdict"]["best"]
+    assert (best["sequence"], best["expected_s"], best["order"]) == (None, 25.0, list(TURNED))
+    assert best["saves_s"] == pytest.approx(6.0)
+    assert (found["verdict"]["change"]["expected_s"], found["verdict"]["change"]["saves_s"]) == (20.0, 11.0)
     (basis, *_) = found["sentences"]["answer"]
     assert basis.startswith("Today: mean 31.0 s (95 % CI ")
-    assert basis.endswith("of the 4 logged executions that do this work; 2 of them (50 %) miss the takt of 30.5 s.")
+    assert basis.endswith("of the 4 logged executions of the order run most; 2 of them (50 %) miss the takt of 30.5 s.")
     markdown = compose_report(logged, None, tmp_path / "r.md", kind="md", takt_s=30.5, **given).path.read_text("utf-8")
     assert f"**{said}**" in markdown.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def in_orders(logged, *orders):
+    """The logged executions again and again, in these orders."""
+    entries = [
+        structs.replace(logged.card.executions[n % 4], execution=f"run {n}", places=order)
+        for n, order in enumerate(orders)
+    ]
+    return Dataset(logged.path, structs.replace(logged.card, executions=tuple(entries)))
+
+
+def test_the_baseline_is_the_order_run_most_where_it_was_run_often(logged, tmp_path):
+    often = in_orders(logged, *[ROUTE] * 5, *[TURNED] * 3)
+    today = today_of(often, work_of(ROUTE), None)
+    assert (today.executions, today.order) == (5, ROUTE)
+    assert today.mean_s == pytest.approx((28 + 30 + 31 + 35 + 28) / 5)
+    seldom = today_of(in_orders(logged, *[ROUTE] * 3, *[TURNED] * 3), work_of(ROUTE), None)
+    assert (seldom.executions, seldom.order) == (6, None)
+
+
+def test_a_named_baseline_is_its_logged_executions_or_else_its_estimate(logged, tmp_path):
+    both = in_orders(logged, *[ROUTE] * 4, *[TURNED] * 3)
+    given = {"estimates": [estimate("as now", 31.0, places=ROUTE), estimate("turned", 20.0, places=TURNED)]}
+    held = verdict(both, given["estimates"], (), None, None, "turned").today
+    assert (held.executions, held.order, held.sequence) == (3, TURNED, "turned")
+    found = document(logged, tmp_path, **given, takt_s=25.0, baseline="as now")
+    assert found["answer"].startswith(
+        "“as now” (baseline) 31.0 s, 0 % of cycles within the takt of 25 s (95 % CI 0 to "
+    )
+    found = document(logged, tmp_path, **given, baseline="turned")
+    assert found["answer"] == "“turned” (baseline) 20.0 s. No other sequence takes less time."
+    assert found["sentences"]["answer"][0].startswith("The baseline “turned” was never logged: its estimate")
+    with pytest.raises(UnknownName, match="trned"):
+        document(logged, tmp_path, **given, baseline="trned")
 
 
 def test_where_no_logged_execution_does_the_work_there_is_no_today(logged, tmp_path):

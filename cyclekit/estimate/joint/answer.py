@@ -12,7 +12,7 @@ from cyclekit.estimate.entry import LEAST_SUPPORT
 from cyclekit.estimate.joint.judged import JointCheck, judge_joint
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, longest_s
-from cyclekit.estimate.joint.shares import planned_shares, task_shares
+from cyclekit.estimate.joint.shares import operator_shares, planned_shares, task_shares
 from cyclekit.estimate.limits import FEW_EXECUTIONS, extrapolation_of, few_tracks, limits_of_logs, refuse_biased
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.question import Altered, Question
@@ -169,15 +169,21 @@ class JointAnswers:
         parts = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
         split = {part: sum(getattr(share, part) for share in shares) for part in parts}
         within = None if ask.takt_s is None else share_within(durations, ask.takt_s, weights)
+
+        def quantile(cycles_s: Vector, level: float) -> float:
+            return check.quantile(cycles_s, level) if check else float(np.quantile(cycles_s, level))
+
+        def band(ends_s: Vector) -> tuple[float, ...]:
+            levels = (min(ask.quantiles), max(ask.quantiles)) if len(ask.quantiles) > 1 else ()
+            return tuple(quantile(ends_s, level) for level in levels)
+
         entry = CycleEstimate(
             name=sequence.name,
             places=sequence.places,
             expected_s=expected,
             expected_low_s=low,
             expected_high_s=high,
-            quantiles_s={
-                p: check.quantile(durations, p) if check else float(np.quantile(durations, p)) for p in ask.quantiles
-            },
+            quantiles_s={p: quantile(durations, p) for p in ask.quantiles},
             **split,
             support=cycles.support,
             tracks=len(durations),
@@ -194,7 +200,8 @@ class JointAnswers:
             extrapolated=cycles.support < LEAST_SUPPORT,
             operator=sequence.operator,
             check=check,
-            plan=tuple(planned_shares(cycles)),
+            plan=tuple(planned_shares(cycles, factor, band)),
+            operator_at={} if len(cycles.operators) == 1 else operator_shares(cycles, expected / factor),
             idle_s=max(expected - sum(split.values()), 0.0),
         )
         return entry, means

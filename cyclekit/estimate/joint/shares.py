@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from cyclekit.estimate.joint.plans import legs_of_tasks
 from cyclekit.estimate.joint.roll import begins_s
 from cyclekit.estimate.joint.walk import OWN, PLANNED
-from cyclekit.estimate.result import PlannedShare, TaskShare
+from cyclekit.estimate.result import ELSEWHERE, PARTS, PlannedShare, TaskShare
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from cyclekit.estimate.joint.legs import Agenda
     from cyclekit.estimate.joint.roll import OneAgent, RolledBoth
-    from cyclekit.schema import Ints
+    from cyclekit.schema import Floats, Ints, Vector
 
 
 def task_shares(rolled: RolledBoth) -> list[TaskShare]:
@@ -31,14 +33,41 @@ def task_shares(rolled: RolledBoth) -> list[TaskShare]:
     return found
 
 
-def planned_shares(rolled: RolledBoth) -> list[PlannedShare]:
+def planned_shares(
+    rolled: RolledBoth, factor: float = 1.0, band: Callable[[Vector], tuple[float, ...]] = lambda _ends_s: ()
+) -> list[PlannedShare]:
     """Return when each task starts and ends and what its start waited for; a task that waits midway has two rows.
 
     Where the operator does this in one cycle and that in another, his tasks have no mean times and are left out.
+
+    Args:
+        rolled: The cycles.
+        factor: What every duration is multiplied by: the bias on logged executions, taken out.
+        band: Between which times a task ends in single cycles, from its ends (cycles,), s.
     """
     agents = [rolled.robot, *(rolled.operators if len(rolled.operators) == 1 else ())]
-    whose = _whose(rolled)
-    return [share for agent in agents for share in _of_agent(agent, rolled, whose)]
+    whose, found = _whose(rolled), list[PlannedShare]()
+    for agent in agents:
+        for span in _spans(agent, rolled):
+            first, last, wait = (factor * float(at.mean()) for at in (span.start_s, span.end_s, span.wait_s))
+            name, decided = agent.agenda.agent, _decided(span.decided, whose)
+            ends = band(factor * span.end_s)
+            found.append(PlannedShare(name, name, span.task, first, last, wait, decided, *ends))
+    return found
+
+
+def operator_shares(rolled: RolledBoth, cycle_s: float) -> dict[str, tuple[float, ...]]:
+    """Return in which part of the cycles the operator is at each task, in PARTS equal parts of a cycle."""
+    middle_s = (np.arange(PARTS) + 0.5) / PARTS * cycle_s
+    found: dict[str, Floats] = {}
+    for agent in rolled.operators:
+        for span in _spans(agent, rolled):
+            there = (span.start_s[:, None] <= middle_s) & (middle_s < span.end_s[:, None])
+            found[span.task] = found.get(span.task, np.zeros(PARTS)) + there.sum(axis=0)
+    rest = len(rolled.duration_s) - np.sum(list(found.values()), axis=0)
+    found[ELSEWHERE] = np.maximum(rest, 0.0)
+    parts = ((name, times / len(rolled.duration_s)) for name, times in found.items())
+    return {name: tuple(np.round(part, 4).tolist()) for name, part in parts if part.any()}
 
 
 def _whose(rolled: RolledBoth) -> dict[int, str]:
@@ -53,24 +82,29 @@ def _named(agenda: Agenda, task: int) -> str:
     return f"{agenda.agent}: {agenda.tasks[task]}" if task >= 0 else f"{agenda.agent}: start"
 
 
-def _of_agent(agent: OneAgent, rolled: RolledBoth, whose: dict[int, str]) -> list[PlannedShare]:
-    agenda, times, found = agent.agenda, agent.times, list[PlannedShare]()
-    before = 0
+class _Span(NamedTuple):
+    """One task of one agent: times from the start of each cycle (rows,), s, and what decided going on at its gates."""
+
+    task: str
+    start_s: Vector
+    end_s: Vector
+    wait_s: Vector
+    decided: Ints
+
+
+def _spans(agent: OneAgent, rolled: RolledBoth) -> Iterator[_Span]:
+    agenda, times, before = agent.agenda, agent.times, 0
     begin_s = begins_s(len(rolled.duration_s), (rolled.robot, *rolled.operators))[agent.rows]
     for name, legs in zip(agenda.tasks, legs_of_tasks(agenda), strict=True):
         for leg in legs:
             if agenda.legs[leg].hold:
                 continue
             gates = list(range(before, leg))  # from the last own work to going on: its own gate, and a hold
-            start, works = times.passes_s[:, leg - 1], times.works_s[:, before]
-            works = np.maximum(works, begin_s)
-            decided = _decided(times.decided[:, gates], whose)
+            start, works = times.passes_s[:, leg - 1], np.maximum(times.works_s[:, before], begin_s)
             end = times.passes_s[:, leg] if leg == len(agenda.legs) - 1 else times.works_s[:, leg]
-            first, last = (float((at - begin_s).mean()) for at in (start, end))
-            wait = float(np.maximum(start - works, 0.0).mean())
-            found.append(PlannedShare(agenda.agent, agenda.agent, name, first, last, wait, decided))
+            wait = np.maximum(start - works, 0.0)
+            yield _Span(name, start - begin_s, end - begin_s, wait, times.decided[:, gates])
             before = leg
-    return found
 
 
 def _decided(columns: Ints, whose: dict[int, str]) -> dict[str, float]:

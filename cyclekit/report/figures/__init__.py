@@ -16,14 +16,12 @@ from cyclekit.report.figures.lost_causes import LOST_CAUSES
 from cyclekit.report.figures.predictions import CALIBRATION, CONFUSION
 from cyclekit.report.figures.staircase import STAIRCASE
 from cyclekit.report.figures.time_chart import TIME_CHART
-from cyclekit.report.figures.time_shares import TIME_SHARES
 
 if TYPE_CHECKING:
     from cyclekit.report.inputs import PageInputs
 
 FIGURES: tuple[Figure, ...] = (
     CYCLE_TIMES,
-    TIME_SHARES,
     TIME_CHART,
     LOST_CAUSES,
     STAIRCASE,

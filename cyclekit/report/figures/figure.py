@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,7 @@ class Chart:
         title: Heading above it; empty without one.
         numbers: The numbers of the picture, folded up below it.
         table: A table that is always open, below those.
+        more: Further tables, folded up.
     """
 
     picture: Picture
@@ -29,6 +30,7 @@ class Chart:
     title: str = ""
     numbers: ReportTable | None = None
     table: ReportTable | None = None
+    more: Sequence[ReportTable] = ()
 
 
 @dataclass(frozen=True)

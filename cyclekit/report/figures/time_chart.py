@@ -1,19 +1,20 @@
-"""When robot and operator do what: a time chart of each sequence in which one waits for the other, or of plans."""
+"""When robot and operator do what: a time chart of today's cycle and of each sequence, on a common time axis."""
 
 from __future__ import annotations
 
 from functools import partial
 from typing import TYPE_CHECKING
 
-from cyclekit.estimate.gantt import SHOWN_S, chart_of, legend_of
+from cyclekit.estimate.baseline import logged_cycle, logged_order
+from cyclekit.estimate.gantt import SHOWN_S, blocks_of, legend_of, spelt
 from cyclekit.report.figures.figure import Chart, Figure
-from cyclekit.report.figures.time_shares import MOST_SEQUENCES
-from cyclekit.report.numbers import fixed
-from cyclekit.report.pictures import Picture
-from cyclekit.report.tables import ReportTable, spell
+from cyclekit.report.findings import task_shares
+from cyclekit.report.numbers import UNKNOWN, fixed
+from cyclekit.report.pictures import Picture, tip
+from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from matplotlib.figure import Figure as Drawn
 
@@ -21,54 +22,146 @@ if TYPE_CHECKING:
     from cyclekit.report.inputs import PageInputs
     from cyclekit.report.texts import ReportTexts
 
+MOST_SEQUENCES = 4
+"""Maximum number of sequences drawn; the others are in the tables."""
+PARTS = ("nominal", "safety", "dwell", "wait")
+_FIELDS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 _WORDS = {
-    "caption": "{name}: mean times of each task from the start of the cycle. Hatched: wait; the arrow comes from what "
-    "ended it.",
-    "picture": "Time chart of {name}, one bar per task of each agent; {waits} tasks begin with a wait.",
+    "caption": "Mean times from the start of the cycle, on one time axis. Within a task the motion at full speed is "
+    "drawn first, then the time that slow-down adds, in the colour of the mean speed. Hatched: wait; an arrow comes "
+    "from what ended it. A label is the number of the task and where it leads.",
+    "course": "Line “tasks done”: expected course; its band holds {share} of the cycles.",
+    "lane": "Operator: share of the cycles in which the operator is at each place or on the way to it.",
+    "picture": "Time chart of {count} cycles. {name}: {mean} s; largest safety loss at {task}, {loss} s.",
+    "more": "{count} more are in the tables.",
+    "today": "today, as logged",
+    "one": "logged execution {name}",
+    "split": "Mean split of one cycle, seconds",
+    "tasks": "{name}: mean split per task, in order",
+    "plan": "{name}: start, end and wait of each task",
+    "cycle": "Cycle",
+    "idle": "Until the operator is done, s",
+    "number": "No.",
     "agent": "Agent",
     "task": "Task",
     "start": "Start, s",
     "end": "End, s",
+    "band": "End in single cycles, s",
     "wait": "Wait before it, s",
     "ended": "Wait ended by",
 }
 
 
 def _charts(page: PageInputs) -> Iterator[Chart]:
-    for number, each in enumerate(page.ranked[:MOST_SEQUENCES] if page.ranked else ()):
-        if each.plan:
-            texts = page.texts
-            waits = sum(task.wait_s > SHOWN_S for task in each.plan)
-            alt = texts("time_chart.picture", name=each.name, waits=waits)
-            caption = texts("time_chart.caption", name=each.name)
-            picture = Picture(f"timechart{number}", alt, partial(_drawn, each))
-            yield Chart(picture, caption, numbers=_table(texts, caption, each))
+    texts, today = page.texts, _today(page)
+    found = [*([today] if today else []), *page.ranked]
+    if not found:
+        return
+    drawn = found[: MOST_SEQUENCES + bool(today)]
+    caption = " ".join(_said(texts, drawn, len(found) - len(drawn)))
+    tables = [_plan(texts, each) if each.plan else _tasks(texts, each) for each in found if each.tasks]
+    if page.ranked:
+        split = _split(texts, found)
+    else:
+        split, tables = _logged(texts, page), tables[:1]
+    picture = Picture("timechart", alt_of(texts, drawn), partial(draw, drawn, page.takt_s))
+    yield Chart(picture, caption, table=split, more=tables)
 
 
-def _drawn(each: CycleEstimate, width_in: float) -> Drawn:
+def draw(found: Sequence[CycleEstimate], takt_s: float | None, width_in: float) -> Drawn:
+    """Draw the time chart of these cycles."""
     from matplotlib.figure import Figure as Drawn
 
-    from cyclekit.plots.gantt import draw_bars, height_in
+    from cyclekit.plots.gantt import draw_blocks, height_in
 
-    lanes, bars, arrows = chart_of([each])
-    figure = Drawn(figsize=(width_in, height_in(lanes)), layout="constrained")
-    lanes = [lane.removeprefix(f"{each.name}: ") for lane in lanes]
-    draw_bars(figure.subplots(), lanes, bars, arrows, legend_of([each]) if width_in > 5.0 else {})
+    blocks, legend = blocks_of(found), legend_of(found, takt_s)
+    figure = Drawn(figsize=(width_in, height_in(blocks, legend, width_in)))
+    draw_blocks(figure.add_subplot(), blocks, legend, takt_s, tip)
     return figure
 
 
-def _table(texts: ReportTexts, caption: str, each: CycleEstimate) -> ReportTable:
-    heads = [texts(f"time_chart.{name}") for name in ("agent", "task", "start", "end", "wait", "ended")]
-    rows = [
-        [
-            task.agent,
-            spell(task.task),
-            *(fixed(value, 1) for value in (task.start_s, task.end_s, task.wait_s)),
-            max(task.decided, key=lambda name: task.decided[name]) if task.wait_s > SHOWN_S else "",
-        ]
-        for task in each.plan
-    ]
-    return ReportTable(caption, heads, rows, frozenset((2, 3, 4)), silent=True)
+def alt_of(texts: ReportTexts, found: Sequence[CycleEstimate]) -> str:
+    """Return the alternative text of the time chart of these cycles."""
+    first = found[0]
+    worst = max(first.tasks, key=lambda share: share.safety_loss_s, default=None)
+    task, loss = (spelt(worst.task), fixed(worst.safety_loss_s, 1)) if worst else (UNKNOWN, UNKNOWN)
+    mean = fixed(first.expected_s, 1)
+    return texts("time_chart.picture", count=len(found), name=first.name, mean=mean, task=task, loss=loss)
+
+
+def _said(texts: ReportTexts, drawn: Sequence[CycleEstimate], left: int) -> Iterator[str]:
+    yield texts("time_chart.caption")
+    levels = sorted(drawn[-1].quantiles_s)
+    if len(levels) > 1:
+        yield texts("time_chart.course", share=f"{100 * (levels[-1] - levels[0]):.0f} %")
+    if any(each.operator_at for each in drawn):
+        yield texts("time_chart.lane")
+    if left:
+        yield texts("time_chart.more", count=left)
+
+
+def _today(page: PageInputs) -> CycleEstimate | None:
+    """Return today's cycle, where its executions ran one order; without sequences one that was logged."""
+    if page.ranked:
+        today = page.verdict.today if page.verdict else None
+        names = today.names if today and today.order else ()
+        title = page.texts("time_chart.today")
+    else:
+        names = logged_order(page.dataset)
+        one = len(names) == 1
+        title = page.texts("time_chart.one", name=names[0]) if one else page.texts("time_chart.today")
+    return logged_cycle(page.dataset, names, title) if names else None
+
+
+def _heads(texts: ReportTexts) -> list[str]:
+    return [*(f"{texts(f'where.{part}')}, s" for part in PARTS), texts("where.total")]
+
+
+def _split(texts: ReportTexts, found: Sequence[CycleEstimate]) -> ReportTable:
+    *parts, total = _heads(texts)
+    idle = ["idle_s"] if any(each.idle_s > SHOWN_S for each in found) else []
+    heads = [texts("time_chart.cycle"), *parts, *(texts("time_chart.idle") for _ in idle), total]
+    fields = (*_FIELDS, *idle, "expected_s")
+    rows = [[each.name, *(fixed(getattr(each, field), 1) for field in fields)] for each in found]
+    return ReportTable(texts("time_chart.split"), heads, rows, frozenset(range(1, len(heads))))
+
+
+def _tasks(texts: ReportTexts, each: CycleEstimate) -> ReportTable:
+    heads = [texts("where.task"), texts("time_chart.number"), *_heads(texts)]
+    heads += [texts("time_chart.end"), texts("time_chart.band")]
+    rows, end_s = [], 0.0
+    for number, share in enumerate(each.tasks, start=1):
+        end_s += share.expected_s
+        parts = [fixed(getattr(share, part), 1) for part in (*_FIELDS, "expected_s")]
+        rows.append([spelt(share.task), str(number), *parts, fixed(end_s, 1), _band(share.end_low_s, share.end_high_s)])
+    caption = texts("time_chart.tasks", name=each.name)
+    return ReportTable(caption, heads, rows, frozenset(range(1, len(heads))), silent=True)
+
+
+def _band(low_s: float | None, high_s: float | None) -> str:
+    return UNKNOWN if low_s is None or high_s is None else f"{fixed(low_s, 1)} to {fixed(high_s, 1)}"
+
+
+def _plan(texts: ReportTexts, each: CycleEstimate) -> ReportTable:
+    heads = [texts(f"time_chart.{name}") for name in ("task", "agent", "start", "end", "band", "wait", "ended")]
+    rows = []
+    for task in each.plan:
+        times = [fixed(task.start_s, 1), fixed(task.end_s, 1), _band(task.end_low_s, task.end_high_s)]
+        waits = task.wait_s > SHOWN_S
+        cause = max(task.decided, key=lambda name: task.decided[name]) if waits else ""
+        rows.append([spelt(task.task), task.agent, *times, fixed(task.wait_s, 1), spelt(cause)])
+    caption = texts("time_chart.plan", name=each.name)
+    return ReportTable(caption, heads, rows, frozenset((2, 3, 4, 5)), silent=True)
+
+
+def _logged(texts: ReportTexts, page: PageInputs) -> ReportTable:
+    """The mean split of every logged task, the costliest in safety loss first."""
+    heads = [texts("where.task"), *_heads(texts), texts("where.seen")]
+    rows = []
+    for share in task_shares(page.tasks):
+        parts = (share.nominal_s, share.safety_s, share.dwell_s, share.wait_s, share.total_s)
+        rows.append([spelt(share.name), *(fixed(part, 1) for part in parts), str(share.seen)])
+    return ReportTable(texts("where.caption_logged"), heads, rows, frozenset(range(1, len(heads))))
 
 
 TIME_CHART = Figure("time_chart", "where", _charts, _WORDS)

@@ -1,0 +1,219 @@
+"""Today's cycle: the logged executions that others are held against, and what they were like task by task."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from cyclekit.config.sequences import PLAN
+from cyclekit.estimate.resample import TOGETHER, resampled, wilson
+from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, CycleEstimate, TaskShare
+from cyclekit.estimate.same_work import work_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.same_work import Work
+    from cyclekit.schema import Floats, Vector
+
+LEAST_RUNS = 5
+"""The order that was run most is the baseline from so many executions on; of fewer, all that do the same work."""
+LEVELS = (0.05, 0.5, 0.95)
+"""Quantiles of logged executions."""
+_SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
+
+
+@dataclass(frozen=True)
+class Today:
+    """The logged executions that are the baseline, or an estimate that was named for it.
+
+    Attributes:
+        executions: Number of them; 0 for an estimate.
+        mean_s: Their mean cycle time.
+        low_s, high_s: Its 95 % interval from resampling executions; both equal the mean for one execution.
+        missed: Number of executions longer than the takt; None without a takt.
+        within: Share of them within the takt, with its 95 % interval; None without a takt.
+        order: The order that all of them ran; None where they ran several.
+        names: Their names.
+        sequence: Name of the sequence that was named for the baseline; None where none was.
+    """
+
+    executions: int
+    mean_s: float
+    low_s: float
+    high_s: float
+    missed: int | None = None
+    within: tuple[float, float, float] | None = None
+    order: tuple[str, ...] | None = None
+    names: tuple[str, ...] = ()
+    sequence: str | None = None
+
+    @property
+    def missed_share(self) -> float | None:
+        """Share of the executions longer than the takt."""
+        return None if self.within is None else 1.0 - self.within[0]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values, without the names of the executions."""
+        values = {name: value for name, value in vars(self).items() if name != "names"}
+        return values | {"missed_share": self.missed_share}
+
+
+def today_of(dataset: Dataset, work: Work, takt_s: float | None, named: CycleEstimate | None = None) -> Today | None:
+    """Return the baseline: the logged executions of the order run most, without those without an operator.
+
+    Of an order run fewer than LEAST_RUNS times, all that do the same work. None where no execution did it.
+
+    Args:
+        dataset: The logs.
+        work: What the cycles do.
+        takt_s: The takt time, s.
+        named: The sequence that was named for the baseline: its logged executions, or else its estimate.
+    """
+    durations = dict(dataset.executions.filter("complete").select("execution", "duration_s").iter_rows())
+    logged = _orders(dataset)
+    ran = {
+        one.execution: logged[one.execution]
+        for one in dataset.card.executions
+        if one.execution in durations and not one.reference and _does(logged.get(one.execution, ()), work)
+    }
+    if named is not None:
+        ran = {name: places for name, places in ran.items() if places == _order_of(named)}
+        if not ran:
+            return _estimated(named, takt_s)
+    if not ran:
+        return None
+    order, times = Counter(ran.values()).most_common(1)[0]
+    if times >= LEAST_RUNS:
+        ran = {name: places for name, places in ran.items() if places == order}
+    names, same = tuple(ran), len(set(ran.values())) == 1
+    cycles_s = np.array([durations[name] for name in names], dtype=np.float64)
+    low_s, high_s = _interval(names, cycles_s)
+    missed = None if takt_s is None else int((cycles_s > takt_s).sum())
+    within = None if missed is None else (1 - missed / len(names), *wilson(1 - missed / len(names), len(names)))
+    mean_s, name = float(cycles_s.mean()), named.name if named else None
+    return Today(len(names), mean_s, low_s, high_s, missed, within, order if same else None, names, name)
+
+
+def _orders(dataset: Dataset) -> dict[str, tuple[str, ...]]:
+    """Return the order that each execution ran: its places, or of task lists the tasks of robot and operator."""
+    found = {one.execution: tuple(one.places) for one in dataset.card.executions if one.places}
+    if not found:
+        tasks = dataset.every_task().sort("start_s").select("execution", "agent", "task")
+        for (name,), rows in tasks.group_by(["execution"], maintain_order=True):
+            found[str(name)] = _plan_order(rows.select("agent", "task").rows())
+    return found
+
+
+def _order_of(named: CycleEstimate) -> tuple[str, ...]:
+    return named.places if named.tracks else _plan_order([(task.kind, task.task) for task in named.plan])
+
+
+def _plan_order(tasks: Sequence[tuple[str, str]]) -> tuple[str, ...]:
+    return (PLAN, *(f"{agent}: {task}" for agent, task in sorted(tasks, key=lambda each: each[0] != "robot")))
+
+
+def _does(order: tuple[str, ...], work: Work) -> bool:
+    """Tell whether an order does this work; tasks of lists are compared by their names, whatever agents are called."""
+    if order[:1] != (PLAN,):
+        return work_of(order) == work
+    mine, wanted = (
+        sorted(visit.rpartition(": ")[2] for visit in some) for some in (work_of(order).visits, work.visits)
+    )
+    return mine == wanted
+
+
+def _estimated(named: CycleEstimate, takt_s: float | None) -> Today:
+    within = named.takt_probability if named.takt_s == takt_s else None
+    interval = named.expected_low_s, named.expected_high_s
+    return Today(0, named.expected_s, *interval, None, within, named.places, (), named.name)
+
+
+def _interval(names: Sequence[str], cycles_s: Vector) -> tuple[float, float]:
+    means_s = resampled(names, 0, together=min(TOGETHER, len(names))) @ cycles_s
+    low_s, high_s = np.quantile(means_s, (0.025, 0.975)).tolist()
+    return low_s, high_s
+
+
+def logged_order(dataset: Dataset) -> tuple[str, ...]:
+    """Return the complete executions of the order that was run most; of orders run once, the one of median length."""
+    alone = [one.execution for one in dataset.card.executions if one.reference]
+    complete = dataset.executions.filter("complete").sort("duration_s")["execution"].to_list()
+    tasks = dataset.tasks().sort("start_s").group_by("execution").agg("task")
+    of = {name: tuple(order) for name, order in tasks.iter_rows() if name not in alone}
+    names = [name for name in complete if name in of]
+    if not names:
+        return ()
+    order, times = Counter(of[name] for name in names).most_common(1)[0]
+    if times == 1:
+        return (names[len(names) // 2],)
+    return tuple(name for name in names if of[name] == order)
+
+
+def logged_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEstimate | None:
+    """Return what logged executions of one order were like, as an estimate: means of their tasks, and their quantiles.
+
+    None where the robot's tasks are not known, or differ between them.
+    """
+    tasks = dataset.tasks().filter(pl.col("execution").is_in(list(names))).sort("execution", "start_s")
+    each = [rows for _, rows in tasks.group_by(["execution"], maintain_order=True)]
+    if not each or len({tuple(rows["task"]) for rows in each}) > 1:
+        return None
+    begins_s = [float(rows["start_s"][0]) for rows in each]
+    ends_s = np.array([rows["end_s"].to_numpy() - begin_s for rows, begin_s in zip(each, begins_s, strict=True)])
+    single = len(each) > 1
+    band = (
+        np.quantile(ends_s, (LEVELS[0], LEVELS[-1]), axis=0).T.tolist() if single else [[None, None]] * ends_s.shape[1]
+    )
+    begun_s = np.concatenate([np.zeros((len(each), 1)), ends_s[:, :-1]], axis=1)
+    parts_s = np.stack([_parts_s(rows) for rows in each]).mean(axis=0)
+    took_s = (ends_s - begun_s).mean(axis=0)
+    parts_s[:, 3] += took_s - parts_s.sum(axis=1)  # what lies between two tasks is a wait
+    shares = tuple(
+        TaskShare(task, float(took), *parts, *ends)
+        for task, took, parts, ends in zip(each[0]["task"], took_s, parts_s.tolist(), band, strict=True)
+    )
+    cycles_s, split = ends_s[:, -1], dict(zip(_SPLIT, parts_s.sum(axis=0).tolist(), strict=True))
+    low_s, high_s = _interval(names, cycles_s)
+    quantiles = {level: float(np.quantile(cycles_s, level)) for level in LEVELS} if single else {}
+    places = next(tuple(one.places) for one in dataset.card.executions if one.execution == names[0])
+    return CycleEstimate(
+        title, places, float(cycles_s.mean()), low_s, high_s, quantiles, **split,
+        support=1.0, tracks=len(each), warnings=(), tasks=shares, safety_by_activity_s={},
+        durations_s=tuple(cycles_s.tolist()), estimator="logged", why="logged executions", executions=len(each),
+        operator_at=_operator_at(dataset, names, begins_s, float(cycles_s.mean())),
+    )  # fmt: skip
+
+
+def _parts_s(rows: pl.DataFrame) -> Floats:
+    """Return motion, loss, dwell and wait of each task (tasks, 4), s; unknown loss counts as motion."""
+    loss = pl.col("safety_loss_s").fill_null(0.0)
+    motion = pl.col("arrival_s") - pl.col("start_s") - loss
+    others = (pl.col(name).fill_null(0.0) for name in ("dwell_s", "wait_s"))
+    return np.asarray(rows.select(motion.clip(0.0).alias("motion"), loss, *others).to_numpy(), dtype=np.float64)
+
+
+def _operator_at(
+    dataset: Dataset, names: Sequence[str], begins_s: Sequence[float], cycle_s: float
+) -> dict[str, tuple[float, ...]]:
+    columns = ["execution", "t_s", "human_task", "human_x_m"]
+    samples = dataset.samples(list(names), columns=columns)
+    begin = pl.col("execution").replace_strict(dict(zip(sorted(names), begins_s, strict=True)), return_dtype=pl.Float64)
+    part = ((pl.col("t_s") - begin) / cycle_s * PARTS).floor().cast(pl.Int64)
+    doing = pl.coalesce(
+        "human_task", pl.when(pl.col("human_x_m").is_null()).then(pl.lit(AWAY)).otherwise(pl.lit(ELSEWHERE))
+    )
+    known = samples.select(part=part, doing=doing).filter(pl.col("part").is_between(0, PARTS - 1))
+    if known.is_empty() or set(known["doing"]) <= {AWAY}:
+        return {}
+    count = known.group_by("part").len().rename({"len": "all"})
+    shares = known.group_by("part", "doing").len().join(count, on="part")
+    found: dict[str, list[float]] = {}
+    for at, name, times, every in shares.sort("doing", "part").select("part", "doing", "len", "all").iter_rows():
+        found.setdefault(name, [0.0] * PARTS)[at] = round(times / every, 4)
+    return {name: tuple(parts) for name, parts in found.items()}

@@ -105,8 +105,8 @@ def report_tasks(
     elif kind == "md":
         content = _markdown(name, made, [headline, *said], parts)
     else:
-        values = {"cell": name, "made": made, "headline": headline, "said": said, "parts": parts}
-        content = look.render(page=PAGE, **values, version=installed("cyclekit")) + f"\n{MARK}\n"
+        texts_of = {"cell": name, "made": made, "headline": headline, "version": installed("cyclekit")}
+        content = look.render(page=PAGE, said=said, parts=parts, **texts_of) + f"\n{MARK}\n"
     write_text(out, content)
     return ReportFacts(out, out.stat().st_size, headline, content.count("<figure>"), (NOT_KNOWN[0],), len(found))
 

@@ -47,12 +47,19 @@ class Place:
         xyz_m: Centre in the base frame, metres.
         radius_m: Positions within it count as being there.
         inferred: Found from the logs; False when the cell file names it.
+        label: How people are shown it, where the cell file says.
     """
 
     name: str
     xyz_m: tuple[float, float, float]
     radius_m: float
     inferred: bool
+    label: str | None = None
+
+    @property
+    def shown(self) -> str:
+        """How people are shown it: its label, else its name."""
+        return self.label or self.name
 
 
 class Dataset:
@@ -122,12 +129,16 @@ class Dataset:
     @property
     def places(self) -> dict[str, Place]:
         """Robot places by name."""
-        return {name: _place(name, one) for name, one in self.card.places.items()}
+        return {name: self._place(name, one) for name, one in self.card.places.items()}
 
     @property
     def human_places(self) -> dict[str, Place]:
         """Operator places by name (empty where neither the cell file nor events name any)."""
-        return {name: _place(name, one) for name, one in self.card.human_places.items()}
+        return {name: self._place(name, one) for name, one in self.card.human_places.items()}
+
+    def _place(self, name: str, card: PlaceCard) -> Place:
+        label = self.label(name)
+        return Place(name, card.xyz_m, card.radius_m, card.inferred, None if label == name else label)
 
     def label(self, place: str) -> str:
         """Return how people are shown a place of robot or operator: its label in the cell file, else its name."""
@@ -373,10 +384,6 @@ class Dataset:
             cure = f"Give one of {shown}, or a number from 1 to {len(names)}." if names else "It has no execution."
             raise UnknownName(str(self.path), "execution", name, names, cure=cure)
         return by_name[name]
-
-
-def _place(name: str, card: PlaceCard) -> Place:
-    return Place(name, card.xyz_m, card.radius_m, card.inferred)
 
 
 def _recorded(recording: str, table: str) -> str:

@@ -22,6 +22,7 @@ class Chart:
         title: Heading above it; empty without one.
         numbers: The numbers of the picture, folded up below it.
         table: A table that is always open, below those.
+        half: Two such charts stand side by side on paper.
     """
 
     picture: Picture
@@ -29,6 +30,7 @@ class Chart:
     title: str = ""
     numbers: ReportTable | None = None
     table: ReportTable | None = None
+    half: bool = False
 
 
 @dataclass(frozen=True)

@@ -27,12 +27,14 @@ from cyclekit.dataset.opening import opened_card
 from cyclekit.errors import DatasetError, UnknownName, command_line
 from cyclekit.storage.mistaken import DATASET_CARD
 from cyclekit.storage.remote.folders import local
+from cyclekit.text.results import html_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from cyclekit.config import Furniture
     from cyclekit.dataset.cards import DatasetCard, ExecutionCard, PlaceCard, RecordingCard
+    from cyclekit.plots.drawing import Drawing
 
 CARD, TASKS, QUARANTINE = DATASET_CARD, "tasks.parquet", "quarantine.parquet"
 _NEAR_S = 1e-3
@@ -84,6 +86,20 @@ class Dataset:
     def __repr__(self) -> str:
         """Return where it is and how much is in it."""
         return f"Dataset: {self.place}, {len(self.card.executions)} executions"
+
+    def plot(self) -> Drawing:
+        """Return the time of each execution, split by its robot tasks, as a matplotlib figure."""
+        from cyclekit.plots.results import PARTS, executions_figure
+
+        seconds = [pl.col(name).sum() for name, _, _ in PARTS]
+        spent = self.executions.join(self.tasks().group_by("execution").agg(seconds), on="execution", how="left")
+        spent = spent.sort("session", "start_s")
+        parts = {name: spent[name].fill_null(0.0).to_list() for name, _, _ in PARTS}
+        return executions_figure(spent["duration_s"].to_list(), parts)
+
+    def _repr_html_(self) -> str:
+        """Return the executions as a small table for a notebook."""
+        return html_table(repr(self), self.executions)
 
     @classmethod
     def open(cls, path: Path | str) -> Dataset:

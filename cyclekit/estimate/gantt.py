@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.estimate.result import CycleEstimate, PlannedShare
+    from cyclekit.plots.drawing import Drawing
 
 LEGEND = {
     "motion at full speed": colours.NOMINAL,
@@ -33,6 +34,13 @@ def write_gantt(path: Path, found: Sequence[CycleEstimate]) -> None:
     """
     lanes, bars, arrows = chart_of(found)
     draw_gantt(path, lanes, bars, arrows, legend_of(found))
+
+
+def gantt_figure(found: Sequence[CycleEstimate]) -> Drawing:
+    """Return that chart as a figure."""
+    from cyclekit.plots.results import chart_figure
+
+    return chart_figure(*chart_of(found), legend_of(found))
 
 
 def legend_of(found: Sequence[CycleEstimate]) -> dict[str, str]:

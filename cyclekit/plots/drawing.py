@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from io import BytesIO
 
+from matplotlib.axes import Axes as Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -19,5 +21,7 @@ class Drawing(Figure):
     def _repr_png_(self) -> bytes:
         """Return the picture for a notebook."""
         content = BytesIO()
-        self.savefig(content, format="png", dpi=110)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Glyph")  # a name out of a log may hold letters that the font lacks
+            self.savefig(content, format="png", dpi=110)
         return content.getvalue()

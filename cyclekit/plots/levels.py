@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.dataset.time_grid import USUAL_HZ, samples_in
 from cyclekit.plots import colours
 from cyclekit.plots.canvas import write_figure
 from cyclekit.plots.look import INK, RULE, plain_style
@@ -24,7 +23,7 @@ _SHOWN_S = 120.0
 """Length of the stretch that is drawn over time."""
 
 
-def levels_figure(scaling: NDArray[np.float64], found: Staircase, *, rate_hz: float = USUAL_HZ) -> Drawing:
+def levels_figure(scaling: NDArray[np.float64], found: Staircase, *, rate_hz: float) -> Drawing:
     """Return a picture of a stretch of the scaling with its levels, and of the time on each level beside it.
 
     Args:
@@ -51,7 +50,7 @@ def levels_figure(scaling: NDArray[np.float64], found: Staircase, *, rate_hz: fl
 
 def _over_time(axes: Axes, values: NDArray[np.float64], found: Staircase, rate_hz: float) -> None:
     """Every sample of the liveliest stretch in the colour of its speed; in transition it is small and grey."""
-    part = slice(*_liveliest(values, samples_in(_SHOWN_S, rate_hz)))
+    part = slice(*_liveliest(values, round(_SHOWN_S * rate_hz)))
     at_s, shown = np.arange(part.stop - part.start) / rate_hz, values[part]
     axes.plot(at_s, shown, color=colours.UNKNOWN, linewidth=0.7, zorder=1)
     held = found.label[part] >= 0
@@ -78,7 +77,7 @@ def _shares(axes: Axes, found: Staircase) -> None:
     axes.set_title(f"{found.levels.size} levels;\n{rest:.0f} % in transition or unknown", loc="left")
 
 
-def draw_levels(path: Path, scaling: NDArray[np.float64], found: Staircase, *, rate_hz: float = USUAL_HZ) -> None:
+def draw_levels(path: Path, scaling: NDArray[np.float64], found: Staircase, *, rate_hz: float) -> None:
     """Write that picture to `path`, `.svg`, `.png` or `.pdf`; the other arguments as of `levels_figure`."""
     write_figure(path, levels_figure(scaling, found, rate_hz=rate_hz))
 

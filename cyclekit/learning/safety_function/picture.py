@@ -18,12 +18,11 @@ from cyclekit.plots.look import MUTED, plain_style
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from cyclekit.dataset.cards.rule import LawCard, RuleCard
     from cyclekit.learning.safety_function.answer import SafetyFunction
-    from cyclekit.plots.drawing import Drawing
+    from cyclekit.plots.drawing import Axes, Drawing
 
 LETTERS, LINE_IN = 150, 0.19
 """How many letters a line of the words has at most, and how high it is."""
@@ -36,7 +35,7 @@ def zones_figure(zones: SafetyFunction) -> Drawing:
 
     texts = [line for one in zones.rule_sentences for line in textwrap.wrap(f"- {one}", LETTERS)]
     if zones.shapes:
-        texts.append("Lines on the floor: the rule; dashed: what the operator must leave for the robot to speed up again.")
+        texts.append("Lines on the floor: the rule; dashed: what the operator leaves before the robot speeds up again.")
     texts.append("Read back from logs. No safety proof.")
     with_floor = bool(len(zones.floor_m) or zones.shapes)
     with plain_style():

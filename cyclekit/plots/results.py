@@ -38,7 +38,7 @@ def executions_figure(duration_s: Sequence[float], parts: Mapping[str, Sequence[
     with plain_style():
         figure = Drawing(9.0, 3.4)
         axes = figure.subplots()
-        at, bottom = np.arange(len(duration_s)), np.zeros(len(duration_s))
+        at, bottom = np.arange(1, len(duration_s) + 1), np.zeros(len(duration_s))
         for name, words, colour in PARTS:
             values = np.asarray(parts[name], dtype=np.float64)
             if values.any():
@@ -46,7 +46,7 @@ def executions_figure(duration_s: Sequence[float], parts: Mapping[str, Sequence[
                 bottom += values
         axes.plot(at, duration_s, "_", color=INK, markersize=6, label="cycle time")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.set(xlabel="execution, in the order of the logs (0 = the first)", ylabel="time, s")
+        axes.set(xlabel="execution, in the order of the logs", ylabel="time, s")
         figure.legend(loc="outside upper left", ncols=5)
     return figure
 
@@ -63,7 +63,7 @@ def training_figure(card: TrainingCard) -> Drawing:
         levels.barh(speed, [each.share for each in shares], height=0.7 * gap, color=[*map(colours.scaling_hex, speed)])
         levels.xaxis.set_major_formatter(PercentFormatter(1.0))
         levels.yaxis.set_major_formatter(PercentFormatter(1.0))
-        levels.set(ylim=(-0.08, 1.08), xlabel="part of the samples learned from", ylabel="robot speed (scaling)")
+        levels.set(ylim=(-0.15, 1.15), xlabel="part of the samples learned from", ylabel="robot speed (scaling)")
         levels.set_yticks(speed or [0, 0.5, 1])
     return figure
 
@@ -82,7 +82,7 @@ def _error(axes: Axes, card: TrainingCard) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(axis="y")
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="upper right")
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
 
 
 def chart_figure(

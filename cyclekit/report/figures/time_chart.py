@@ -10,7 +10,7 @@ from cyclekit.report.figures.figure import Chart, Figure
 from cyclekit.report.figures.time_shares import MOST_SEQUENCES
 from cyclekit.report.numbers import fixed
 from cyclekit.report.pictures import Picture
-from cyclekit.report.tables import ReportTable, spell
+from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,7 +62,7 @@ def _table(texts: ReportTexts, caption: str, each: CycleEstimate) -> ReportTable
     rows = [
         [
             task.agent,
-            spell(task.task),
+            texts.task(task.task),
             *(fixed(value, 1) for value in (task.start_s, task.end_s, task.wait_s)),
             max(task.decided, key=lambda name: task.decided[name]) if task.wait_s > SHOWN_S else "",
         ]

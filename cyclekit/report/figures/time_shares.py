@@ -8,7 +8,7 @@ from cyclekit.report.figures.figure import Chart, Figure
 from cyclekit.report.findings import Share, task_shares
 from cyclekit.report.numbers import fixed
 from cyclekit.report.pictures import Picture
-from cyclekit.report.tables import ReportTable, spell
+from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -33,7 +33,7 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
     longest_s = max((task.expected_s for each in ranked[:MOST_SEQUENCES] for task in each.tasks), default=None)
     for number, each in enumerate(ranked[:MOST_SEQUENCES]):
         rows = [
-            Share(f"{order}  {spell(t.task)}", t.nominal_s, t.safety_loss_s, t.dwell_s, t.wait_s)
+            Share(f"{order}  {texts.task(t.task)}", t.nominal_s, t.safety_loss_s, t.dwell_s, t.wait_s)
             for order, t in enumerate(each.tasks, start=1)
         ]
         if rows:
@@ -52,7 +52,7 @@ def _chart(
 ) -> Chart:
     from cyclekit.report import charts
 
-    rows = [Share(spell(r.name), r.nominal_s, r.safety_s, r.dwell_s, r.wait_s, r.seen) for r in rows]
+    rows = [Share(texts.task(r.name), r.nominal_s, r.safety_s, r.dwell_s, r.wait_s, r.seen) for r in rows]
     drawn = rows[: MOST_LOGGED if seen else MOST_ROWS]
     words = texts.section("where")
     labels = {"seconds": words["axis"], **{key: words[key] for _, key, _ in charts.PARTS}}

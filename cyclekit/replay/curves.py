@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 MOST_JOINTS = 8
 HUES = ("#3f8fe0", "#f2b53c", "#62c4b4", "#e6a4ff")
 """Curves of the first, second, ... of several executions, on the viewer's dark ground."""
+HUE_NAMES = ("blue", "amber", "green", "violet")
 
 PALE = "#c9d1da"
 _LOOKS = {"nominal": "#3f8fe0", "safety": colours.SAFETY, "dwell": "#9aa5b1", "wait": "#e8ebef", "unknown": "#6b7480"}

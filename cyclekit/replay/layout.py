@@ -17,7 +17,7 @@ from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.errors import CyclekitError
 from cyclekit.replay.bodies import floor_m
 from cyclekit.replay.compare import most_different
-from cyclekit.replay.curves import spent_words
+from cyclekit.replay.curves import HUE_NAMES, spent_words
 from cyclekit.replay.misses import misses
 from cyclekit.replay.phase import TASK
 from cyclekit.replay.scene import PAPER
@@ -76,21 +76,27 @@ def _alone(run: ReplayedExecution) -> rrb.Container:
 def _beside(runs: Sequence[ReplayedExecution], order: Order) -> rrb.Vertical:
     whole = _whole_path(order)
     roots = [f"/{number + 1}" for number in range(len(runs))]
-    scenes = [_scene(run, root, run.name) for run, root in zip(runs, roots, strict=True)]
+    names = [f"{run.name} ({hue})" for run, hue in zip(runs, HUE_NAMES, strict=False)]
+    scenes = [_scene(run, root, name) for run, root, name in zip(runs, roots, names, strict=True)]
     rows: list[tuple[float, rrb.Container | rrb.View]] = []
     if any(scenes):
-        rows.append((6, rrb.Horizontal(*[scene for scene in scenes if scene])))
+        rows.append((5, rrb.Horizontal(*[scene for scene in scenes if scene])))
     lanes = [
-        rrb.StateTimelineView(origin=f"{root}/lanes", name=run.name, time_view=whole)
-        for run, root in zip(runs, roots, strict=True)
+        rrb.StateTimelineView(origin=f"{root}/lanes", name=name, time_view=whole)
+        for root, name in zip(roots, names, strict=True)
     ]  # fmt: skip
-    rows.append((3, rrb.Horizontal(*lanes)))
+    rows.append((4, rrb.Horizontal(*lanes)))
+    hidden = rrb.PlotLegend(visible=False)  # a legend would cover what came first; the titles name the colours
     axis = rrb.ScalarAxis(range=(-0.05, 1.05), zoom_lock=True)
     scaled = [f"+ {root}/plots/scaling/{kind}" for root in roots for kind in ("logged", "inferred")]
     lost = [f"+ {root}/plots/lost_in_task" for root in roots]
     curves = rrb.Horizontal(
-        rrb.TimeSeriesView(origin="/", contents=scaled, name="Robot speed scaling", axis_x=whole, axis_y=axis),
-        rrb.TimeSeriesView(origin="/", contents=lost, name="Safety slow-down in the task so far, s", axis_x=whole),
+        rrb.TimeSeriesView(
+            origin="/", contents=scaled, name="Robot speed scaling", axis_x=whole, axis_y=axis, plot_legend=hidden
+        ),
+        rrb.TimeSeriesView(
+            origin="/", contents=lost, name="Safety slow-down in the task so far, s", axis_x=whole, plot_legend=hidden
+        ),
         rrb.TextDocumentView(origin="/comparison", name="Which is slower, and where"),
     )
     rows.append((4, curves))

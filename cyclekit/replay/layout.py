@@ -85,7 +85,7 @@ def _beside(runs: Sequence[ReplayedExecution], order: Order) -> rrb.Vertical:
         rrb.StateTimelineView(origin=f"{root}/lanes", name=name, time_view=whole)
         for root, name in zip(roots, names, strict=True)
     ]  # fmt: skip
-    rows.append((4, rrb.Horizontal(*lanes)))
+    rows.append((5, rrb.Horizontal(*lanes)))
     hidden = rrb.PlotLegend(visible=False)  # a legend would cover what came first; the titles name the colours
     axis = rrb.ScalarAxis(range=(-0.05, 1.05), zoom_lock=True)
     scaled = [f"+ {root}/plots/scaling/{kind}" for root in roots for kind in ("logged", "inferred")]

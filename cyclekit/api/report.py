@@ -75,6 +75,7 @@ def write_report(
     validate: bool = True,
     extrapolate: bool = False,
     other_cell: bool = False,
+    play: bool = True,
     estimates: CycleEstimates | None = None,
     evaluation: Evaluation | None = None,
     progress: Progress | None = None,
@@ -97,6 +98,7 @@ def write_report(
         validate: Validate on logged executions, and correct the bias.
         extrapolate: Answer although most of it was never logged.
         other_cell: The model may be of another cell.
+        play: Let the reader of the HTML page try other orders, thresholds, recovery rates and visits per hour.
         estimates: Of `sequences`, if they were asked for before: they are not computed again.
         evaluation: Of the model, if it was judged before.
         progress: Told fraction and text.
@@ -138,7 +140,7 @@ def write_report(
     looks: dict[str, Any] = {"takt_s": takt_s, "template": folder, "cell_name": cell_name}
     if chosen == "xlsx":
         return _as_workbook(data, trained, file, page, looks)
-    facts = compose_report(data, trained, file, kind=chosen, **page, **looks, progress=_part(tell, 0.7, 1.0))
+    facts = compose_report(data, trained, file, kind=chosen, play=play, **page, **looks, progress=_part(tell, 0.7, 1.0))
     if printed is not None:
         tell(1.0, "printing")
         write_pdf(file, printed)

@@ -283,10 +283,10 @@ def rests_on(found: Sequence[CycleEstimate]) -> str:
     every = [set(entry.warnings) - set(entry.doubts) for entry in found]
     of_all = set.intersection(*every) if len(found) > 1 else set[str]()
     for entry in found:
-        basis = "cycles drawn" if entry.plan else "operator tracks"
+        tracks = f", {entry.tracks} {'cycles drawn' if entry.plan else 'operator tracks'}" if entry.tracks else ""
         lines.append(
-            f"{entry.name}: {entry.estimator}: {entry.why}; {entry.executions} logged executions, {entry.tracks} "
-            f"{basis}; {_support(entry)}; mean {entry.expected_s:.1f} s (95% CI {entry.expected_low_s:.1f} to "
+            f"{entry.name}: {entry.estimator}: {entry.why}; {entry.executions} logged executions{tracks}; "
+            f"{_support(entry)}; mean {entry.expected_s:.1f} s (95% CI {entry.expected_low_s:.1f} to "
             f"{entry.expected_high_s:.1f} s)"
         )
         mine = (text for text in entry.warnings if text not in entry.doubts and text not in of_all)

@@ -7,7 +7,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.cli.groups import grouped
-from cyclekit.cli.lists import coupling_table, lost_table, safety_lines, task_list_tables
+from cyclekit.cli.lists import coupling_table, lost_table, response_lines, safety_lines, task_list_tables
 from cyclekit.cli.terminal import bullet, duration, percent, table
 from cyclekit.dataset.cards import plain, texts
 from cyclekit.text.plain_text import one_line
@@ -167,6 +167,7 @@ def _dataset(found: DatasetDescription) -> str:
         parts.append(table(["scaling level ", "of those on a level", "of all samples"], levels))
     elif found.samples:
         parts.append("no staircase levels found")
+    parts.append(response_lines(found.response))
     parts += [_places("robot place ", found.places), _places("operator place ", found.human_places)]
     if found.samples:
         parts.append(_tasks(found.tasks))

@@ -14,8 +14,13 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import CouplingCard
     from cyclekit.dataset.lost_time import LostTime, PersonLoss
     from cyclekit.inspect.facts import SafetyFacts, TaskListFacts
+    from cyclekit.inspect.response import ResponseFacts
 
 _AT = {"leave": "at", "approach": "before"}
+_FEW_ROWS = (
+    "the log has fewer than 3 rows in a ramp between levels; simulated ramps of 500 % per second, logged at 10 Hz, "
+    "were read 3 to 27 % too steep. Log at a higher rate."
+)
 SHOWN_AGENTS, SHOWN_TASKS, SHOWN_VALUES = 12, 24, 6
 
 
@@ -55,6 +60,30 @@ def _said(found: TaskListFacts) -> list[str]:
         f"outcome: {found.failed} of {total} tasks failed; without an end: {found.no_end}",
         f"planned start: known of {percent(found.planned / max(total, 1))} of the tasks",
     ]
+
+
+def response_lines(found: ResponseFacts | None) -> str:
+    """Return how the safety system answers in time, one line for each property that was seen."""
+    if found is None:
+        return ""
+    values = (
+        ("reaction time", found.latency_s, 1.0, "s"),
+        ("slows by", found.down_per_s, 100.0, "% per second"),
+        ("recovers by", found.up_per_s, 100.0, "% per second"),
+        ("hysteresis", found.hysteresis_m, 1.0, "m"),
+        ("hold time", found.hold_s, 1.0, "s"),
+    )
+    lines = [f"response of the safety system, read from {found.changes} changes of level"]
+    lines += [f"  {name:<13} {_value(value, factor, unit)}" for name, value, factor, unit in values]
+    if found.few_rows:
+        lines.append(bullet([_FEW_ROWS], mark="  ! "))
+    return "\n".join(lines)
+
+
+def _value(value: float | None, factor: float, unit: str) -> str:
+    if value is None:
+        return "at once" if "%" in unit else "not seen"
+    return f"{factor * value:.3g} {unit}"
 
 
 def _seconds(value: float | None) -> str:

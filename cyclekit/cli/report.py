@@ -46,6 +46,9 @@ def report(
     template: Annotated[
         Path | None, typer.Option(help="Folder with your logo, cover, words or look (docs/report.md).")
     ] = None,
+    play: Annotated[
+        bool, typer.Option("--play/--no-play", help="Let the reader of the page try other orders and thresholds.")
+    ] = True,
     check: Checked = True,
     extrapolate: Extrapolate = False,
     other_cell: OtherCell = False,
@@ -74,6 +77,7 @@ def report(
             kind=chosen,
             pdf=pdf,
             template=template,
+            play=play,
             progress=progress,
             **asked,
         )

@@ -80,6 +80,12 @@ def simulate(
         Literal["tracker", "signals", "both", "none"] | None,
         typer.Option(help="What the logs hold of people: tracker, signals, both or none (CSV). Default: the scene's."),
     ] = None,
+    plc_trace: Annotated[
+        Literal["wide", "long"] | None,
+        typer.Option(
+            help="Signals of fields in a PLC's trace: a column per tag, or rows of tag, time and value (CSV)."
+        ),
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -117,6 +123,7 @@ def simulate(
         "place_s": place,
         "causes": causes,
         "people": people,
+        "plc_trace": plc_trace,
         "coupling": coupling,
         "signals": not without_signals,
         "task_list": task_list,

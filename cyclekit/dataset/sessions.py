@@ -59,17 +59,23 @@ class Session:
 
 
 def group_sessions(
-    logs: Sequence[LogCard], is_reference: Callable[[str], bool], *, numbered: bool = False
+    logs: Sequence[LogCard],
+    is_reference: Callable[[str], bool],
+    *,
+    numbered: bool = False,
+    shares: Callable[[LogCard], bool] = lambda log: False,
 ) -> list[LogGroup]:
     """Group logs that share a time: all of them if there is one robot log, else folder by folder.
 
     Of folders that hold robot logs alone and folders that hold others alone (`robot/a.csv`, `tracker/a.csv`), logs of
-    the same name are grouped, where only one robot log can be meant.
+    the same name are grouped, where only one robot log can be meant. A log that several robot logs of its folder share
+    is in the session of each at whose time it was recorded.
 
     Args:
         logs: As they were read.
         is_reference: Tells by the path of a log whether it was recorded with nobody in the cell.
         numbered: Name sessions by number, not by the folder or log that they come from.
+        shares: Tells of a log that is no robot's whether several robot logs may share it.
     """
     robots, others = _divided(logs)
     if len(robots) == 1 and len({log.tables for log in others}) == len(others):
@@ -78,7 +84,9 @@ def group_sessions(
         folders: dict[str, list[LogCard]] = {}
         for log in logs:
             folders.setdefault(_folder(log), []).append(log)
-        groups = _by_name([group for folder, here in folders.items() for group in _in_folder(folder, *_divided(here))])
+        groups = _by_name(
+            [group for folder, here in folders.items() for group in _in_folder(folder, *_divided(here), shares)]
+        )
     sessions: list[LogGroup] = []
     taken: set[str] = set()
     digits = len(str(len(groups)))
@@ -139,16 +147,33 @@ def _folder(log: LogCard) -> str:
     return "/".join(parts[:-1] if len(log.sources) > 1 else parts)
 
 
-def _in_folder(folder: str, robots: list[LogCard], others: list[LogCard]) -> list[list[LogCard]]:
+def _in_folder(
+    folder: str, robots: list[LogCard], others: list[LogCard], shares: Callable[[LogCard], bool]
+) -> list[list[LogCard]]:
     if len(robots) == 1:
         return [[robots[0], *others]]
+    if robots and others and all(map(shares, others)):
+        beside = [[log for log in others if _meet(robot, log)] for robot in robots]
+        alone = [log for log in others if not any(log in logs for logs in beside)]
+        return [[robot, *logs] for robot, logs in zip(robots, beside, strict=True)] + _at_one_time(alone)
     if robots and others:
         every = [log.shown for log in robots + others]
         msg = (
             f"{folder or 'the logs'}: {len(robots)} robot logs and {len(others)} others, unclear which belong together"
         )
-        raise ConfigError(msg, cure=f"Put each session into a folder of its own ({', '.join(every[:4])}, …).")
+        cure = (
+            f"Put each session into a folder of its own ({', '.join(every[:4])}, …). A log of events that several "
+            "robot logs share needs times since 1970, or sync in its source of the cell file."
+        )
+        raise ConfigError(msg, cure=cure)
     return [[log] for log in robots] + _at_one_time(others)
+
+
+def _meet(robot: LogCard, log: LogCard) -> bool:
+    """Tell whether two logs may be of one time; those of other clocks than the computers' may always be."""
+    if robot.clock.kind != "epoch" or log.clock.kind != "epoch":
+        return True
+    return log.first_s <= robot.last_s and robot.first_s <= log.last_s
 
 
 def _at_one_time(logs: list[LogCard]) -> list[list[LogCard]]:

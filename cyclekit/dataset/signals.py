@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 INPUT, OUTPUT, REGISTER = "digital-input ", "digital-output ", "register"
 _BITS = {"digital_in_bits": INPUT, "digital_out_bits": OUTPUT}
-_ON = {"1", "1.0", "true", "on", "high"}
-_OFF = {"0", "0.0", "false", "off", "low"}
+_ON = {"1", "1.0", "true", "on", "high", "ein"}
+_OFF = {"0", "0.0", "false", "off", "low", "aus"}
 _SAMPLED_S = 0.1
 """A change between rows that lie nearer than this is in the middle of them, else at the later one."""
 MOST_CHANGES = 100_000
@@ -48,6 +48,12 @@ class SignalChanges(NamedTuple):
     def to(self, value: str) -> Vector:
         """Return when it changed to a value, shape (K,), s; what it was at first is no change."""
         return np.asarray(self.t_s[1:][(self.value[1:] == value) & (self.value[:-1] != value)])
+
+
+def state_of(value: str) -> str:
+    """Return a value with the words of on and off as 1 and 0, as digital inputs have them; any other as it is."""
+    word = value.lower()
+    return "1" if word in _ON else "0" if word in _OFF else value
 
 
 MOST_VALUES = 8
@@ -118,8 +124,8 @@ def values_of(entry: LogCard, read: Read, stored: Stored) -> dict[str, SignalCha
         stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
 
     Returns:
-        By name: each bit that changes, the register, and events of up to MOST_VALUES values; not those that change more
-        than MOST_CHANGES times.
+        By name: each bit that changes, the register, and events of up to MOST_VALUES values, words of on and off as 1
+        and 0; not those that change more than MOST_CHANGES times.
     """
     found: dict[str, SignalChanges] = {}
     first_s = stored(entry.id, ["t_s"]).column("t_s", 0, 1) if entry.rows.get("robot") else np.empty(0)
@@ -137,7 +143,9 @@ def values_of(entry: LogCard, read: Read, stored: Stored) -> dict[str, SignalCha
     known = pl.DataFrame() if events is None else events.drop_nulls(["t_s", "value"]).sort("t_s")
     for (name,), mine in known.group_by("signal", maintain_order=True) if known.height else ():
         if mine["value"].n_unique() <= MOST_VALUES and mine.height <= MOST_CHANGES:
-            found[str(name)] = SignalChanges(mine["t_s"].to_numpy(), mine["value"].to_numpy().astype(str))
+            words = {value: state_of(value) for value in mine["value"].unique().to_list()}
+            values = mine["value"].replace_strict(words, return_dtype=pl.String).to_numpy().astype(str)
+            found[str(name)] = SignalChanges(mine["t_s"].to_numpy(), values)
     return found
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cyclekit.dataset.cards import OperatorSignalCard
-from cyclekit.dataset.signals import OUTPUT, REGISTER, SignalChanges
+from cyclekit.dataset.signals import OUTPUT, REGISTER, SignalChanges, state_of
 from cyclekit.derive.seen_slow import counting
 from cyclekit.derive.usual_levels import usual_levels
 from cyclekit.errors import UnknownName
@@ -114,8 +114,9 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
                 raise UnknownName(
                     "[[operator_signals]] of the cell file", "signal that changes", one.signal, evidence.signals
                 )
-            lead = _lead(one.occupied, *_delays(evidence, one.signal, one.occupied))
-            leads[one.signal] = lead or _Lead(one.occupied, 0.0, None)
+            occupied = state_of(one.occupied)
+            lead = _lead(occupied, *_delays(evidence, one.signal, occupied))
+            leads[one.signal] = lead or _Lead(occupied, 0.0, None)
         order = [(one.name, one.signal) for one in told]
     else:
         leads = _leading(evidence)

@@ -23,10 +23,10 @@ from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
 from cyclekit.derive.operator_tasks import operator_tasks
 from cyclekit.derive.sample_file import in_order, shared_files
 from cyclekit.derive.seen_slow import Switches, joined, rows_of
-from cyclekit.derive.session_end import Left, finish
+from cyclekit.derive.session_end import Finished, Left, finish
 from cyclekit.derive.session_look import Look, look_at
 from cyclekit.derive.session_samples import Made, SessionToSample, samples_of
-from cyclekit.derive.session_signals import looked_for, some_executions
+from cyclekit.derive.session_signals import looked_for, mixed, some_executions
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
 from cyclekit.people.silence import absences
@@ -188,6 +188,8 @@ def _finished(
             *(staircase.warnings if some or not made else []),
             *_inputs(evidence),
             *_signals(watched.found.cards),
+            *mixed(made, watched),
+            *_unseen(finished),
         ],
     )
 
@@ -232,6 +234,12 @@ def _signals(cards: Sequence[OperatorSignalCard]) -> list[Note]:
         for one in cards
         if not one.told
     ]
+
+
+def _unseen(finished: Sequence[Finished]) -> list[Note]:
+    """Say how often a signal shows somebody whom the tracker does not."""
+    samples, sessions = sum(one.unseen for one in finished), sum(one.unseen > 0 for one in finished)
+    return [note("operator-unseen", samples=samples, sessions=sessions)] if samples else []
 
 
 def _times_of(legs: Sequence[Leg]) -> Floats:

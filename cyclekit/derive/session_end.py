@@ -62,10 +62,14 @@ class Left:
 
 
 class Finished(NamedTuple):
-    """How the level of a session changed at the log's own rate; what each task lost to SCALING_CAUSES, (L, 5), s."""
+    """How the level of a session changed at the log's own rate; what each task lost to SCALING_CAUSES, (L, 5), s.
+
+    `unseen`: samples in which a signal shows somebody and the tracker nobody.
+    """
 
     changes: Changes
     lost_s: Floats
+    unseen: int = 0
 
 
 def finish(
@@ -92,17 +96,18 @@ def finish(
     times: list[Vector] = [np.empty(0)]
     places: list[Vector] = [np.empty((0, 6))]
     lost = [np.zeros((len(one.legs), len(schema.SCALING_CAUSES))) for one in left]
-    counts = [len(one.label) for one in left]
+    counts, unseen = [len(one.label) for one in left], [0] * len(left)
     if sum(counts):
         file = folder / f"{left[0].part}.parquet"
         made = file.with_suffix(".part")
-        write_samples(_with_causes(_completed(file, left, spots, times, places), left, evidence, signals, lost), made)
+        frames = _completed(file, left, spots, times, places)
+        write_samples(_with_causes(frames, left, evidence, signals, lost, unseen), made)
         made.replace(file)  # whoever does this again finds the one or the other
     ends = np.cumsum(counts)[:-1]
-    each = zip(left, np.split(np.concatenate(times), ends), np.split(np.concatenate(places), ends), lost, strict=True)
+    apart = (np.split(np.concatenate(parts), ends) for parts in (times, places))
     return [
-        Finished(Changes.of(_changes(one, levels), t_s, at[:, :3], at[:, 3:], most_changes), mine)
-        for one, t_s, at, mine in each
+        Finished(Changes.of(_changes(one, levels), t_s, at[:, :3], at[:, 3:], most_changes), mine, count)
+        for one, t_s, at, mine, count in zip(left, *apart, lost, unseen, strict=True)
     ]
 
 
@@ -112,21 +117,42 @@ def _with_causes(
     evidence: Evidence,
     signals: Sequence[str],
     lost: Sequence[Floats],
+    unseen: list[int],
 ) -> Iterator[pl.DataFrame]:
-    """Yield the samples with what is lost there, and the signals of people; add what each task lost to `lost`."""
+    """Yield the samples with what is lost there, and the signals of people; add what each task lost to `lost`.
+
+    Somebody whom a signal shows and the tracker does not is there, unseen: `occluded`, counted in `unseen`.
+    """
     ends = np.cumsum([len(one.label) for one in left])
     first = 0
     for frame in frames:
-        told, begin, bits = [], first, list[pl.Series]()
+        told, gaps, bits = list[pl.Series](), list[pl.Series](), list[pl.Series]()
+        begin = first
         while begin < first + frame.height:
             number = int(np.searchsorted(ends, begin, side="right"))
             end = min(int(ends[number]), first + frame.height)
-            some = frame[begin - first : end - first]
+            bits.append(_bits(frame[begin - first : end - first], left[number].switches, signals))
+            some, hidden = _with_unseen(frame[begin - first : end - first], left[number].switches, signals)
+            gaps.append(some["human_gap"])
+            unseen[number] += hidden
             told.append(_told(some, left[number], evidence, lost[number]))
-            bits.append(_bits(some, left[number].switches, signals))
             begin = end
         first += frame.height
-        yield frame.with_columns(lost_to=pl.concat(told), human_signals=pl.concat(bits))
+        yield frame.with_columns(lost_to=pl.concat(told), human_gap=pl.concat(gaps), human_signals=pl.concat(bits))
+
+
+def _with_unseen(
+    samples: pl.DataFrame, switches: Mapping[str, Switches], signals: Sequence[str]
+) -> tuple[pl.DataFrame, int]:
+    """Return samples of one session with an operator whom a signal shows as `occluded` where he counted as absent."""
+    absent = (samples["human_gap"] == "absent").fill_null(value=False).to_numpy()
+    known = [name for name in signals if name in switches]
+    if not absent.any() or not known:
+        return samples, 0
+    t_s = samples["t_s"].to_numpy()
+    hidden = absent & np.logical_or.reduce([switches[name].at(t_s) for name in known])
+    gap = pl.when(pl.Series(hidden)).then(pl.lit("occluded")).otherwise(pl.col("human_gap"))
+    return samples.with_columns(gap.cast(samples["human_gap"].dtype).alias("human_gap")), int(hidden.sum())
 
 
 def _bits(samples: pl.DataFrame, switches: Mapping[str, Switches], signals: Sequence[str]) -> pl.Series:

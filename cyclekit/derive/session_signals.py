@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
+from cyclekit.dataset.cards import note
 from cyclekit.dataset.signals import SignalChanges, values_of
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.operator_signals import FoundSignals, SignalEvidence, find_signals
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.config import Cell
-    from cyclekit.dataset.cards import ExecutionCard
+    from cyclekit.dataset.cards import ExecutionCard, Note
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.derive.session_samples import Made
     from cyclekit.schema import Ints, Vector
@@ -66,7 +68,9 @@ def looked_for(
     read: Read,
     stored: Stored,
 ) -> Watched:
-    """Return the signals that tell of people: those of the cell file, else, where no log tracks people, found ones.
+    """Return the signals that tell of people: those of the cell file, else found ones, in sessions without a tracker.
+
+    Where a tracker logs people in every session, none is looked for.
 
     Args:
         made: The sessions.
@@ -77,12 +81,33 @@ def looked_for(
         read: Returns a native table of a recording (id, table), None if it has none.
         stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
     """
-    tracked = any("people" in one.tables for mine in made for one in mine.recordings)
-    if len(levels) < 2 or (tracked and not cell.operator_signals):
+    without = [not is_tracked(mine) and any(not card.reference for card in mine.cards) for mine in made]
+    among = made if cell.operator_signals or not any(map(is_tracked, made)) else [*compress(made, without)]
+    if len(levels) < 2 or not among:
         return Watched(FoundSignals(), [{}] * len(made))
-    values = [_values(mine, read, stored) for mine in made]
-    found = find_signals(_evidence(made, values, runs, levels, folder), cell.operator_signals)
-    return Watched(found, [_switches(mine, found) for mine in values])
+    values = {mine.session: _values(mine, read, stored) for mine in made}
+    evidence = _evidence(among, [values[mine.session] for mine in among], runs, levels, folder)
+    found = find_signals(evidence, cell.operator_signals)
+    return Watched(found, [_switches(values[mine.session], found) for mine in made])
+
+
+def is_tracked(made: Made) -> bool:
+    """Tell whether a log of a session holds positions of people."""
+    return any("people" in one.tables for one in made.recordings)
+
+
+def mixed(made: Sequence[Made], watched: Watched) -> list[Note]:
+    """Say in how many executions what tells of people, where that is not one thing for all."""
+    positions = signals = neither = 0
+    for mine, switches in zip(made, watched.switches, strict=True):
+        count = sum(not card.reference for card in mine.cards)
+        by_signals = bool(watched.names) and all(name in switches for name in watched.names)
+        positions += count * is_tracked(mine)
+        signals += count * by_signals
+        neither += count * (not is_tracked(mine) and not by_signals)
+    if not positions or not (neither or watched.names):
+        return []
+    return [note("people-mixed", positions=positions, signals=signals, neither=neither)]
 
 
 def some_executions(made: Sequence[Made]) -> list[str]:
@@ -197,4 +222,4 @@ def _samples(
         yield t_s + at, level, frame["robot_x_m"].to_numpy(), frame["robot_y_m"].to_numpy(), task, number
 
 
-__all__ = ["Watched", "looked_for", "some_executions"]
+__all__ = ["Watched", "is_tracked", "looked_for", "mixed", "some_executions"]

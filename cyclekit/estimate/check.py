@@ -178,14 +178,15 @@ class Check:
             )
         return tuple(found)
 
+    def residuals_of(self, count: int) -> Vector:
+        """Return by how much each of `count` cycles is taken to be off, as part of it: residuals about their mean."""
+        rng = np.random.default_rng(0)
+        off = rng.permutation(np.resize(np.array(self.residuals) - np.mean(self.residuals), count))
+        return off + self.unseen_error * rng.standard_normal(count) if self.unseen_error else off
+
     def quantile(self, cycles_s: Vector, level: float) -> float:
         """Return the conformal quantile of corrected cycles (K,), s, each off by a residual."""
-        off = np.resize(np.array(self.residuals) - np.mean(self.residuals), len(cycles_s))
-        rng = np.random.default_rng(0)
-        off = rng.permutation(off)
-        if self.unseen_error:
-            off = off + self.unseen_error * rng.standard_normal(len(off))
-        return conformal(cycles_s * (1.0 + off), level)
+        return conformal(cycles_s * (1.0 + self.residuals_of(len(cycles_s))), level)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the check as plain JSON values."""

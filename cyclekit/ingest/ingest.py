@@ -46,6 +46,7 @@ from cyclekit.ingest.pseudonymise import Names, numbered_logs, take_out
 from cyclekit.ingest.read.read_logs import Digests, How, check_shared, read_all
 from cyclekit.ingest.read.resume import Shelf
 from cyclekit.ingest.read.reuse import gather_quarantine
+from cyclekit.ingest.shared_events import apart, may_be_shared
 from cyclekit.learning.coupling.learn import learn_executions
 from cyclekit.learning.coupling.visits import courses_of
 from cyclekit.learning.coupling.waits import with_waits_named
@@ -269,7 +270,10 @@ def _build(
     gather_quarantine(read, staging)
     cell = wanted.cell
     sources = {log.id: log.source for log in wanted.logs}
-    groups = group_sessions(read, partial(_is_reference, cell), numbered=names is not None)
+    shares = partial(may_be_shared, sources=sources)
+    groups = group_sessions(read, partial(_is_reference, cell), numbered=names is not None, shares=shares)
+    shared = apart(groups, partial(_native, staging), staging)
+    groups, sources = shared.groups, sources | {name: sources[log] for name, log in shared.copies.items()}
     later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), wanted.align_clocks == "coarse"
     native, stored = partial(_native, staging), partial(_stored, staging)
     derived = derive(
@@ -277,9 +281,12 @@ def _build(
     )
     warnings = [*derived.warnings, *unpaired(groups), *_unmatched(cell, wanted.logs), *_without_places(read)]
     by_id = {one.id: one for one in digests.settle(derived.recordings)}
-    recordings = [by_id[one.id] for one in read]
+    for name, log in shared.copies.items():
+        by_id[name] = structs.replace(by_id[name], sources=by_id[log].sources)
+    recordings = [by_id[name] for name in (*(one.id for one in read), *shared.copies)]
     if names is not None:
-        recordings, warnings = take_out(recordings, names, staging), names.notes(warnings)
+        recordings = take_out(recordings, names, staging, shared.copies)
+        warnings = names.notes(warnings)
         cell, not_read = names.settings(), names.not_read(not_read)
     courses = courses_of(derived.executions, derived.tasks, derived.recordings, native)
     coupling = learn_executions(courses, derived.tasks, cell.waits)

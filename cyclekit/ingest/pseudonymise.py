@@ -22,7 +22,7 @@ from cyclekit.errors import ConfigError, LogError
 from cyclekit.storage.parquet import shift_times
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from cyclekit.adapter import Recording
     from cyclekit.config import Cell
@@ -229,17 +229,23 @@ class Names:
         return known
 
 
-def take_out(recordings: Sequence[RecordingCard], names: Names, staging: Path) -> list[RecordingCard]:
+def take_out(
+    recordings: Sequence[RecordingCard], names: Names, staging: Path, copies: Mapping[str, str]
+) -> list[RecordingCard]:
     """Let every recording begin at 0, its tables under `staging` and its card alike; its files get other names.
 
     How it lies in the time of its session stays the same: what the times lose, the clock's offset gains. Stamps of the
-    host are needed for the clocks only, which are known by now.
+    host are needed for the clocks only, which are known by now. Of a log that several sessions share, `copies` names it
+    by the id of each recording but the first.
 
     Raises:
         ConfigError: Two recordings of a session lie years apart: the clock of one was not set.
     """
     logs = {log.id: log for log in names.logs}
-    return [_without_time(one, logs[one.id], names, staging / "recordings" / one.id) for one in recordings]
+    return [
+        _without_time(one, logs[copies.get(one.id, one.id)], names, staging / "recordings" / one.id)
+        for one in recordings
+    ]
 
 
 def _without_time(card: RecordingCard, log: Log, names: Names, folder: Path) -> RecordingCard:

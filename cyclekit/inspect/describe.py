@@ -32,6 +32,7 @@ from cyclekit.inspect.facts import (
     TaskTimesDescription,
 )
 from cyclekit.inspect.lists import SafetySurvey, task_list_facts
+from cyclekit.inspect.response import response_facts
 from cyclekit.inspect.survey import TableSurvey
 from cyclekit.learning.coupling.learn import learn_coupling
 from cyclekit.learning.networks.saved import CARD as MODEL_CARD
@@ -176,6 +177,7 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
         safety=_safety(dataset),
         positions=dataset.positions,
         coupling=learn_coupling(dataset),
+        response=response_facts(dataset),
         levels=dataset.levels,
         level_share=tuple(share),
         on_level=len(levelled) / rows,

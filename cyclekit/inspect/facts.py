@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import CouplingCard, TrainingCard
     from cyclekit.dataset.lost_time import LostTime
     from cyclekit.estimate.what_to_log import RecordingPlan
+    from cyclekit.inspect.response import ResponseFacts
     from cyclekit.learning.task_times.saved import TaskTimesModel
 
 
@@ -203,6 +204,7 @@ class DatasetDescription(Result):
         lost: Lost time by cause; None where nothing of it is known.
         positions: Of whom places are known.
         coupling: Who waits for whom; None where too few executions show both agents.
+        response: Reaction time, ramps and hysteresis of the safety system; None where no change of level was seen.
         tasks: Per task found in the robot's motion: how often, mean seconds of motion at full speed, of safety loss, of
             dwell and wait.
         level_share: Per staircase level, fraction of those samples that are on a level; `on_level`: of all samples, the
@@ -249,6 +251,7 @@ class DatasetDescription(Result):
     lost: LostTime | None = None
     positions: tuple[str, ...] = ()
     coupling: CouplingCard | None = None
+    response: ResponseFacts | None = None
     kind: str = "dataset"
     verified: int | None = None
     to_log: RecordingPlan | None = None

@@ -5,14 +5,18 @@ Bit k stands in coordinate k mod 3, with the weight 2 to the power of k div 3: u
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import polars as pl
 
+from cyclekit.dataset.cards import note
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Floats, Ints
 
@@ -20,8 +24,39 @@ _AXES = 3
 
 
 def by_signals(dataset: Dataset) -> bool:
-    """Tell whether signals tell of people in a dataset, and no position does."""
-    return bool(dataset.card.operator_signals) and "people" not in dataset.positions
+    """Tell whether signals tell of people in a dataset, and positions in fewer executions or in none."""
+    if not dataset.card.operator_signals or "people" not in dataset.positions:
+        return bool(dataset.card.operator_signals)
+    known = _known(dataset)
+    return known.signals > known.positions
+
+
+def mixed(dataset: Dataset) -> list[Note]:
+    """Say in how many executions people are known by what a model learns from, and how many it leaves out."""
+    if not dataset.card.operator_signals or "people" not in dataset.positions:
+        return []
+    known, words = _known(dataset), ("positions", "signals")
+    what, other = reversed(words) if by_signals(dataset) else words
+    used, left = (known.signals, known.positions) if by_signals(dataset) else (known.positions, known.signals)
+    left -= known.both
+    return [note("people-learned", what=what, used=used, left=left, other=other)] if left else []
+
+
+class _Known(NamedTuple):
+    """In how many executions a tracker's log, and signals, tell of people; and both."""
+
+    positions: int
+    signals: int
+    both: int
+
+
+@lru_cache(maxsize=4)
+def _known(dataset: Dataset) -> _Known:
+    followed = pl.col("human_x_m").is_not_null() | pl.col("human_gap").is_in(["absent", "occluded"])
+    by = dataset.scan_samples().group_by("execution")
+    found = by.agg(followed.any().alias("positions"), pl.col("human_signals").is_not_null().any().alias("signals"))
+    counts = found.select("positions", "signals", both=pl.col("positions") & pl.col("signals")).sum().collect()
+    return _Known(*counts.row(0))
 
 
 def as_inputs(signals: Ints, count: int) -> Floats:

@@ -52,7 +52,7 @@ from cyclekit.learning.out_of_core import PART_ROWS, frames, in_files, memory_ro
 from cyclekit.learning.rules.of_dataset import law_of, rule_of
 from cyclekit.learning.rules.safety import answering
 from cyclekit.learning.rules.words import verdict
-from cyclekit.learning.signal_inputs import by_signals, learned_rows
+from cyclekit.learning.signal_inputs import by_signals, learned_rows, mixed
 from cyclekit.learning.unseen.fit import learn_unseen
 from cyclekit.learning.unseen.saved import save_unseen
 from cyclekit.learning.windows import (
@@ -278,6 +278,7 @@ def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: MetricsCard, 
     alone = with_commands(dataset, found.seen, found.levels) if spec.target == "commanded" else found.seen
     warnings = [
         *found.notes,
+        *mixed(dataset),
         *(note("model-data", text=text) for text in said_of_height(found.seen)),
         *found.staircase.warnings,
         *_other_opinion(dataset, found.seen, found.staircase),

@@ -17,6 +17,7 @@ from cyclekit.parallel.one_thread import one_thread
 from cyclekit.report import answer, helps, trust, where, why
 from cyclekit.report.document import MARK, as_csv, as_json, as_markdown
 from cyclekit.report.inputs import PageInputs
+from cyclekit.report.play import play_part
 from cyclekit.report.template import Template
 from cyclekit.storage.atomic import write_text
 from cyclekit.text.results import Result
@@ -90,6 +91,7 @@ def compose_report(
     cell_name: str | None = None,
     kind: str = "html",
     template: Path | None = None,
+    play: bool = True,
     progress: Callable[[float, str], None] | None = None,
 ) -> ReportFacts:
     """Write the report of a dataset, as one self-contained HTML page, or as data.
@@ -108,6 +110,7 @@ def compose_report(
         cell_name: Title of the page; the dataset's name where not given.
         kind: `html`; `json` for everything, `csv` for the seconds per task, `md` for words and tables.
         template: Folder whose files replace the page's own (docs/report.md).
+        play: Let the reader of the HTML page try other orders and thresholds.
         progress: Called with the part done and a short text.
 
     Raises:
@@ -129,6 +132,8 @@ def compose_report(
     for number, (key, section) in enumerate(SECTIONS.items()):
         say(0.1 + 0.17 * number, f"section {number + 1} of {len(SECTIONS)}: {texts(f'{key}.title').lower()}")
         sections[key] = section(page)
+    played = play_part(page) if play and kind == "html" else None
+    missing = [*missing, *(played.missing if played else ())]
     sections["trust"]["sentences"] = [*sections["trust"]["sentences"], *missing]
     say(0.95, "writing the page")
     made = texts("page.made", date=_today(), version=installed("cyclekit"), executions=page.seen.executions)
@@ -137,7 +142,9 @@ def compose_report(
     elif kind == "md":
         content = as_markdown(texts, name, made, sections)
     else:
-        content = look.render(cell=name, made=made, version=installed("cyclekit"), **sections) + f"\n{MARK}\n"
+        data = played.data if played else None
+        content = look.render(cell=name, made=made, version=installed("cyclekit"), play=data, **sections)
+        content += f"\n{MARK}\n"
     write_text(out, content)
     said = tuple(missing) + tuple(text for section in sections.values() for text in section.get("missing", ()))
     headline, size = sections["answer"]["headline"], out.stat().st_size

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from cyclekit.report.texts import ReportTexts
 
 PAGE, STYLE, SCRIPT = "page.html.jinja", "page.css", "page.js"
+SCRIPTS, STYLES = (SCRIPT, "play.js"), (STYLE, "play.css")
 LOGOS = {"logo.svg": "image/svg+xml", "logo.png": "image/png"}
 KNOWN = (PAGE, STYLE, SCRIPT, "texts.toml", "extra.css", "cover.html.jinja", *LOGOS)
 
@@ -56,8 +57,8 @@ class Template:
             raise CyclekitError(msg, cure=f"Put one or more of these files there: {', '.join(KNOWN)}.")
         self.texts = self._texts()
 
-    def render(self, *, page: str = PAGE, **values: object) -> str:
-        """Return a page.
+    def render(self, *, page: str = PAGE, play: str | None = None, **values: object) -> str:
+        """Return a page; with `play`, the tables of the part to play with, also its script and style.
 
         Raises:
             CyclekitError: The folder's template is wrong.
@@ -67,16 +68,17 @@ class Template:
         environment = SandboxedEnvironment(
             loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, finalize=_shown
         )  # fmt: skip
-        script = self._asset(SCRIPT)
+        script, css = ("".join(map(self._asset, names if play else names[:1])) for names in (SCRIPTS, STYLES))
         digest = base64.b64encode(hashlib.sha256(f"\n{script}\n".encode()).digest()).decode()
         try:
             return environment.get_template(page).render(
                 say=self.texts,
                 language=self.texts.language,
-                css=self._asset(STYLE) + self._extra("extra.css"),
+                css=css + self._extra("extra.css"),
                 script=script,
                 script_hash=f"sha256-{digest}",
                 logo=self._logo(),
+                play=play,
                 **values,
             )
         except _WRONG as error:
@@ -90,8 +92,9 @@ class Template:
     def _own(self, name: str) -> str | None:
         if unfit(name) is not None:
             return None
-        asset = files("cyclekit.report").joinpath(name)
-        return asset.read_text("utf-8") if asset.is_file() else None
+        page, play = files("cyclekit.report"), files("cyclekit.report.play")
+        asset = next((file for room in (page, play) if (file := room.joinpath(name)).is_file()), None)
+        return asset.read_text("utf-8") if asset is not None else None
 
     def _asset(self, name: str) -> str:
         return self._extra(name) or str(self._own(name) or "")

@@ -104,6 +104,19 @@ def _connect() -> ViewerClient:
     raise SystemExit(f"the viewer does not answer: {last}")
 
 
+def play_picture(tab: Tab, page: Path) -> bytes:
+    """Return the part to play with, after three visits and a threshold were moved."""
+    tab.show(page, width=1180, height=1400)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    for row in (5, 4, 3):
+        tab.ask(f"document.querySelectorAll('#play li')[{row}].querySelector('button').click()")
+    tab.ask(
+        "(s => { s.value = '-0.2'; s.dispatchEvent(new Event('input')); })(document.querySelector('#play-slider-0'))"
+    )
+    tab.ask("document.activeElement.blur(); document.getElementById('play').scrollIntoView()")
+    return tab.picture()
+
+
 def page_pictures(tab: Tab, page: Path, printed: Path) -> None:
     """Save the page as on a desk, on a phone and printed."""
     tab.show(page, width=1180, height=980)
@@ -114,6 +127,7 @@ def page_pictures(tab: Tab, page: Path, printed: Path) -> None:
         tab.call("Emulation.setDeviceMetricsOverride", width=1180, height=1600, deviceScaleFactor=1, mobile=False)
         time.sleep(0.5)
         save(tab.picture(), HERE / f"report-{section}.png")
+    save(play_picture(tab, page), HERE / "report-play.png")
     tab.show(page, width=390, height=844, phone=True, scale=1.5)
     save(tab.picture(), HERE / "report-phone.png")
     sheets = subprocess.run(["pdftoppm", "-r", "45", "-png", str(page.with_suffix(".pdf")), str(printed)], check=False)

@@ -12,6 +12,7 @@ from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.scenes import Scene
 from cyclekit_sim.tracker import lead_s
 from cyclekit_sim.write_csv import UPTIME_S
+from cyclekit_sim.write_plc import trace_source
 
 _ROBOT_RADIUS_M = 0.05
 
@@ -45,7 +46,9 @@ def _csv_sources(scene: Scene, options: SimulationOptions, events: bool, inputs:
         *("", "[[sources]]", 'path = "session_*/robot.csv"', 'role = "robot"'),
         *(['map = { inputs = "events" }'] if inputs else []),
     ]
-    if scene.plc and options.people in ("signals", "both"):
+    if options.plc_trace is not None:
+        lines += trace_source(scene.fields, options.plc_trace)
+    elif scene.plc and options.people in ("signals", "both"):
         lines += ["", "[[sources]]", 'path = "session_*/plc.csv"', 'role = "events"', 'adapter = "csv"']
         lines += ["clock_offset_s = 0.0", f'map = {{ delimiter = ",", {names} }}']
     if options.people not in ("tracker", "both"):

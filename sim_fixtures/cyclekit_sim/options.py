@@ -54,6 +54,8 @@ class SimulationOptions:
         causes: What slows or stops the robot besides the person (CSV); None: nothing does.
         people: What the logs hold of people (CSV): the tracker, the signals of fields, both or nothing; None: what the
             scene has. With signals the safety function is that of the scene's fields.
+        plc_trace: The signals of the fields stand in a PLC's trace, one column per tag ("wide") or rows of tag, time
+            and value ("long"), and not in the robot's log (CSV); None: where the scene has them.
         coupling: In which share of the joint tasks robot and operator wait, in cells where they do (CSV).
         signals: False leaves buttons and sensors out of the logs of such cells.
         task_list: The logs of such a cell are starts and ends of tasks alone.
@@ -88,6 +90,7 @@ class SimulationOptions:
     place_s: float | None = None
     causes: MixedCauses | None = None
     people: Literal["tracker", "signals", "both", "none"] | None = None
+    plc_trace: Literal["wide", "long"] | None = None
     coupling: float = 1.0
     signals: bool = True
     task_list: bool = False
@@ -115,6 +118,15 @@ class SimulationOptions:
                 (not 0 <= self.coupling <= 1, f"coupling is {self.coupling}: use a fraction from 0 to 1"),
                 (self.causes is not None and self.logs == "mcap", "causes are written to CSV logs only"),
                 (self.people not in (None, "tracker") and self.logs == "mcap", "people is for CSV logs only"),
+                (
+                    self.plc_trace not in (None, "wide", "long"),
+                    f"plc_trace is {self.plc_trace!r}: use 'wide' or 'long'",
+                ),
+                (
+                    self.plc_trace is not None and (self.logs == "mcap" or self.people in ("tracker", "none")),
+                    "plc_trace holds the signals of fields, in CSV logs only",
+                ),
+                (self.plc_trace is not None and not self.log_outputs, "plc_trace needs the robot's outputs logged"),
             )
             if wrong
         ]

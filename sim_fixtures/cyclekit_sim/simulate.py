@@ -35,6 +35,7 @@ from cyclekit_sim.tracker import record
 from cyclekit_sim.truth import execution_table, sample_table, task_rows, task_table
 from cyclekit_sim.write_bag import BAG_EPOCH_S, write_bag
 from cyclekit_sim.write_csv import UPTIME_S, write_events, write_people, write_plc, write_robot
+from cyclekit_sim.write_plc import write_trace
 
 Progress = Callable[[float, str], None]
 _DEFAULT = SimulationOptions()
@@ -140,7 +141,9 @@ def _set_up(name: str, options: SimulationOptions) -> tuple[Scene, SimulationOpt
     if people in ("signals", "both"):
         if not scene.fields:
             raise SimulationError(f"{name} has no fields, so it cannot log their signals: use people = 'tracker'")
-        scene = dataclasses.replace(scene, safety=rule_of(scene.fields))
+        scene = dataclasses.replace(scene, safety=rule_of(scene.fields), plc=scene.plc or options.plc_trace is not None)
+    elif options.plc_trace:
+        raise SimulationError(f"{name}: plc_trace needs signals of fields: use people = 'signals' or 'both'")
     if options.rule is not None:
         scene = dataclasses.replace(scene, safety=options.rule)
     return scene, dataclasses.replace(
@@ -154,7 +157,7 @@ def _set_up(name: str, options: SimulationOptions) -> tuple[Scene, SimulationOpt
 
 def _prepare(scene: str, seed: int, options: SimulationOptions, executions: int) -> Work | CoupledWork:
     if scene in COUPLED:
-        if options.people not in (None, "tracker"):
+        if options.people not in (None, "tracker") or options.plc_trace:
             raise SimulationError(f"{scene} has no fields, so it cannot log their signals: use people = 'tracker'")
         return coupled_work(scene, seed, dataclasses.replace(options, people="tracker"), executions)
     if options.coupling != 1.0 or not options.signals or options.task_list:
@@ -222,7 +225,9 @@ def _write_session(folder: Path, session: Session, work: Work | CoupledWork) -> 
     events, inputs = _signal_logs(work)
     fields = options.people in ("signals", "both")
     write_robot(folder / "robot.csv", robot, options, inputs=inputs or (fields and not work.scene.plc))
-    if fields and work.scene.plc:
+    if fields and options.plc_trace:
+        write_trace(folder / "plc.csv", session, work.scene.fields, options.plc_trace)
+    elif fields and work.scene.plc:
         write_plc(folder / "plc.csv", session, work.scene.fields)
     if options.people in ("tracker", "both"):
         write_people(folder / "operator.csv", frames, options, session.name)
@@ -243,6 +248,8 @@ def _facts(work: Work | CoupledWork) -> str:
     signals = work.options.people in ("signals", "both")
     if work.options.people == "tracker":
         del options["people"]
+    if work.options.plc_trace is None:
+        del options["plc_trace"]
     options["operator_log"] = work.options.operator_log.name if work.options.operator_log else None
     more: dict[str, object]
     if isinstance(work, CoupledWork):

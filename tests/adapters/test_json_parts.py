@@ -11,6 +11,7 @@ _LEAF = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) |
 _ANY = st.recursive(_LEAF, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4))
 
 
+@pytest.mark.slow
 @given(value=st.lists(_ANY, max_size=6), indent=st.sampled_from([None, 1]))
 def test_an_array_comes_apart_into_its_elements(value, indent):
     assert [element for _, element in parts(json.dumps(value, indent=indent))] == value

@@ -37,15 +37,48 @@ def test_a_robot_mode_holds_and_every_change_of_a_mode_is_an_event(tmp_path, bag
         writer.tcp(T0 + i, x=0.0)
     writer.close()
     if not defined:
-        connection = sqlite3.connect(next((tmp_path / "run").glob("*.db3")))
-        connection.execute("DELETE FROM message_definitions")
-        connection.commit()
-        connection.close()
+        without_definitions(tmp_path / "run")
     log = read(tmp_path / "run")
     assert log.robot["state"].to_list() == [None, None, "stopped", None]
     assert log.robot["scaling"].to_list() == [0.5, 0.5, None, 0.5]
     said = {signal.rpartition("/")[2]: values for signal, values in log.events.group_by("signal").agg("value").rows()}
     assert said == {"robot_mode": ["RUNNING", "IDLE", "RUNNING"], "safety_mode": ["NORMAL", "SAFEGUARD_STOP", "99"]}
+
+
+def io_states(writer, t_s, inputs, outputs):
+    """Say the digital inputs and outputs of a UR controller, by pin."""
+    kinds = {"Digital": "uint8 pin\nbool state", "Analog": "uint8 pin\nuint8 domain\nfloat32 state"}
+    names = [f"{kind}_states" for kind in ("digital_in", "digital_out", "flag", "analog_in", "analog_out")]
+    text = "\n".join(f"{'Analog' if 'analog' in name else 'Digital'}[] {name}" for name in names)
+    for kind, definition in {**kinds, "IOStates": text}.items():
+        if f"ur_msgs/msg/{kind}" not in writer.store.types:
+            writer.store.register(get_types_from_msg(definition, f"ur_msgs/msg/{kind}"))
+    digital = writer.type("ur_msgs/msg/Digital")
+    told = [[digital(pin=pin, state=on) for pin, on in pins.items()] for pins in (inputs, outputs, {})]
+    values = dict(zip(names, [*told, [], []], strict=True))
+    writer.say("/io_and_status_controller/io_states", "ur_msgs/msg/IOStates", t_s, **values)
+
+
+@pytest.mark.parametrize("defined", [True, False])
+def test_the_digital_inputs_and_outputs_of_a_ur_driver_are_kept_by_bit(tmp_path, bag, defined):
+    writer = bag(tmp_path / "run", "mcap" if defined else "db3")
+    io_states(writer, T0 + 0.5, {0: False, 3: True, 16: True, 200: True}, {0: True})
+    io_states(writer, T0 + 2.5, {0: True, 3: False}, {0: False, 1: True})
+    for i in range(4):
+        writer.tcp(T0 + i, x=0.0)
+    writer.close()
+    if not defined:
+        without_definitions(tmp_path / "run")
+    log = read(tmp_path / "run")
+    assert log.robot["digital_in_bits"].to_list() == [None, 65544, 65544, 1]
+    assert log.robot["digital_out_bits"].to_list() == [None, 1, 1, 2]
+
+
+def without_definitions(folder):
+    connection = sqlite3.connect(next(folder.glob("*.db3")))
+    connection.execute("DELETE FROM message_definitions")
+    connection.commit()
+    connection.close()
 
 
 def controller(writer, t_s, points, scaling=None, topic="/arm_controller/state"):

@@ -111,6 +111,7 @@ def test_stamps_that_lie_far_above_their_line_are_worth_a_warning() -> None:
     assert [one.code for one in placed(robot, people, {"p": late}).warnings] == ["clock-stamps-late"]
 
 
+@pytest.mark.slow
 def test_a_kuka_with_the_seconds_of_its_pc_is_placed_beside_a_tracker_in_epoch_time(tmp_path: Path) -> None:
     """The simulated cell, its robot as an RSI client writes it: the PC's time in whole seconds, a cycle of 12 ms."""
     logs = tmp_path / "logs"

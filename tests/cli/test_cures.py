@@ -202,7 +202,7 @@ def test_what_comes_next_can_be_typed_where_the_path_has_blanks(cyclekit: Shell,
     typed(train)
 
 
-@pytest.mark.parametrize("problem", ["now", "ahead"])
+@pytest.mark.parametrize("problem", ["now", pytest.param("ahead", marks=pytest.mark.slow)])
 def test_what_comes_next_after_a_training_works(problem: str, cyclekit: Shell, typed: Any, dataset: Path):
     done = cyclekit("train", dataset, "--problem", problem, "--out", "my model")
     assert done.code == 0, done.err

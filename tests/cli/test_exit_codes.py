@@ -83,6 +83,7 @@ def test_the_simulator_s_refusal_is_our_error(cyclekit: Shell, tmp_path: Path) -
     assert not (tmp_path / "logs").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
 def test_an_interruption_ends_with_130_and_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     out = tmp_path / "logs"

@@ -82,6 +82,7 @@ def test_every_text_out_of_a_hostile_table_is_one_line(dataset: Path) -> None:
     assert not {text for text in texts if steers(text) or "\n" in text}
 
 
+@pytest.mark.slow
 def test_reports_and_replay_of_a_hostile_dataset_are_shown_and_not_obeyed(dataset: Path, tmp_path: Path) -> None:
     for name in ("r.md", "r.csv", "r.html"):
         assert run(["report", str(dataset), "--out", str(tmp_path / name), "--quiet"]) == 0

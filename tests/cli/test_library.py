@@ -54,6 +54,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory, logs: Path, dataset: Path, mo
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("words_only")
 def test_the_examples_of_the_page_run_and_show_every_function(
     cell: Path, jobs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -23,6 +23,7 @@ def changes(tmp_path: Path) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_changes_and_order_are_computed_for_the_page(
     model: Path, dataset: Path, sequences: Path, jobs: Path, changes: Path, tmp_path: Path, cyclekit: Shell
 ):

@@ -68,6 +68,7 @@ def test_a_command_works_with_standard_streams_closed(small: Path, tmp_path: Pat
     assert "Traceback" not in told.stderr
 
 
+@pytest.mark.slow
 @ON_POSIX
 def test_an_answer_that_cannot_be_written_is_a_message(small: Path, tmp_path: Path) -> None:
     if not Path("/dev/full").exists():

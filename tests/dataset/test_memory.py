@@ -50,6 +50,7 @@ main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit is set as Linux does")
 def test_more_samples_than_memory_takes_are_one_message_and_no_abort(forged: Path):
     ended = subprocess.run([sys.executable, "-c", _LIMITED, str(forged)], capture_output=True, text=True, check=False)

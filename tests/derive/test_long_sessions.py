@@ -44,6 +44,7 @@ def heights(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return seen
 
 
+@pytest.mark.slow
 def test_samples_made_in_parts_are_those_made_at_once(boxes: SimulatedCell, tmp_path: Path, heights: list[int]):
     ingest([boxes.logs], tmp_path / "parts")
     parts, once = Dataset.open(tmp_path / "parts"), boxes.dataset

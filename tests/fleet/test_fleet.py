@@ -118,6 +118,7 @@ def test_a_worker_that_is_killed_in_mid_work_costs_a_retry_and_nothing_else(one_
     assert not [*tmp_path.glob("out/*/.dataset.new-*")]
 
 
+@pytest.mark.slow
 def test_new_logs_are_added_and_the_model_is_kept_while_the_cell_is_the_same(
     one_day: Path, small_cell: Path, tmp_path: Path
 ) -> None:

@@ -117,6 +117,7 @@ def engine_of_words(words: list[str]) -> Engine:
     return Engine("ray", address=words[-1]) if "ray" in words else Engine(jobs=2)
 
 
+@pytest.mark.slow
 def test_estimates_are_the_same_to_the_last_bit(
     small_cell: Path, elsewhere: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -79,6 +79,7 @@ def test_recordings_that_somebody_deleted_are_read_again(three_runs: Path, tmp_p
     assert only_bytes(out) == whole
 
 
+@pytest.mark.slow
 def test_two_jobs_write_the_same_bytes_as_one(three_runs: Path, tmp_path: Path):
     (three_runs / "broken.csv").write_text("timestamp actual_TCP_pose_0\n", encoding="utf-8")
     one = ingest([three_runs], tmp_path / "one")

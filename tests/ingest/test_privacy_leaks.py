@@ -129,6 +129,7 @@ def made(named: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_no_byte_of_dataset_model_replay_and_report_tells_a_name_or_a_time_of_the_logs(made: Path) -> None:
     assert not leaking(made)
 

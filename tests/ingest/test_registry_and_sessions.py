@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from log_cards import log_card
 
 from cyclekit.adapter import ReadOptions, Recording
 from cyclekit.config import Cell, Source
+from cyclekit.config.cells import Sync
 from cyclekit.dataset.cards import LogCard, texts
 from cyclekit.dataset.sessions import group_sessions, unpaired
 from cyclekit.errors import ConfigError, LogError, UnknownName
@@ -24,6 +26,7 @@ from cyclekit.ingest.registry import (
     find_logs,
     why_unknown,
 )
+from cyclekit.ingest.shared_events import may_be_shared
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -176,6 +179,29 @@ def test_where_names_do_not_tell_which_belong_together_it_is_said_with_the_cure(
         assert "same name" in said
     empty = [log_card("r/1.csv", "robot"), log_card("r/2.csv", "robot")]
     assert unpaired(group_sessions(empty, lambda shown: False)) == []
+
+
+def shared(*logs: LogCard, told: Source | None = None) -> list[list[str]]:
+    share = partial(may_be_shared, sources={log.id: told for log in logs})
+    return [[log.id for log in group.logs] for group in group_sessions(logs, lambda shown: False, shares=share)]
+
+
+def test_events_since_1970_are_of_every_robot_log_that_they_meet_in_time():
+    first, second = (
+        log_card(f"{n}.csv", "robot", kind="epoch", first_s=t, last_s=t + 60) for n, t in (("1", 0), ("2", 90))
+    )
+    both = log_card("scanner.csv", "events", kind="epoch", first_s=30, last_s=100)
+    late = log_card("late.csv", "events", kind="epoch", first_s=500, last_s=600)
+    assert shared(first, second, both, late) == [["1.csv", "scanner.csv"], ["2.csv", "scanner.csv"], ["late.csv"]]
+
+
+def test_events_of_another_clock_are_shared_where_the_cell_file_says_how_they_lie():
+    logs = [log_card("1.csv", "robot"), log_card("2.csv", "robot"), log_card("plc.csv", "events")]
+    with pytest.raises(ConfigError, match="2 robot logs and 1 others") as refusal:
+        shared(*logs)
+    assert "sync" in str(refusal.value.cure)
+    told = Source("plc.csv", sync=Sync("digital-output 0", "gripper"))
+    assert shared(*logs, told=told) == [["1.csv", "plc.csv"], ["2.csv", "plc.csv"]]
 
 
 def test_two_robots_and_a_tracker_in_one_folder_are_refused():

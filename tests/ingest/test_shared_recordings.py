@@ -111,6 +111,7 @@ def test_a_dataset_that_gets_few_logs_gives_each_its_own_files_again(
     assert not (out / "shared").exists()
 
 
+@pytest.mark.slow
 def test_workers_write_the_same_shared_files(short_runs: Path, tmp_path: Path, few: None):
     ingest([short_runs], tmp_path / "here")
     ingest([short_runs], tmp_path / "workers", engine=Engine(jobs=2))

@@ -62,6 +62,7 @@ def test_the_arrays_answer_what_scikit_learn_does_unknown_inputs_included(rows):
     assert sound(trees.nodes, window_features(some.model_inputs).shape[1])
 
 
+@pytest.mark.slow
 def test_as_many_trees_are_kept_as_are_best_in_executions_that_none_has_seen(folder, cell):
     model = load_model(folder)
     assert 0 < len(model.weights.nodes) <= boosting.TREES

@@ -141,6 +141,7 @@ def test_the_better_training_is_like_the_first_but_for_one_thing(settings, optio
     assert shlex.split(line.partition("cyclekit ")[2]) == ["train", "my dataset", "--out", "model", *options]
 
 
+@pytest.mark.slow
 def test_what_beats_a_model_is_said_with_the_command_that_mends_it(cell, tmp_path, capsys):
     """A network that hardly learned is beaten by the staircase; the command as printed gives one that is not."""
     out = tmp_path / "model"

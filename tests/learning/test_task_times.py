@@ -61,6 +61,7 @@ def test_who_waits_for_whom_is_found_and_nothing_else(coupled) -> None:
     assert not any(task.planned for task in coupled[1].card.tasks)
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nobody_waits(tmp_path) -> None:
     card = learned(tmp_path, 3, ListOptions(coupled=False)).card
     assert not any(task.needs for task in card.tasks)

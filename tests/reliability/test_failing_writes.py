@@ -138,6 +138,7 @@ def test_every_call_of_an_ingest_that_writes_fails_once(
     assert refused >= 20
 
 
+@pytest.mark.slow
 def test_every_call_of_a_replay_that_writes_fails_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kill_nine: Any, capsys: Any
 ):

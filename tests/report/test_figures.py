@@ -53,6 +53,7 @@ def test_a_figure_of_the_registry_is_on_the_page_in_its_section(section: str, da
     assert part.count("<td>" + str(dataset.tasks().height)) == 1
 
 
+@pytest.mark.slow
 def test_its_table_is_in_the_words_and_its_words_can_be_replaced(
     section: str, dataset: Dataset, tmp_path: Path
 ) -> None:

@@ -115,11 +115,12 @@ def test_every_text_is_asked_for_and_every_text_asked_for_exists():
     folder = files("cyclekit.report")
     texts = tomllib.loads(folder.joinpath("texts.toml").read_text("utf-8"))
     texts.pop("language")
-    read = [*folder.iterdir(), *folder.joinpath("figures").iterdir()]
-    source = "".join(file.read_text("utf-8") for file in read if file.name.endswith((".py", ".jinja")))
+    read = [file for room in (folder, folder / "figures", folder / "play") for file in room.iterdir()]
+    source = "".join(file.read_text("utf-8") for file in read if file.name.endswith((".py", ".jinja", ".js")))
     known = {f"{section}.{name}" for section, names in texts.items() for name in names}
-    asked = set(re.findall(r"[\"']((?:page|answer|verdict|where|why|helps|trust|fleet)\.\w+)", source))
-    assert asked - known == {"page.css", "page.html", "page.js", "page.pdf", "fleet.html"}  # files, no texts
+    asked = set(re.findall(r"[\"']((?:page|answer|verdict|where|why|helps|trust|fleet|play)\.\w+)", source))
+    no_texts = {"page.css", "page.html", "page.js", "page.pdf", "fleet.html", "play.css", "play.html", "play.js"}
+    assert asked - known == no_texts  # but files
     names = set(re.findall(r'"(\w+)"', source))
     assert {key for key in known - asked if key.partition(".")[2] not in names} == set()
 

@@ -53,6 +53,7 @@ def test_nobody_waits_where_nothing_is_coupled() -> None:
         assert max(free.robot_waits_s.max(), free.operator_waits_s.max()) < 1e-9
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_and_an_execution_is_the_same_however_many(logs: Path, tmp_path: Path) -> None:
     scene = json.loads((logs / "truth" / "truth.json").read_text())["scene"]
     again = simulate(scene, tmp_path / "again", executions=EXECUTIONS, seed=4)

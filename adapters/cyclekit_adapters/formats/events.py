@@ -9,7 +9,7 @@ numbers could be seconds, milliseconds or cycles, and are refused. Values stay t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 from zoneinfo import available_timezones
 
@@ -17,10 +17,11 @@ import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import ConfigError, DamagedLog, LogError, UnknownName
-from cyclekit.schema import EVENTS, conform, empty
+from cyclekit.schema import EVENTS, conform
 from cyclekit_adapters.mapped.source_map import words
 from cyclekit_adapters.tasks.event_table import UNITS, EventTable, TimeColumn, counted_in, event_table
 from cyclekit_adapters.tasks.safety_columns import is_safety_log
+from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.tasks.task_columns import is_task_list
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
@@ -48,12 +49,12 @@ class _EventCsv:
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         unit, zone = _said(options)
         table = _table(path, unit)
-        times, seen = table.times, _Seen()
+        times, seen, states = table.times, _Seen(), StateChanges()
         clock = "epoch" if times.clock == "epoch" or (zone and _has_date(times)) else "relative"
 
         def make(rows: TextRows) -> Recording:
             rows = timed(rows, times, zone)
-            events = seen.changes(rows.frame, table.signals) if table.signals else _long(rows.frame, table)
+            events = states.changes(rows.frame, T_S, table.signals) if table.signals else _long(rows.frame, table)
             seen.clock(rows.frame[T_S])
             return Recording(
                 events=events,
@@ -143,10 +144,9 @@ def _long(frame: pl.DataFrame, table: EventTable) -> pl.DataFrame:
 
 @dataclass
 class _Seen:
-    """The states of the signals and the clock so far."""
+    """The clock so far."""
 
     back: int = 0
-    _states: dict[str, str] = field(default_factory=dict)
     _last_s: float | None = None
 
     def clock(self, t_s: pl.Series) -> None:
@@ -155,20 +155,6 @@ class _Seen:
             return
         self.back += int((t_s < t_s.shift(1, fill_value=self._last_s)).sum())
         self._last_s = float(t_s[-1])
-
-    def changes(self, frame: pl.DataFrame, signals: tuple[str, ...]) -> pl.DataFrame:
-        """Return the first state of each signal and every change, in order of the rows."""
-        found = [empty(EVENTS)]
-        for name in signals:
-            known = frame.select(pl.col(T_S).alias("t_s"), pl.col(name).alias("value"), "source_row").drop_nulls(
-                "value"
-            )
-            if known.is_empty():
-                continue
-            same = (known["value"] == known["value"].shift(1, fill_value=self._states.get(name))).fill_null(value=False)
-            self._states[name] = known["value"][-1]
-            found.append(conform(known.filter(~same).with_columns(signal=pl.lit(name)), EVENTS))
-        return pl.concat(found).sort("source_row", maintain_order=True)
 
 
 def _has_date(times: TimeColumn) -> bool:

@@ -9,6 +9,7 @@ be named; a person must check what `draft` proposes for the cell file.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -23,6 +24,7 @@ from cyclekit_adapters.mapped.map_columns import Columns, columns_of, unresolved
 from cyclekit_adapters.mapped.map_table import MapTable, text_table
 from cyclekit_adapters.mapped.mapped_time import T_S, name_their_zone, require_epoch, timed
 from cyclekit_adapters.robots.controller_time import Back, Once, Spread
+from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.list_cells import ListCells, first_width
 from cyclekit_adapters.text.sheets import sheet_table
@@ -63,15 +65,15 @@ class _MappedCsv:
         zoned = name_their_zone(table.first_rows, names, mapping)
         clock = mapping.clock_kind(zoned=zoned)
         once, seen, back = Once(T_S), _Seen(mapping, role), Back(T_S, mapping.person)
-        canonical: Callable[[pl.DataFrame, CsvMap], pl.DataFrame] = {
-            "robot": _robot,
-            "people": _people,
-            "events": _events,
-        }[role]
+        events = StateChanges(mapping.names)
+        canonicals: dict[str, Callable[[pl.DataFrame, CsvMap], pl.DataFrame]]
+        canonicals = {"robot": _robot, "people": _people, "events": partial(_events, events)}
+        canonical = canonicals[role]
         wanted, lists = _wanted(columns, role)
 
         def make(rows: TextRows) -> Recording:
             rows = timed(lists.rows(rows), mapping, options.rate_hz, zoned=zoned)
+            rows = _of_good_quality(rows, mapping)
             if clock == "epoch":
                 require_epoch(path, rows.frame, mapping)
             if role == "robot":
@@ -80,8 +82,11 @@ class _MappedCsv:
                 back.add(rows.frame)
             rows = replace(rows, frame=seen.without_missing(rows.frame))
             seen.add(rows.frame)
+            tables = {role: canonical(rows.frame, mapping)}
+            if role == "robot" and mapping.tags:
+                tables["events"] = events.changes(rows.frame, T_S, mapping.tags)
             return Recording(
-                **{role: canonical(rows.frame, mapping)},  # type: ignore[arg-type]  # the three roles are three fields
+                **tables,  # type: ignore[arg-type]  # roles are fields
                 clock=clock,
                 joint_names=mapping.joints if role == "robot" else (),
                 rows_are="row" if "sheet" in table.facts else "line",
@@ -140,10 +145,12 @@ def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[st
     number_time, text_time = ([], time) if mapping.time_format else (time, [])
     places = mapping.places()
     if role == "events":
-        if not mapping.signal or not mapping.value:
-            raise ConfigError(f"{WHERE}: events need the keys signal and value", cure="Name both columns.")
-        texts = list(dict.fromkeys([*text_time, mapping.signal, mapping.value]))
-        return number_time, texts, [*time, mapping.signal]
+        told = [column for column in (mapping.signal, mapping.value) if column]
+        if len(told) < 2 and not mapping.tags:
+            cure = "Name both columns, or in tags the columns that are a signal each."
+            raise ConfigError(f"{WHERE}: events need the keys signal and value", cure=cure)
+        texts = [*text_time, *told, *mapping.tags, *([mapping.quality] if mapping.quality else [])]
+        return number_time, list(dict.fromkeys(texts)), [*time, *told[:1]]
     if places and not {"x", "y"}.issubset(places):
         raise ConfigError(f"{WHERE}: a position needs at least x and y", cure="Name the columns of both.")
     if role == "people":
@@ -160,7 +167,7 @@ def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[st
             f"{WHERE}: no quantity of the robot is mapped", cure="Map x, y, z or joints, scaling or speed."
         )
     state = [mapping.state] if mapping.state else []
-    return list(dict.fromkeys([*number_time, *numbers])), [*text_time, *state], time
+    return list(dict.fromkeys([*number_time, *numbers])), list(dict.fromkeys([*text_time, *state, *mapping.tags])), time
 
 
 def _robot(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
@@ -202,9 +209,21 @@ def _people(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
     return conform(frame.select(pl.col(T_S).alias("t_s"), person.alias("person"), "source_row", *places), PEOPLE)
 
 
-def _events(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
+def _events(states: StateChanges, frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
+    if mapping.tags:
+        return states.changes(frame, T_S, mapping.tags)
     signal, value = pl.col(str(mapping.signal)).alias("signal"), pl.col(str(mapping.value)).alias("value")
-    return conform(frame.select(pl.col(T_S).alias("t_s"), signal, value, "source_row"), EVENTS)
+    named = signal.replace(dict(mapping.names)) if mapping.names else signal
+    return conform(frame.select(pl.col(T_S).alias("t_s"), named, value, "source_row"), EVENTS)
+
+
+def _of_good_quality(rows: TextRows, mapping: CsvMap) -> TextRows:
+    """Return the rows with those set aside whose values their writer does not vouch for."""
+    if mapping.quality is None or mapping.quality not in rows.frame.columns:
+        return rows
+    good = {word.strip().lower() for word in mapping.good}
+    bad = ~rows.frame[mapping.quality].str.to_lowercase().is_in(list(good)).fill_null(value=False)
+    return rows.without(bad, f"its quality ({mapping.quality}) is none of {', '.join(mapping.good)}")
 
 
 @dataclass
@@ -271,7 +290,7 @@ class _Seen:
         ]
         if other := sorted(self.states - set(STATES) - set(mapping.states)):
             said.append(f"states {', '.join(map(repr, other[:5]))} are unknown; map them in `states`")
-        if mapping.time_format and clock != "epoch":
+        if mapping.is_date and clock != "epoch":
             said.append("its times of day have no time zone, so they cannot be aligned with other logs; give time_zone")
         return said
 

@@ -19,11 +19,11 @@ SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 RADIANS = {"rad": 1.0, "deg": 0.017453292519943295}
 STATES = ("playing", "paused", "stopped")
-FRAME = "frame"
+FRAME, EXCEL = "frame", "excel"
 _CLOCKS = ("epoch", "uptime", "relative")
 _DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";", "whitespace": "\\s+"}
 _NUMBERS = {"scaling_max": (1, 100)}
-_LISTS = ("time", "time_unit", "scaling", "joints", "columns")
+_LISTS = ("time", "time_unit", "scaling", "joints", "columns", "tags", "good")
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,16 @@ class CsvMap:
         sheet: Of an Excel workbook; the first that holds a table where none is named.
         columns: Names of the columns of a table without a header line.
         time: Column of the time, or of date and time of day, or of its parts (seconds and nanoseconds).
-        time_unit: Unit of a time that is a number, or of each of its parts, the largest first.
+        time_unit: Unit of a time that is a number, or of each of its parts, the largest first; "excel" = days as
+            spreadsheets count them.
         time_format: How a time is written as text: "iso", or a pattern such as "%d.%m.%Y %H:%M:%S%.f".
         time_zone: Zone of such a time, as "Europe/Rome"; without it its clock counts as relative.
         confidence: Column of how sure the tracker is of a person's place; 0 = it repeats an old one.
         missing: Numbers that mean not seen or not measured.
         scaling: Columns whose product is the speed scaling.
+        tags: Columns that are a signal each, by the state of which rows of a PLC's trace are told apart.
+        names: What a tag or column is called as a signal.
+        quality: Column of how good a value is; rows whose quality is none of `good` are set aside.
     """
 
     sheet: str | None = None
@@ -71,6 +75,10 @@ class CsvMap:
     register: str | None = None
     signal: str | None = None
     value: str | None = None
+    tags: tuple[str, ...] = ()
+    names: Mapping[str, str] = field(default_factory=dict)
+    quality: str | None = None
+    good: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
     joint_unit: str = "rad"
 
@@ -82,13 +90,18 @@ class CsvMap:
         """Return what stands between fields, None where it is to be found from the header."""
         return None if self.delimiter is None else _DELIMITERS.get(self.delimiter, self.delimiter)
 
+    @property
+    def is_date(self) -> bool:
+        """Whether a time is a date and a time of day, in some zone."""
+        return self.time_format is not None or self.time_unit == (EXCEL,)
+
     def clock_kind(self, *, zoned: bool) -> ClockKind:
         """Return what kind of clock the table has: as given, else epoch if date and time zone are known.
 
         Args:
             zoned: Its times name their zone.
         """
-        known = "epoch" if self.time_format and (self.time_zone or zoned) else "relative"
+        known = "epoch" if self.is_date and (self.time_zone or zoned) else "relative"
         return cast("ClockKind", self.clock or known)
 
     def role(self) -> Role:
@@ -97,7 +110,7 @@ class CsvMap:
         Raises:
             ConfigError: Several roles are possible.
         """
-        if self.signal:
+        if self.signal or self.tags:
             return "events"
         if self.person or self.confidence:
             return "people"
@@ -122,7 +135,7 @@ def csv_map(options: ReadOptions) -> CsvMap:
         values[key] = _checked(key, value)
     mapping = CsvMap(**values)  # type: ignore[arg-type]  # types were checked key by key
     for unit in mapping.time_unit:
-        _one_of("time_unit", unit, [*SECONDS, FRAME])
+        _one_of("time_unit", unit, [*SECONDS, FRAME, EXCEL])
     _one_of("length_unit", mapping.length_unit, METRES)
     _one_of("joint_unit", mapping.joint_unit, RADIANS)
     _one_of("clock", mapping.clock or "relative", _CLOCKS)
@@ -140,8 +153,14 @@ def _agree(mapping: CsvMap, rate_hz: float | None) -> None:
         not separator or set(separator) & set('"\r\n') or separator == mapping.decimal == "."
     ):
         raise ConfigError(f"{WHERE}: delimiter = {mapping.delimiter!r} cannot separate fields")
-    if mapping.time_zone is not None and mapping.time_format is None:
+    if mapping.time_zone is not None and not mapping.is_date:
         raise ConfigError(f"{WHERE}: time_zone without time_format", cure='Add time_format = "iso" or a pattern.')
+    if mapping.tags and mapping.signal:
+        cure = "Name the columns in tags where each column is a signal, else signal and value."
+        raise ConfigError(f"{WHERE}: both tags and signal", cure=cure)
+    if (mapping.quality is None) != (not mapping.good):
+        cure = 'Add both: quality = "Quality", good = ["GOOD", "192"].'
+        raise ConfigError(f"{WHERE}: quality and good go together", cure=cure)
     _agree_on_time(mapping, rate_hz)
     if mapping.time_zone is not None and mapping.time_zone not in _zones():
         raise UnknownName(
@@ -161,6 +180,8 @@ def _agree_on_time(mapping: CsvMap, rate_hz: float | None) -> None:
         )
     if mapping.time_format is not None:
         return
+    if EXCEL in units and (len(units) > 1 or len(parts) > 1):
+        raise ConfigError(f"{WHERE}: time_unit = {list(units)}", cure='"excel" is the unit of one column alone.')
     if len(units) > 1 and (len(units) != len(parts) or sorted(units, key=lambda u: -SECONDS[u]) != list(units)):
         seen = f"{WHERE}: {len(parts)} columns of time and time_unit = {list(units)}"
         raise ConfigError(seen, cure='Give a unit for each, the largest first: time_unit = ["s", "ns"].')
@@ -176,7 +197,7 @@ def _zones() -> set[str]:
 
 
 def _checked(key: str, value: object) -> object:
-    if key == "states":
+    if key in ("states", "names"):
         right = isinstance(value, Mapping) and all(isinstance(v, str) for v in value.values())
         wanted = "a table of texts"
     elif key in _LISTS:

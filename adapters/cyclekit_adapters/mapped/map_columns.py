@@ -33,9 +33,10 @@ ONE = (
     "register",
     "signal",
     "value",
+    "quality",
 )
 """Keys of one column."""
-MANY = ("time", "scaling", "joints")
+MANY = ("time", "scaling", "joints", "tags")
 """Keys of one column or several."""
 _NUMBER = re.compile(r"#([1-9]\d{0,5})")
 _RANGE = re.compile(r"#([1-9]\d{0,5})\.\.#?([1-9]\d{0,5})")

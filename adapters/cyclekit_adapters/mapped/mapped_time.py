@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, cast
 import polars as pl
 
 from cyclekit.errors import LogError
-from cyclekit_adapters.mapped.csv_map import FRAME, SECONDS, CsvMap
+from cyclekit_adapters.mapped.csv_map import EXCEL, FRAME, SECONDS, CsvMap
 from cyclekit_adapters.text.delimited import INDEX, TextRows
-from cyclekit_adapters.text.written_time import written_seconds
+from cyclekit_adapters.text.written_time import excel_seconds, written_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -59,6 +59,9 @@ def timed(rows: TextRows, mapping: CsvMap, rate_hz: float | None, *, zoned: bool
     frame = rows.frame
     if not mapping.time:
         return replace(rows, frame=frame.with_columns((pl.col(INDEX) / cast("float", rate_hz)).alias(T_S)))
+    if mapping.time_unit == (EXCEL,):
+        frame = frame.with_columns(excel_seconds(pl.col(mapping.time[0]), mapping.time_zone).alias(T_S))
+        return replace(rows, frame=frame).without(frame[T_S].is_null(), "its time is no day number of a spreadsheet")
     if mapping.time_format is None:
         return _counted(rows, mapping, rate_hz)
     text = pl.concat_str(mapping.time, separator=" ")

@@ -130,9 +130,19 @@ def _zed(package: str) -> tuple[Known, ...]:
     )
 
 
+def _io_states(analog: str) -> str:
+    parts = _lines("Digital[] digital_in_states", "Digital[] digital_out_states", "Digital[] flag_states")
+    parts += "\n" + _lines("Analog[] analog_in_states", "Analog[] analog_out_states")
+    return _joined(parts, ur_msgs__Digital="uint8 pin\nbool state", ur_msgs__Analog=analog)
+
+
 KNOWN: dict[str, tuple[Known, ...]] = {
     "ur_dashboard_msgs/msg/RobotMode": (Known("ur_dashboard_msgs", "int8 mode"),),
     "ur_dashboard_msgs/msg/SafetyMode": (Known("ur_dashboard_msgs", "uint8 mode"),),
+    "ur_msgs/msg/IOStates": (
+        Known("ur_msgs", _io_states("uint8 pin\nuint8 domain\nfloat32 state")),
+        Known("ur_msgs without domains", _io_states("uint8 pin\nfloat32 state")),
+    ),
     "control_msgs/msg/JointTrajectoryControllerState": _CONTROLLERS,
     "control_msgs/msg/SpeedScalingFactor": (Known("control_msgs", "float64 factor"),),
     "spencer_tracking_msgs/msg/TrackedPersons": (

@@ -27,7 +27,7 @@ _TF1 = "tf/msg/tfMessage"
 CONTROLLER, CLOCK = "control_msgs/msg/JointTrajectoryControllerState", "rosgraph_msgs/msg/Clock"
 _NUMBERS = {f"std_msgs/msg/{kind}" for kind in ("Float64", "Float32", "Int64", "Int32", "Int16", "UInt8")}
 _SCALES = {*_NUMBERS, *(f"std_msgs/msg/{kind}" for kind in ("Int8", "UInt16", "UInt32", "UInt64")), FLAG, CONTROLLER}
-_FACTOR = "control_msgs/msg/SpeedScalingFactor"
+_FACTOR, IO_STATES = "control_msgs/msg/SpeedScalingFactor", "ur_msgs/msg/IOStates"
 _TYPES = {
     "tcp": {POSE, POINT},
     "joints": {JOINTS, CONTROLLER},
@@ -65,6 +65,7 @@ class Roles:
     transforms: tuple[str, ...] = ()
     scaling: tuple[Factor, ...] = ()
     running: str | None = None
+    inputs: str | None = None
     people: tuple[str, ...] = ()
     events: tuple[str, ...] = ()
     modes: tuple[str, ...] = ()
@@ -76,7 +77,7 @@ class Roles:
 
     def topics(self) -> set[str]:
         """Return every topic in use."""
-        single = [topic for topic in (self.tcp, self.joints, self.running) if topic]
+        single = [topic for topic in (self.tcp, self.joints, self.running, self.inputs) if topic]
         factors = [factor.topic for factor in self.scaling]
         transforms = self.transforms if self.bodies or self.people or not self.tcp else ()
         return {*single, *transforms, *factors, *self.people, *self.events, *self.modes, *self.clocks}
@@ -129,6 +130,7 @@ def roles_in(
         transforms=transforms,
         scaling=scaling,
         running=next(iter(running), None),
+        inputs=next(iter(_ending_of_type(live, IO_STATES)), None),
         people=tuple(topic for topic in people if topic not in transforms),
         events=tuple(named.get("events", events + modes)),
         modes=tuple(modes),

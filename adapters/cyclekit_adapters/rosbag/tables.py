@@ -74,6 +74,7 @@ def robot_table(contents: Contents, roles: Roles, frames: Frames) -> pl.DataFram
     state = _state(contents, roles, rows.t_s)
     scaling = _scaling(contents, roles, rows.t_s, state)
     numbers += [pl.Series("scaling", scaling, nan_to_null=True)] if scaling is not None else []
+    numbers += _digital(contents, roles, rows.t_s)
     table = pl.DataFrame([pl.Series("t_s", rows.t_s), pl.Series("source_row", rows.index), *numbers])
     if state is not None:
         words = pl.Series("state", state).replace_strict(dict(enumerate(_STATES)), default=None, return_dtype=pl.String)
@@ -191,6 +192,16 @@ def _state(contents: Contents, roles: Roles, at_s: Array) -> npt.NDArray[np.int8
             state = np.full(at_s.size, _UNKNOWN, np.int8) if state is None else state
             state[(row >= 0) & still[row]] = _STATES.index("stopped")
     return state
+
+
+def _digital(contents: Contents, roles: Roles, at_s: Array) -> list[pl.Series]:
+    """Return the digital inputs and outputs at each moment as bit fields; unknown before the first message."""
+    if roles.inputs not in contents.tracks:
+        return []
+    row, said = _held(contents.at(roles.inputs), at_s), contents.tracks[roles.inputs].joined()
+    bits = np.where(row[:, None] >= 0, said[row], np.nan)
+    names = ("digital_in_bits", "digital_out_bits")
+    return [pl.Series(name, bits[:, k], nan_to_null=True).cast(pl.Int64) for k, name in enumerate(names)]
 
 
 def _factors(contents: Contents, roles: Roles) -> list[Factor]:

@@ -18,7 +18,7 @@ from cyclekit_adapters.rosbag.clocks import BagTimes, StampSource
 from cyclekit_adapters.rosbag.modes import ROBOT_MODE, SAFETY_MODE, mode_names
 from cyclekit_adapters.rosbag.payloads import Ints
 from cyclekit_adapters.rosbag.people import MARKERS, TRACKERS, Persons, headers, persons
-from cyclekit_adapters.rosbag.roles import CLOCK, CONTROLLER, FLAG, JOINTS, POINT, POSE, POSES, TEXT
+from cyclekit_adapters.rosbag.roles import CLOCK, CONTROLLER, FLAG, IO_STATES, JOINTS, POINT, POSE, POSES, TEXT
 from cyclekit_adapters.rosbag.transforms import Array, Transforms
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ class JointStates:
     scaling: Array | None = None
 
 
+_MOST_PINS = 53
 Value = Array | JointStates | Persons | list[str] | npt.NDArray[np.bool_]
 
 
@@ -214,7 +215,18 @@ def _value(kind: str, group: Group, factor: Factor | None, *, skeletons: bool) -
         return _scalars(group, "data").astype(bool)
     if kind == CLOCK:
         return _seconds(group, "clock")
+    if kind == IO_STATES:
+        return np.stack([_bits(group, name) for name in ("digital_in_states", "digital_out_states")], axis=1)
     return None
+
+
+def _bits(group: Group, name: str) -> Array:
+    """Return pins and their states as a bit field, shape (N,); pins that no float holds are left out."""
+    found = np.zeros(group.rows.size, np.int64)
+    for place in range(len(group.first(name))):
+        pin, state = (_scalars(group, name, place, part).astype(np.int64) for part in ("pin", "state"))
+        found |= np.where(pin < _MOST_PINS, (state > 0).astype(np.int64) << np.minimum(pin, _MOST_PINS), 0)
+    return found.astype(np.float64)
 
 
 def _controller(group: Group) -> JointStates:

@@ -9,6 +9,8 @@ import polars as pl
 
 _FIRST_YEAR = 1900
 """Of any log: 06.03.25 read by a pattern with %Y is the year 25."""
+_EXCEL_1970 = 25_569
+_EXCEL_FIRST, _EXCEL_LAST = 61, 73_050
 
 
 def written_seconds(text: pl.Expr, pattern: str, zone: str | None, *, zoned: bool = False) -> pl.Expr:
@@ -34,6 +36,18 @@ def written_seconds(text: pl.Expr, pattern: str, zone: str | None, *, zoned: boo
     else:
         when = _in_zone(text.str.to_datetime(pattern, time_unit="ns", strict=False), zone)
     return _since_1970(pl.when(when.dt.year() >= _FIRST_YEAR).then(when))
+
+
+def excel_seconds(days: pl.Expr, zone: str | None) -> pl.Expr:
+    """Return seconds since 1970 of days as spreadsheets count them: 1 is 1 January 1900, and 29 February 1900 exists.
+
+    Args:
+        days: Day numbers with the time of day as their fraction, of 1 March 1900 to 2099; others become
+            null.
+        zone: Zone of the times; without it they are taken as UTC, which nobody may rely on.
+    """
+    whole = pl.when(days.is_between(_EXCEL_FIRST, _EXCEL_LAST)).then((days - _EXCEL_1970) * 86_400e6)
+    return _since_1970(_in_zone(whole.round().cast(pl.Int64).cast(pl.Datetime("us")), zone))
 
 
 def _in_zone(when: pl.Expr, zone: str | None) -> pl.Expr:

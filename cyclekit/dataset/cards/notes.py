@@ -183,6 +183,18 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "{explained:.0%} of the lost time is explained; if it tells of nobody, name the right ones: "
         "[[operator_signals]] in cell.toml"
     ),
+    "people-mixed": (
+        "positions of people are known in {positions} executions, signals of them in {signals}, neither in {neither}: "
+        "`train` learns from what more executions have, and says so"
+    ),
+    "people-learned": (
+        "learned from {what} of people in {used} executions; {left} executions hold {other} alone and are left out: "
+        "to learn from those, ingest their logs alone"
+    ),
+    "operator-unseen": (
+        "in {samples} samples of {sessions} sessions a signal shows somebody whom the tracker does not: the operator "
+        "counts as there and hidden, not as absent"
+    ),
     "scaling-nowhere": "the scaling is unknown everywhere",
     "levels-none": (
         "no value of the scaling is held long enough to be a level: a continuous function, or none at all; "

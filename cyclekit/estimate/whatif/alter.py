@@ -46,6 +46,8 @@ SAME_LEVEL = 0.005
 """A level of the rule is named within this: levels found in logs have more digits than people write."""
 LOOKED_AT = 60
 """Points of the robot's motions at which it is asked whether the operator slows it."""
+SPOT_M, NOWHERE_M = 0.1, 1000.0
+"""That is asked of operators in spots so far apart; stands for a coordinate that is unknown."""
 
 
 @dataclass(frozen=True)
@@ -273,8 +275,8 @@ def _away(tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: Safe
         code, human = cells_of(tracks)
     else:
         flat = tracks.xyz_m.reshape(-1, 3)
-        cells, code = np.unique(np.round(np.nan_to_num(flat, nan=1e3) / 0.1), axis=0, return_inverse=True)
-        human = cells * 0.1
+        cells, code = np.unique(np.round(np.nan_to_num(flat, nan=NOWHERE_M) / SPOT_M), axis=0, return_inverse=True)
+        human = cells * SPOT_M
         human[human > 1e2] = np.nan  # nobody, or nobody's height
     least = np.full(len(human), np.inf)
     for point in points:

@@ -210,6 +210,7 @@ def test_a_region_of_the_robot_is_named_alone_and_beside_a_field(field: Any, fam
     assert "the TCP is in the rectangle x from 0." in sentences(found.rule)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [by_distance, by_box, by_either])
 def test_labels_that_are_wrong_now_and_then_hide_no_rule(step: Any) -> None:
     robot, human, execution = walks()
@@ -254,6 +255,7 @@ def test_a_rectangle_that_may_have_no_extent_is_none_beside_a_distance() -> None
     assert second == limits[1]
 
 
+@pytest.mark.slow
 def test_noise_is_no_hysteresis_and_moves_no_threshold() -> None:
     found = find_rule(rows_by(by_distance, noise_m=0.05), LEVELS)
     assert found.rule is not None

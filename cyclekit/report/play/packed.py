@@ -1,0 +1,52 @@
+"""Arrays as text that a page can hold: one block, compressed, with a table of what lies where."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+UNKNOWN, MOST = -(2**15), 2**15 - 1
+"""Stands for a coordinate that is not known; the largest one."""
+FINEST = 10_000.0
+"""Units per metre at most."""
+
+
+def units_per_metre(*xyz_m: NDArray[np.floating[Any]]) -> float:
+    """Return how finely coordinates can be told in 16 bits; all of them alike."""
+    farthest = max(float(np.nanmax(np.abs(some), initial=1.0)) for some in xyz_m)
+    return min(FINEST, float(np.floor(MOST / farthest)))
+
+
+def in_units(xyz_m: NDArray[np.floating[Any]], per_metre: float) -> NDArray[np.int16]:
+    """Return coordinates in units; unknown ones are UNKNOWN."""
+    found = np.round(xyz_m * per_metre)
+    return np.where(np.isnan(found), UNKNOWN, found).astype(np.int16)
+
+
+def in_steps(values: NDArray[np.int16]) -> NDArray[np.int16]:
+    """Return the steps along axis -2 in place of the values, which are small for whoever stands or walks."""
+    return np.diff(values, axis=-2, prepend=np.zeros_like(values[..., :1, :]))  # it wraps, and so does the script
+
+
+def packed(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Return facts and arrays as JSON: `{"facts": ..., "arrays": {name: [type, offset, count]}, "block": base64}`.
+
+    Every array begins at a multiple of 4 bytes, little-endian; `<` is escaped, so that no name ends the script.
+    """
+    block, table = b"", {}
+    for name, array in arrays.items():
+        block += b"\0" * (-len(block) % 4)
+        table[name] = [array.dtype.name, len(block), array.size]
+        block += np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
+    zipped = base64.b64encode(zlib.compress(block, 9)).decode()
+    text = json.dumps({"facts": facts, "arrays": table, "block": zipped}, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c")

@@ -1,0 +1,221 @@
+"""What the script needs to roll out any order of the logged tasks: tasks, tracks, rule, and what corrects the result.
+
+Everything comes from the same functions as in `estimate`, so the script draws nothing by chance and fits nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from cyclekit.estimate.history import TaskTimes
+from cyclekit.estimate.joint.answer import waits_are_known
+from cyclekit.estimate.nominal import STEP_S, nominal_tasks
+from cyclekit.estimate.program import stands_of
+from cyclekit.estimate.resample import RESAMPLES, TOGETHER, resampled_alike
+from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.spread import logged_support
+from cyclekit.estimate.support import HUMAN_M, ROBOT_M
+from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
+from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
+from cyclekit.estimate.whatif.alter import AWAY, LOOKED_AT, NOWHERE_M, SPOT_M
+from cyclekit.learning.out_of_core import in_memory
+from cyclekit.learning.rules.distances import TO_LINK
+from cyclekit.learning.rules.quantities import RulePlace, quantities
+from cyclekit.learning.rules.safety import RuleSafety, asks_signals, distances_of
+from cyclekit.report.play.packed import in_steps, in_units, units_per_metre
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.report.inputs import PageInputs
+
+    Arrays = dict[str, NDArray[Any]]
+
+SEED = 0
+"""Of the estimates on the page."""
+LONGER = 3.5
+"""Tracks are this many times as long as the longest sequence at full speed; slower cycles are not known."""
+NOBODY = 2**16 - 1
+"""Stands for the cell of an operator who is not there."""
+MOVED_M = 0.5
+"""A threshold can be moved by this much to either side."""
+
+
+def playable(page: PageInputs) -> RuleSafety | str:
+    """Return the rule that a page can be played with, or the name of the text that says why it cannot."""
+    model = page.answers
+    if not isinstance(model, RuleSafety):
+        return "no_rule"
+    if asks_signals(model.rule) or TO_LINK in distances_of(model.rule):
+        return "other_rule"
+    return model if _played(page, model) else "both"
+
+
+def _played(page: PageInputs, model: RuleSafety) -> list[CycleEstimate]:
+    """Return the sequences of the robot alone, beside operators of any order."""
+    if waits_are_known(model):
+        return []
+    return [each for each in page.ranked if each.estimator == "rollout" and not each.plan and each.operator is None]
+
+
+def tables_of(page: PageInputs, model: RuleSafety) -> tuple[dict[str, Any], Arrays]:
+    """Return facts (plain JSON values) and arrays of a page's sequences.
+
+    Args:
+        page: What the page is made of.
+        model: What answers for it, as `playable` has found.
+
+    Raises:
+        EstimateError: There is no operator track.
+    """
+    shown = _played(page, model)
+    dataset, _ = in_memory(page.dataset)
+    check = shown[0].check
+    legs = nominal_tasks(dataset)
+    nominal_s = max(each.nominal_s + each.dwell_s + each.wait_s for each in shown)
+    tracks = operator_tracks(dataset, horizon_s=LONGER * nominal_s, phases=check.phases if check else None, model=model)
+    facts = {
+        "sequences": [{"name": each.name, "places": list(each.places)} for each in shown],
+        "labels": {name: dataset.label(name) for name in dataset.places},
+        "takt_s": page.takt_s,
+        "tracks": {"count": len(tracks.executions), "step_s": tracks.step_s, "logged": tracks.logged.tolist()},
+        "rule": _rule(model),
+        "dynamics": vars(Dynamics.of(dataset.card.dynamics, model)),
+        "step": {"coarse_s": TIME_STEP_S, "fine_s": FINE_STEP_S, "support_s": SUPPORT_EVERY_S, "nominal_s": STEP_S},
+        "away": {"part": AWAY, "points": LOOKED_AT},
+    }
+    paths = np.concatenate([leg.xyz_m for leg in legs.values()])
+    unit = facts["per_metre"] = units_per_metre(tracks.xyz_m, paths)
+    arrays = {"tracks": in_steps(in_units(tracks.xyz_m, unit)), "paths": in_steps(in_units(paths, unit))}
+    facts["legs"] = _legs(legs, arrays, len(tracks.executions), [each.places for each in shown])
+    facts["support"] = _support(dataset, paths, tracks, arrays)
+    facts["check"] = _corrected(check, dataset, tracks, legs, arrays)
+    return facts, arrays
+
+
+def _rule(model: RuleSafety) -> dict[str, Any]:
+    """Return the rule, and which of its thresholds and zones a slider moves."""
+    rule, without = model.rule, model.card.scaling_without_operator
+    return {
+        "limits": msgspec.to_builtins(rule.limits),
+        "law": msgspec.to_builtins(rule.law),
+        "fastest": rule.levels[-1],
+        "lags": model.lags,
+        "slows_alone": model.slows_alone,
+        "alone": 1.0 if without is None else without,
+        "moves": [move for limit in rule.limits for move in _moves(limit.scaling, quantities(rule.limits))],
+    }
+
+
+def _moves(level: float, known: Mapping[RulePlace, Any]) -> list[dict[str, Any]]:
+    """Return the threshold and the zone of a level, each if there is exactly one, as `LimitChange` names them."""
+    found: list[dict[str, Any]] = []
+    at = RulePlace(level, until=False, kind="nearer", item=0)
+    if at in known and at._replace(item=1) not in known:
+        value = known[at].value
+        bounds = [max(0.0, value - MOVED_M), value + MOVED_M]
+        found.append({"level": level, "kind": "threshold_m", "value": value, "bounds": bounds})
+    edges = [known.get(RulePlace(level, until=False, kind="rectangle", item=0, edge=edge)) for edge in range(4)]
+    alone = RulePlace(level, until=False, kind="rectangle", item=1)
+    axes = [axis for axis in (0, 1) if edges[2 * axis] is not None and edges[2 * axis + 1] is not None]
+    if axes and not any(alone._replace(edge=edge) in known for edge in range(4)):
+        narrow = min(edges[2 * axis + 1].value - edges[2 * axis].value for axis in axes)  # type: ignore[union-attr]
+        least = max(-MOVED_M, -0.45 * narrow)
+        found.append({"level": level, "kind": "zone", "value": 0.0, "bounds": [least, MOVED_M], "axes": axes})
+    return found
+
+
+def _legs(
+    legs: Mapping[str, NominalTask], arrays: Arrays, count: int, shown: Sequence[Sequence[str]]
+) -> dict[str, Any]:
+    """Return each task with its place in `paths` (points, 3) and in `stands` (occurrences of tasks, tracks)."""
+    stands: list[NDArray[np.float64]] = []
+    found, first = {}, 0
+    for name, leg in legs.items():
+        found[name] = {
+            "nominal_s": leg.nominal_s,
+            "dwell_s": leg.dwell_s,
+            "wait_s": leg.wait_s,
+            "first": first,
+            "points": len(leg.xyz_m),
+            "stands": len(stands),
+            "logged": len(leg.stands_s),
+        }
+        first += len(leg.xyz_m)
+        start, _, goal = name.partition("->")
+        often = max(1, *(min(places.count(start), places.count(goal)) for places in shown))
+        stands += [stands_of(leg, count, SEED, occurrence) for occurrence in range(often)]
+    arrays["stands"] = np.array(stands, np.float32)
+    return found
+
+
+def _support(dataset: Dataset, paths: NDArray[np.float64], tracks: OperatorTracks, arrays: Arrays) -> dict[str, Any]:
+    """Put the cells of each point and of each sample into `arrays`; return how many cells of operators there are.
+
+    `support` (R, H) says which pairs of cells were logged. The operator is away where he slows the robot nowhere:
+    that is asked at `spots`, a decimetre apart, as `whatif` does.
+    """
+    people = tracks.xyz_m.reshape(-1, 3)
+    absent = ~np.isfinite(people[:, 0])
+    on_floor = np.where(np.isnan(people), 0.0, people)  # an unknown height is that of the floor there
+    robots, arrays["robot_cells"] = _numbered(np.floor(paths / ROBOT_M))
+    humans, arrays["people_cells"] = _numbered(np.floor(on_floor / HUMAN_M), absent)
+    spots, arrays["people_spots"] = _numbered(np.round(np.nan_to_num(people, nan=NOWHERE_M) / SPOT_M), absent)
+    middles = (robots + 0.5) * ROBOT_M, (humans + 0.5) * HUMAN_M
+    rows, columns = np.repeat(middles[0], len(humans), axis=0), np.tile(middles[1], (len(robots), 1))
+    arrays["support"] = logged_support(dataset).near_logged(rows, columns).astype(np.uint8)
+    arrays["spots"] = np.where(spots * SPOT_M == NOWHERE_M, np.nan, spots * SPOT_M).astype(np.float32)
+    return {"operators": len(humans)}
+
+
+def _numbered(
+    cells: NDArray[np.float64], absent: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
+    """Return the cells that occur (C, 3), and which one each row is in (N,); NOBODY for who is `absent`."""
+    found, number = np.unique(cells, axis=0, return_inverse=True)
+    return found, (number if absent is None else np.where(absent, NOBODY, number)).astype(np.uint16)
+
+
+def _corrected(
+    check: Check | None, dataset: Dataset, tracks: OperatorTracks, legs: Mapping[str, NominalTask], arrays: Arrays
+) -> dict[str, Any]:
+    """Return what corrects a rollout: its bias, what tasks took in the logs, and how executions are drawn again."""
+    names, which = np.unique(np.array(tracks.executions), return_inverse=True)
+    together = TOGETHER if tracks.runs_on else 1
+    arrays["execution"] = which.astype(np.uint16)
+    arrays["drawn"] = resampled_alike(tracks.executions, names.tolist(), SEED, together=together).astype(np.uint8)
+    judged = len(check.residuals) if check else 2
+    drawn = np.random.default_rng(SEED + 1).standard_t(max(judged - 1, 1), RESAMPLES)
+    arrays["errors"] = drawn.astype(np.float32)
+    if check is None:
+        return {"factor": 1.0, "model_error": 0.0, "doubted_bias": 0.0, "order_error": None, "history": {}}
+    arrays["residuals"] = check.residuals_of(len(tracks.executions)).astype(np.float32)
+    told = {name: getattr(check, name) for name in ("factor", "model_error", "doubted_bias", "order_error")}
+    return {**told, "history": _history(check, dataset, tracks, legs, together, arrays)}
+
+
+def _history(
+    check: Check,
+    dataset: Dataset,
+    tracks: OperatorTracks,
+    legs: Mapping[str, NominalTask],
+    together: int,
+    arrays: Arrays,
+) -> dict[str, float]:
+    """Return what each task took in the logs, s; `history` (tasks, resamples) in the resamples; empty: not weighed."""
+    if check.order_error is None:
+        return {}
+    times = TaskTimes(dataset)
+    weights = resampled_alike(tracks.executions, times.executions, SEED, together=together)
+    known = [name for name in legs if times.knows([name])]
+    arrays["history"] = np.array([times.resampled_s([name], weights) for name in known], np.float32)
+    return {name: times.sum_s([name]) for name in known}

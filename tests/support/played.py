@@ -1,0 +1,65 @@
+"""Cells and orders that are played with: what a reader of the page may ask, and the library's answer to the same."""
+
+from __future__ import annotations
+
+import math
+
+from ruled import box, near, ruled
+
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.estimate.whatif.change import Change, LimitChange
+from cyclekit.learning.rules.safety import RuleSafety
+
+SHORT = ("left_2", "right_3", "left_4")
+LONG = ("right_1", "left_1", "right_2", "left_2", "left_5", "right_5")
+
+
+def order(name: str, *slots: str) -> TaskSequence:
+    """Return boxes from the conveyor to these slots, in this order."""
+    return TaskSequence(name, ("home", *(place for slot in slots for place in ("conveyor", slot))))
+
+
+ORDERS = [order("short", *SHORT), order("long", *LONG), order("turned", *LONG[::-1])]
+
+
+def staircase() -> RuleSafety:
+    """Return the thresholds of the paper; speed comes back where it was taken."""
+    return ruled((0.0, near(1.2), None), (0.25, near(1.5), None), (0.5, near(1.9), None), (0.75, near(2.4), None))
+
+
+def zoned() -> RuleSafety:
+    """Return a threshold with hysteresis, on the floor, and a zone beside the table."""
+    flat = "distance TCP to operator on the floor"
+    return ruled(
+        (0.0, near(1.03, flat), near(1.23, flat)),
+        (0.3, box(-1.33, 1.42, -1.58, 1.51), box(-1.43, 1.52, -1.68, 1.61)),
+        (0.6, near(2.2), near(2.5)),
+    )
+
+
+STAIRS = {
+    "threshold": ({"moved": [0.15, 0, 0, 0]}, Change("t", limits=(LimitChange(0.0, threshold_m=1.35),))),
+    "two": (
+        {"moved": [0, -0.2, 0, 0.3]},
+        Change("w", limits=(LimitChange(0.25, threshold_m=1.3), LimitChange(0.75, threshold_m=2.7))),
+    ),
+    "ramp": ({"ramp": 0.2}, Change("r", dynamics={"ramp_up_per_s": 0.2})),
+    "seldom": ({"frequency": 0.6}, Change("f", frequency=0.6)),
+}
+ZONED = {
+    "zone": (
+        {"moved": [0, 0.2, 0]},
+        Change("z", limits=(LimitChange(0.3, x_m=(-1.53, 1.62), y_m=(-1.78, 1.71)),)),
+    ),
+    "at once": ({"ramp": math.inf}, Change("o", dynamics={"ramp_up_per_s": math.inf})),
+    "all": (
+        {"moved": [0.1, 0, -0.2], "ramp": 0.3, "frequency": 0.8},
+        Change(
+            "a",
+            limits=(LimitChange(0.0, threshold_m=1.13), LimitChange(0.6, threshold_m=2.0)),
+            dynamics={"ramp_up_per_s": 0.3},
+            frequency=0.8,
+        ),
+    ),
+}
+"""What the script is asked with, and the same change in the library, by name."""

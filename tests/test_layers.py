@@ -19,9 +19,9 @@ FLOORS = [
     {"estimate", "ingest", "replay"},
     {"derive", "learning"},
     {"people", "scaling"},
-    {"alignment", "plots", "segmentation"},
+    {"alignment", "segmentation"},
     {"dataset"},
-    {"adapter", "config", "parallel"},
+    {"adapter", "config", "parallel", "plots"},
     {"extras", "schema", "storage"},
     {"errors", "text"},
 ]

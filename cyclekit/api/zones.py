@@ -18,8 +18,7 @@ from cyclekit.learning.rules.ladder import RuleSearch
 from cyclekit.learning.rules.of_dataset import rule_of
 from cyclekit.learning.rules.safety import RuleSafety, answering
 from cyclekit.learning.safety_function.answer import SafetyFunction, read_zones, refuse_without_levels
-from cyclekit.learning.safety_function.picture import zones_svg
-from cyclekit.storage.atomic import write_text
+from cyclekit.plots.canvas import KINDS, write_figure
 
 
 @checked
@@ -36,7 +35,7 @@ def read_safety_function(
     Args:
         model: A model of problem `now` with levels, its folder or its URL.
         dataset: Logs with positions and scaling.
-        out: Also draw it here, `.svg`.
+        out: Also draw it here, `.svg`, `.png` or `.pdf`.
         seed: Of the resampling behind the intervals.
         other_cell: Ask a model of another cell too.
 
@@ -45,10 +44,10 @@ def read_safety_function(
         DatasetError: Too few samples have positions and a scaling.
     """
     file = path_of(out)
-    check_output(file, "picture", [place_of(model), place_of(dataset)], endings=(".svg",))
+    check_output(file, "picture", [place_of(model), place_of(dataset)], endings=KINDS)
     found = read_zones(trained_of(model), Dataset.of(dataset), seed=seed, other_cell=other_cell)
     if file is not None:
-        write_text(file, zones_svg(found))
+        write_figure(file, found.plot())
     return found
 
 

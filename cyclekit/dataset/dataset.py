@@ -27,12 +27,14 @@ from cyclekit.dataset.opening import opened_card
 from cyclekit.errors import DatasetError, UnknownName, command_line
 from cyclekit.storage.mistaken import DATASET_CARD
 from cyclekit.storage.remote.folders import local
+from cyclekit.text.results import html_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from cyclekit.config import Furniture
     from cyclekit.dataset.cards import DatasetCard, ExecutionCard, PlaceCard, RecordingCard
+    from cyclekit.plots.drawing import Drawing
 
 CARD, TASKS, QUARANTINE = DATASET_CARD, "tasks.parquet", "quarantine.parquet"
 _NEAR_S = 1e-3
@@ -47,12 +49,19 @@ class Place:
         xyz_m: Centre in the base frame, metres.
         radius_m: Positions within it count as being there.
         inferred: Found from the logs; False when the cell file names it.
+        label: How people are shown it, where the cell file says.
     """
 
     name: str
     xyz_m: tuple[float, float, float]
     radius_m: float
     inferred: bool
+    label: str | None = None
+
+    @property
+    def shown(self) -> str:
+        """How people are shown it: its label, else its name."""
+        return self.label or self.name
 
 
 class Dataset:
@@ -77,6 +86,20 @@ class Dataset:
     def __repr__(self) -> str:
         """Return where it is and how much is in it."""
         return f"Dataset: {self.place}, {len(self.card.executions)} executions"
+
+    def plot(self) -> Drawing:
+        """Return the time of each execution, split by its robot tasks, as a matplotlib figure."""
+        from cyclekit.plots.results import PARTS, executions_figure
+
+        seconds = [pl.col(name).sum() for name, _, _ in PARTS]
+        spent = self.executions.join(self.tasks().group_by("execution").agg(seconds), on="execution", how="left")
+        spent = spent.sort("session", "start_s")
+        parts = {name: spent[name].fill_null(0.0).to_list() for name, _, _ in PARTS}
+        return executions_figure(spent["duration_s"].to_list(), parts)
+
+    def _repr_html_(self) -> str:
+        """Return the executions as a small table for a notebook."""
+        return html_table(repr(self), self.executions)
 
     @classmethod
     def open(cls, path: Path | str) -> Dataset:
@@ -122,12 +145,16 @@ class Dataset:
     @property
     def places(self) -> dict[str, Place]:
         """Robot places by name."""
-        return {name: _place(name, one) for name, one in self.card.places.items()}
+        return {name: self._place(name, one) for name, one in self.card.places.items()}
 
     @property
     def human_places(self) -> dict[str, Place]:
         """Operator places by name (empty where neither the cell file nor events name any)."""
-        return {name: _place(name, one) for name, one in self.card.human_places.items()}
+        return {name: self._place(name, one) for name, one in self.card.human_places.items()}
+
+    def _place(self, name: str, card: PlaceCard) -> Place:
+        label = self.label(name)
+        return Place(name, card.xyz_m, card.radius_m, card.inferred, None if label == name else label)
 
     def label(self, place: str) -> str:
         """Return how people are shown a place of robot or operator: its label in the cell file, else its name."""
@@ -373,10 +400,6 @@ class Dataset:
             cure = f"Give one of {shown}, or a number from 1 to {len(names)}." if names else "It has no execution."
             raise UnknownName(str(self.path), "execution", name, names, cure=cure)
         return by_name[name]
-
-
-def _place(name: str, card: PlaceCard) -> Place:
-    return Place(name, card.xyz_m, card.radius_m, card.inferred)
 
 
 def _recorded(recording: str, table: str) -> str:

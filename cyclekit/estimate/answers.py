@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.gantt import gantt_figure
 from cyclekit.estimate.result import CycleEstimate
 from cyclekit.text.plain_text import csv_text
 from cyclekit.text.results import Result
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.estimate.check import Check
+    from cyclekit.plots.drawing import Drawing
 
 Answer = TypeVar("Answer")
 
@@ -80,6 +82,10 @@ class CycleEstimates(Answers[CycleEstimate]):
     def alarms(self) -> tuple[str, ...]:
         """What belongs above the numbers, one sentence each."""
         return tuple(dict.fromkeys(one.check.alarm for one in self if one.check and one.check.alarm))
+
+    def plot(self) -> Drawing:
+        """Return the sequences as a time chart, mean times, as a matplotlib figure."""
+        return gantt_figure(self.answers)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON values."""

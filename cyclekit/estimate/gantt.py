@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from cyclekit.plots.drawing import Drawing
+
 _MOTION, _DWELL, _WAIT = "motion at full speed", "dwell", "wait"
 _ROBOT, _OPERATOR, _TAKT = "robot's task", "operator's task", "takt"
 _SPEEDS = (0.75, 0.5, 0.25)
@@ -44,6 +46,14 @@ def write_gantt(path: Path, found: Sequence[CycleEstimate]) -> None:
     """
     takt_s = found[0].takt_s if found else None
     draw_gantt(path, blocks_of(found), legend_of(found, takt_s), takt_s)
+
+
+def gantt_figure(found: Sequence[CycleEstimate]) -> Drawing:
+    """Return that chart as a figure."""
+    from cyclekit.plots.results import chart_figure
+
+    takt_s = found[0].takt_s if found else None
+    return chart_figure(blocks_of(found), legend_of(found, takt_s), takt_s)
 
 
 def legend_of(found: Sequence[CycleEstimate], takt_s: float | None = None) -> dict[str, str]:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.history import Combined
+    from cyclekit.plots.drawing import Drawing
 
 PARTS = 50
 """In so many parts of the cycle it is told what the operator does."""
@@ -165,6 +166,12 @@ class CycleEstimate(Result):
         """The operator's activity that cost most, and its mean loss in seconds; None where none is known."""
         known = {name: lost for name, lost in self.safety_by_activity_s.items() if name != "unknown"}
         return max(known.items(), key=lambda entry: entry[1]) if known else None
+
+    def plot(self) -> Drawing:
+        """Return the sequence as a time chart, mean times, as a matplotlib figure."""
+        from cyclekit.estimate.gantt import gantt_figure
+
+        return gantt_figure([self])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the estimate as plain JSON values, without `check`; quantile levels become keys such as "0.05"."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.dataset.cards import FiguresCard
+from cyclekit.dataset.cards import FiguresCard, MonthCard
 from cyclekit.learning.evaluation.drift import Drift
 
 if TYPE_CHECKING:
@@ -49,5 +49,20 @@ def figures_of(dataset: Dataset, drift: Drift | str, days: Mapping[str, date], m
         newest=max(days.values(), default=None),
         set_aside_share=aside / read if read else 0.0,
         model_doubt=model_doubt,
+        months=_months(whole.join(known.select("execution", "safety_loss_s"), on="execution", how="left"), days),
         **changes,  # type: ignore[arg-type]
     )
+
+
+def _months(whole: pl.DataFrame, days: Mapping[str, date]) -> tuple[MonthCard, ...]:
+    """Return the months of the executions whose day is known; an unknown loss leaves the month's unknown."""
+    first = {session: day.replace(day=1) for session, day in days.items()}
+    months = pl.DataFrame(
+        {"session": list(first), "month": list(first.values())}, schema={"session": pl.String, "month": pl.Date}
+    )
+    seconds = pl.col("duration_s").sum()
+    lost = pl.when(pl.col("safety_loss_s").null_count() == 0).then(pl.col("safety_loss_s").sum() / seconds)
+    found = whole.join(months, on="session").group_by("month").agg(
+        executions=pl.len(), cycle_s=seconds / pl.len(), lost_share=lost
+    )  # fmt: skip
+    return tuple(MonthCard(**row) for row in found.sort("month").iter_rows(named=True))

@@ -6,11 +6,14 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import ConfigError
+from cyclekit.plots.look import plain_style
 from cyclekit.storage.atomic import replaced
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+    from matplotlib.figure import Figure
 
 KINDS = (".svg", ".png", ".pdf")
 
@@ -28,23 +31,35 @@ def canvas(path: Path, width_in: float, height_in: float, columns: int = 1) -> I
     Raises:
         ConfigError: The suffix is of no kind that can be drawn.
     """
+    from cyclekit.plots.drawing import Drawing
+
+    _check(path)
+    with plain_style():
+        figure = Drawing(width_in, height_in)
+        yield list(figure.subplots(1, columns, squeeze=False)[0])
+        write_figure(path, figure)
+
+
+def write_figure(path: Path, figure: Figure) -> None:
+    """Write a figure to `path`; its suffix says what kind.
+
+    Raises:
+        ConfigError: The suffix is of no kind that can be drawn.
+    """
     from io import BytesIO
 
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    if path.suffix.lower() not in KINDS:
-        msg = f"{path}: a picture of kind {path.suffix!r} cannot be drawn"
-        raise ConfigError(msg, cure=f"End its name in one of {', '.join(KINDS)}.")
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    FigureCanvasAgg(figure)
-    yield list(figure.subplots(1, columns, squeeze=False)[0])
+    _check(path)
     content = BytesIO()
-    with mpl.rc_context({"svg.hashsalt": "cyclekit"}):
+    with plain_style():
         kind = path.suffix[1:].lower()
         about: dict[str, str | None] = {"Software" if kind == "png" else "Creator": "written by cyclekit"}
         about |= {"Date": None} if kind == "svg" else {}
-        figure.savefig(content, format=kind, dpi=120, metadata=about)
+        figure.savefig(content, format=kind, dpi=120, metadata=about, facecolor="white")
     with replaced(path) as staging:
         staging.write_bytes(content.getvalue())
+
+
+def _check(path: Path) -> None:
+    if path.suffix.lower() not in KINDS:
+        msg = f"{path}: a picture of kind {path.suffix!r} cannot be drawn"
+        raise ConfigError(msg, cure=f"End its name in one of {', '.join(KINDS)}.")

@@ -7,7 +7,7 @@ the labels is the business of `replay` and `report`.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from cyclekit.config import Furniture
     from cyclekit.dataset.dataset import Place
 
 CLOSE_M = 0.6
@@ -31,20 +32,30 @@ class Label:
     xyz_m: tuple[float, float, float]
 
 
+@dataclass(frozen=True)
+class CellOnFloor:
+    """What stands in a cell: places of the robot and of the operator, boxes of the cell file; by name, base frame."""
+
+    places: Mapping[str, Place] = field(default_factory=dict)
+    human_places: Mapping[str, Place] = field(default_factory=dict)
+    furniture: Mapping[str, Furniture] = field(default_factory=dict)
+
+
 def place_labels(places: Mapping[str, Place]) -> list[Label]:
     """Return the labels of `places`, families of close numbered places under one."""
     families: dict[str, list[Place]] = {}
     for place in places.values():
-        found = _NUMBERED.match(place.name)
-        families.setdefault(f"{found['stem']}#" if found else place.name, []).append(place)
+        found = _NUMBERED.match(place.shown)
+        families.setdefault(f"{found['stem']}#" if found else place.shown, []).append(place)
     return [label for family in families.values() for label in _labels(family)]
 
 
 def _labels(family: list[Place]) -> list[Label]:
-    family = sorted(family, key=lambda place: (len(place.name), place.name))
+    family = sorted(family, key=lambda place: (len(place.shown), place.shown))
     points = np.array([place.xyz_m for place in family])
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if len(family) < 2 or steps.max() > CLOSE_M:
-        return [Label(place.name, place.xyz_m) for place in family]
+        return [Label(place.shown, place.xyz_m) for place in family]
     x_m, y_m, z_m = points.mean(axis=0).tolist()
-    return [Label(f"{family[0].name} … {family[-1].name}", (x_m, y_m, z_m))]
+    last = _NUMBERED.match(family[-1].shown)
+    return [Label(f"{family[0].shown} … {last['number'] if last else ''}", (x_m, y_m, z_m))]

@@ -1,4 +1,4 @@
-"""The levels of a speed scaling: how often each value occurs, and where the levels were found."""
+"""The levels of a speed scaling: over time, and how much of the time each holds; in the one colour scale of speed."""
 
 from __future__ import annotations
 
@@ -6,47 +6,80 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.dataset.time_grid import USUAL_HZ, samples_in
 from cyclekit.plots import colours
-from cyclekit.plots.canvas import canvas
+from cyclekit.plots.canvas import write_figure
+from cyclekit.plots.look import INK, RULE, plain_style
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
+    from cyclekit.plots.drawing import Drawing
     from cyclekit.scaling.levels import Staircase
 
 _SHOWN_S = 120.0
 """Length of the stretch that is drawn over time."""
 
 
-def draw_levels(path: Path, scaling: NDArray[np.float64], found: Staircase, *, rate_hz: float = USUAL_HZ) -> None:
-    """Draw a stretch of the scaling with its levels, and beside it the histogram of all values (logarithmic).
+def levels_figure(scaling: NDArray[np.float64], found: Staircase, *, rate_hz: float) -> Drawing:
+    """Return a picture of a stretch of the scaling with its levels, and of the time on each level beside it.
 
     Args:
-        path: File to write, `.svg`, `.png` or `.pdf`.
         scaling: What the staircase was found in, shape (T,); NaN = unknown.
         found: The staircase.
         rate_hz: Rate of the samples.
     """
-    values = scaling if found.slider is None else scaling / found.slider
-    part = slice(*_liveliest(values, samples_in(_SHOWN_S, rate_hz)))
-    at = np.arange(part.stop - part.start) / rate_hz
-    moving = found.label[part] < 0
-    with canvas(path, 9.0, 3.4, columns=2) as (over_time, histogram):
-        over_time.plot(at, values[part], color=colours.NOMINAL, linewidth=1.0)
-        over_time.plot(at[moving], values[part][moving], ".", color=colours.SAFETY, markersize=3, label="in transition")
-        over_time.set(xlabel="time, s", ylabel="speed scaling")
-        if moving.any():
-            over_time.legend(loc="best", frameon=False)
-        known = values[np.isfinite(values)]
-        histogram.hist(known, bins=200, orientation="horizontal", color=colours.NOMINAL, log=True)
-        histogram.set_xlabel("samples")
-        for axes in (over_time, histogram):
+    from matplotlib.ticker import PercentFormatter
+
+    from cyclekit.plots.drawing import Drawing
+
+    with plain_style():
+        figure = Drawing(9.0, 3.6)
+        over_time, shares = figure.subplots(1, 2, sharey=True, width_ratios=(5, 2))
+        _over_time(over_time, scaling if found.slider is None else scaling / found.slider, found, rate_hz)
+        _shares(shares, found)
+        for axes in (over_time, shares):
             for level in found.levels:
-                axes.axhline(level, color=colours.SAFETY, linewidth=0.7, zorder=0)
-        histogram.set_title(f"P = {found.levels.size}")
+                axes.axhline(level, color=RULE, linewidth=0.8, zorder=0)
+        over_time.set(ylim=(-0.08, 1.08), yticks=found.levels if found.levels.size <= 8 else np.linspace(0, 1, 5))
+        over_time.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None if found.levels.size <= 8 else 0))
+    return figure
+
+
+def _over_time(axes: Axes, values: NDArray[np.float64], found: Staircase, rate_hz: float) -> None:
+    """Every sample of the liveliest stretch in the colour of its speed; in transition it is small and grey."""
+    part = slice(*_liveliest(values, round(_SHOWN_S * rate_hz)))
+    at_s, shown = np.arange(part.stop - part.start) / rate_hz, values[part]
+    axes.plot(at_s, shown, color=colours.UNKNOWN, linewidth=0.7, zorder=1)
+    held = found.label[part] >= 0
+    axes.scatter(at_s[held], shown[held], s=9, color=colours.scaling_rgb(shown[held]) / 255, linewidth=0, zorder=2)
+    axes.scatter(at_s[~held], shown[~held], s=4, color=INK, linewidth=0, zorder=3, label="in transition")
+    if (~held & np.isfinite(shown)).any():
+        axes.legend(loc="lower right")
+    axes.set(xlabel="time, s", ylabel="robot speed (scaling)", title=f"{at_s[-1] if at_s.size else 0:.0f} s of the log")
+
+
+def _shares(axes: Axes, found: Staircase) -> None:
+    """A bar per level: its part of all samples."""
+    share = 100 * np.asarray(found.share)
+    gaps = np.diff(found.levels)
+    high = min(0.1, 0.6 * float(gaps.min())) if gaps.size else 0.1
+    paint = [colours.scaling_hex(level) for level in found.levels.tolist()]
+    axes.barh(found.levels, share, height=high, color=paint)
+    for level, part in zip(found.levels.tolist(), share.tolist(), strict=True):
+        axes.annotate(
+            f"{part:.0f} %", (part, level), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8.5
+        )
+    axes.set(xlim=(0, 1.25 * max(float(share.max(initial=0.0)), 1.0)), xlabel="part of the samples, %")
+    rest = max(0.0, 100 - float(share.sum()))
+    axes.set_title(f"{found.levels.size} levels;\n{rest:.0f} % in transition or unknown", loc="left")
+
+
+def draw_levels(path: Path, scaling: NDArray[np.float64], found: Staircase, *, rate_hz: float) -> None:
+    """Write that picture to `path`, `.svg`, `.png` or `.pdf`; the other arguments as of `levels_figure`."""
+    write_figure(path, levels_figure(scaling, found, rate_hz=rate_hz))
 
 
 def _liveliest(values: NDArray[np.float64], shown: int) -> tuple[int, int]:

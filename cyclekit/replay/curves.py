@@ -28,10 +28,12 @@ if TYPE_CHECKING:
 MOST_JOINTS = 8
 HUES = ("#3f8fe0", "#f2b53c", "#62c4b4", "#e6a4ff")
 """Curves of the first, second, ... of several executions, on the viewer's dark ground."""
+HUE_NAMES = ("blue", "amber", "green", "violet")
 
 PALE = "#c9d1da"
 _LOOKS = {"nominal": "#3f8fe0", "safety": colours.SAFETY, "dwell": "#9aa5b1", "wait": "#e8ebef", "unknown": "#6b7480"}
 _WORDS = {"nominal": "motion at full speed", "safety": "safety slow-down", "dwell": "dwell", "wait": "wait"}
+_HUE_NAMES = {"nominal": "blue", "safety": "orange", "dwell": "grey", "wait": "white", "unknown": "dark"}
 
 
 def log_curves(sink: Sink, number: int | None = None) -> None:
@@ -93,6 +95,13 @@ def _curve(
 def _phase(sink: Sink, who: str, hue: str) -> None:
     if sink.phase is not None:
         _curve(sink, "plots/phase", f"{who}progress of the task", hue, sink.run.t_s, (sink.phase % TASK) / (TASK - 1))
+
+
+def spent_words(run: ReplayedExecution) -> list[tuple[str, str]]:
+    """Return the names of the curves of where the seconds went, and their colours in words."""
+    spent = ledger(run)
+    short = {"nominal": "full speed", "safety": "slow-down"}
+    return [(short.get(name, name), _HUE_NAMES[name]) for name in ACCOUNTS if spent[name][-1] > 0]
 
 
 def _accounts(sink: Sink, who: str, hue: str, *, alone: bool) -> None:

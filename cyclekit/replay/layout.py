@@ -1,4 +1,4 @@
-"""The layout of the viewer: scene at the left, lanes and plots at the right, texts below.
+"""The layout of the viewer: scene and texts at the left, lanes and plots at the right.
 
 Several executions stand beside each other, each with its scene and its lanes, their curves on common axes. Only views
 that have something to show are there. What they show is the business of `scene` and `curves`.
@@ -17,6 +17,7 @@ from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.errors import CyclekitError
 from cyclekit.replay.bodies import floor_m
 from cyclekit.replay.compare import most_different
+from cyclekit.replay.curves import HUE_NAMES, spent_words
 from cyclekit.replay.misses import misses
 from cyclekit.replay.phase import TASK
 from cyclekit.replay.scene import PAPER
@@ -59,40 +60,43 @@ def blueprint(runs: Sequence[ReplayedExecution], order: Order, first: Opening | 
     )
 
 
-def _alone(run: ReplayedExecution) -> rrb.Vertical:
-    logs: list[rrb.View] = [rrb.TextLogView(origin="/log", name="What happened", columns=_log_columns())]
+def _alone(run: ReplayedExecution) -> rrb.Container:
+    """Scene above the words at the left, lanes above plots at the right: nothing is cut off at 1300 x 700."""
+    words = [
+        rrb.TextDocumentView(origin="/summary", name="Where the time went"),
+        rrb.TextLogView(origin="/log", name="What happened", columns=_log_columns()),
+    ]
     if misses(run):
-        name = "Where model and log differ most (click a time to jump there)"
-        logs.append(rrb.TextLogView(origin="/misses", name=name, columns=_log_columns()))
-    words = rrb.Horizontal(
-        rrb.TextDocumentView(origin="/summary", name=f"{run.cell}, {run.name}"),
-        rrb.Tabs(*logs) if len(logs) > 1 else logs[0],
-        column_shares=[1, 1],
-    )
+        words.append(rrb.TextLogView(origin="/misses", name="Where model and log differ most", columns=_log_columns()))
     right, scene = _right(run), _scene(run)
-    top = rrb.Horizontal(*[view for view in (scene, right) if view], column_shares=[6, 5] if scene and right else None)
-    parts = [top, words] if scene or right else [words]
-    return rrb.Vertical(*parts, row_shares=[3, 1] if len(parts) == 2 else None)
+    left = rrb.Vertical(*([scene] if scene else []), rrb.Tabs(*words), row_shares=[8, 5] if scene else None)
+    return rrb.Horizontal(left, right, column_shares=[6, 5]) if right else left
 
 
 def _beside(runs: Sequence[ReplayedExecution], order: Order) -> rrb.Vertical:
     whole = _whole_path(order)
     roots = [f"/{number + 1}" for number in range(len(runs))]
-    scenes = [_scene(run, root, run.name) for run, root in zip(runs, roots, strict=True)]
+    names = [f"{run.name} ({hue})" for run, hue in zip(runs, HUE_NAMES, strict=False)]
+    scenes = [_scene(run, root, name) for run, root, name in zip(runs, roots, names, strict=True)]
     rows: list[tuple[float, rrb.Container | rrb.View]] = []
     if any(scenes):
-        rows.append((6, rrb.Horizontal(*[scene for scene in scenes if scene])))
+        rows.append((5, rrb.Horizontal(*[scene for scene in scenes if scene])))
     lanes = [
-        rrb.StateTimelineView(origin=f"{root}/lanes", name=run.name, time_view=whole)
-        for run, root in zip(runs, roots, strict=True)
+        rrb.StateTimelineView(origin=f"{root}/lanes", name=name, time_view=whole)
+        for root, name in zip(roots, names, strict=True)
     ]  # fmt: skip
-    rows.append((3, rrb.Horizontal(*lanes)))
+    rows.append((5, rrb.Horizontal(*lanes)))
+    hidden = rrb.PlotLegend(visible=False)  # a legend would cover what came first; the titles name the colours
     axis = rrb.ScalarAxis(range=(-0.05, 1.05), zoom_lock=True)
     scaled = [f"+ {root}/plots/scaling/{kind}" for root in roots for kind in ("logged", "inferred")]
     lost = [f"+ {root}/plots/lost_in_task" for root in roots]
     curves = rrb.Horizontal(
-        rrb.TimeSeriesView(origin="/", contents=scaled, name="Robot speed scaling", axis_x=whole, axis_y=axis),
-        rrb.TimeSeriesView(origin="/", contents=lost, name="Safety slow-down in the task so far, s", axis_x=whole),
+        rrb.TimeSeriesView(
+            origin="/", contents=scaled, name="Robot speed scaling", axis_x=whole, axis_y=axis, plot_legend=hidden
+        ),
+        rrb.TimeSeriesView(
+            origin="/", contents=lost, name="Safety slow-down in the task so far, s", axis_x=whole, plot_legend=hidden
+        ),
         rrb.TextDocumentView(origin="/comparison", name="Which is slower, and where"),
     )
     rows.append((4, curves))
@@ -156,31 +160,42 @@ def _log_columns() -> rrb.TextLogColumns:
 
 def _right(run: ReplayedExecution) -> rrb.Vertical | None:
     """Lanes and plots, one above the other on the same seconds."""
-    whole = _whole(run)
+    whole, hidden = _whole(run), rrb.PlotLegend(visible=False)  # a legend would cover what came first
     views: list[tuple[float, rrb.View | rrb.Container]] = []
     scaled = bool(np.isfinite(run.scaling).any())
     if scaled or any(run.robot_task) or any(run.human_task):
-        views.append(
-            (7, rrb.StateTimelineView(origin="/lanes", name="Robot speed, robot, operator, lost to", time_view=whole))
-        )
-    if scaled or (run.predicted is not None and np.isfinite(run.predicted).any()):
+        name = f"{run.name}: robot speed, robot, operator, lost to"
+        views.append((7, rrb.StateTimelineView(origin="/lanes", name=name, time_view=whole)))
+    predicted = run.predicted is not None and bool(np.isfinite(run.predicted).any())
+    if scaled or predicted:
         axis = rrb.ScalarAxis(range=(-0.05, 1.05), zoom_lock=True)
-        name = "Robot speed scaling (1 = full)"
-        views.append((4, rrb.TimeSeriesView(origin="/plots/scaling", name=name, axis_x=whole, axis_y=axis)))
-    if np.isfinite(run.distance_m).any():
-        name = "Distance robot to operator, m"
-        views.append((3, rrb.TimeSeriesView(origin="/plots/distance", name=name, axis_x=whole)))
+        kinds = [
+            text
+            for text, part in (("logged (blue)", ~run.inferred), ("inferred (green)", run.inferred))
+            if np.isfinite(run.scaling[part]).any()
+        ]
+        kinds += ["predicted (violet)"] if predicted else []
+        name = f"Robot speed scaling: {', '.join(kinds)}"
+        plot = rrb.TimeSeriesView(origin="/plots/scaling", name=name, axis_x=whole, axis_y=axis, plot_legend=hidden)
+        views.append((4, plot))
     tabs = []
-    if scaled:
-        tabs.append(rrb.TimeSeriesView(origin="/plots/spent", name="Time by cause since the start, s", axis_x=whole))
+    if np.isfinite(run.distance_m).any():
+        tabs.append(("distance", "Distance robot to operator, m"))
     if np.isfinite(run.speed_m_s).any():
-        tabs.append(rrb.TimeSeriesView(origin="/plots/speed", name="Tool speed, m/s", axis_x=whole))
-    elif run.joints is not None:
-        tabs.insert(0, rrb.TimeSeriesView(origin="/plots/joints", name="Joint angles, rad (most moved)", axis_x=whole))
+        tabs.append(("speed", "Tool speed, m/s"))
     if not run.tasks.is_empty():
-        tabs.append(rrb.TimeSeriesView(origin="/plots/phase", name="Progress of the task", axis_x=whole))
-    if tabs:
-        views.append((4, rrb.Tabs(*tabs) if len(tabs) > 1 else tabs[0]))
+        tabs.append(("phase", "Progress of the task"))
+    plots: list[rrb.View] = [
+        rrb.TimeSeriesView(origin=f"/plots/{path}", name=name, axis_x=whole, plot_legend=hidden) for path, name in tabs
+    ]
+    if run.joints is not None and not np.isfinite(run.speed_m_s).any():
+        name = "Joint angles, rad (most moved)"
+        plots.insert(0, rrb.TimeSeriesView(origin="/plots/joints", name=name, axis_x=whole))
+    if plots:
+        views.append((4, rrb.Tabs(*plots) if len(plots) > 1 else plots[0]))
+    if scaled:
+        name = "Time since the start, s: " + ", ".join(f"{words} ({colour})" for words, colour in spent_words(run))
+        views.append((4, rrb.TimeSeriesView(origin="/plots/spent", name=name, axis_x=whole, plot_legend=hidden)))
     return rrb.Vertical(*[v for _, v in views], row_shares=[share for share, _ in views]) if views else None
 
 
@@ -207,10 +222,10 @@ def _scene(run: ReplayedExecution, root: str = "", who: str = "") -> rrb.Spatial
     grid = rrb.LineGrid3D(
         visible=True, spacing=0.5, plane=rr.components.Plane3D.XY.with_distance(floor_m(run)), color=(150, 158, 168, 90)
     )
-    floor = "" if run.zones is None else "; floor: predicted speed scaling with the operator there"
+    floor = "" if run.zones is None else "; floor: predicted with the operator there"
     return rrb.Spatial3DView(
         origin=f"{root}/scene",
-        name=who or f"Line: distance, in the colour of the robot's speed{floor}",
+        name=who or f"Colour: robot speed, 0 % red, 100 % blue{floor}",
         background=rrb.Background(color=PAPER),
         line_grid=grid,
         eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),

@@ -15,7 +15,7 @@ from cyclekit.estimate.same_work import by_work
 from cyclekit.report import verdict
 from cyclekit.report.figures import charts_of
 from cyclekit.report.numbers import UNKNOWN, decimals_for, fixed, given, percent, seconds, with_uncertainty
-from cyclekit.report.tables import ReportTable, spell
+from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -88,7 +88,7 @@ def _best(texts: ReportTexts, best: CycleEstimate, mean: str, interval: str) -> 
     if worst and worst[0].safety_loss_s > 0.05:
         key = "answer.worst_most" if worst[1] > MOST else "answer.worst"
         loss = fixed(worst[0].safety_loss_s, 1)
-        parts.append(texts(key, task=spell(worst[0].task), loss=loss, share=percent(worst[1])))
+        parts.append(texts(key, task=texts.task(worst[0].task), loss=loss, share=percent(worst[1])))
     return parts
 
 

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cyclekit.plots import colours
-from cyclekit.report.pictures import INK, MUTED, WIDE_IN, tip
+from cyclekit.plots.look import INK, MUTED, tip
+from cyclekit.report.pictures import WIDE_IN
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from importlib.metadata import version as installed
 from typing import TYPE_CHECKING
 
+from cyclekit.report.fleet_months import months_picture
 from cyclekit.report.numbers import fixed, percent
 from cyclekit.report.template import Template
 
@@ -66,6 +67,7 @@ def fleet_page(name: str, cells: Sequence[CellLine], today: dt.date) -> str:
         headline=_headline(texts, ranked, len(concerned)),
         look=[{"name": cell.name, "link": cell.link, "why": worries[cell.name]} for cell in concerned],
         heads=[texts(f"fleet.{head}") for head in _HEADS],
+        months=months_picture(texts, {cell.name: cell.figures.months for cell in ranked}),
         rows=[_row(texts, rank, cell) for rank, cell in enumerate(ranked, start=1)],
     )
 

@@ -14,15 +14,13 @@ import polars as pl
 
 from cyclekit.learning.rules.safety import RuleSafety
 from cyclekit.learning.rules.shapes import RuleShape, shapes_of
+from cyclekit.plots.labels import CellOnFloor
 from cyclekit.report.findings import FULL, sample_s
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
-    from cyclekit.config import Furniture
-    from cyclekit.dataset.dataset import Dataset, Place
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.report.findings import Predicts
 
 CELL_M = 0.2
@@ -43,9 +41,7 @@ class FloorPlan:
         zones_of_model: True if the model predicted the zones, False if they are means of the log.
         robot_m: Tool path of one execution, shape (R, 2), NaN where unknown.
         robot_known: False without a robot log; the position of the base is then not drawn.
-        places: Named places of the robot.
-        human_places: Named places of the operator.
-        furniture: Boxes of the cell file (tables, machines), by name.
+        cell: Places and furniture.
         shapes: The model's rule as outlines, if it has one.
         cell_m: Side of a square.
     """
@@ -56,9 +52,7 @@ class FloorPlan:
     zones_of_model: bool
     robot_m: NDArray[np.float64]
     robot_known: bool
-    places: Mapping[str, Place]
-    human_places: Mapping[str, Place]
-    furniture: Mapping[str, Furniture]
+    cell: CellOnFloor
     shapes: tuple[RuleShape, ...] = ()
     cell_m: float = CELL_M
 
@@ -89,9 +83,7 @@ def floor_plan(dataset: Dataset, samples: pl.DataFrame, model: Predicts | None =
         zones_of_model=usable is not None,
         robot_m=robot_m,
         robot_known=has_robot(samples),
-        places=dataset.places,
-        human_places=dataset.human_places,
-        furniture=dataset.furniture,
+        cell=CellOnFloor(dataset.places, dataset.human_places, dataset.furniture),
         shapes=_shapes(usable, robot_m, squares),
     )
 

@@ -11,7 +11,7 @@ from cyclekit.estimate.same_work import by_work
 from cyclekit.report.figures import charts_of
 from cyclekit.report.findings import losses
 from cyclekit.report.numbers import count, decimals_for, fixed, percent, seconds, with_uncertainty
-from cyclekit.report.tables import ReportTable, spell
+from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -164,12 +164,12 @@ def _moments(texts: ReportTexts, samples: pl.DataFrame, seen: Overview) -> Repor
     whole = seen.lost_s or sum(each.seconds for each in found)
     rows = [
         [
-            texts("helps.unknown") if each.human_task is None else spell(each.human_task),
+            texts("helps.unknown") if each.human_task is None else texts.task(each.human_task),
             fixed(each.seconds, 1),
             percent(each.seconds / whole) if whole else "–",
             texts(
                 "helps.worst",
-                task=spell(each.robot_task),
+                task=texts.task(each.robot_task),
                 seconds=fixed(each.worst_s, 1),
                 share=percent(each.worst_s / each.seconds if each.seconds else None),
             ),

@@ -6,17 +6,18 @@ Each function draws one vector figure for a width in inches, with the numbers as
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon, Rectangle
-from matplotlib.ticker import MaxNLocator, PercentFormatter
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import PercentFormatter
 
 from cyclekit.plots import colours
-from cyclekit.plots.labels import place_labels
+from cyclekit.plots.floor import finish, furnish, outline, square
+from cyclekit.plots.look import INK, MUTED, RULE, tip
 from cyclekit.report.findings import DISTANCE_BIN_M, SCALING_BIN
-from cyclekit.report.pictures import INK, MUTED, RULE, WIDE_IN, tip
+from cyclekit.report.pictures import WIDE_IN
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from cyclekit.learning.rules.shapes import RuleShape
+    from cyclekit.plots.floor import Note
     from cyclekit.report.findings import LoggedResponse
     from cyclekit.report.floor import FloorPlan
     from cyclekit.report.judged import PredictionBins
@@ -86,17 +87,17 @@ def lost_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Fig
     longest = float(plan.seen[:, 2].max())
     for x, y, seconds in plan.seen.tolist():
         grey = 0.10 + 0.35 * float(np.sqrt(seconds / longest))
-        square = _square(axes, x, y, plan.cell_m, "#6b7885", alpha=grey)
-        tip(figure, square, labels["tip_seen"].format(x=f"{x:.1f}", y=f"{y:.1f}", seconds=f"{seconds:.2f}"))
+        drawn = square(axes, x, y, plan.cell_m, "#6b7885", alpha=grey)
+        tip(figure, drawn, labels["tip_seen"].format(x=f"{x:.1f}", y=f"{y:.1f}", seconds=f"{seconds:.2f}"))
     most = float(plan.lost[:, 2].max()) if len(plan.lost) else 1.0
     for x, y, seconds, scaling in plan.lost.tolist():
         if seconds < _FAINTEST * most:
             continue
         side = plan.cell_m * float(np.sqrt(seconds / most))
-        square = _square(axes, x, y, side, colours.scaling_hex(scaling))
+        drawn = square(axes, x, y, side, colours.scaling_hex(scaling))
         values = {"x": f"{x:.1f}", "y": f"{y:.1f}", "seconds": f"{seconds:.2f}", "speed": f"{100 * scaling:.0f}"}
-        tip(figure, square, labels["tip_lost"].format(**values))
-    _furniture(axes, plan, labels)
+        tip(figure, drawn, labels["tip_lost"].format(**values))
+    _finish(axes, plan, labels, [])
     return figure
 
 
@@ -104,11 +105,9 @@ def zone_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Fig
     """Floor plan: mean robot speed for an operator in each square."""
     figure, axes = _floor(width_in, plan)
     for x, y, scaling in plan.zones.tolist():
-        square = _square(axes, x, y, plan.cell_m, colours.scaling_hex(scaling), alpha=0.85)
-        tip(figure, square, labels["tip_zone"].format(x=f"{x:.1f}", y=f"{y:.1f}", speed=f"{100 * scaling:.0f}"))
-    for shape in plan.shapes:
-        _outline(axes, shape, labels["tip_rule"])
-    _furniture(axes, plan, labels)
+        drawn = square(axes, x, y, plan.cell_m, colours.scaling_hex(scaling), alpha=0.85)
+        tip(figure, drawn, labels["tip_zone"].format(x=f"{x:.1f}", y=f"{y:.1f}", speed=f"{100 * scaling:.0f}"))
+    _finish(axes, plan, labels, [outline(axes, shape, labels["tip_rule"]) for shape in plan.shapes])
     return figure
 
 
@@ -170,83 +169,8 @@ def _floor(width_in: float, plan: FloorPlan) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _square(axes: Axes, x: float, y: float, side: float, colour: str, alpha: float = 1.0) -> Rectangle:
-    square = Rectangle((x - side / 2, y - side / 2), side, side, color=colour, alpha=alpha, linewidth=0, zorder=2)
-    axes.add_artist(square)
-    return square
-
-
-def _outline(axes: Axes, shape: RuleShape, text: str) -> None:
-    """A limit of the rule: solid where the robot slows down, dashed what lets it speed up again."""
-    line = Polygon(shape.outline_m, closed=True, fill=False, edgecolor=colours.scaling_hex(shape.level), zorder=4)
-    line.set(linewidth=1.0 if shape.leaving else 2.0, linestyle=(0, (4, 3)) if shape.leaving else "-")
-    axes.add_artist(line)
-    speed = f"{100 * shape.level:.4g}"
-    tip(cast("Figure", axes.figure), line, text.format(speed=speed))
-    if not shape.leaving:
-        note = axes.annotate(f"{speed} %", shape.outline_m[0], xytext=(3, 3), textcoords="offset points")
-        note.set(fontsize=8.5, color=INK, zorder=7, clip_on=True, annotation_clip=True)
-        note.set_bbox({"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8})
-
-
-def _furniture(axes: Axes, plan: FloorPlan, labels: Mapping[str, str]) -> None:
+def _finish(axes: Axes, plan: FloorPlan, labels: Mapping[str, str], notes: list[Note | None]) -> None:
     """Tables, robot base and path, places, axes and colour scale."""
-    for name, thing in plan.furniture.items():
-        (x, y, _), (length, width, _) = thing.xyz_m, thing.size_m
-        corner = (x - length / 2, y - width / 2)
-        box = Rectangle(corner, length, width, angle=thing.yaw_deg, rotation_point="center")
-        box.set(facecolor=RULE, edgecolor=MUTED, linewidth=1.2, zorder=1)
-        axes.add_patch(box)
-        tip(cast("Figure", axes.figure), box, name)
     axes.plot(*plan.robot_m.T, color=colours.ROBOT, linewidth=0.7, alpha=0.7, zorder=3)
-    named: list[tuple[str, tuple[float, float], str]] = []
-    if plan.robot_known:
-        axes.plot([0], [0], marker="s", markersize=9, color=colours.ROBOT, zorder=5)
-        named.append((labels["base"], (0.0, 0.0), colours.ROBOT))
-    for places, marker, colour in ((plan.places, "D", colours.ROBOT), (plan.human_places, "o", colours.OPERATOR)):
-        for place in places.values():
-            axes.plot(*place.xyz_m[:2], marker, markersize=5.5, color=colour, markeredgecolor="white", zorder=6)
-        named += [(label.text, label.xyz_m[:2], colour) for label in place_labels(places)]
-    sides: list[tuple[tuple[float, float], bool]] = []
-    for text, at, colour in named:
-        near = [below for other, below in sides if abs(other[0] - at[0]) < 0.5 and abs(other[1] - at[1]) < 0.15]
-        sides.append((at, near.count(False) > near.count(True)))
-        _note(axes, text, at, colour, below=sides[-1][1])
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.08)
-    axes.autoscale_view()
-    axes.set(xlabel=labels["x"], ylabel=labels["y"])
-    axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    if labels.get("speed"):
-        _scale_bar(axes, labels["speed"])
-
-
-def _note(axes: Axes, text: str, at: tuple[float, float], colour: str, *, below: bool) -> None:
-    halo = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
-    axes.annotate(
-        text,
-        at,
-        xytext=(0, -16 if below else 8),
-        textcoords="offset points",
-        ha="center",
-        color=colour,
-        fontsize=8.5,
-        bbox=halo,
-        zorder=7,
-    )
-
-
-def _scale_bar(axes: Axes, label: str) -> None:
-    """The colour scale of scaling, the same on every page and in the replay."""
-    inset = axes.inset_axes((0.0, 1.03, 0.42, 0.03))
-    edges = np.linspace(0.0, 1.0, 41)
-    for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        colour = colours.scaling_hex((low + high) / 2)
-        inset.add_artist(Rectangle((low, 0), high - low + 0.004, 1, color=colour, linewidth=0))
-    inset.set(xlim=(0, 1), ylim=(0, 1), yticks=[])
-    inset.set_xticks([0, 0.5, 1], ["0", "50", "100 %"])
-    inset.tick_params(length=2, labelsize=8, top=True, labeltop=True, bottom=False, labelbottom=False)
-    for spine in inset.spines.values():
-        spine.set_visible(False)
-    inset.text(1.08, 0.5, label, transform=inset.transAxes, va="center", fontsize=8.5, color=MUTED)
+    notes += furnish(axes, plan.cell, labels["base"] if plan.robot_known else None)
+    finish(axes, labels["x"], labels["y"], labels.get("speed"), notes)

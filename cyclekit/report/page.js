@@ -40,7 +40,7 @@
       const wanted = input.value.trim().toLowerCase();
       const has = (text) => text.toLowerCase().includes(wanted);
       for (const part of section.querySelectorAll("g.tip[data-row]")) {
-        part.classList.toggle("faded", !has(part.dataset.row));
+        part.classList.toggle("out", !has(part.dataset.row));
       }
       const rows = [...section.querySelectorAll("tbody tr")];
       for (const row of rows) row.hidden = !has(row.cells[0].textContent);

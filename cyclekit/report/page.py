@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version as installed
 from typing import TYPE_CHECKING, Any
 
@@ -124,7 +124,8 @@ def compose_report(
     say(0.02, "reading the dataset")
     quickest = sorted(estimates, key=lambda each: each.expected_s)
     ranked = [each for work in by_work(quickest).values() for each in work]
-    name, texts = cell_name or dataset.card.name or dataset.path.name, look.texts
+    name = cell_name or dataset.card.name or dataset.path.name
+    texts = replace(look.texts, place=dataset.label)
     page = PageInputs(texts, dataset, model, ranked, what_if, planned, evaluation, check, takt_s, baseline)
     if kind == "csv":
         write_text(out, as_csv(page))

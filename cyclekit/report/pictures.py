@@ -10,50 +10,20 @@ import html
 import io
 import re
 import warnings
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.plots.look import plain_style
 from cyclekit.text.plain_text import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
-    from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
 WIDE_IN, NARROW_IN = 7.4, 3.7
 """Widths of the two versions, inches; text is 9.5 pt in both, so it stays readable on either."""
-
-INK, MUTED, RULE = "#1c232b", "#55606c", "#d9dee4"
-
-STYLE = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "cyclekit",
-    "text.parse_math": False,
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 9.5,
-    "text.color": INK,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": MUTED,
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 9.5,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelsize": 9,
-    "ytick.labelsize": 9,
-    "grid.color": RULE,
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "legend.fontsize": 9,
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
-    "savefig.facecolor": "none",
-}
 
 
 @dataclass(frozen=True)
@@ -83,24 +53,6 @@ class Picture:
     def _drawn(self, width_in: float, version: str) -> str:
         with plain_style():
             return _to_svg(self.draw(width_in), f"{self.name}-{version}", self.alt)
-
-
-def tip(figure: Figure, artist: Artist, text: str, row: str = "") -> None:
-    """Give `artist` the tooltip `text`; the page's filter matches `row`."""
-    tips: list[tuple[str, str]] = figure.__dict__.setdefault("cyclekit_tips", [])
-    artist.set_gid(f"tip{len(tips)}")
-    tips.append((text, row))
-
-
-@contextmanager
-def plain_style() -> Iterator[None]:
-    """Use the page's look inside the block, whatever the caller's own matplotlib settings are."""
-    import matplotlib as mpl
-
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        mpl.rcParams.update(STYLE)  # type: ignore[arg-type]  # its keys are literals
-        yield
 
 
 def _to_svg(figure: Figure, prefix: str, alt: str) -> str:

@@ -33,8 +33,3 @@ class ReportTable:
     text: str = ""
     after: str = ""
     items: Sequence[str] = ()
-
-
-def spell(task: str) -> str:
-    """Write a task `a->b` for display."""
-    return task.replace("->", " → ")

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from string import Formatter
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
 _UNIT = re.compile(r"(?<=\d) (?=(?:%|s|m|h|min)(?![\w]))")
 """The space between a number and its unit; becomes a no-break space."""
@@ -27,6 +27,11 @@ class ReportTexts:
 
     sections: dict[str, dict[str, str]]
     language: str
+    place: Callable[[str], str] = str
+
+    def task(self, task: str) -> str:
+        """Write a task `a->b`, or a place, for display: by the labels of the cell file."""
+        return " → ".join(self.place(each) for each in task.split("->"))
 
     def __call__(self, key: str, **values: object) -> str:
         """Return the text at `section.name`, filled in.
@@ -57,11 +62,11 @@ class ReportTexts:
                     msg = f"{section}.{name} has no value {', '.join(sorted(strange))}"
                     raise ValueError(msg)
                 sections[section][name] = str(text)
-        return ReportTexts(sections, language)
+        return replace(self, sections=sections, language=language)
 
     def with_words(self, words: Mapping[str, Mapping[str, str]]) -> ReportTexts:
         """Return the texts with further sections, by name."""
-        return ReportTexts({**self.sections, **{name: dict(texts) for name, texts in words.items()}}, self.language)
+        return replace(self, sections={**self.sections, **{name: dict(texts) for name, texts in words.items()}})
 
     def section(self, name: str) -> dict[str, str]:
         """Return all texts of one section, not filled in."""

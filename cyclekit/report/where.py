@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.report.figures import charts_of
 from cyclekit.report.figures.time_chart import MOST_SEQUENCES
 from cyclekit.report.numbers import fixed
-from cyclekit.report.tables import ReportTable, spell
+from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,7 +41,7 @@ def _activity(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> ReportTabl
             total[activity] = total.get(activity, 0.0) + loss
     heads = [texts("where.activity_head"), *(f"{each.name}, s" for each in shown)]
     rows = [
-        [spell(activity), *(fixed(each.safety_by_activity_s.get(activity), 1) for each in shown)]
+        [texts.task(activity), *(fixed(each.safety_by_activity_s.get(activity), 1) for each in shown)]
         for activity in sorted(total, key=lambda name: -total[name])
     ]
     return ReportTable(texts("where.activity"), heads, rows, frozenset(range(1, len(heads))), silent=True)

@@ -50,13 +50,16 @@ class Result:
 
     def _repr_html_(self) -> str:
         """Return the result as a small table for a notebook; names out of logs are escaped."""
-        frame = self.to_frame()
-        head = "".join(f"<th>{escape(name)}</th>" for name in frame.columns)
-        rows = ["".join(f"<td>{escape(_cell(value))}</td>" for value in row) for row in frame.head(SHOWN_ROWS).rows()]
-        more = f"<p>{frame.height - SHOWN_ROWS} more rows</p>" if frame.height > SHOWN_ROWS else ""
-        body = "".join(f"<tr>{row}</tr>" for row in rows)
-        title = escape(self.__repr__().partition("\n")[0])
-        return f"<p>{title}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
+        return html_table(self.__repr__().partition("\n")[0], self.to_frame())
+
+
+def html_table(title: str, frame: pl.DataFrame) -> str:
+    """Return a title and the first rows of a frame as HTML, escaped."""
+    head = "".join(f"<th>{escape(name)}</th>" for name in frame.columns)
+    rows = ["".join(f"<td>{escape(_cell(value))}</td>" for value in row) for row in frame.head(SHOWN_ROWS).rows()]
+    more = f"<p>{frame.height - SHOWN_ROWS} more rows</p>" if frame.height > SHOWN_ROWS else ""
+    body = "".join(f"<tr>{row}</tr>" for row in rows)
+    return f"<p>{escape(title)}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
 
 
 def _cell(value: object) -> str:

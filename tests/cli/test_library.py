@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 import pytest
+from matplotlib.figure import Figure
 
 import cyclekit as library
 from cyclekit.api.arguments import checked
 from cyclekit.cli import MODULES, ORDER
 from cyclekit.errors import CyclekitError, EstimateError, UnknownName, WrongType
 from cyclekit.estimate.answers import CycleEstimates, Refusal
+from cyclekit.estimate.plan import OrderPlan
 from cyclekit.estimate.result import CycleEstimate, TaskShare
 from cyclekit.fleet.run import FleetRun
 from cyclekit.fleet.stages import StageResult
@@ -209,6 +211,38 @@ def test_every_result_has_a_short_repr_a_frame_and_a_dict(
     assert len(repr(found)) < 1500
     assert found._repr_html_().count("<tr>") == 1 + min(found.to_frame().height, 20)
     assert json.loads(json.dumps(found.to_dict()))
+
+
+DRAWN = {
+    "dataset": (lambda: library.Dataset.open("dataset"), "time, s"),
+    "model": (lambda: library.load_model("model"), "mean squared error"),
+    "estimate": (lambda: hostile()[0], ""),
+    "estimates": (lambda: hostile()[1], ""),
+    "zones": (lambda: library.read_safety_function("model", "dataset"), "robot speed (scaling)"),
+}
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_notebook_shows_it_as_a_table_and_a_figure(name: str, cell: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(cell)
+    make, label = DRAWN[name]
+    found = make()
+    assert found._repr_html_().count("<tr>") > 1
+    figure = found.plot()
+    assert isinstance(figure, Figure)
+    assert figure.axes[0].get_ylabel() == label
+    assert any(axes.has_data() for axes in figure.axes)
+    assert figure._repr_png_().startswith(b"\x89PNG")
+
+
+def test_the_figure_of_an_order_says_both_means_and_the_interval() -> None:
+    plan = OrderPlan(
+        ("b", "a"), ("b", "a"), 20.0, "logged orders", 25.0, (5.0, 4.0, 6.0), 4.0, "all orders", 2, 9, 19.0, 21.0
+    )
+    (axes,) = plan.plot().axes
+    assert [bar.get_width() for bar in axes.patches] == [20.0, 25.0]
+    assert list(axes.lines[0].get_xdata()) == [19.0, 21.0]
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["order found", "logged orders"]
 
 
 def test_what_was_not_answered_is_shown_and_may_be_demanded() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from contextlib import contextmanager
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -12,6 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 from fabricated import LEVELS, fabricate_dataset
+from matplotlib.colors import to_hex
 
 from cyclekit.cli.facts import page
 from cyclekit.dataset.cards import TrainingCard, plain
@@ -24,7 +24,8 @@ from cyclekit.learning.labelling import staircase_of
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.safety_function.fit import ScalingSamples, hysteresis
 from cyclekit.learning.training import _enough, train
-from cyclekit.plots.levels import draw_levels
+from cyclekit.plots.colours import scaling_hex
+from cyclekit.plots.levels import levels_figure
 from cyclekit.replay import write_replay
 from cyclekit.replay.words import slowdowns
 from cyclekit.report.findings import losses
@@ -206,16 +207,11 @@ def test_ten_seconds_of_log_can_be_learned_from_and_nine_cannot(rate_hz):
 
 
 @pytest.mark.parametrize("rate_hz", RATES)
-def test_a_picture_of_levels_shows_two_minutes_in_seconds(rate_hz, tmp_path, monkeypatch):
-    over_time = MagicMock()
-
-    @contextmanager
-    def canvas(*_, **__):
-        yield over_time, MagicMock()
-
-    monkeypatch.setattr("cyclekit.plots.levels.canvas", canvas)
+def test_a_picture_of_levels_shows_two_minutes_in_seconds(rate_hz):
     values = np.tile(np.repeat([1.0, 0.5], int(5 * rate_hz)), 30)
-    draw_levels(tmp_path / "x.svg", values, find_staircase(values, rate_hz=rate_hz), rate_hz=rate_hz)
-    at_s = over_time.plot.call_args_list[0].args[0]
-    assert at_s[-1] == pytest.approx(120.0 - 1 / rate_hz)
-    assert over_time.set.call_args.kwargs["xlabel"] == "time, s"
+    over_time, shares = levels_figure(values, find_staircase(values, rate_hz=rate_hz), rate_hz=rate_hz).axes
+    assert over_time.lines[0].get_xdata()[-1] == pytest.approx(120.0 - 1 / rate_hz)
+    assert over_time.get_xlabel() == "time, s"
+    assert shares.get_xscale() == "linear"
+    assert sum(bar.get_width() for bar in shares.patches) == pytest.approx(100.0, abs=1.0)
+    assert {to_hex(bar.get_facecolor()) for bar in shares.patches} == {scaling_hex(0.5), scaling_hex(1.0)}

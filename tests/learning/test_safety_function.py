@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import numpy as np
 import polars as pl
 import pytest
 from known_cells import LEVELS, THRESHOLDS_M
+from matplotlib.colors import to_hex
+from matplotlib.patches import Polygon, Rectangle
 from msgspec import structs
 from ruled import box, near, ruled
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError
 from cyclekit.learning.rules.distances import TO_BASE
-from cyclekit.learning.rules.shapes import around, shapes_of
-from cyclekit.learning.safety_function import read_zones, zones_svg
+from cyclekit.learning.rules.shapes import RuleShape, around, shapes_of
+from cyclekit.learning.safety_function import read_zones
 from cyclekit.learning.safety_function.fit import (
     ScalingSamples,
     by_distance,
@@ -27,6 +29,7 @@ from cyclekit.learning.safety_function.fit import (
     thresholds,
 )
 from cyclekit.plots.colours import scaling_hex
+from cyclekit.plots.labels import place_labels
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -137,14 +140,30 @@ def test_the_cell_of_the_paper_is_read_back_and_drawn(logged: Dataset, staircase
     assert abs(found.hysteresis_m) < 0.03
     assert sum(found.shares) == pytest.approx(1.0)
     assert any("no safety proof" in note for note in found.notes)
-    page = ElementTree.fromstring(zones_svg(found))
-    drawn = {kind: [one for one in page.iter() if one.tag.endswith(kind)] for kind in ("rect", "polygon", "title")}
-    assert len([one for one in drawn["rect"] if one.get("fill-opacity")]) == len(found.floor_m)
+    curve, floor = found.plot().axes[:2]
+    assert curve.get_xlabel() == f"{NAME}, m"
+    assert [label.get_text() for label in curve.get_xticklabels()] == [f"{metres:.2f}" for metres in THRESHOLDS_M]
+    drawn = {kind: [one for one in floor.get_children() if isinstance(one, kind)] for kind in (Rectangle, Polygon)}
+    assert len([one for one in drawn[Rectangle] if one.get_alpha() == 0.6]) == len(found.floor_m)
     # the rule as shapes: a line around the tool's path for each threshold, in the colour of its speed
-    assert [one.get("stroke") for one in drawn["polygon"]] == [scaling_hex(level) for level in reversed(LEVELS[:-1])]
-    assert "50 %: distance TCP to operator" in [one.text for one in drawn["title"]]
-    texts = " ".join(one.text or "" for one in page.iter() if one.tag.endswith("text"))
-    assert "stop (speed 0 %) when the operator is nearer than" in texts
+    assert [to_hex(one.get_edgecolor()) for one in drawn[Polygon]] == [scaling_hex(s) for s in reversed(LEVELS[:-1])]
+    texts = {one.get_text() for one in floor.texts}
+    assert {"base", *(label.text for label in place_labels(logged.places))} <= texts
+    assert "stop (speed 0 %) when the operator is nearer than" in found.plot().get_supxlabel()
+
+
+def test_a_rectangle_of_the_rule_is_whole_in_the_picture_also_where_nobody_was_logged(logged: Dataset, staircase: Any):
+    staircase.levels = LEVELS
+    corners = ((-3.0, -4.0), (-2.0, -4.0), (-2.0, 3.5), (-3.0, 3.5))
+    found = replace(read_zones(staircase, logged), shapes=(RuleShape(0.5, False, "rectangle", corners),))
+    figure = found.plot()
+    figure.draw_without_rendering()
+    (x_low, x_high), (y_low, y_high) = figure.axes[1].get_xlim(), figure.axes[1].get_ylim()
+    assert x_low < -3.0 < x_high
+    assert y_low < -4.0 < 3.5 < y_high
+    assert "50 %" in [one.get_text() for one in figure.axes[1].texts]
+    nobody = replace(found, floor_m=np.empty((0, 2)), floor_scaling=np.empty(0))
+    assert len(nobody.plot().axes) >= 2
 
 
 def test_an_outline_around_a_path_is_where_its_nearest_point_is_as_far_as_the_threshold():

@@ -107,6 +107,8 @@ def test_the_file_brings_its_own_layout(dataset, tmp_path):
     assert len(reader.blueprints()) == 1
     views = [str(chunk.entity_path) for chunk in reader.stream(store=reader.blueprints()[0])]
     assert sum(path.startswith("/view/") and path.count("/") == 2 for path in views) >= 6
+    legends = [chunk for chunk in reader.stream(store=reader.blueprints()[0]) if "PlotLegend" in str(chunk.format())]
+    assert len(legends) >= 3  # a legend would cover the first seconds: each is off, and the titles name the colours
 
 
 def test_a_model_that_expects_another_speed_is_seen_to_do_so(dataset, tmp_path):

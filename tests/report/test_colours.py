@@ -47,10 +47,14 @@ def test_words_on_the_page_stand_out_from_white(colour):
 
 
 def test_close_places_of_one_family_share_a_label_and_distant_ones_do_not(dataset):
+    from dataclasses import replace
+
     from cyclekit.dataset.dataset import Place
 
     row = {f"left_{n}": Place(f"left_{n}", (0.2 * n, 1.0, 0.0), 0.1, inferred=False) for n in (1, 2, 3)}
-    assert [label.text for label in place_labels(row)] == ["left_1 … left_3"]
+    assert [label.text for label in place_labels(row)] == ["left_1 … 3"]
+    named = {n: replace(place, label=f"Left table, slot {n[-1]}") for n, place in row.items()}
+    assert [label.text for label in place_labels(named)] == ["Left table, slot 1 … 3"]
     far = {f"table_{n}": Place(f"table_{n}", (2.0 * n, 1.0, 0.0), 0.1, inferred=False) for n in (1, 2)}
     assert [label.text for label in place_labels(far)] == ["table_1", "table_2"]
     assert [label.text for label in place_labels(dataset.places)] == list(dataset.places)

@@ -6,11 +6,15 @@ import itertools
 import re
 import tomllib
 from collections import Counter
+from dataclasses import replace
 from importlib.resources import files
 
 import pytest
+from msgspec import structs
 from report_pages import Page, estimate
 
+from cyclekit.config.cells import NamedPlace
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError
 from cyclekit.report import compose_report
 
@@ -132,3 +136,15 @@ def test_the_takt_is_held_against_single_cycles(dataset, tmp_path):
         "30 % of the cycles of “A first” are within the takt of 27.5 s, as counted on 10 simulated cycles."
         in page.text.replace("\N{NO-BREAK SPACE}", " ")
     )
+
+
+@pytest.mark.usefixtures("words_only")
+def test_people_are_shown_the_labels_of_places_and_data_keep_the_names(dataset, tmp_path):
+    settings = replace(dataset.card.settings, places={"left": NamedPlace((0.0, 0.5, 0.0), label="Left table, slot 2")})
+    labelled = Dataset(dataset.path, structs.replace(dataset.card, settings=settings))
+    compose_report(labelled, None, tmp_path / "r.html", estimates=[estimate("A first")])
+    shown = Page((tmp_path / "r.html").read_text("utf-8")).text
+    assert "conveyor → Left table, slot 2" in shown
+    assert "→ left" not in shown
+    compose_report(labelled, None, tmp_path / "r.csv", estimates=[estimate("A first")], kind="csv")
+    assert "conveyor->left," in (tmp_path / "r.csv").read_text("utf-8")

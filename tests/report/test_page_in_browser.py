@@ -134,18 +134,20 @@ def test_every_picture_says_numbers_under_the_pointer_also_without_a_script(page
 
 def test_the_filter_shows_what_is_asked_for_and_gives_all_back(desk):
     rows = "[...document.querySelectorAll('#where tbody tr')].filter(row => !row.hidden).length"
-    faded = "document.querySelectorAll('#where g.tip.faded').length"
+    hidden = (
+        "[...document.querySelectorAll('#where g.tip')].filter(g => getComputedStyle(g).visibility == 'hidden').length"
+    )
     everything = desk.ask(rows)
-    assert desk.ask(faded) == 0
+    assert desk.ask(hidden) == 0
     desk.ask("document.querySelector('.filter input').focus()")
     desk.type("slot_7")
     assert desk.ask(rows) == 2  # one per sequence
-    assert desk.ask(faded) > 40
+    assert desk.ask(hidden) > 40
     assert desk.ask("document.querySelector('.filter output').textContent").startswith("2 / ")
     desk.ask("(() => { const f = document.querySelector('.filter input'); f.value = '';"
              " f.dispatchEvent(new Event('input')); })()")  # fmt: skip
     assert desk.ask(rows) == everything
-    assert desk.ask(faded) == 0
+    assert desk.ask(hidden) == 0
 
 
 @pytest.mark.parametrize(("width", "phone"), [(360, True), (390, True), (768, False), (1400, False)])
@@ -167,6 +169,46 @@ def test_no_text_of_a_picture_is_cut_off(desk):
     assert cut == []
 
 
+def test_on_a_phone_no_column_of_the_answer_is_cut_and_no_names_on_the_floor_cover_each_other(tab, page):
+    tab.show(page, width=390, height=844, phone=True)
+    table = "document.querySelector('#answer .scroll')"
+    assert tab.ask(f"{table}.scrollWidth <= {table}.clientWidth")
+    assert tab.ask(f"[...{table}.querySelectorAll('td')].every(d => d.getBoundingClientRect().right <= innerWidth)")
+    first = f"{table}.querySelector('td')"
+    assert tab.ask(f"getComputedStyle({first}, '::before').content + {first}.textContent") == '"Rank"1'
+    common = tab.ask(
+        "[...document.querySelectorAll('#why .narrow svg')].flatMap(svg => {"
+        " const t = [...svg.querySelectorAll('text')].filter(t => t.textContent.trim());"
+        " const b = t.map(t => t.getBoundingClientRect());"
+        " return b.flatMap((a, i) => b.slice(i + 1).flatMap((c, k) =>"
+        "  a.left < c.right && c.left < a.right && a.top < c.bottom - 2 && c.top < a.bottom - 2"
+        "  ? [t[i].textContent + ' / ' + t[i + 1 + k].textContent] : [])); })"
+    )
+    assert common == []
+
+
+def test_the_contents_lead_to_every_section(desk):
+    links = desk.ask("[...document.querySelectorAll('.contents a')].map(a => [a.hash.slice(1), a.textContent])")
+    assert [name for name, _ in links] == desk.ask("[...document.querySelectorAll('section')].map(s => s.id)")
+    heads = desk.ask("[...document.querySelectorAll('h2')].map(h => h.textContent)")
+    assert [text for _, text in links] == heads
+
+
+def test_printed_captions_are_smaller_than_the_text_and_maps_stand_side_by_side(tab, page):
+    tab.show(page, width=680, height=1000)
+    tab.call("Emulation.setEmulatedMedia", media="print")
+    size = "parseFloat(getComputedStyle(document.querySelector('{}')).fontSize)"
+    text = tab.ask(size.format("p.lead"))
+    assert tab.ask(size.format("figcaption")) < text
+    assert tab.ask(size.format("td")) < text
+    tops = tab.ask("[...document.querySelectorAll('#why .half')].map(e => Math.round(e.getBoundingClientRect().top))")
+    assert len(tops) == 2
+    assert len(set(tops)) == 1
+    rules = tab.ask("[...document.styleSheets[0].cssRules].find(r => r instanceof CSSPageRule).cssText")
+    assert "counter(page)" in rules
+    tab.call("Emulation.setEmulatedMedia", media="")
+
+
 def pages_of(printed):
     return len(re.findall(rb"/Type\s*/Page\b", printed))
 
@@ -178,7 +220,7 @@ def test_printed_every_chart_lies_whole_on_one_page(tab, page):
     assert max(tall) < (297 - 34) / 25.4 * 96  # no chart is higher than a page's text
     inside = tab.ask("[...document.querySelectorAll('figure')].every(f => getComputedStyle(f).breakInside === 'avoid')")
     assert inside
-    hidden = tab.ask("[...document.querySelectorAll('.filter, .narrow, details')]"
+    hidden = tab.ask("[...document.querySelectorAll('.filter, .chart:not(.half) .narrow, .half .wide, details')]"
                      ".every(e => getComputedStyle(e).display === 'none')")  # fmt: skip
     assert hidden
     tab.call("Emulation.setEmulatedMedia", media="")

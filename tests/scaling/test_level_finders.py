@@ -232,11 +232,11 @@ def test_the_command_prints_levels_and_draws_them(cell, tmp_path, capsys):
     assert picture.read_text().lstrip().startswith("<?xml")
     first = picture.read_bytes()
     values = cell.samples()["scaling"].to_numpy()
-    draw_levels(picture, values, find_staircase(values))
+    draw_levels(picture, values, find_staircase(values), rate_hz=10.0)
     assert picture.read_bytes() == first
 
 
 def test_a_picture_of_an_unknown_kind_is_refused(cell, tmp_path):
     with pytest.raises(ConfigError, match=r"\.svg"):
-        draw_levels(tmp_path / "levels.gif", np.ones(9), find_staircase(np.ones(9)))
+        draw_levels(tmp_path / "levels.gif", np.ones(9), find_staircase(np.ones(9)), rate_hz=10.0)
     assert (cell.path / CARD).is_file()

@@ -21,6 +21,7 @@ from cyclekit.dataset.cards.dataset import UnreadCard as UnreadCard
 from cyclekit.dataset.cards.dataset import dataset_card as dataset_card
 from cyclekit.dataset.cards.fleet import CellLedger as CellLedger
 from cyclekit.dataset.cards.fleet import FiguresCard as FiguresCard
+from cyclekit.dataset.cards.fleet import MonthCard as MonthCard
 from cyclekit.dataset.cards.fleet import StageCard as StageCard
 from cyclekit.dataset.cards.model import CellCard as CellCard
 from cyclekit.dataset.cards.model import EpochCard as EpochCard

@@ -18,6 +18,15 @@ class StageCard(Card, frozen=True, kw_only=True):
     at: str = ""
 
 
+class MonthCard(Card, frozen=True, kw_only=True):
+    """Mean cycle time and part of it lost to safety in the complete executions of one month (its first day)."""
+
+    month: date
+    executions: Count
+    cycle_s: Duration
+    lost_share: float | None = None
+
+
 class FiguresCard(Card, frozen=True, kw_only=True):
     """Figures of a cell for the page of the fleet; None = unknown.
 
@@ -33,6 +42,7 @@ class FiguresCard(Card, frozen=True, kw_only=True):
         shifts: What has changed, the clearest first.
         drift: Why nothing can be said of it; empty where something can.
         model_doubt: Why the error of the model is large; empty where it is not, or there is no model.
+        months: The same month by month, where the days of the logs are known; the oldest first.
     """
 
     executions: Count | None = None
@@ -46,6 +56,7 @@ class FiguresCard(Card, frozen=True, kw_only=True):
     shifts: tuple[str, ...] = ()
     drift: str = ""
     model_doubt: str = ""
+    months: tuple[MonthCard, ...] = ()
 
 
 class CellLedger(Card, frozen=True, kw_only=True):

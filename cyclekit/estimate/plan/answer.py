@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.plan.jobs import Jobs
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.plots.drawing import Drawing
     from cyclekit.schema import Floats, Progress
 
     Order = tuple[str, ...]
@@ -87,6 +88,13 @@ class OrderPlan(Result):
     unlogged: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     operator: tuple[str, ...] | None = None
+
+    def plot(self) -> Drawing:
+        """Return the mean cycle time of the order beside that of the others, as a matplotlib figure."""
+        from cyclekit.plots.results import order_figure
+
+        interval_s = (self.expected_low_s, self.expected_high_s)
+        return order_figure(", ".join(self.order), self.against, (self.expected_s, self.against_s), interval_s)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain JSON values."""

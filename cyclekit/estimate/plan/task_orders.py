@@ -25,6 +25,7 @@ from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.config.toml_file import followed, read_toml
 from cyclekit.config.write import sequence_to_toml
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
+from cyclekit.estimate.gantt import gantt_figure
 from cyclekit.estimate.task_times import SURE, estimate_plans
 from cyclekit.learning.task_times.learn import plan_of
 from cyclekit.learning.task_times.roll import agent_of, roll_plan
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.task_model import TaskModelCard
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.learning.task_times.runs import Run
+    from cyclekit.plots.drawing import Drawing
     from cyclekit.schema import Progress
 
     Order = tuple[int, ...]
@@ -98,6 +100,10 @@ class TaskOrderPlan(Result):
     against_s: float
     saves_s: tuple[float, float, float]
     tried: int
+
+    def plot(self) -> Drawing:
+        """Return the plan as a time chart of both agents, as a matplotlib figure."""
+        return gantt_figure([self.estimate])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain JSON values."""

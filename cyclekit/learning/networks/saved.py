@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
     from cyclekit.learning.networks.trees import Trees
     from cyclekit.learning.networks.weights import Weights
+    from cyclekit.plots.drawing import Drawing
     from cyclekit.schema import Floats, Ints, Singles
 
 FORMAT, MODEL_VERSION = "cyclekit-model", 3
@@ -78,6 +79,12 @@ class TrainedModel(Result):
     def inputs(self) -> tuple[str, ...]:
         """Names of the F inputs, in the order of the columns of X."""
         return inputs_of(self.problem, past=self.past)
+
+    def plot(self) -> Drawing:
+        """Return the error over the epochs and the levels of the logs learned from, as a matplotlib figure."""
+        from cyclekit.plots.results import training_figure
+
+        return training_figure(self.card)
 
     @one_thread()
     def predict(self, X: NDArray[np.floating[Any]]) -> Floats:

@@ -6,6 +6,5 @@ picture the same as SVG
 """
 
 from cyclekit.learning.safety_function.answer import SafetyFunction, read_zones
-from cyclekit.learning.safety_function.picture import zones_svg
 
-__all__ = ["SafetyFunction", "read_zones", "zones_svg"]
+__all__ = ["SafetyFunction", "read_zones"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from cyclekit.learning.safety_function.fit import (
 )
 from cyclekit.learning.signal_inputs import by_signals
 from cyclekit.parallel.one_thread import one_thread
+from cyclekit.plots.labels import CellOnFloor
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.rule import RuleCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.learning.networks.saved import TrainedModel
+    from cyclekit.plots.drawing import Drawing
     from cyclekit.schema import Floats
 
 LEAST_ROWS = 500
@@ -72,6 +74,7 @@ class SafetyFunction(Result):
         commanded: The rule that explains the commanded level, if there is one. Where there is, it is the answer: its
             thresholds are those to enter and to leave, and `thresholds` lie between them.
         shapes: That rule as outlines on the floor; empty without one.
+        cell: Places and furniture, for the picture.
     """
 
     levels: tuple[float, ...]
@@ -90,6 +93,13 @@ class SafetyFunction(Result):
     notes: tuple[str, ...]
     commanded: RuleSearch
     shapes: tuple[RuleShape, ...] = ()
+    cell: CellOnFloor = field(default_factory=CellOnFloor)
+
+    def plot(self) -> Drawing:
+        """Return the speed over the distance and the floor seen from above, as a matplotlib figure."""
+        from cyclekit.learning.safety_function.picture import zones_figure
+
+        return zones_figure(self)
 
     @property
     def rule_sentences(self) -> tuple[str, ...]:
@@ -98,7 +108,7 @@ class SafetyFunction(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON values."""
-        out = dict(vars(self))
+        out = {name: value for name, value in vars(self).items() if name != "cell"}
         out["explained"] = dict(self.explained)
         out["thresholds"] = [dict(vars(entry)) for entry in self.thresholds]
         out["floor_m"], out["floor_scaling"] = self.floor_m.tolist(), self.floor_scaling.tolist()
@@ -188,6 +198,7 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
         notes=(*told, *_notes(rule, is_distance=is_distance or found.rule is not None, parts=parts)),
         commanded=found,
         shapes=() if found.rule is None else tuple(_shapes(found.rule, rows)),
+        cell=CellOnFloor(dataset.places, dataset.human_places, dataset.furniture),
     )
 
 

@@ -1,4 +1,4 @@
-"""The safety function as a picture: the staircase over the distance, and the floor seen from above; plain SVG.
+"""The safety function as a picture: the speed over the distance, the floor seen from above, and the rule in words.
 
 Where a rule explains the logs its shapes lie on the floor: solid where the robot slows down, dashed what the operator
 must leave for it to speed up again. Colours are those of the speed everywhere.
@@ -7,108 +7,86 @@ must leave for it to speed up again. Colours are those of the speed everywhere.
 from __future__ import annotations
 
 import textwrap
-from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.learning.rules.law import shape_of
 from cyclekit.learning.safety_function.fit import FLOOR_M, Threshold
-from cyclekit.plots.colours import ROBOT, scaling_hex
+from cyclekit.plots.look import MUTED, plain_style
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from cyclekit.dataset.cards.rule import LawCard, RuleCard
-    from cyclekit.learning.rules.shapes import RuleShape
     from cyclekit.learning.safety_function.answer import SafetyFunction
+    from cyclekit.plots.drawing import Axes, Drawing
 
-WIDTH, HEIGHT, EDGE = 480, 480, 44
-LINE, LETTERS = 16, 130
-"""Height of a line of text, and how many letters it has at most."""
-_HALO = 'paint-order="stroke" stroke="white" stroke-width="3"'
+LETTERS, LINE_IN = 150, 0.19
+"""How many letters a line of the words has at most, and how high it is."""
 
 
-def zones_svg(zones: SafetyFunction) -> str:
-    """Return an SVG document: left the staircase with the intervals of its thresholds, right the floor."""
-    rule = zones.commanded.rule
-    law = None if rule is None else rule.law
+def zones_figure(zones: SafetyFunction) -> Drawing:
+    """Return the picture: left the speed over the distance with the intervals of its thresholds, right the floor."""
+    from cyclekit.plots.drawing import Drawing
+    from cyclekit.plots.zones import draw_floor
+
     texts = [line for one in zones.rule_sentences for line in textwrap.wrap(f"- {one}", LETTERS)]
+    if zones.shapes:
+        texts.append("Lines on the floor: the rule; dashed: what the operator leaves before the robot speeds up again.")
     texts.append("Read back from logs. No safety proof.")
-    height = HEIGHT + LINE * (len(texts) + 1)
-    size = f'width="{2 * WIDTH}" height="{height}" viewBox="0 0 {2 * WIDTH} {height}"'
-    notes = [f'<text x="{EDGE}" y="{HEIGHT + LINE * (n + 1)}">{escape(text)}</text>' for n, text in enumerate(texts)]
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" {size}>',
-        "<!-- written by cyclekit -->",
-        f"<title>{escape(zones.rule)}</title>",
-        "<style>text{font:12px sans-serif;fill:#222}</style>",
-        *(_staircase(zones) if law is None else _curve(law)),
-        *_floor(zones),
-        *notes,
-        "</svg>",
-    ]
-    return "\n".join(parts) + "\n"
+    with_floor = bool(len(zones.floor_m) or zones.shapes)
+    with plain_style():
+        figure = Drawing(11.0, 5.0 + LINE_IN * len(texts))
+        figure.supxlabel("\n".join(texts), x=0.01, ha="left", fontsize=9, color=MUTED)
+        places = figure.subplots(1, 1 + with_floor, squeeze=False, width_ratios=(2, 3)[: 1 + with_floor])[0]
+        _over_distance(places[0], zones)
+        if with_floor:
+            squares = np.column_stack([np.reshape(zones.floor_m, (-1, 2)) + FLOOR_M / 2, zones.floor_scaling])
+            draw_floor(places[1], squares, FLOOR_M, zones.shapes, zones.cell)
+    return figure
 
 
-def _staircase(zones: SafetyFunction) -> Iterator[str]:
-    rule, title = zones.commanded.rule, "speed scaling over the distance, m"
+def _over_distance(axes: Axes, zones: SafetyFunction) -> None:
+    from cyclekit.plots.zones import draw_curves
+
+    rule = zones.commanded.rule
+    if rule is not None and rule.law is not None:
+        draw_curves(axes, {"slows down": _law(rule.law)}, (), rule.law.distance)
+        return
     known = [] if rule is None else _of_rule(rule, leaving=False)
     leaving = [] if rule is None else _of_rule(rule, leaving=True)
-    if leaving:
-        title += "; dashed: to speed up again"
-    elif not known:
+    name = rule.limits[0].within.nearer[0].distance if known and rule is not None else zones.rule
+    if not known and not leaving:
         known = [entry for entry in zones.thresholds if np.isfinite(entry.metres)]
-        title = title if zones.is_distance else "distance, m: does not explain it alone"
+        name = zones.rule if zones.is_distance else "distance (does not explain the speed alone)"
     far = 1.25 * max([entry.metres for entry in (*known, *leaving)], default=1.0)
-
-    def x(metres: float) -> float:
-        return EDGE + metres / far * (WIDTH - 2 * EDGE)
-
-    def y(scaling: float) -> float:
-        return HEIGHT - EDGE - scaling * (HEIGHT - 2 * EDGE)
-
-    for entry in known:
-        low, high = (bound if np.isfinite(bound) else entry.metres for bound in (entry.low, entry.high))
-        wide = max(x(high) - x(low), 1.0)
-        yield f'<rect x="{x(low):.1f}" y="{EDGE}" width="{wide:.1f}" height="{HEIGHT - 2 * EDGE}" fill="#cde"/>'
-        yield f'<text x="{x(entry.metres):.1f}" y="{HEIGHT - EDGE + 16}" text-anchor="middle">{entry.metres:.2f}</text>'
-    for steps, drawn in ((leaving, 'stroke-width="1.2" stroke-dasharray="5 4"'), (known, 'stroke-width="2"')):
-        points = [(0.0, steps[0].slower if steps else zones.levels[-1])]
-        for entry in steps:
-            points += [(entry.metres, entry.slower), (entry.metres, entry.faster)]
-        points.append((far, points[-1][1]))
-        line = " ".join(f"{x(m):.1f},{y(s):.1f}" for m, s in points)
-        if steps or steps is known:
-            yield f'<polyline points="{line}" fill="none" stroke="{ROBOT}" {drawn}/>'
-    for level in zones.levels:
-        box = f'x="{EDGE - 44}" y="{y(level) - 4:.1f}" width="8" height="8"'
-        yield f'<rect {box} fill="{scaling_hex(level)}"/>'
-        yield f'<text x="{EDGE - 6}" y="{y(level) + 4:.1f}" text-anchor="end">{level:.2f}</text>'
-    yield f'<text x="{EDGE}" y="{EDGE - 16}">{escape(title)}</text>'
+    curves = {"slows down": _steps(known, zones.levels[-1], far)}
+    if leaving:
+        curves["speeds up again"] = _steps(leaving, zones.levels[-1], far)
+    spans = [(each.low, each.high) for each in known if np.isfinite([each.low, each.high]).all()]
+    draw_curves(axes, curves, spans, name)
+    if known:
+        axes.set_xticks([entry.metres for entry in known], [f"{entry.metres:.2f}" for entry in known])
+        axes.set_yticks(zones.levels)
 
 
-def _curve(law: LawCard) -> Iterator[str]:
+def _steps(steps: Sequence[Threshold], fastest: float, far: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    points = [(0.0, steps[0].slower if steps else fastest)]
+    for entry in steps:
+        points += [(entry.metres, entry.slower), (entry.metres, entry.faster)]
+    points.append((far, points[-1][1]))
+    metres, speed = np.array(points).T
+    return metres, speed
+
+
+def _law(law: LawCard) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The continuous law over its distance."""
     shape = shape_of(law)
-    ends = [(s, shape.stop_m + shape.linear_m * s + shape.square_m * s**2) for s in (shape.lowest, 1.0)]
-    far = 1.25 * ends[1][1]
-    metres = np.linspace(0.0, far, 200)
-
-    def at(apart_m: float, scaling: float) -> tuple[float, float]:
-        wide, high = WIDTH - 2 * EDGE, HEIGHT - 2 * EDGE
-        return EDGE + apart_m / far * wide, HEIGHT - EDGE - scaling * high
-
-    points = [at(*each) for each in zip(metres.tolist(), shape.scaling(metres).tolist(), strict=True)]
-    line = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-    yield f'<polyline points="{line}" fill="none" stroke="{ROBOT}" stroke-width="2"/>'
-    for scaling, apart_m in ends:
-        x, y = at(apart_m, scaling)
-        yield f'<text x="{x:.1f}" y="{HEIGHT - EDGE + 16}" text-anchor="middle">{apart_m:.2f}</text>'
-        yield f'<rect x="{EDGE - 44}" y="{y - 4:.1f}" width="8" height="8" fill="{scaling_hex(scaling)}"/>'
-        yield f'<text x="{EDGE - 6}" y="{y + 4:.1f}" text-anchor="end">{scaling:.2f}</text>'
-    title = f"speed scaling over the {law.distance}, m"
-    yield f'<text x="{EDGE}" y="{EDGE - 16}">{escape(title)}</text>'
+    metres = np.linspace(0.0, 1.25 * (shape.stop_m + shape.linear_m + shape.square_m), 200)
+    return metres, shape.scaling(metres)
 
 
 def _of_rule(rule: RuleCard, *, leaving: bool) -> list[Threshold]:
@@ -120,53 +98,3 @@ def _of_rule(rule: RuleCard, *, leaving: bool) -> list[Threshold]:
         Threshold(level, then, at.value, *(np.nan if bound is None else bound for bound in (at.low, at.high)))
         for (level, at), then in zip(near, faster, strict=False)
     ]
-
-
-def _floor(zones: SafetyFunction) -> Iterator[str]:
-    corner = zones.floor_m
-    if not len(corner):
-        return
-    low, high = corner.min(axis=0), corner.max(axis=0) + FLOOR_M
-    wide = (min(WIDTH, HEIGHT) - 2 * EDGE) / float(max((high - low).max(), 1e-9))
-    side = FLOOR_M * wide
-
-    def at(x_m: float, y_m: float) -> tuple[float, float]:  # x to the right, y upwards
-        return WIDTH + EDGE + (x_m - low[0]) * wide, HEIGHT - EDGE - (y_m - low[1]) * wide
-
-    for (x_m, y_m), scaling in zip(corner.tolist(), zones.floor_scaling.tolist(), strict=True):
-        x, y = at(x_m, y_m + FLOOR_M)
-        box = f'x="{x:.1f}" y="{y:.1f}" width="{side:.1f}" height="{side:.1f}"'
-        colour = f'fill="{scaling_hex(scaling)}" fill-opacity="0.55"'
-        yield f"<rect {box} {colour}><title>{scaling:.2f}</title></rect>"
-    box = f'x="{WIDTH + EDGE / 2}" y="{EDGE - 6}" width="{WIDTH - EDGE}" height="{HEIGHT - 1.5 * EDGE}"'
-    yield f'<clipPath id="floor"><rect {box}/></clipPath><g clip-path="url(#floor)">'
-    for shape in zones.shapes:
-        yield from _shape(shape, at)
-    x, y = at(0.0, 0.0)
-    yield f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{ROBOT}"><title>robot base</title></circle></g>'
-    lines = "; lines: the rule" if zones.shapes else ""
-    title = f"median scaling where the operator is; dot: base{lines}"
-    yield f'<text x="{WIDTH + EDGE / 2}" y="{EDGE - 16}">{title}</text>'
-    yield from _scale()
-
-
-def _shape(shape: RuleShape, at: Callable[[float, float], tuple[float, float]]) -> Iterator[str]:
-    corners = [at(*corner) for corner in shape.outline_m]
-    line = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
-    dashes = ' stroke-dasharray="5 4" stroke-width="1.2"' if shape.leaving else ' stroke-width="2.5"'
-    speed = f"{100 * shape.level:.4g} %"
-    title = f"<title>{speed}: {escape(shape.name)}</title>"
-    yield f'<polygon points="{line}" fill="none" stroke="{scaling_hex(shape.level)}"{dashes}>{title}</polygon>'
-    if not shape.leaving:
-        x, y = corners[0]
-        yield f'<text x="{x + 4:.1f}" y="{y - 4:.1f}" {_HALO}>{speed}</text>'
-
-
-def _scale() -> Iterator[str]:
-    """The colour scale of the speed."""
-    left, wide = WIDTH + EDGE, 8.0
-    for number in range(21):
-        box = f'x="{left + wide * number:.0f}" y="{HEIGHT - 26}" width="{wide:.0f}" height="8"'
-        yield f'<rect {box} fill="{scaling_hex(number / 20)}"/>'
-    for number, text in ((0, "0"), (10, "50"), (20, "100 %")):
-        yield f'<text x="{left + wide * number:.0f}" y="{HEIGHT - 6}">{text}</text>'

@@ -23,6 +23,7 @@ class Chart:
         numbers: The numbers of the picture, folded up below it.
         table: A table that is always open, below those.
         more: Further tables, folded up.
+        half: Two such charts stand side by side on paper.
     """
 
     picture: Picture
@@ -31,6 +32,7 @@ class Chart:
     numbers: ReportTable | None = None
     table: ReportTable | None = None
     more: Sequence[ReportTable] = ()
+    half: bool = False
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ def _zones(page: PageInputs) -> Iterator[Chart]:
     caption = texts("why.zone_model" if plan.zones_of_model else "why.zone_log")
     if plan.shapes:
         caption += " " + texts("why.zone_rule")
-    yield Chart(picture, caption, title=texts("why.zone_title"))
+    yield Chart(picture, caption, title=texts("why.zone_title"), half=True)
 
 
 ZONES = Figure("zones", "why", _zones)
@@ -47,7 +47,7 @@ def _lost_time(page: PageInputs) -> Iterator[Chart]:
         x, y = plan.lost[int(plan.lost[:, 2].argmax()), :2].tolist()
         alt = texts("why.map_picture", x=fixed(x, 1), y=fixed(y, 1))
     picture = Picture("floor", alt, lambda width_in: maps.lost_map(width_in, plan, labels))
-    yield Chart(picture, caption, title=title)
+    yield Chart(picture, caption, title=title, half=True)
 
 
 LOST_TIME = Figure("lost_time", "why", _lost_time)

@@ -40,7 +40,7 @@ def _confusion(page: PageInputs) -> Iterator[Chart]:
     right = percent(float(counts.trace() / counts.sum())) if counts.sum() else percent(None)
     alt = texts("trust.confusion_picture", right=right)
     drawn = Picture("heatmap", alt, lambda width_in: maps.heatmap(width_in, counts, names, labels))
-    yield Chart(drawn, caption, title=name, numbers=table)
+    yield Chart(drawn, caption, title=name, numbers=table, half=True)
 
 
 CONFUSION = Figure("confusion", "trust", _confusion)
@@ -65,7 +65,7 @@ def _calibration(page: PageInputs) -> Iterator[Chart]:
     table = ReportTable(name, heads, rows, frozenset({0, 1, 2}), silent=True)
     alt = texts("trust.calibration_picture", worst=percent(found.worst))
     drawn = Picture("calibration", alt, lambda width_in: maps.calibration(width_in, found, labels))
-    yield Chart(drawn, caption, title=name, numbers=table)
+    yield Chart(drawn, caption, title=name, numbers=table, half=True)
 
 
 CALIBRATION = Figure("calibration", "trust", _calibration)

@@ -6,11 +6,12 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from cyclekit.estimate.baseline import logged_cycle, logged_order
-from cyclekit.estimate.gantt import SHOWN_S, blocks_of, legend_of, spelt
+from cyclekit.estimate.gantt import SHOWN_S, blocks_of, legend_of
+from cyclekit.plots.look import tip
 from cyclekit.report.figures.figure import Chart, Figure
 from cyclekit.report.findings import task_shares
 from cyclekit.report.numbers import UNKNOWN, fixed
-from cyclekit.report.pictures import Picture, tip
+from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def alt_of(texts: ReportTexts, found: Sequence[CycleEstimate]) -> str:
     """Return the alternative text of the time chart of these cycles."""
     first = found[0]
     worst = max(first.tasks, key=lambda share: share.safety_loss_s, default=None)
-    task, loss = (spelt(worst.task), fixed(worst.safety_loss_s, 1)) if worst else (UNKNOWN, UNKNOWN)
+    task, loss = (texts.task(worst.task), fixed(worst.safety_loss_s, 1)) if worst else (UNKNOWN, UNKNOWN)
     mean = fixed(first.expected_s, 1)
     return texts("time_chart.picture", count=len(found), name=first.name, mean=mean, task=task, loss=loss)
 
@@ -133,7 +134,9 @@ def _tasks(texts: ReportTexts, each: CycleEstimate) -> ReportTable:
     for number, share in enumerate(each.tasks, start=1):
         end_s += share.expected_s
         parts = [fixed(getattr(share, part), 1) for part in (*_FIELDS, "expected_s")]
-        rows.append([spelt(share.task), str(number), *parts, fixed(end_s, 1), _band(share.end_low_s, share.end_high_s)])
+        rows.append(
+            [texts.task(share.task), str(number), *parts, fixed(end_s, 1), _band(share.end_low_s, share.end_high_s)]
+        )
     caption = texts("time_chart.tasks", name=each.name)
     return ReportTable(caption, heads, rows, frozenset(range(1, len(heads))), silent=True)
 
@@ -149,7 +152,7 @@ def _plan(texts: ReportTexts, each: CycleEstimate) -> ReportTable:
         times = [fixed(task.start_s, 1), fixed(task.end_s, 1), _band(task.end_low_s, task.end_high_s)]
         waits = task.wait_s > SHOWN_S
         cause = max(task.decided, key=lambda name: task.decided[name]) if waits else ""
-        rows.append([spelt(task.task), task.agent, *times, fixed(task.wait_s, 1), spelt(cause)])
+        rows.append([texts.task(task.task), task.agent, *times, fixed(task.wait_s, 1), texts.task(cause)])
     caption = texts("time_chart.plan", name=each.name)
     return ReportTable(caption, heads, rows, frozenset((2, 3, 4, 5)), silent=True)
 
@@ -160,7 +163,7 @@ def _logged(texts: ReportTexts, page: PageInputs) -> ReportTable:
     rows = []
     for share in task_shares(page.tasks):
         parts = (share.nominal_s, share.safety_s, share.dwell_s, share.wait_s, share.total_s)
-        rows.append([spelt(share.name), *(fixed(part, 1) for part in parts), str(share.seen)])
+        rows.append([texts.task(share.name), *(fixed(part, 1) for part in parts), str(share.seen)])
     return ReportTable(texts("where.caption_logged"), heads, rows, frozenset(range(1, len(heads))))
 
 

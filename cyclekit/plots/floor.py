@@ -1,0 +1,179 @@
+"""A floor plan: squares, outlines of rules, furniture, places and names that do not cover each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import chain
+from typing import TYPE_CHECKING, Protocol, cast
+
+import numpy as np
+from matplotlib.patches import Polygon, Rectangle
+from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import Bbox
+
+from cyclekit.plots import colours
+from cyclekit.plots.labels import place_labels
+from cyclekit.plots.look import INK, MUTED, RULE, tip
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from cyclekit.plots.labels import CellOnFloor
+
+_GAP_PX = 9.0
+"""From a place to its name."""
+_MARKER_PX = 5.0
+_MOST_COVERED = 0.3
+"""A name of which more lies on other names is left out; the tooltip of its place has it."""
+
+
+class Shape(Protocol):
+    """A limit of a rule on the floor (`learning.rules.shapes`)."""
+
+    @property
+    def level(self) -> float: ...  # noqa: D102
+    @property
+    def leaving(self) -> bool: ...  # noqa: D102
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def outline_m(self) -> tuple[tuple[float, float], ...]: ...  # noqa: D102
+
+
+@dataclass(frozen=True)
+class Note:
+    """A name and the points that it may stand at, m; on a line it stands on it, else beside its point."""
+
+    text: str
+    points_m: Sequence[tuple[float, float]]
+    colour: str
+    on_line: bool = False
+
+
+def square(axes: Axes, x: float, y: float, side: float, colour: str, alpha: float = 1.0) -> Rectangle:
+    """Draw a square around x, y, m."""
+    drawn = Rectangle((x - side / 2, y - side / 2), side, side, color=colour, alpha=alpha, linewidth=0, zorder=2)
+    axes.add_artist(drawn)
+    return drawn
+
+
+def outline(axes: Axes, shape: Shape, text: str) -> Note | None:
+    """Draw a limit of the rule: solid where the robot slows down, dashed what lets it speed up again."""
+    line = Polygon(shape.outline_m, closed=True, fill=False, edgecolor=colours.scaling_hex(shape.level), zorder=4)
+    line.set(linewidth=1.0 if shape.leaving else 2.0, linestyle=(0, (4, 3)) if shape.leaving else "-")
+    axes.add_artist(line)
+    speed = f"{100 * shape.level:.4g}"
+    tip(_figure(axes), line, text.format(speed=speed))
+    return None if shape.leaving else Note(f"{speed} %", shape.outline_m, INK, on_line=True)
+
+
+def furnish(axes: Axes, cell: CellOnFloor, base: str | None) -> list[Note]:
+    """Draw tables, the base of the robot by its name `base` and the places; return what is to be written."""
+    for name, thing in cell.furniture.items():
+        (x, y, _), (length, width, _) = thing.xyz_m, thing.size_m
+        corner = (x - length / 2, y - width / 2)
+        box = Rectangle(corner, length, width, angle=thing.yaw_deg, rotation_point="center")
+        box.set(facecolor=RULE, edgecolor=MUTED, linewidth=1.2, zorder=1)
+        axes.add_patch(box)
+        tip(_figure(axes), box, name)
+    notes = []
+    if base is not None:
+        axes.plot([0], [0], marker="s", markersize=9, color=colours.ROBOT, zorder=5)
+        notes.append(Note(base, [(0.0, 0.0)], colours.ROBOT))
+    for places, marker, colour in ((cell.places, "D", colours.ROBOT), (cell.human_places, "o", colours.OPERATOR)):
+        for place in places.values():
+            (dot,) = axes.plot(
+                *place.xyz_m[:2], marker, markersize=5.5, color=colour, markeredgecolor="white", zorder=6
+            )
+            tip(_figure(axes), dot, place.shown)
+        notes += [Note(label.text, [label.xyz_m[:2]], colour) for label in place_labels(places)]
+    return notes
+
+
+def finish(axes: Axes, x: str, y: str, speed: str | None, notes: Sequence[Note | None]) -> None:
+    """Set the axes with their words, draw the colour scale by its name `speed`, and write the notes."""
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.08)
+    axes.autoscale_view()
+    axes.set(xlabel=x, ylabel=y)
+    axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+    if speed:
+        _scale_bar(axes, speed)
+    _write(axes, [note for note in notes if note is not None])
+
+
+def _scale_bar(axes: Axes, label: str) -> None:
+    """The colour scale of scaling, the same in every picture and in the replay."""
+    inset = axes.inset_axes((0.0, 1.03, 0.42, 0.03))
+    edges = np.linspace(0.0, 1.0, 41)
+    for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        colour = colours.scaling_hex((low + high) / 2)
+        inset.add_artist(Rectangle((low, 0), high - low + 0.004, 1, color=colour, linewidth=0))
+    inset.set(xlim=(0, 1), ylim=(0, 1), yticks=[])
+    inset.set_xticks([0, 0.5, 1], ["0", "50", "100 %"])
+    inset.tick_params(length=2, labelsize=8, top=True, labeltop=True, bottom=False, labelbottom=False)
+    for spine in inset.spines.values():
+        spine.set_visible(False)
+    inset.text(1.08, 0.5, label, transform=inset.transAxes, va="center", fontsize=8.5, color=MUTED)
+
+
+def _write(axes: Axes, notes: Sequence[Note]) -> None:
+    """Write each note where it covers the least of the others, of the places and of the frame."""
+    figure = _figure(axes)
+    figure.draw_without_rendering()  # sets the limits of the axes
+    frame = axes.get_window_extent()
+    points = axes.transData.transform([note.points_m[0] for note in notes if not note.on_line] or np.empty((0, 2)))
+    markers = [Bbox.from_bounds(x - _MARKER_PX, y - _MARKER_PX, 2 * _MARKER_PX, 2 * _MARKER_PX) for x, y in points]
+    taken: list[Bbox] = []
+    halo = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+    for note in sorted(notes, key=lambda each: each.on_line):
+        text = axes.annotate(note.text, note.points_m[0], xytext=(0, 0), textcoords="offset points", zorder=7)
+        text.set(color=note.colour, fontsize=8.5, ha="center", va="center", bbox=halo)
+        size = text.get_window_extent()
+        wide, high = size.width + 5, size.height + 3
+        best, cost = None, np.inf
+        for at, (right, up) in _spots(axes, note, wide, high):
+            box = Bbox.from_bounds(right - wide / 2, up - high / 2, wide, high)
+            names = sum(_common(box, other) for other in taken)
+            outside = wide * high - _common(box, frame)
+            this = 3 * names + 6 * outside + sum(_common(box, marker) for marker in markers)
+            this += 1e6 * (names > _MOST_COVERED * wide * high or outside > _MOST_COVERED * wide * high)
+            if this < cost - 4.0:
+                best, cost = (at, box), this
+        if best is None or cost >= 1e6:
+            text.remove()
+            continue
+        (anchor, box), middle = best, (best[1].get_points()).mean(axis=0)
+        shift = (middle - axes.transData.transform(anchor)) * 72 / figure.dpi
+        text.xy = anchor
+        text.set_position(tuple(shift.tolist()))
+        taken.append(box)
+
+
+def _spots(
+    axes: Axes, note: Note, wide: float, high: float
+) -> Iterator[tuple[tuple[float, float], tuple[float, float]]]:
+    """Points of a note and middles of its text, px; the best ones first where they cover the same."""
+    for point in note.points_m:
+        x, y = axes.transData.transform(point).tolist()
+        if note.on_line:
+            yield point, (x, y)
+            continue
+        for gap in (_GAP_PX, 2.2 * _GAP_PX, 4.0 * _GAP_PX):
+            right, up = wide / 2 + gap, high / 2 + gap
+            sides = [(0, up), (0, -up), (right, 0), (-right, 0)]
+            corners = [(a * wide / 2, b * up) for a in (1, -1) for b in (1, -1)]
+            yield from ((point, (x + a, y + b)) for a, b in chain(sides, corners))
+
+
+def _common(one: Bbox, other: Bbox) -> float:
+    both = Bbox.intersection(one, other)
+    return 0.0 if both is None else float(both.width * both.height)
+
+
+def _figure(axes: Axes) -> Figure:
+    return cast("Figure", axes.figure)

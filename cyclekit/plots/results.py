@@ -1,0 +1,120 @@
+"""What notebooks show by `.plot()`: the logged executions, a training, estimates as a time chart, an order found."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+
+from cyclekit.plots import colours
+from cyclekit.plots.drawing import Drawing
+from cyclekit.plots.gantt import draw_blocks, height_in
+from cyclekit.plots.look import INK, MUTED, plain_style
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.axes import Axes
+
+    from cyclekit.dataset.cards import TrainingCard
+    from cyclekit.plots.gantt import Block
+
+CHART_IN = 11.0
+"""Width of a time chart, inches."""
+PARTS = (
+    ("nominal_s", "motion at full speed", colours.NOMINAL),
+    ("safety_loss_s", "safety slow-down", colours.SAFETY),
+    ("dwell_s", "dwell", colours.DWELL),
+    ("wait_s", "wait", colours.WAIT),
+)
+
+
+def executions_figure(duration_s: Sequence[float], parts: Mapping[str, Sequence[float]]) -> Drawing:
+    """Return one bar per logged execution, its tasks' time split in four.
+
+    Args:
+        duration_s: How long each took, s, in the order of the logs.
+        parts: Seconds by the names of `PARTS`; an unknown one is 0.
+    """
+    with plain_style():
+        figure = Drawing(9.0, 3.4)
+        axes = figure.subplots()
+        at, bottom = np.arange(1, len(duration_s) + 1), np.zeros(len(duration_s))
+        for name, words, colour in PARTS:
+            values = np.asarray(parts[name], dtype=np.float64)
+            if values.any():
+                axes.bar(at, values, bottom=bottom, color=colour, label=words, width=0.8)
+                bottom += values
+        axes.plot(at, duration_s, "_", color=INK, markersize=6, label="cycle time")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set(xlabel="execution, in the order of the logs", ylabel="time, s")
+        figure.legend(loc="outside upper left", ncols=5)
+    return figure
+
+
+def training_figure(card: TrainingCard) -> Drawing:
+    """Return the error over the epochs of a training, and how much of the time the logs spend on each level."""
+    with plain_style():
+        figure = Drawing(9.0, 3.4)
+        error, levels = figure.subplots(1, 2, width_ratios=(3, 2))
+        _error(error, card)
+        shares = card.levels or ()
+        speed = [each.value for each in shares]
+        gap = float(np.diff(speed).min()) if len(speed) > 1 else 0.2
+        levels.barh(speed, [each.share for each in shares], height=0.7 * gap, color=[*map(colours.scaling_hex, speed)])
+        levels.xaxis.set_major_formatter(PercentFormatter(1.0))
+        levels.yaxis.set_major_formatter(PercentFormatter(1.0))
+        levels.set(ylim=(-0.15, 1.15), xlabel="part of the samples learned from", ylabel="robot speed (scaling)")
+        levels.set_yticks(speed or [0, 0.5, 1])
+    return figure
+
+
+def _error(axes: Axes, card: TrainingCard) -> None:
+    history = card.history or ()
+    epochs = [each.epoch for each in history]
+    axes.plot(
+        epochs, [each.validation_mse for each in history], "o-", color=colours.NOMINAL, label="validation executions"
+    )
+    if card.metrics is not None:
+        axes.axhline(card.metrics.mse_mean, color=colours.PREDICTED, linewidth=1.2, label="executions held out")
+        if card.metrics.mse_constant is not None:
+            axes.axhline(card.metrics.mse_constant, color=MUTED, linestyle="--", label="always the mean")
+    axes.set(xlabel="epoch", ylabel="mean squared error", ylim=(0, None))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.grid(axis="y")
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
+
+
+def chart_figure(blocks: Sequence[Block], legend: Mapping[str, str], takt_s: float | None = None) -> Drawing:
+    """Return a time chart; arguments as of `gantt.draw_gantt`."""
+    with plain_style():
+        figure = Drawing(CHART_IN, height_in(blocks, legend, CHART_IN))
+        draw_blocks(figure.subplots(), blocks, legend, takt_s)
+    return figure
+
+
+def order_figure(order: str, against: str, means_s: tuple[float, float], interval_s: tuple[float, float]) -> Drawing:
+    """Return the mean cycle time of an order beside that of the orders it is compared with.
+
+    Args:
+        order: The visits, in words.
+        against: What it is compared with.
+        means_s: Mean of the order, and of those, s.
+        interval_s: 95 % interval of the order's mean, s; NaN where unknown.
+    """
+    with plain_style():
+        figure = Drawing(9.0, 2.2)
+        axes = figure.subplots()
+        axes.barh([0, 1], means_s, height=0.55, color=[colours.NOMINAL, colours.DWELL])
+        axes.plot(interval_s, [0, 0], color=INK, linewidth=2.0, solid_capstyle="butt")
+        for row, mean_s in enumerate(means_s):
+            axes.annotate(
+                f"{mean_s:.1f} s", (0, row), xytext=(6, 0), textcoords="offset points", va="center", color=INK
+            )
+        axes.texts[0].set_color("white")
+        axes.set_yticks([0, 1], ["order found", against])
+        axes.set(ylim=(1.5, -0.5), xlabel="mean cycle time, s (line: 95 % confidence interval)")
+        figure.suptitle(order, fontsize=8.5, x=0.01, ha="left", wrap=True)
+    return figure

@@ -1,0 +1,76 @@
+"""The safety function as a picture: the speed over the distance, and the floor with the cell's furniture and places."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.ticker import PercentFormatter
+
+from cyclekit.plots import colours
+from cyclekit.plots.floor import finish, furnish, outline, square
+from cyclekit.plots.look import MUTED, RULE
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from cyclekit.plots.floor import Shape
+    from cyclekit.plots.labels import CellOnFloor
+
+    Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def draw_curves(axes: Axes, curves: Mapping[str, Curve], spans_m: Sequence[tuple[float, float]], distance: str) -> None:
+    """Draw the speed over a distance.
+
+    Args:
+        axes: Where to.
+        curves: Distance, m, and speed, 0 to 1, by meaning; the first in colours of the speed, others dashed.
+        spans_m: 95 % intervals of the thresholds.
+        distance: What the distance is between.
+    """
+    for low, high in spans_m:
+        axes.axvspan(low, high, color=RULE, linewidth=0, zorder=0)
+    for number, (name, (metres, speed)) in enumerate(curves.items()):
+        if number:
+            axes.plot(metres, speed, color=MUTED, linewidth=1.2, linestyle=(0, (4, 3)), label=name, zorder=2)
+            continue
+        axes.plot(metres, speed, color=colours.ROBOT, linewidth=1.2, label=name, zorder=2)
+        flat = np.flatnonzero(np.diff(speed) == 0)
+        for at in flat.tolist() if len(flat) < 60 else ():
+            ends = slice(at, at + 2)
+            axes.plot(metres[ends], speed[ends], color=colours.scaling_hex(float(speed[at])), linewidth=3.5, zorder=3)
+    axes.set(xlabel=f"{distance}, m", ylabel="robot speed (scaling)", ylim=(-0.05, 1.05), xlim=(0, None))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.grid(visible=True)
+    if len(curves) > 1:
+        axes.legend(loc="lower right")
+
+
+def draw_floor(
+    axes: Axes,
+    squares: NDArray[np.float64],
+    side_m: float,
+    shapes: Sequence[Shape],
+    cell: CellOnFloor,
+) -> None:
+    """Draw the floor from above.
+
+    Args:
+        axes: Where to.
+        squares: Middle x, y, m, and median speed while the operator is there, 0 to 1, shape (C, 3).
+        side_m: Side of a square.
+        shapes: Limits of the rule; those that are no distance to the TCP are shown whole.
+        cell: Places and furniture.
+    """
+    for x, y, speed in squares.tolist():
+        square(axes, x, y, side_m, colours.scaling_hex(speed), alpha=0.6)
+    whole = [squares[:, :2] - side_m / 2, squares[:, :2] + side_m / 2]
+    whole += [np.array(shape.outline_m) for shape in shapes if "TCP to" not in shape.name]
+    axes.update_datalim(np.concatenate(whole))
+    notes = [outline(axes, shape, f"{{speed}} %: {shape.name}") for shape in shapes]
+    notes += furnish(axes, cell, "base")
+    finish(axes, "x, m (base frame)", "y, m (base frame)", "speed, median while the operator is there", notes)

@@ -5,7 +5,10 @@ Orders of both agents that no execution followed are held against fresh executio
 of logged durations of the robot's tasks (history) and the estimate of a model that knows no conditions.
 
     python benchmarks/coupling.py --work DIR [--scenes shared-fixture] [--kinds signals positions list uncoupled]
-        [--executions 60 200] [--seeds 1 2] [--orders 8] [--fresh 1000]
+        [--executions 60 200] [--seeds 1 2] [--orders 8] [--fresh 1000] [--plans]
+
+With --plans the order that `plan` chooses is held against the best of all orders of a small set of jobs: one half of
+the fresh executions says which is best, the other half by how much the chosen one is slower.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import time
+from itertools import permutations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,12 +26,15 @@ from msgspec import structs
 from rich.console import Console
 from rich.table import Table
 
+from cyclekit.api.plan import plan_order
 from cyclekit.config.sequences import PlannedTask, TaskSequence
+from cyclekit.estimate.plan.jobs import ROW, Jobs
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times import learn
 from cyclekit_sim import COUPLED, SimulationOptions, fresh_cycles, random_orders
 from cyclekit_sim.coupled_list import listed_conditions, task_plan
+from cyclekit_sim.coupled_scenes import JOINT_TIMES
 from cyclekit_sim.coupled_truth import conditions
 
 if TYPE_CHECKING:
@@ -37,6 +44,8 @@ if TYPE_CHECKING:
     from cyclekit_sim.coupled_program import Order
 
 OUT = Console(width=190)
+PLANS = 1000
+"""Number of the first of the orders with which plans are judged."""
 KINDS = {
     "signals": SimulationOptions(),
     "positions": SimulationOptions(signals=False),
@@ -192,6 +201,45 @@ def _true(condition: dict[str, object]) -> tuple[object, ...]:
     return (*whose, needs["agent"], needs["place"], needs["back"])
 
 
+def small_jobs(scene: str) -> Jobs:
+    """Return three joint tasks and one of its own for each agent."""
+    rows = []
+    for jobs in (COUPLED[scene].robot_jobs, COUPLED[scene].operator_jobs):
+        joint, own, *_ = jobs.values()
+        rows.append((*[ROW.join(joint)] * JOINT_TIMES, ROW.join(own)))
+    return Jobs(visit=rows[0], start="home", end="home", operator=rows[1], operator_end="rest")
+
+
+def every_pair(scene: str) -> list[Order]:
+    """Return all orders of both agents that `small_jobs` allow."""
+    jobs = small_jobs(scene)
+    robots, operators = (
+        [[place for job in order for place in job.split(ROW)] for order in sorted(set(permutations(some)))]
+        for some in (jobs.visit, jobs.operator)
+    )
+    return [
+        {"robot": ("home", *robot, "home"), "operator": ("rest", *operator, "rest")}
+        for robot in robots
+        for operator in operators
+    ]
+
+
+def planned(asked: argparse.Namespace, scene: str, executions: int, seed: int) -> tuple[str, ...]:
+    """Return by how much the order that `plan` chooses is slower than the best, and the spread of all orders, %."""
+    cell = logged(asked.work, scene, executions, seed=seed, options=KINDS["signals"], kind="signals", rules=True)
+    found = plan_order(cell.model, cell.dataset, small_jobs(scene), validate=False)
+    chosen = {"robot": found.places, "operator": ("rest", *(found.operator or ()))}
+    pairs = every_pair(scene)
+    cycles_s = np.array([fresh(asked, scene, order, PLANS + n, 1.0)[0] for n, order in enumerate(pairs)])
+    ranked, judged = cycles_s[:, ::2].mean(axis=1), cycles_s[:, 1::2].mean(axis=1)
+    best, mine = int(ranked.argmin()), pairs.index(chosen)
+    error = np.hypot(*(cycles_s[n, 1::2].std() / len(cycles_s[n, 1::2]) ** 0.5 for n in (best, mine)))
+    slower = 100 * np.array([judged[mine] - judged[best], error]) / judged[best]
+    spread = 100 * (judged.max() / judged[best] - 1.0)
+    return (scene, f"{executions}, {seed}", str(len(pairs)), f"{judged[best]:.2f}", f"{judged[mine]:.2f}",
+            f"{slower[0]:+.2f} +- {slower[1]:.2f}", f"{spread:.1f}", f"{found.expected_s:.2f}")  # fmt: skip
+
+
 def _refuse(sequence: TaskSequence, error: Exception) -> None:
     OUT.print(f"{sequence.name} refused: {error}")
 
@@ -207,7 +255,16 @@ def main() -> None:
     parser.add_argument("--orders", type=int, default=8)
     parser.add_argument("--fresh", type=int, default=1000)
     parser.add_argument("--each", action="store_true", help="also print each order")
+    parser.add_argument("--plans", action="store_true", help="instead: the order that plan chooses beside all others")
     asked = parser.parse_args()
+    if asked.plans:
+        found = Table("cell", "logged, set", "orders", "best, s", "chosen, s", "slower, %", "worst, %", "expected, s")
+        for scene in asked.scenes:
+            for executions in asked.executions:
+                for seed in asked.seeds:
+                    found.add_row(*planned(asked, scene, executions, seed))
+        OUT.print(found)
+        return
     table = Table(*HEAD)
     for scene in asked.scenes:
         for kind in asked.kinds:

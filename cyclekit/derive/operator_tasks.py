@@ -30,7 +30,10 @@ class _Visit(NamedTuple):
 
 
 def operator_tasks(
-    cards: Sequence[ExecutionCard], stays: Sequence[Stays], spots: Mapping[str, Place]
+    cards: Sequence[ExecutionCard],
+    stays: Sequence[Stays],
+    spots: Mapping[str, Place],
+    until_s: Sequence[float] | None = None,
 ) -> list[tuple[object, ...]]:
     """Return rows of table TASKS: one for each standstill of the operator at one of his places.
 
@@ -41,13 +44,15 @@ def operator_tasks(
         cards: Executions of a session.
         stays: Where the operator stayed in each.
         spots: His places.
+        until_s: Until when his standstills are known, session seconds; None: to the end of the execution.
     """
     rows = []
-    for card, mine in zip(cards, stays, strict=False):  # executions of task lists have no standstills
+    known_s = [card.end_s for card in cards] if until_s is None else until_s
+    for card, mine, end_s in zip(cards, stays, known_s, strict=False):  # executions of task lists have no standstills
         before_s: float | None = card.start_s
         for index, visit in enumerate(_visits(mine, spots)):
             began = visit.arrived_s <= card.start_s + EDGE_S
-            lasts = visit.left_s >= card.end_s - EDGE_S
+            lasts = visit.left_s >= end_s - EDGE_S
             rows.append(
                 {
                     "execution": card.execution,

@@ -70,11 +70,15 @@ SESSION_ROWS = 1000
 
 @dataclass(frozen=True)
 class Derived:
-    """All that a dataset says beyond the samples, which lie in files; `samples`: how many."""
+    """All that a dataset says beyond the samples, which lie in files; `samples`: how many.
+
+    `tasks_to_next`: `tasks` with those of the operator from the end of each execution to the start of the next one.
+    """
 
     recordings: list[RecordingCard]
     samples: int
     tasks: pl.DataFrame
+    tasks_to_next: pl.DataFrame
     executions: list[ExecutionCard]
     places: Mapping[str, Place]
     human_places: Mapping[str, Place]
@@ -176,6 +180,7 @@ def _finished(
         recordings=[recording for one in made for recording in one.recordings],
         samples=sum(one.samples for one in some),
         tasks=_tasks(made, [one.lost_s for one in finished], spots),
+        tasks_to_next=_tasks(made, [one.lost_s for one in finished], spots, to_next=True),
         executions=[card for one in made for card in one.cards],
         places=robot.places,
         human_places=spots,
@@ -194,13 +199,15 @@ def _finished(
     )
 
 
-def _tasks(made: Sequence[Made], lost: Sequence[Floats], spots: Mapping[str, Place]) -> pl.DataFrame:
+def _tasks(
+    made: Sequence[Made], lost: Sequence[Floats], spots: Mapping[str, Place], *, to_next: bool = False
+) -> pl.DataFrame:
     """Return table TASKS of both agents, with the seconds that each cause of a speed scaling below 1 took.
 
     Samples tell the shares, and the account of time, at the log's own rate, how much there is to be shared.
     """
     columns = {name: column.dtype for name, column in schema.TASKS.items()}
-    rows = [row for one in made for row in (*one.tasks, *operator_tasks(one.cards, one.stays, spots))]
+    rows = [row for one in made for row in (*one.tasks, *_of_operator(one, spots, to_next=to_next))]
     tasks = pl.DataFrame(rows, schema=columns, orient="row")
     mine = np.flatnonzero(tasks["start_place"].is_not_null().to_numpy())
     parts = np.concatenate([*lost, np.empty((0, len(schema.SCALING_CAUSES)))])
@@ -211,6 +218,12 @@ def _tasks(made: Sequence[Made], lost: Sequence[Floats], spots: Mapping[str, Pla
     seconds[mine] = parts * tasks["safety_loss_s"].fill_null(np.nan).to_numpy()[mine, None]
     named = zip(schema.SCALING_CAUSES, seconds.T, strict=True)
     return tasks.with_columns(pl.Series(f"lost_{cause}_s", column, nan_to_null=True) for cause, column in named)
+
+
+def _of_operator(made: Made, spots: Mapping[str, Place], *, to_next: bool) -> list[tuple[object, ...]]:
+    if not to_next:
+        return operator_tasks(made.cards, made.stays, spots)
+    return operator_tasks(made.cards, [s for s, _ in made.later], spots, [until_s for _, until_s in made.later])
 
 
 def _inputs(evidence: Evidence) -> list[Note]:

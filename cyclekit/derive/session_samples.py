@@ -70,6 +70,7 @@ class Made:
         cards: What the dataset's card says about each execution.
         tasks: Rows of table TASKS.
         stays: Where the operator stayed, of each execution.
+        later: Where he stayed from its start to that of the next one, and until when that is known.
         origins: Whence the scaling comes: `logged`, `inferred`.
         silences: How each of its logs of people begins, ends and pauses.
         legs: The robot's tasks, in the order of time.
@@ -82,6 +83,7 @@ class Made:
     cards: list[ExecutionCard] = field(default_factory=list)
     tasks: list[tuple[object, ...]] = field(default_factory=list)
     stays: list[Stays] = field(default_factory=list)
+    later: list[tuple[Stays, float]] = field(default_factory=list)
     origins: set[str] = field(default_factory=set)
     silences: list[Silence] = field(default_factory=list)
     legs: list[Leg] = field(default_factory=list)
@@ -144,8 +146,12 @@ def samples_of(
 
 def _rows(session: Session, courses: Iterable[_Course], watch: Watch, made: Made) -> Iterator[SampleRows]:
     """Yield the samples of a session, in parts, since an execution may last as long as its log; fill in the rest."""
+    before: tuple[Seen, Vector, Points] | None = None
     for course in courses:
         seen = watch.during(course.t_s, course.tcp_m)
+        if before is not None:
+            made.later.append(watch.stays_until(float(course.t_s[0]), *before))
+        before = seen, course.t_s, course.tcp_m
         for first in range(0, len(course.t_s), AT_ONCE):
             yield _columns(course, seen, slice(first, first + AT_ONCE))
         if course.robot is not None and np.isfinite(course.robot.scaling).any():
@@ -155,6 +161,8 @@ def _rows(session: Session, courses: Iterable[_Course], watch: Watch, made: Made
         made.legs.extend(course.legs)
         made.cards.append(_card(session, course, made.part))
         made.stays.append(seen.stays)
+    if before is not None:
+        made.later.append(watch.stays_until(np.inf, *before))
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,8 @@ class Check:
         order_error: How far sums of logged task durations are off by the order, as part of the duration of an order of
             one task (`history.order_error`); None with few executions.
         operator: How the operator model compares with the logged tracks; None where it is these tracks.
-        unseen_error: How far the model may be off as no log shows people (standard deviation).
+        unseen_error: How far the model may be off as the logs do not show people, or what the robot waits for (standard
+            deviation).
     """
 
     executions: int

@@ -62,8 +62,9 @@ from cyclekit.text.results import Result
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cyclekit.dataset.cards import LogCard, Note, RecordingCard
+    from cyclekit.dataset.cards import CouplingCard, LogCard, Note, RecordingCard
     from cyclekit.dataset.dataset import Place
+    from cyclekit.dataset.signals import Read
 
 Progress = Callable[[float, str], None]
 
@@ -288,15 +289,29 @@ def _build(
         recordings = take_out(recordings, names, staging, shared.copies)
         warnings = names.notes(warnings)
         cell, not_read = names.settings(), names.not_read(not_read)
-    courses = courses_of(derived.executions, derived.tasks, derived.recordings, native)
-    coupling = learn_executions(courses, derived.tasks, cell.waits)
-    tasks = derived.tasks if coupling is None else with_waits_named(derived.tasks, courses, coupling)
+    tasks, coupling = _with_waits(derived, native, cell)
     write_parquet(tasks, staging / TASKS)
-    derived = replace(derived, recordings=recordings, warnings=warnings)
+    derived = replace(derived, tasks=tasks, recordings=recordings, warnings=warnings)
     card = structs.replace(_card(cell, derived, not_read, wanted), coupling=coupling, files=listed(staging))
     values = finite(plain(card))
     write_text(staging / CARD, sealed(json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n"))
     return card, intake.kept
+
+
+def _with_waits(derived: Derived, read: Read, cell: Cell) -> tuple[pl.DataFrame, CouplingCard | None]:
+    """Return table TASKS with its waits, and who waits for whom.
+
+    Where anybody waits, an execution is over when both agents are done: the operator's tasks after the robot's last
+    one count too.
+    """
+    tasks = derived.tasks
+    courses = courses_of(derived.executions, tasks, derived.recordings, read)
+    coupling = learn_executions(courses, tasks, cell.waits)
+    if coupling is not None and coupling.coupled:
+        tasks = derived.tasks_to_next
+        courses = courses_of(derived.executions, tasks, derived.recordings, read)
+        coupling = learn_executions(courses, tasks, cell.waits)
+    return (tasks if coupling is None else with_waits_named(tasks, courses, coupling)), coupling
 
 
 def _rate(rate_hz: float) -> float:

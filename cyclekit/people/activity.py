@@ -143,13 +143,27 @@ class Watch:
             counts += np.bincount(reasons, minlength=len(REASONS))
         human_m = nearest_person(self._tracks, t_s, tcp_m, bridge_s=bridge_s, width_s=width_s)
         goals = goals_from_events(*self._events, t_s) if len(self._events[0]) else []
-        spans = find_stays(t_s, human_m)
-        at_m = np.array([np.median(human_m[a : b + 1], axis=0) for a, b in spans]).reshape(-1, 3)
-        # The middle decides: at the end of a stay the next button is pressed before the operator is seen to walk.
-        middles = [goals[(a + b) // 2] for a, b in spans] if goals else []
-        times_s = np.array([(t_s[a], t_s[b]) for a, b in spans]).reshape(-1, 2)
-        stays = Stays(len(t_s), spans, times_s, at_m, middles, told=bool(goals))
-        return Seen(human_m, np.min(found, axis=0) if found else None, goals, stays)
+        return Seen(human_m, np.min(found, axis=0) if found else None, goals, _stays(t_s, human_m, goals))
+
+    def stays_until(self, next_s: float, seen: Seen, t_s: Vector, tcp_m: Points) -> tuple[Stays, float]:
+        """Return where the operator stayed from the start of an execution to that of the next, and until when, s.
+
+        Args:
+            next_s: When the next one starts; it is looked no farther than as long again as the execution took.
+            seen: The operator in the execution.
+            t_s: Times of its samples, shape (T,).
+            tcp_m: The TCP there, shape (T, 3); it stays where it is at the end.
+        """
+        last_s, rate_hz = float(t_s[-1]), self._cell.rate_hz
+        count = int(min(next_s - last_s, last_s - float(t_s[0])) * rate_hz)
+        if count <= 0:
+            return seen.stays, last_s
+        more_s = last_s + np.arange(1, count + 1) / rate_hz
+        more_m = nearest_person(
+            self._tracks, more_s, np.tile(tcp_m[-1], (count, 1)), bridge_s=self._cell.bridge_s, width_s=1.0 / rate_hz
+        )
+        whole_s, whole_m = np.concatenate([t_s, more_s]), np.concatenate([seen.human_m, more_m])
+        return _stays(whole_s, whole_m, []), float(whole_s[-1])
 
     @property
     def silences(self) -> list[Silence]:
@@ -164,6 +178,15 @@ class Watch:
             )
             for log, counts in zip(self._logs, self._counts, strict=True)
         }
+
+
+def _stays(t_s: Vector, human_m: Points, goals: Sequence[str | None]) -> Stays:
+    spans = find_stays(t_s, human_m)
+    at_m = np.array([np.median(human_m[a : b + 1], axis=0) for a, b in spans]).reshape(-1, 3)
+    # The middle decides: at the end of a stay the next button is pressed before the operator is seen to walk.
+    middles = [goals[(a + b) // 2] for a, b in spans] if goals else []
+    times_s = np.array([(t_s[a], t_s[b]) for a, b in spans]).reshape(-1, 2)
+    return Stays(len(t_s), spans, times_s, at_m, middles, told=bool(goals))
 
 
 def operator_places(stays: Sequence[Stays], cell: Cell) -> dict[str, Place]:

@@ -163,12 +163,14 @@ class JointAnswers:
             means,
             model_error=check.model_error if check else 0.0,
             judged=len(check.residuals) if check else 2,
+            bias_s=check.doubted_bias * expected if check else 0.0,
             seed=ask.seed,
         )
         shares = _slowed(task_shares(cycles), factor)
         parts = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
         split = {part: sum(getattr(share, part) for share in shares) for part in parts}
-        within = None if ask.takt_s is None else share_within(durations, ask.takt_s, weights)
+        bias = check.doubted_bias if check else 0.0
+        within = None if ask.takt_s is None else share_within(durations, ask.takt_s, weights, bias=bias)
 
         def quantile(cycles_s: Vector, level: float) -> float:
             return check.quantile(cycles_s, level) if check else float(np.quantile(cycles_s, level))

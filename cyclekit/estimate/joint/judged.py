@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.check import FEW_EXECUTIONS, LEAST, MOST, Check, compare
+from cyclekit.estimate.check import FEW_EXECUTIONS, LEAST, MOST, OWN_BIAS, Check, compare
+from cyclekit.estimate.conformal import conformal
 from cyclekit.estimate.joint.roll import longest_s
+from cyclekit.estimate.joint.unexplained import unexplained_waits
 from cyclekit.estimate.logged import logged_durations, logged_sequences
 
 if TYPE_CHECKING:
@@ -28,16 +30,36 @@ class JointCheck(Check):
     """How joint rollouts compare with the logs.
 
     Attributes:
-        spread: What the deviations of single cycles from their mean are multiplied by, so that the logged ones scatter
-            as they do; 1 where they do not differ beyond chance.
+        scores: How far logged cycles are off the mean of their rollouts, in standard deviations of these; empty with
+            few executions.
+        unexplained_s: Mean wait of the robot in an execution that no condition explains, s.
     """
 
-    spread: float = 1.0
+    scores: tuple[float, ...] = ()
+    unexplained_s: float = 0.0
+
+    @property
+    def doubted_bias(self) -> float:
+        """A bias that no condition explains, as part of the duration: taken out, it may be wrong for other orders."""
+        return abs(self.own_bias) if self.biased(OWN_BIAS) else 0.0
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What speaks against the rollout, one sentence each."""
+        if not self.unexplained_s:
+            return super().doubts
+        unexplained = (
+            f"the robot waits {self.unexplained_s:.1f} s in an execution for something that no condition explains; "
+            "in other orders it may wait longer or shorter, and the interval of the mean is wider by that"
+        )
+        return (*super().doubts, unexplained)
 
     def quantile(self, cycles_s: Vector, level: float) -> float:
-        """Return a quantile of corrected cycles (K,), s, spread as the logged ones are."""
-        mean = float(np.mean(cycles_s))
-        return mean + self.spread * (float(np.quantile(cycles_s, level)) - mean)
+        """Return a quantile of corrected cycles (K,), s, by the conformal quantile of the scores if there are any."""
+        if not self.scores:
+            return float(np.quantile(cycles_s, level))
+        off = conformal(np.array(self.scores), level)
+        return float(np.mean(cycles_s)) + off * float(np.std(cycles_s, ddof=1))
 
 
 def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], seed: int) -> JointCheck | None:
@@ -69,14 +91,14 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
     held_out = np.array([each.name in unseen for each in sequences])
     means = crossed.mean(axis=1)
     found = compare(logged, means, crossed, held_out, levels)
-    spread = _spread(logged, crossed * found.factor) if len(ended) >= FEW_EXECUTIONS else 1.0
-    return JointCheck(**{**vars(found), "spread": spread})
+    scores = _scores(logged, crossed * found.factor) if len(ended) >= FEW_EXECUTIONS else ()
+    mean_s = float(logged.mean())
+    waits = unexplained_waits(cell.dataset, [each.name for each in sequences], mean_s)
+    ours = {"scores": scores, "unexplained_s": waits.wait_s, "unseen_error": waits.by_order_s / mean_s}
+    return JointCheck(**{**vars(found), **ours})
 
 
-def _spread(logged: Vector, crossed: Vector) -> float:
-    """Return how much wider logged cycles scatter than rolled-out ones, as far as it is no chance."""
+def _scores(logged: Vector, crossed: Vector) -> tuple[float, ...]:
+    """Return how far logged cycles (E,) are off the mean of rolled-out ones (E, K), in their standard deviations."""
     off = (logged - crossed.mean(axis=1)) / np.maximum(crossed.std(axis=1, ddof=1), 1e-9)
-    ratio = float(np.sqrt(np.mean(np.clip(off, -4.0, 4.0) ** 2)))
-    chance = 1.0 / (2.0 * len(off))  # variance of its logarithm
-    apart = float(np.log(max(ratio, 1e-3)))
-    return float(np.exp(apart * max(0.0, 1.0 - chance / max(apart**2, 1e-12))))
+    return tuple(off.tolist())

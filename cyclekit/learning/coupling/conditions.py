@@ -99,11 +99,10 @@ class Passages:
         """Every how-many-th passage serves to compare conditions."""
         return -(-len(self.left_s) // SEEN)
 
-    def causes(self, more: Vector | None = None, most: int = SEEN) -> Causes:
-        """Return what decided each passage (of `most` of them), own work first, then conditions as in `since_s`."""
-        step = -(-len(self.left_s) // most)
+    def causes(self, more: Vector | None = None) -> Causes:
+        """Return what decided each passage (of SEEN of them), own work first, then conditions as in `since_s`."""
         columns = [self.left_s - self.own_s, *self.since_s.values(), *([] if more is None else [more])]
-        return take_apart(np.array([column[::step] for column in columns]))
+        return take_apart(np.array([column[:: self.step] for column in columns]))
 
 
 def passages_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Passages]:
@@ -273,13 +272,18 @@ def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Fou
         if causes.share[-1].sum() * gate.step >= LEAST_DECIDED and not _follows(causes, since[:: gate.step]):
             tried.append((condition, since, float(causes.log_likelihood.sum()) - before))
     tried.sort(key=lambda each: -each[2])
-    least = GAIN + np.log(max(len(candidates), 1)) + GAIN_PER_DEPARTURE * min(len(gate.left_s), SEEN)
+    least = least_gain(min(len(gate.left_s), SEEN)) + np.log(max(len(candidates), 1))
     good = [each for each in tried if each[2] >= least]
     if not good or good[0][2] - _by_chance(gate, good[0][1]) + before < least:
         return None
     as_good = [each for each in good if each[2] >= good[0][2] - max(AS_GOOD, AS_GOOD_PART * good[0][2])]
     found = min(as_good, key=lambda each: _before(*each[:2]))
     return found[0], found[1], found[2] * gate.step
+
+
+def least_gain(departures: int) -> float:
+    """Return by how much the log-likelihood of some departures must rise for a cause to be believed."""
+    return GAIN + GAIN_PER_DEPARTURE * departures
 
 
 def _follows(causes: Causes, since: Vector) -> bool:

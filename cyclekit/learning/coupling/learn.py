@@ -16,10 +16,11 @@ from cyclekit.learning.coupling.conditions import (
     Passages,
     early_s,
     find_conditions,
+    least_gain,
     since_event,
     times_of,
 )
-from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier, take_apart
 from cyclekit.learning.coupling.sources import find_sources
 from cyclekit.learning.coupling.visits import ExecutionVisits, courses_of
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Wait
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.schema import Floats, Vector
+    from cyclekit.schema import Floats, Ints, Vector
 
 LEAST_EXECUTIONS, MOST_EXECUTIONS = 5, 400
 """It is learned from so many executions; of more, from some that are evenly spread."""
@@ -74,17 +75,27 @@ def learn_executions(
 
 def learn_courses(courses: Sequence[ExecutionVisits], told: Sequence[Wait] = ()) -> CouplingCard:
     """Return who waits for whom in some executions; a robot's `phase` of a motion is left open."""
-    found = [_gate(courses, gate, told) for agent in AGENTS for gate in find_conditions(courses, agent, told)]
+    found = []
+    for agent in AGENTS:
+        passages = find_conditions(courses, agent, told)
+        usual_s = _usual_work_s(passages)
+        found += [_gate(courses, gate, told, usual_s) for gate in passages]
     gates = tuple(gate for gate in found if gate is not None)
     return CouplingCard(gates=gates, sources=find_sources(courses, gates), executions=len(courses))
 
 
-def _gate(courses: Sequence[ExecutionVisits], found: Passages, told: Sequence[Wait]) -> GateCard | None:
+def _usual_work_s(gates: Sequence[Passages]) -> float:
+    """Return how long an agent works at a place where it never waits, median of such places, s; inf = none."""
+    never = [gate for gate in gates if gate.gate.at == "leave" and not gate.since_s]
+    return float(np.median([np.median(gate.left_s - gate.own_s) for gate in never])) if never else float("inf")
+
+
+def _gate(courses: Sequence[ExecutionVisits], found: Passages, told: Sequence[Wait], usual_s: float) -> GateCard | None:
     """Return the card of a gate; of one without conditions there is one for leaving alone, with own work."""
     gate = found.gate
     if gate.at == "approach" and not found.found:
         return None
-    own_s, cards = _parts(courses, found)
+    own_s, cards = _parts(courses, found, usual_s)
     return GateCard(
         agent=gate.agent,
         at=gate.at,
@@ -96,13 +107,22 @@ def _gate(courses: Sequence[ExecutionVisits], found: Passages, told: Sequence[Wa
     )
 
 
-def _parts(courses: Sequence[ExecutionVisits], found: Passages) -> tuple[tuple[float, ...], list[ConditionCard]]:
-    """Return own work by its quantiles, and the conditions."""
+def _parts(
+    courses: Sequence[ExecutionVisits], found: Passages, usual_s: float
+) -> tuple[tuple[float, ...], list[ConditionCard]]:
+    """Return own work by its quantiles, and the conditions.
+
+    Where the agent always waits, its own work ends no stay: it is taken as long as at other places (`usual_s`), or as
+    half of the shortest stay where there are none, and never longer than the shortest stay.
+    """
     step = -(-len(found.left_s) // KEPT)
     since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
-    share = found.causes(most=KEPT).share
-    decided = share.argmax(axis=0)
-    own_s = _distribution(since[0], decided == 0) if (decided == 0).any() else (round(0.5 * float(since[0].min()), 4),)
+    decided = _decided(since)
+    if (decided == 0).any():
+        own_s = _distribution(since[0], decided == 0)
+    else:
+        shortest_s = float(since[0].min())
+        own_s = (round(min(usual_s, shortest_s) if np.isfinite(usual_s) else 0.5 * shortest_s, 4),)
     cards = []
     for row, (gate, condition) in enumerate(found.since_s, 1):
         if gate != found.gate:
@@ -124,6 +144,16 @@ def _parts(courses: Sequence[ExecutionVisits], found: Passages) -> tuple[tuple[f
             )
         )
     return own_s, cards
+
+
+def _decided(since_s: Floats) -> Ints:
+    """Return which cause decided each departure, shape (N,); 0 = own work, where that makes them likelier."""
+    causes = take_apart(since_s)
+    if len(since_s) > 1:
+        waits = take_apart(since_s[1:])
+        if float((causes.log_likelihood - waits.log_likelihood).sum()) < least_gain(since_s.shape[1]):
+            return np.asarray(1 + waits.share.argmax(axis=0))
+    return np.asarray(causes.share.argmax(axis=0))
 
 
 def _from_leaving(courses: Sequence[ExecutionVisits], found: Passages, condition: Condition) -> Vector:

@@ -88,7 +88,8 @@ def courses_of(
         operator = _of_operator(rows.filter(pl.col("agent") == "operator"), card.start_s)
         if not robot or not operator:
             continue
-        changes = {key: at[(at >= card.start_s) & (at <= card.end_s)] for key, at in signals[card.session].items()}
+        end_s = float(np.nanmax([card.end_s, *(s for one in operator for s in (one.arrived_s, one.left_s))]))
+        changes = {key: at[(at >= card.start_s) & (at <= end_s)] for key, at in signals[card.session].items()}
         events = {Event("signal", *key): at for key, at in changes.items()}
         visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
         found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events))

@@ -21,17 +21,18 @@ ABOUT_S = 0.1
 
 
 class _Wait(NamedTuple):
-    """A wait of one agent: execution, number of its task, seconds, and what ended it."""
+    """A wait of one agent: execution, number of its task, seconds, what ended it, and whether short of the place."""
 
     execution: str
     task: int
     agent: str
     wait_s: float
     waited_for: str
+    short: bool
 
 
 def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], coupling: CouplingCard) -> pl.DataFrame:
-    """Return table TASKS with what ended each wait, and with dwell and wait of the operator's tasks.
+    """Return table TASKS with what ended each wait, and with dwell and wait of the tasks at whose ends an agent waits.
 
     Args:
         tasks: Of both agents.
@@ -40,17 +41,18 @@ def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], co
     """
     waits = [wait for course in courses for wait in _waits(course, coupling)]
     kinds = {name: tasks.schema[name] for name in ("execution", "index", "agent")}
-    ended = pl.DataFrame(waits, schema=kinds | {"ended_s": pl.Float64, "ended_by": pl.String}, orient="row")
-    ended = ended.unique(list(kinds), keep="first")
+    columns = kinds | {"ended_s": pl.Float64, "ended_by": pl.String, "short": pl.Boolean}
+    ended = pl.DataFrame(waits, schema=columns, orient="row").unique(list(kinds), keep="first")
     joined = tasks.join(ended, on=list(kinds), how="left", maintain_order="left")
     own = (pl.col("agent") == "operator") & pl.col("agent_name").is_null()
-    stood = pl.col("end_s") - pl.col("arrival_s")
+    stood = pl.when(own).then(pl.col("end_s") - pl.col("arrival_s")).otherwise(pl.col("dwell_s") + pl.col("wait_s"))
     wait = pl.min_horizontal(pl.col("ended_s").fill_null(0.0), stood)
-    named = pl.col("ended_by").is_not_null() & (own | (pl.col("wait_s") > LEAST_S))
+    split = stood.is_not_null() & (own | ~pl.col("short").fill_null(value=True))
+    named = pl.col("ended_by").is_not_null() & (own | split | (pl.col("wait_s") > LEAST_S))
     return joined.with_columns(
         waited_for=pl.when(named).then("ended_by"),
-        wait_s=pl.when(own & stood.is_not_null()).then(wait).otherwise("wait_s"),
-        dwell_s=pl.when(own & stood.is_not_null()).then(stood - wait).otherwise("dwell_s"),
+        wait_s=pl.when(split).then(wait).otherwise("wait_s"),
+        dwell_s=pl.when(split).then(stood - wait).otherwise("dwell_s"),
     ).select(tasks.columns)
 
 
@@ -65,7 +67,10 @@ def _waits(course: ExecutionVisits, coupling: CouplingCard) -> Iterator[_Wait]:
             found = [one for one in gate.conditions if (at := _opened(course, one, nth, left_s)) and at > ready_s]
             if found and left_s - ready_s > LEAST_S and index + first >= 0:
                 last = max(found, key=lambda one: _opened(course, one, nth, left_s) or -np.inf)
-                yield _Wait(course.name, index + first, agent, left_s - ready_s, told(last))
+                short = (
+                    agent == "robot" and np.isfinite(course.visits[agent][index].reached_s) and gate.at == "approach"
+                )
+                yield _Wait(course.name, index + first, agent, left_s - ready_s, told(last), bool(short))
 
 
 def _passages(

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import polars as pl
 import pytest
 
+from cyclekit import schema
 from cyclekit.config import Wait
 from cyclekit.dataset.cards.coupling import Agent
 from cyclekit.errors import UnknownName
 from cyclekit.learning.coupling.learn import learn_courses
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
+from cyclekit.learning.coupling.waits import with_waits_named
 
 ROBOT, OPERATOR = ("feeder", "fixture", "tray", "rack"), ("bench", "fixture", "shelf")
 
@@ -51,6 +54,29 @@ def _coupled(rng: np.random.Generator, name: str) -> ExecutionVisits:
     visits: dict[Agent, list[PlaceVisit]] = {"robot": robot, "operator": operator}
     release = {Event("operator", "fixture", "leaves", "release set"): np.array(pressed[1:])}
     return ExecutionVisits(name, visits, events_of(visits) | release)
+
+
+def _handed_over(rng: np.random.Generator, name: str) -> ExecutionVisits:
+    """Return one in which the robot always holds a part for seconds until the operator has taken it."""
+    robot, operator, at, gone = [PlaceVisit("home", 0.0, 0.0)], [PlaceVisit("bench", 0.0, 3.0)], 0.0, 0.0
+    for _ in range(3):
+        robot.append(PlaceVisit("bin", at + 2.0, at + 2.6))
+        came = max(at + 4.6, gone + 8.0) + rng.uniform(1.5, 9.0)
+        gone = came + rng.uniform(1.0, 2.0)
+        robot.append(PlaceVisit("handover", at + 4.6, gone + rng.uniform(0.1, 0.5)))
+        operator += [PlaceVisit("handover", came, gone), PlaceVisit("bench", gone + 2.0, gone + 6.0)]
+        at = robot[-1].left_s
+    robot.append(PlaceVisit("home", at + 2.0, np.nan))
+    visits: dict[Agent, list[PlaceVisit]] = {"robot": robot, "operator": operator}
+    return ExecutionVisits(name, visits, events_of(visits))
+
+
+def test_own_work_where_the_robot_always_waits_is_that_of_its_other_places() -> None:
+    rng = np.random.default_rng(7)
+    card = learn_courses([_handed_over(rng, str(number)) for number in range(40)])
+    (gate,) = (gate for gate in card.gates if (gate.agent, gate.place) == ("robot", "handover"))
+    assert gate.own_s == pytest.approx((0.6,))
+    assert [(one.place, one.event, one.decided) for one in gate.conditions] == [("handover", "leaves", 120)]
 
 
 @pytest.mark.parametrize("signals", [True, False], ids=["release button", "positions only"])
@@ -134,3 +160,19 @@ def test_agents_that_do_not_see_each_other_wait_for_nothing(seed: int) -> None:
     card = learn_courses([_alone(rng, str(number)) for number in range(40)])
     assert not card.coupled
     assert {gate.agent for gate in card.gates} == {"robot", "operator"}  # they have gates of their own work
+
+
+def test_a_wait_at_a_place_is_all_of_the_standstill_but_the_own_work() -> None:
+    rng = np.random.default_rng(7)
+    courses = [_handed_over(rng, str(number)) for number in range(20)]
+    rows = [
+        {"execution": course.name, "index": index, "agent": "robot", "dwell_s": after.left_s - after.arrived_s}
+        for course in courses
+        for index, after in enumerate(course.visits["robot"][1:])
+    ]
+    tasks = schema.conform(pl.DataFrame(rows).with_columns(wait_s=0.0), schema.TASKS)
+    found = with_waits_named(tasks, courses, learn_courses(courses)).filter(pl.col("waited_for").is_not_null())
+    assert found.height == 60
+    assert found["waited_for"].unique().to_list() == ["operator leaves handover"]
+    assert found["dwell_s"].to_numpy() == pytest.approx(np.full(60, 0.6))
+    assert (found["wait_s"] > 1.0).all()

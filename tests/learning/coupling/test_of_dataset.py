@@ -34,6 +34,10 @@ def test_the_waits_of_both_are_those_of_the_truth(cells: Cells, signals: bool) -
         assert mine["waited_for"].str.starts_with(ended).all()
         assert mine.height == pytest.approx(true["wait_ended_by"].count(), abs=4)
         assert mine["wait_s"].sum() == pytest.approx(true["wait_s"].sum(), rel=0.15)
+    ended = tasks.filter(
+        pl.col("agent") == "operator", pl.col("goal_place") == "fixture", pl.col("end_s").is_not_null()
+    )
+    assert ended.height == 3 * 16  # those after the robot's last task too
 
 
 def test_nobody_waits_in_a_cell_of_people_who_roam(boxes: SimulatedCell) -> None:

@@ -1,0 +1,60 @@
+"""Waits of the robot that no condition explains: how far they may put an order off that was never logged.
+
+Whatever the robot waits for goes on while it is away, so its wait depends on how long it was away from the place, and
+that depends on the order. An estimate without the condition has the mean of all orders.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import polars as pl
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Vector
+
+LEAST_PART = 0.01
+"""Of the executions' time: less unexplained wait is not looked at."""
+LEAST_VISITS = 10
+
+
+class Unexplained(NamedTuple):
+    """Mean unexplained wait of an execution, and how far the order moves it (standard deviation), s."""
+
+    wait_s: float
+    by_order_s: float
+
+
+def unexplained_waits(dataset: Dataset, executions: Collection[str], mean_s: float) -> Unexplained:
+    """Return the robot's waits in some executions that last `mean_s` on average, without a known end; 0.0 if few."""
+    visits = dataset.tasks().filter(pl.col("execution").is_in(list(executions)), pl.col("arrival_s").is_not_null())
+    waits = visits.with_columns(wait_s=pl.when(pl.col("waited_for").is_null()).then("wait_s").fill_null(0.0))
+    waits = waits.with_columns(pl.col("wait_s").fill_null(0.0))
+    total_s = float(waits["wait_s"].sum()) / max(len(executions), 1)
+    if total_s < LEAST_PART * mean_s:
+        return Unexplained(0.0, 0.0)
+    there = ["execution", "goal_place"]
+    begin = pl.col("start_s").min().over("execution")
+    away = pl.col("arrival_s") - pl.col("end_s").shift().over(there, order_by="index").fill_null(begin)
+    first = pl.col("index") == pl.col("index").min().over(there)
+    waits = waits.with_columns(away_s=away, first=first)
+    fitted = [
+        place.select("execution", usual_s=pl.Series(_by_time_away(place), dtype=pl.Float64))
+        for place in waits.partition_by("goal_place", maintain_order=True)
+        if place.height >= LEAST_VISITS
+    ]
+    if not fitted:
+        return Unexplained(total_s, 0.0)
+    sums = pl.concat(fitted).group_by("execution").agg(pl.col("usual_s").sum())["usual_s"].to_numpy()
+    return Unexplained(total_s, float(sums.std(ddof=1)) if len(sums) > 1 else 0.0)
+
+
+def _by_time_away(visits: pl.DataFrame) -> Vector:
+    """Return the wait at each visit of one place as the time away from it tells, shape (N,), s: two straight lines."""
+    first, away = visits["first"].to_numpy() * 1.0, visits["away_s"].to_numpy()
+    by = np.column_stack([first, first * away, 1.0 - first, (1.0 - first) * away])
+    return np.asarray(by @ np.linalg.lstsq(by, visits["wait_s"].to_numpy(), rcond=None)[0])

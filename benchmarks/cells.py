@@ -20,7 +20,7 @@ from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.training import train
 from cyclekit_sim import SimulationOptions, random_sequence, simulate
 from cyclekit_sim.plan import prepare, run_alone
-from cyclekit_sim.scenes import BUILT_IN
+from cyclekit_sim.simulate import set_up
 from cyclekit_sim.truth import task_rows
 
 if TYPE_CHECKING:
@@ -130,7 +130,8 @@ def fresh(
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
         seed = JUDGED_SEED + (0 if paired else int(name[:6], 16))
-        run = prepare(BUILT_IN[scene], seed, options, executions=executions, places=places)
+        cell, options = set_up(scene, options)  # with the response and the fields of the scene, as the logs have them
+        run = prepare(cell, seed, options, executions=executions, places=places)
         rows = pl.DataFrame([row for trace in run_alone(run, run.executions) for row in task_rows(trace, 0.0)])
         rows.select("execution", "index", s=pl.col("end_s") - pl.col("start_s")).write_parquet(file)
     return pl.read_parquet(file)

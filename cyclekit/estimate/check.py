@@ -89,6 +89,8 @@ class Check:
         operator: How the operator model compares with the logged tracks; None where it is these tracks.
         unseen_error: How far the model may be off as the logs do not show people, or what the robot waits for (standard
             deviation).
+        spread: What the deviations of cycles from their mean are multiplied by, so that they scatter as logged
+            executions of other orders do about their expected durations; 1 where logs show people.
     """
 
     executions: int
@@ -104,6 +106,7 @@ class Check:
     order_error: float | None = None
     operator: OperatorModel | None = None
     unseen_error: float = 0.0
+    spread: float = 1.0
 
     @property
     def phases(self) -> int | None:
@@ -121,10 +124,14 @@ class Check:
 
     @property
     def model_error(self) -> float:
+        """Standard deviation of the mean that the network, and people whom no log shows, leave open, as part of it."""
+        return float(np.hypot(self.network_error, self.unseen_error))
+
+    @property
+    def network_error(self) -> float:
         """Standard deviation of the mean that the network's error still stands for, as part of it."""
         left = 1 - self._sure, ELSEWHERE * self._sure
-        known = float(np.hypot(self.own_bias * np.hypot(*left), self.own_error))
-        return float(np.hypot(known, self.unseen_error)) if self.unseen_error else known
+        return float(np.hypot(self.own_bias * np.hypot(*left), self.own_error))
 
     @property
     def own_within(self) -> float:
@@ -181,12 +188,14 @@ class Check:
 
     def residuals_of(self, count: int) -> Vector:
         """Return by how much each of `count` cycles is taken to be off, as part of it: residuals about their mean."""
-        rng = np.random.default_rng(0)
-        off = rng.permutation(np.resize(np.array(self.residuals) - np.mean(self.residuals), count))
-        return off + self.unseen_error * rng.standard_normal(count) if self.unseen_error else off
+        off = np.resize(np.array(self.residuals) - np.mean(self.residuals), count)
+        return np.asarray(np.random.default_rng(0).permutation(off))
 
     def quantile(self, cycles_s: Vector, level: float) -> float:
         """Return the conformal quantile of corrected cycles (K,), s, each off by a residual."""
+        if self.spread != 1.0:
+            mean_s = cycles_s.mean()
+            cycles_s = mean_s + self.spread * (cycles_s - mean_s)
         return conformal(cycles_s * (1.0 + self.residuals_of(len(cycles_s))), level)
 
     def to_dict(self) -> dict[str, Any]:
@@ -245,13 +254,28 @@ def check_rollout(
     some = np.isfinite(crossed).any(axis=1)
     means = np.full(len(sequences), np.nan)
     means[some] = np.nanmean(crossed[some], axis=1) * found.factor
-    unseen_error = model.unseen_error * float(np.nanstd(logged / means)) if isinstance(model, OnStates) else 0.0
+    unseen = unseen_people(model.unseen_error, logged / means, crossed[some]) if isinstance(model, OnStates) else {}
     return replace(
         found,
         order_error=order_error(TaskTimes(dataset), sequences, means),
         operator=operator_model([sequence.name for sequence in sequences], beside, entries),
-        unseen_error=unseen_error,
+        **unseen,
     )
+
+
+def unseen_people(part: float, off: Vector, crossed_s: Floats) -> dict[str, float]:
+    """Return `unseen_error` and `spread` of a check.
+
+    Args:
+        part: Part of the spread of logged durations by which expected ones may be off.
+        off: Logged over expected durations, shape (E,); NaN where the latter is unknown.
+        crossed_s: Durations of the executions that are known beside each of K operators, shape (N, K), s.
+    """
+    if not part:
+        return {}
+    logged = float(np.nanstd(off))
+    rolled = float(np.nanmean((np.nanstd(crossed_s, axis=1) / np.nanmean(crossed_s, axis=1)) ** 2)) ** 0.5
+    return {"unseen_error": part * logged, "spread": logged / rolled if rolled else 1.0}
 
 
 def _some(sequences: list[TaskSequence], most: int | None) -> list[TaskSequence]:

@@ -91,10 +91,10 @@ def _combined(alone: Means, rollout_s: float, sequence: TaskSequence, history: H
     share = history_share(
         alone.resampled_s / alone.resampled_s.mean(),
         resampled_s / resampled_s.mean(),
-        model_error=check.model_error,
+        model_error=check.network_error,  # what nobody saw of people is unknown to both alike
         order_error=float(np.hypot(order, apart)),
     )
     both = Combined(rollout_s, history_s, share)
     mean_s = (1.0 - share) * alone.resampled_s + share * resampled_s
-    error = float(np.hypot((1.0 - share) * alone.error, share * order))
+    error = float(np.hypot(np.hypot((1.0 - share) * check.network_error, share * order), check.unseen_error))
     return Means(alone.factor * both.expected_s / rollout_s, mean_s, error, alone.judged, both)

@@ -117,7 +117,7 @@ def simulate_sequence(
     Raises:
         SimulationError: Unknown scene or place, or a robot that gets stuck.
     """
-    cell, options = _set_up(scene, options)
+    cell, options = set_up(scene, options)
     work = prepare(cell, seed, options, executions=executions, places=places)
     rows = [row for trace in run_alone(work, work.executions) for row in task_rows(trace, 0.0)]
     sums = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
@@ -134,7 +134,7 @@ def _scene(name: str) -> Scene:
     return BUILT_IN[name]
 
 
-def _set_up(name: str, options: SimulationOptions) -> tuple[Scene, SimulationOptions]:
+def set_up(name: str, options: SimulationOptions) -> tuple[Scene, SimulationOptions]:
     """Return the scene with the safety function that the options ask for, and the options with what it leaves open."""
     scene = _scene(name)
     people = options.people or ("tracker" if scene.tracked else "signals")
@@ -162,7 +162,7 @@ def _prepare(scene: str, seed: int, options: SimulationOptions, executions: int)
         return coupled_work(scene, seed, dataclasses.replace(options, people="tracker"), executions)
     if options.coupling != 1.0 or not options.signals or options.task_list:
         raise SimulationError(f"{scene}: coupling, signals and task lists are of {', '.join(COUPLED)}")
-    cell, options = _set_up(scene, options)
+    cell, options = set_up(scene, options)
     return prepare(cell, seed, options, executions=executions)
 
 

@@ -15,7 +15,7 @@ from scipy import stats
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import SplitCard, TrainingCard
 from cyclekit.estimate import walk as walking
-from cyclekit.estimate.check import Check, check_rollout, compare
+from cyclekit.estimate.check import Check, check_rollout, compare, unseen_people
 from cyclekit.estimate.conformal import conformal
 from cyclekit.estimate.judges import judge, within
 from cyclekit.estimate.resample import interval_of_mean, resampled
@@ -185,6 +185,33 @@ def test_of_a_bias_that_was_taken_out_a_part_stays_in_the_interval():
     assert check.doubted_bias == 0.0
     assert check.model_error == pytest.approx(0.3 * 0.02, rel=0.05)
     assert replace(check, own_bias=0.0).model_error == pytest.approx(0.001)
+
+
+def test_what_nobody_saw_of_people_widens_the_interval_and_leaves_the_weight_of_history(
+    logged: Dataset, staircase: Any, routes: Any
+):
+    """The rollout and history lack it alike."""
+    sequence = TaskSequence("asked", routes[0])
+    known = replace(check_rollout(staircase, logged), order_error=0.05)
+    asked = partial(estimate_validated, staircase, logged, [sequence])
+    (seen,), (unseen,) = asked(check=known), asked(check=replace(known, unseen_error=0.1))
+    assert unseen.combined == seen.combined
+    assert unseen.expected_s == seen.expected_s
+    assert unseen.expected_high_s > seen.expected_high_s + 0.1 * seen.expected_s
+
+
+def test_cycles_scatter_as_logged_executions_of_other_orders_do():
+    rng = np.random.default_rng(0)
+    logged_s, crossed_s = rng.normal(100.0, 4.0, 50), rng.normal(100.0, 8.0, (50, 40))
+    found = unseen_people(0.4, logged_s / 100.0, crossed_s)
+    assert found["spread"] == pytest.approx(0.5, rel=0.2)
+    assert found["unseen_error"] == pytest.approx(0.4 * 0.04, rel=0.3)
+    check = replace(crossing(50, 0.0), residuals=(0.0,) * 50)
+    (low, high), (nearer, less) = (
+        [one.quantile(crossed_s.ravel(), level) for level in (0.05, 0.95)] for one in (check, replace(check, **found))
+    )
+    assert (less - nearer) == pytest.approx(found["spread"] * (high - low))
+    assert unseen_people(0.0, logged_s, crossed_s) == {}
 
 
 def test_too_few_logged_executions_are_said_and_correct_nothing(logged: Dataset, staircase: Any, routes: Any):

@@ -10,6 +10,7 @@ from importlib.metadata import version as installed
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cyclekit.dataset.cards.task_model import DETAIL
 from cyclekit.estimate.gantt import write_gantt
 from cyclekit.report.document import MARK
 from cyclekit.report.numbers import fixed, percent
@@ -161,7 +162,8 @@ def _changes(changed: Sequence[WhatIf]) -> list[Part]:
 def _learned(card: TaskModelCard) -> Part:
     rows = []
     for task in card.tasks:
-        beside = [f"{name} x{rate:.2f}" for name, rate in task.rates.items() if name and abs(rate - 1.0) > 0.1]
+        rates = {name: rate for name, rate in task.rates.items() if name and DETAIL not in name}
+        beside = [f"{name} x{rate:.2f}" for name, rate in rates.items() if abs(rate - 1.0) > 0.1]
         waits = ", ".join(task.waits_for[1:]) or "-"
         rows.append(
             [task.agent, task.task, str(len(task.work_s)), fixed(task.usual_s, 1), waits, ", ".join(beside) or "-"]

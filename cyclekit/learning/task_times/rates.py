@@ -9,12 +9,13 @@ overlapped more for that reason alone, would look slowed. Coefficients of this k
 
 A rate beside a task has a factor of the turn (the second part lies in another slot than the first). An agent between
 two tasks is still in the way, where his last task has left him; one whose tasks are all done may have gone: the rate
-alone has a factor for either.
+alone has a factor for either. These factors are taken only if the logarithm of the density grows by more than their
+number: by chance it grows by half of that on average.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.learning.task_times.runs import DoneTask, Run
-    from cyclekit.schema import Floats, Ints, Vector
+    from cyclekit.schema import Bools, Floats, Ints, Vector
 
 RATES_SPREAD = 0.7
 """Standard deviation of the logarithm of a rate, before anything is seen: half to double, two times of three."""
@@ -112,12 +113,14 @@ def fit_rates(runs: Sequence[Run], agent: str, task: str) -> TaskRates:
         task: Which.
     """
     names, before, parts = _parts(runs, agent, task)
-    k = len(names)
-    usual = np.log(np.maximum(np.bincount(parts.of, parts.dt_s), 1e-6))
-    begin = np.concatenate([[np.median(usual), np.log(usual.std() + 0.05)], np.zeros(k + parts.factors.shape[1])])
-    bounds = [(None, None), (-8.0, 3.0), *[(-4.0, 4.0)] * (len(begin) - 2)]
-    best = minimize(_density, begin, args=(parts,), jac=True, method="L-BFGS-B", bounds=bounds).x
-    log_rate, factor = best[2 : 2 + k], best[2 + k :]
+    plain = np.array([DETAIL not in name for name in names])
+    simple, full = _simpler(parts, plain), _fitted(parts)
+    best = _fitted(simple)
+    if best[0] - full[0] > np.sum(~plain):  # by chance half of that at most, on average
+        best = full
+    else:
+        names, parts = [name for name in names if DETAIL not in name], simple
+    log_rate, factor = best[1][2 : 2 + len(names)], best[1][2 + len(names) :]
     factors = np.exp(factor).tolist()
     return TaskRates(
         _centred(dict(zip(names, np.exp(log_rate).tolist(), strict=True))),
@@ -127,6 +130,21 @@ def fit_rates(runs: Sequence[Run], agent: str, task: str) -> TaskRates:
         parts.work(log_rate) / np.exp(parts.factors @ factor),
         np.array([run.number for run in runs for _ in _done(run, agent, task)], dtype=np.int64),
     )
+
+
+def _simpler(parts: _Parts, which: Bools) -> _Parts:
+    """Return parts with some of the names alone, shape (names,)."""
+    return replace(parts, beside=parts.beside[:, which], spread=parts.spread[which])
+
+
+def _fitted(parts: _Parts) -> tuple[float, Vector]:
+    """Return the least negative logarithm of the posterior density, and where it is."""
+    usual = np.log(np.maximum(np.bincount(parts.of, parts.dt_s), 1e-6))
+    more = parts.beside.shape[1] + parts.factors.shape[1]
+    begin = np.concatenate([[np.median(usual), np.log(usual.std() + 0.05)], np.zeros(more)])
+    bounds = [(None, None), (-8.0, 3.0), *[(-4.0, 4.0)] * more]
+    found = minimize(_density, begin, args=(parts,), jac=True, method="L-BFGS-B", bounds=bounds)
+    return float(found.fun), found.x
 
 
 def _centred(rates: dict[str, float]) -> dict[str, float]:

@@ -9,8 +9,7 @@ overlapped more for that reason alone, would look slowed. Coefficients of this k
 
 A rate beside a task has a factor of the turn (the second part lies in another slot than the first). An agent between
 two tasks is still in the way, where his last task has left him; one whose tasks are all done may have gone: the rate
-alone has a factor for either. These factors are taken only if the logarithm of the density grows by more than their
-number: by chance it grows by half of that on average.
+alone has a factor for either. These factors are taken only where the density grows by more than chance explains.
 """
 
 from __future__ import annotations
@@ -34,6 +33,8 @@ RATES_SPREAD = 0.7
 """Standard deviation of the logarithm of a rate, before anything is seen: half to double, two times of three."""
 DETAIL_SPREAD = 0.4
 """The same of the factors of a rate: by the turn of the task beside, and by where an agent waits."""
+DETAIL_GAIN = 0.75
+"""They are taken only if the logarithm of the density grows by so much for each; by chance by 0.5 on average."""
 FACTOR_SPREAD = 0.1
 """The same of the factors of the agent's own task before and of the turn: the way to a task, and the slot that a part
 comes from, are a small part of it."""
@@ -116,7 +117,7 @@ def fit_rates(runs: Sequence[Run], agent: str, task: str) -> TaskRates:
     plain = np.array([DETAIL not in name for name in names])
     simple, full = _simpler(parts, plain), _fitted(parts)
     best = _fitted(simple)
-    if best[0] - full[0] > np.sum(~plain):  # by chance half of that at most, on average
+    if best[0] - full[0] > DETAIL_GAIN * np.sum(~plain):
         best = full
     else:
         names, parts = [name for name in names if DETAIL not in name], simple

@@ -190,7 +190,9 @@ def test_a_rate_is_found_whatever_it_is(rate: float, seed: int) -> None:
         runs.append(Run(str(number), {"arm": (DoneTask("weld", 0.0, _end(work, since, until, rate)),),
                                       "worker": (DoneTask("pack", since, until),)}))  # fmt: skip
     rates = fit_rates(runs, "arm", "weld").rates
-    pack, none = (np.prod([rates[name] for name in names]) for names in (beside("worker", "pack", 0), idle(None, True)))
+    pack, none = (
+        np.prod([rates.get(name, 1.0) for name in names]) for names in (beside("worker", "pack", 0), idle(None, True))
+    )
     assert pack / none == pytest.approx(rate, rel=0.12)
 
 

@@ -254,12 +254,12 @@ def check_rollout(
     some = np.isfinite(crossed).any(axis=1)
     means = np.full(len(sequences), np.nan)
     means[some] = np.nanmean(crossed[some], axis=1) * found.factor
-    unseen = unseen_people(model.unseen_error, logged / means, crossed[some]) if isinstance(model, OnStates) else {}
+    nobody_saw = unseen_people(model.unseen_error, logged / means, crossed[some]) if isinstance(model, OnStates) else {}
     return replace(
         found,
         order_error=order_error(TaskTimes(dataset), sequences, means),
         operator=operator_model([sequence.name for sequence in sequences], beside, entries),
-        **unseen,
+        **nobody_saw,
     )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from cyclekit.estimate.result import AWAY, ELSEWHERE, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.plots import colours
-from cyclekit.plots.gantt import Arrow, Bar, Block, Course, Label, Layer, draw_gantt
+from cyclekit.plots.gantt import Arrow, Bar, Block, TaskEnds, BarLabel, Layer, draw_gantt
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -83,11 +83,11 @@ def _of_lists(each: CycleEstimate) -> bool:
 
 
 def _of_tasks(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
-    bars, labels, at_s, ended = list[Bar](), list[Label](), 0.0, list[_Ended]()
+    bars, labels, at_s, ended = list[Bar](), list[BarLabel](), 0.0, list[_Ended]()
     for number, share in enumerate(each.tasks, start=1):
         parts = _parts(share, 0, at_s, at_s + share.expected_s, f"{number} {spelt(share.task)}")
         end_s = max((bar.end_s for bar in parts), default=at_s)
-        labels.append(Label(0, at_s, end_s, _texts(share.task, number)))
+        labels.append(BarLabel(0, at_s, end_s, _texts(share.task, number)))
         bars += parts
         ended.append(_Ended(spelt(share.task), end_s, share.end_low_s, share.end_high_s))
         at_s = end_s
@@ -120,7 +120,7 @@ def _parts(share: TaskShare, lane: int, start_s: float, end_s: float, row: str) 
 def _of_plan(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
     agents = _agents(each.plan)
     lane = {agent: number for number, agent in enumerate(agents)}
-    bars, arrows, labels = list[Bar](), list[Arrow](), list[Label]()
+    bars, arrows, labels = list[Bar](), list[Arrow](), list[BarLabel]()
     shares, turn = _shares_of(each), Counter[str]()
     for number, task in enumerate(each.plan, start=1):
         turn[task.agent] += 1
@@ -139,7 +139,7 @@ def _of_plan(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
             colour = colours.NOMINAL if task.kind == "robot" else colours.OPERATOR
             tip = f"{row}: {task.start_s:.1f} to {task.end_s:.1f} s"
             bars.append(Bar(at, task.start_s, task.end_s, colour, tip=tip, row=row))
-        labels.append(Label(at, task.start_s, task.end_s, _texts(task.task, turn[task.agent])))
+        labels.append(BarLabel(at, task.start_s, task.end_s, _texts(task.task, turn[task.agent])))
     ends = [_Ended(f"{one.agent}: {spelt(one.task)}", one.end_s, one.end_low_s, one.end_high_s) for one in each.plan]
     parts = tuple(bars), tuple(labels), tuple(arrows), _course(ends), _layers(each, tints)
     return Block(_titles(each), tuple(agents), *parts, "operator")
@@ -172,7 +172,7 @@ def _ended_by(task: PlannedShare, plan: Sequence[PlannedShare]) -> PlannedShare 
     return max(ended or begun, key=lambda one: one.end_s, default=None)
 
 
-def _course(ended: Sequence[_Ended]) -> Course | None:
+def _course(ended: Sequence[_Ended]) -> TaskEnds | None:
     """Return how many tasks have ended when, in the order of their ends; None for a single task."""
     if len(ended) < 2:
         return None
@@ -184,7 +184,7 @@ def _course(ended: Sequence[_Ended]) -> Course | None:
         band = f"; in single cycles {each.low_s:.1f} to {each.high_s:.1f} s" if known else ""
         tips.append(f"{done} of {len(ended)} tasks done, {each.name}: {each.end_s:.1f} s{band}")
     band_s = (tuple(low), tuple(high)) if known else ((), ())
-    return Course(tuple(each.end_s for each in ended), *band_s, tuple(tips))
+    return TaskEnds(tuple(each.end_s for each in ended), *band_s, tuple(tips))
 
 
 def _titles(each: CycleEstimate) -> tuple[str, ...]:

@@ -44,7 +44,7 @@ class Shape(Protocol):
 
 
 @dataclass(frozen=True)
-class Note:
+class FloorNote:
     """A name and the points that it may stand at, m; on a line it stands on it, else beside its point."""
 
     text: str
@@ -60,17 +60,17 @@ def square(axes: Axes, x: float, y: float, side: float, colour: str, alpha: floa
     return drawn
 
 
-def outline(axes: Axes, shape: Shape, text: str) -> Note | None:
+def outline(axes: Axes, shape: Shape, text: str) -> FloorNote | None:
     """Draw a limit of the rule: solid where the robot slows down, dashed what lets it speed up again."""
     line = Polygon(shape.outline_m, closed=True, fill=False, edgecolor=colours.scaling_hex(shape.level), zorder=4)
     line.set(linewidth=1.0 if shape.leaving else 2.0, linestyle=(0, (4, 3)) if shape.leaving else "-")
     axes.add_artist(line)
     speed = f"{100 * shape.level:.4g}"
     tip(_figure(axes), line, text.format(speed=speed))
-    return None if shape.leaving else Note(f"{speed} %", shape.outline_m, INK, on_line=True)
+    return None if shape.leaving else FloorNote(f"{speed} %", shape.outline_m, INK, on_line=True)
 
 
-def furnish(axes: Axes, cell: CellOnFloor, base: str | None) -> list[Note]:
+def furnish(axes: Axes, cell: CellOnFloor, base: str | None) -> list[FloorNote]:
     """Draw tables, the base of the robot by its name `base` and the places; return what is to be written."""
     for name, thing in cell.furniture.items():
         (x, y, _), (length, width, _) = thing.xyz_m, thing.size_m
@@ -82,18 +82,18 @@ def furnish(axes: Axes, cell: CellOnFloor, base: str | None) -> list[Note]:
     notes = []
     if base is not None:
         axes.plot([0], [0], marker="s", markersize=9, color=colours.ROBOT, zorder=5)
-        notes.append(Note(base, [(0.0, 0.0)], colours.ROBOT))
+        notes.append(FloorNote(base, [(0.0, 0.0)], colours.ROBOT))
     for places, marker, colour in ((cell.places, "D", colours.ROBOT), (cell.human_places, "o", colours.OPERATOR)):
         for place in places.values():
             (dot,) = axes.plot(
                 *place.xyz_m[:2], marker, markersize=5.5, color=colour, markeredgecolor="white", zorder=6
             )
             tip(_figure(axes), dot, place.shown)
-        notes += [Note(label.text, [label.xyz_m[:2]], colour) for label in place_labels(places)]
+        notes += [FloorNote(label.text, [label.xyz_m[:2]], colour) for label in place_labels(places)]
     return notes
 
 
-def finish(axes: Axes, x: str, y: str, speed: str | None, notes: Sequence[Note | None]) -> None:
+def finish(axes: Axes, x: str, y: str, speed: str | None, notes: Sequence[FloorNote | None]) -> None:
     """Set the axes with their words, draw the colour scale by its name `speed`, and write the notes."""
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
@@ -121,7 +121,7 @@ def _scale_bar(axes: Axes, label: str) -> None:
     inset.text(1.08, 0.5, label, transform=inset.transAxes, va="center", fontsize=8.5, color=MUTED)
 
 
-def _write(axes: Axes, notes: Sequence[Note]) -> None:
+def _write(axes: Axes, notes: Sequence[FloorNote]) -> None:
     """Write each note where it covers the least of the others, of the places and of the frame."""
     figure = _figure(axes)
     figure.draw_without_rendering()  # sets the limits of the axes
@@ -155,7 +155,7 @@ def _write(axes: Axes, notes: Sequence[Note]) -> None:
 
 
 def _spots(
-    axes: Axes, note: Note, wide: float, high: float
+    axes: Axes, note: FloorNote, wide: float, high: float
 ) -> Iterator[tuple[tuple[float, float], tuple[float, float]]]:
     """Points of a note and middles of its text, px; the best ones first where they cover the same."""
     for point in note.points_m:

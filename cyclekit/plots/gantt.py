@@ -55,7 +55,7 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class Label:
+class BarLabel:
     """A name above the bars of a lane from `start_s` to `end_s`: the first of `texts` that fits, or none."""
 
     lane: int
@@ -75,7 +75,7 @@ class Arrow:
 
 
 @dataclass(frozen=True)
-class Course:
+class TaskEnds:
     """When each task has ended: mean, and between which times in single cycles; s, ascending, empty if not known."""
 
     ends_s: tuple[float, ...]
@@ -110,9 +110,9 @@ class Block:
     titles: tuple[str, ...]
     lanes: tuple[str, ...]
     bars: tuple[Bar, ...]
-    labels: tuple[Label, ...] = ()
+    labels: tuple[BarLabel, ...] = ()
     arrows: tuple[Arrow, ...] = ()
-    course: Course | None = None
+    course: TaskEnds | None = None
     layers: tuple[Layer, ...] = ()
     layers_name: str = ""
 
@@ -216,7 +216,7 @@ class _Drawing:
         middles = (top + _BAR_IN / 2 for top in self._bars_in)
         return names | dict(zip(middles, lanes, strict=True))
 
-    def _draw_course(self, course: Course) -> float:
+    def _draw_course(self, course: TaskEnds) -> float:
         foot_in, high_in = self._top_in + _TITLE_IN + _COURSE_IN - 0.03, _COURSE_IN - 0.08
         count = max(len(course.ends_s), 1)
         done_in = [foot_in - high_in * number / count for number in range(count + 1)]
@@ -237,7 +237,7 @@ class _Drawing:
         if bar.tip:
             self._tip(self._axes.figure, drawn.patches[0], bar.tip, bar.row)  # type: ignore[arg-type]
 
-    def _draw_label(self, label: Label) -> None:
+    def _draw_label(self, label: BarLabel) -> None:
         arrives = any((arrow.to_lane, arrow.to_s) == (label.lane, label.start_s) for arrow in self._block.arrows)
         beside_in = 0.07 if arrives else 0.0
         room_in = (label.end_s - label.start_s) / self._s_per_in

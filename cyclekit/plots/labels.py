@@ -25,7 +25,7 @@ _NUMBERED = re.compile(r"^(?P<stem>.*?)[ _-]?(?P<number>\d+)$")
 
 
 @dataclass(frozen=True)
-class Label:
+class PlaceLabel:
     """A text and where it belongs, metres, base frame."""
 
     text: str
@@ -41,7 +41,7 @@ class CellOnFloor:
     furniture: Mapping[str, Furniture] = field(default_factory=dict)
 
 
-def place_labels(places: Mapping[str, Place]) -> list[Label]:
+def place_labels(places: Mapping[str, Place]) -> list[PlaceLabel]:
     """Return the labels of `places`, families of close numbered places under one."""
     families: dict[str, list[Place]] = {}
     for place in places.values():
@@ -50,12 +50,12 @@ def place_labels(places: Mapping[str, Place]) -> list[Label]:
     return [label for family in families.values() for label in _labels(family)]
 
 
-def _labels(family: list[Place]) -> list[Label]:
+def _labels(family: list[Place]) -> list[PlaceLabel]:
     family = sorted(family, key=lambda place: (len(place.shown), place.shown))
     points = np.array([place.xyz_m for place in family])
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if len(family) < 2 or steps.max() > CLOSE_M:
-        return [Label(place.shown, place.xyz_m) for place in family]
+        return [PlaceLabel(place.shown, place.xyz_m) for place in family]
     x_m, y_m, z_m = points.mean(axis=0).tolist()
     last = _NUMBERED.match(family[-1].shown)
-    return [Label(f"{family[0].shown} … {last['number'] if last else ''}", (x_m, y_m, z_m))]
+    return [PlaceLabel(f"{family[0].shown} … {last['number'] if last else ''}", (x_m, y_m, z_m))]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from cyclekit.plots.floor import Note
+    from cyclekit.plots.floor import FloorNote
     from cyclekit.report.findings import LoggedResponse
     from cyclekit.report.floor import FloorPlan
     from cyclekit.report.judged import PredictionBins
@@ -169,7 +169,7 @@ def _floor(width_in: float, plan: FloorPlan) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _finish(axes: Axes, plan: FloorPlan, labels: Mapping[str, str], notes: list[Note | None]) -> None:
+def _finish(axes: Axes, plan: FloorPlan, labels: Mapping[str, str], notes: list[FloorNote | None]) -> None:
     """Tables, robot base and path, places, axes and colour scale."""
     axes.plot(*plan.robot_m.T, color=colours.ROBOT, linewidth=0.7, alpha=0.7, zorder=3)
     notes += furnish(axes, plan.cell, labels["base"] if plan.robot_known else None)

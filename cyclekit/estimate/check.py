@@ -254,16 +254,18 @@ def check_rollout(
     some = np.isfinite(crossed).any(axis=1)
     means = np.full(len(sequences), np.nan)
     means[some] = np.nanmean(crossed[some], axis=1) * found.factor
-    nobody_saw = unseen_people(model.unseen_error, logged / means, crossed[some]) if isinstance(model, OnStates) else {}
+    part = model.unseen_error if isinstance(model, OnStates) else 0.0
+    unseen_error, spread = unseen_people(part, logged / means, crossed[some])
     return replace(
         found,
         order_error=order_error(TaskTimes(dataset), sequences, means),
         operator=operator_model([sequence.name for sequence in sequences], beside, entries),
-        **nobody_saw,
+        unseen_error=unseen_error,
+        spread=spread,
     )
 
 
-def unseen_people(part: float, off: Vector, crossed_s: Floats) -> dict[str, float]:
+def unseen_people(part: float, off: Vector, crossed_s: Floats) -> tuple[float, float]:
     """Return `unseen_error` and `spread` of a check.
 
     Args:
@@ -272,10 +274,10 @@ def unseen_people(part: float, off: Vector, crossed_s: Floats) -> dict[str, floa
         crossed_s: Durations of the executions that are known beside each of K operators, shape (N, K), s.
     """
     if not part:
-        return {}
+        return 0.0, 1.0
     logged = float(np.nanstd(off))
     rolled = float(np.nanmean((np.nanstd(crossed_s, axis=1) / np.nanmean(crossed_s, axis=1)) ** 2)) ** 0.5
-    return {"unseen_error": part * logged, "spread": logged / rolled if rolled else 1.0}
+    return part * logged, logged / rolled if rolled else 1.0
 
 
 def _some(sequences: list[TaskSequence], most: int | None) -> list[TaskSequence]:

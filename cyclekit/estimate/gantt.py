@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from cyclekit.estimate.result import AWAY, ELSEWHERE, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.plots import colours
-from cyclekit.plots.gantt import Arrow, Bar, Block, TaskEnds, BarLabel, Layer, draw_gantt
+from cyclekit.plots.gantt import Arrow, Bar, BarLabel, Block, Layer, TaskEnds, draw_gantt
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

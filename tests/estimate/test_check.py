@@ -203,15 +203,16 @@ def test_what_nobody_saw_of_people_widens_the_interval_and_leaves_the_weight_of_
 def test_cycles_scatter_as_logged_executions_of_other_orders_do():
     rng = np.random.default_rng(0)
     logged_s, crossed_s = rng.normal(100.0, 4.0, 50), rng.normal(100.0, 8.0, (50, 40))
-    found = unseen_people(0.4, logged_s / 100.0, crossed_s)
-    assert found["spread"] == pytest.approx(0.5, rel=0.2)
-    assert found["unseen_error"] == pytest.approx(0.4 * 0.04, rel=0.3)
+    unseen_error, spread = unseen_people(0.4, logged_s / 100.0, crossed_s)
+    assert spread == pytest.approx(0.5, rel=0.2)
+    assert unseen_error == pytest.approx(0.4 * 0.04, rel=0.3)
     check = replace(crossing(50, 0.0), residuals=(0.0,) * 50)
     (low, high), (nearer, less) = (
-        [one.quantile(crossed_s.ravel(), level) for level in (0.05, 0.95)] for one in (check, replace(check, **found))
+        [one.quantile(crossed_s.ravel(), level) for level in (0.05, 0.95)]
+        for one in (check, replace(check, spread=spread))
     )
-    assert (less - nearer) == pytest.approx(found["spread"] * (high - low))
-    assert unseen_people(0.0, logged_s, crossed_s) == {}
+    assert (less - nearer) == pytest.approx(spread * (high - low))
+    assert unseen_people(0.0, logged_s, crossed_s) == (0.0, 1.0)
 
 
 def test_too_few_logged_executions_are_said_and_correct_nothing(logged: Dataset, staircase: Any, routes: Any):

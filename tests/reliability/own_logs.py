@@ -71,6 +71,8 @@ def own_logs(folder: Path) -> list[OwnLog]:
         "task json": ("task-list", _task_json, ReadOptions()),
         "xes": ("task-list", _xes, ReadOptions()),
         "safety": ("safety-log", _safety, ReadOptions()),
+        "scope": ("twincat-scope", _scope, ReadOptions()),
+        "trace": ("codesys-trace", _trace, ReadOptions()),
     }
     written = [OwnLog(name, a, {"log.txt": text().encode()}, options) for name, (a, text, options) in texts.items()]
     binary = [OwnLog("ur binary", "ur-rtde", {"log.bin": _ur_binary()}), OwnLog("c3d", "c3d", {"log.c3d": _c3d()})]
@@ -222,6 +224,19 @@ def _safety() -> str:
     names = ["", "Timestamp", "Safe_Ovr", "distance", "Recipe"]
     rows: list[list[object]] = [[row, 1.6e9 + row / 30, row % 101, 2.0 - row / 50, "a"] for row in range(ROWS)]
     return _table(names, rows)
+
+
+def _scope() -> str:
+    head = [["Name", "scope"], ["File", "scope.csv"], ["Starttime of export", 132959733843760000], [], []]
+    head += [["Name", "field"], ["SymbolComment", ""], ["Data-Type", "BIT"], ["SampleTime[ms]", 1], ["Port", 851], []]
+    rows: list[list[object]] = [[row, row // 7 % 2] for row in range(ROWS)]
+    return "".join("\t".join(map(str, cells)) + "\n" for cells in [*head, *rows])
+
+
+def _trace() -> str:
+    head = ["[key]; [value]", "Version; 0x03050000", "Name; Application.Trace", "Flags; 16"]
+    samples = [f"; {10 * row}; {'TRUE' if row // 7 % 2 else 'FALSE'}" for row in range(ROWS)]
+    return "\n".join([*head, "0.Variable; PLC_PRG.field", "0.Class; 14", "0.Data; ", *samples]) + "\n"
 
 
 def _signal() -> str:

@@ -82,7 +82,7 @@ def test_the_zone_map_draws_the_rule_of_the_model(dataset):
     lines = [one for one in figure.axes[0].patches if isinstance(one, Polygon)]
     assert [to_hex(line.get_edgecolor()) for line in lines] == [scaling_hex(level) for level in (0.5, 0.0, 0.0)]
     np.testing.assert_allclose(lines[0].get_xy()[:4], [(0.8, -0.5), (1.6, -0.5), (1.6, 0.5), (0.8, 0.5)])
-    assert [text.get_text() for text in figure.axes[0].texts][:2] == ["50 %", "0 %"]
+    assert {text.get_text() for text in figure.axes[0].texts} >= {"50 %", "0 %"}
     assert floor_plan(dataset, dataset.samples(), DistanceModel()).shapes == ()
 
 

@@ -134,7 +134,9 @@ def _header(path: Path) -> _Header:
     """
     encoding = file_encoding(path) or "utf-8"
     lines = head_lines(path, _HEADER_LINES, encoding)
-    mark = lines[0][4:5]
+    mark = lines[0][4:5] if lines else ""
+    if mark not in _DELIMITERS or not mark:
+        raise DamagedLog(path, "no `Name` and delimiter in the first line", cure="Export it again with its header.")
     named = next((i for i, line in enumerate(lines) if i > 1 and _key(line, mark) == "Name"), None)
     if named is None:
         raise DamagedLog(path, "no header line of channels", cure="Export it with the names of the channels.")

@@ -49,6 +49,7 @@ def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], co
     other = pl.col("wait_s") - pl.col("lost_wait_s").fill_null(pl.col("wait_s"))  # lost to a pause or a stop: it stays
     wait = pl.max_horizontal(pl.min_horizontal(pl.col("ended_s").fill_null(0.0), stood), pl.when(~own).then(other))
     split = stood.is_not_null() & (own | ~pl.col("short").fill_null(value=True))
+    lost = split & ~own & pl.col("lost_wait_s").is_not_null()
     named = pl.col("ended_by").is_not_null() & (own | split | (pl.col("wait_s") > LEAST_S))
     return joined.with_columns(
         waited_for=pl.when(named).then("ended_by"),

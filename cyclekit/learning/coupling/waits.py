@@ -55,9 +55,7 @@ def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], co
         waited_for=pl.when(named).then("ended_by"),
         wait_s=pl.when(split).then(wait).otherwise("wait_s"),
         dwell_s=pl.when(split).then(stood - wait).otherwise("dwell_s"),
-        lost_wait_s=pl.when(split & ~own & pl.col("lost_wait_s").is_not_null())
-        .then(wait - other)
-        .otherwise("lost_wait_s"),
+        lost_wait_s=pl.when(lost).then(wait - other).otherwise("lost_wait_s"),
     ).select(tasks.columns)
 
 

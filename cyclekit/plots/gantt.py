@@ -30,6 +30,8 @@ _WIDTH_IN, _WIDE_IN = 11.0, 6.0
 _LEFT_IN, _RIGHT_IN, _FOOT_IN, _KEY_IN = 0.82, 0.16, 0.5, 0.2
 _TITLE_IN, _COURSE_IN, _LABEL_IN, _BAR_IN, _GAP_IN = 0.27, 0.5, 0.17, 0.24, 0.09
 _TITLE_PT, _LABEL_PT, _NAME_PT = 9.0, 8.0, 8.5
+_HINTED = 1.05
+"""Letters that are drawn on whole pixels are wider by up to this factor."""
 _INK, _MUTED, _RULE, _BAND = "#1c232b", "#55606c", "#d9dee4", "#b9c8db"
 
 
@@ -319,4 +321,4 @@ def _text_in(text: str, size_pt: float, weight: str = "normal") -> float:
         warnings.filterwarnings("ignore", "Glyph")  # a letter that DejaVu lacks; browsers have it
         font = FontProperties(size=size_pt, weight=weight)
         width_pt, _, _ = TextToPath().get_text_width_height_descent(text, font, ismath=False)
-    return float((width_pt + 0.5 * size_pt * wide) / 72.0)
+    return float(_HINTED * (width_pt + 0.5 * size_pt * wide) / 72.0)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from cyclekit.estimate.result import AWAY, ELSEWHERE, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.plots import colours
 from cyclekit.plots.gantt import Arrow, Bar, BarLabel, Block, Layer, TaskEnds, draw_gantt
+from cyclekit.text.plain_text import spelt
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -200,11 +201,6 @@ def _titles(each: CycleEstimate) -> tuple[str, ...]:
 def _texts(task: str, number: int) -> tuple[str, ...]:
     """Return the label of a task, longest first: its number and where it leads, its number."""
     return f"{number} {task.rpartition('->')[2]}", str(number)
-
-
-def spelt(task: str) -> str:
-    """Write a task `a->b` for display."""
-    return task.replace("->", " → ")
 
 
 def _families(each: CycleEstimate) -> dict[str, tuple[float, ...]]:

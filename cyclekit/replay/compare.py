@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cyclekit.replay.phase import common_order, repetitions
-from cyclekit.replay.words import spell
-from cyclekit.text.plain_text import markdown
+from cyclekit.text.plain_text import markdown, spelt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,7 +56,7 @@ def comparison(runs: Sequence[ReplayedExecution]) -> str:
     for task, repetition in keys:
         cells = [_cell(*each[task, repetition]) for each in times]
         again = f" ({repetition}.)" if repetition > 1 else ""
-        lines.append(f"| {markdown(spell(task))}{again} | " + " | ".join(cells) + " |")
+        lines.append(f"| {markdown(spelt(task))}{again} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 

@@ -15,7 +15,8 @@ from cyclekit.dataset.lost_time import CAUSE_NAMES
 from cyclekit.plots import colours
 from cyclekit.replay.ledger import ACCOUNTS, ledger
 from cyclekit.replay.phase import TASK
-from cyclekit.replay.words import LogLine, lanes, log_lines, miss_lines, spell, summary
+from cyclekit.replay.words import LogLine, lanes, log_lines, miss_lines, summary
+from cyclekit.text.plain_text import spelt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,7 +143,7 @@ def _lanes(sink: Sink) -> None:
     ways = zip(robot, doing, strict=True)
     shades = {text: "#5b6673" if task and moving is False else "#8f9cab" for text, (task, moving) in ways if text}
     _lane(sink, "lanes/2_robot", robot, shades)
-    human = [None if task is None else spell(task) for task in run.human_task]
+    human = [None if task is None else spelt(task) for task in run.human_task]
     if not any(human):
         human = ["seen" if seen else None for seen in np.isfinite(run.human_m[:, 0])]
     names = sorted({text for text in human if text})
@@ -193,4 +194,4 @@ def _percent(scaling: float) -> str:
 def _doing(task: str | None, moving: bool | None) -> str | None:
     if task is None:
         return None if moving is None else ("moving" if moving else "standstill")
-    return spell(task) if moving is not False else f"at {task.rpartition('->')[2]}"
+    return spelt(task) if moving is not False else f"at {task.rpartition('->')[2]}"

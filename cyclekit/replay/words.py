@@ -14,7 +14,7 @@ import numpy as np
 
 from cyclekit.plots import colours
 from cyclekit.replay.misses import misses
-from cyclekit.text.plain_text import markdown
+from cyclekit.text.plain_text import markdown, spelt
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -63,11 +63,6 @@ class Slowdown:
     human_task: str | None
 
 
-def spell(task: str) -> str:
-    """Write a task `a->b` as people read it."""
-    return task.replace("->", " → ")
-
-
 def slowdowns(run: ReplayedExecution) -> list[Slowdown]:
     """Return the stretches in which the moving robot was below full speed, in order of time."""
     slow = (run.scaling < FULL) & np.array([moving is not False for moving in run.moving], dtype=np.bool_)
@@ -107,7 +102,7 @@ def miss_lines(run: ReplayedExecution) -> list[LogLine]:
     """Return where prediction and log differ most, in order of time; a click on the time jumps there."""
     lines = []
     for rank, miss in enumerate(misses(run), start=1):
-        doing = f" on {spell(miss.robot_task)}" if miss.robot_task else ""
+        doing = f" on {spelt(miss.robot_task)}" if miss.robot_task else ""
         text = (
             f"#{rank}: logged {100 * miss.logged:.0f} %, predicted {100 * miss.predicted:.0f} %{doing}, "
             f"operator {miss.distance_m:.2f} m away; off by {miss.seconds:.1f} s in {miss.end_s - miss.start_s:.1f} s"
@@ -150,7 +145,7 @@ def lanes(labels: Sequence[str | None], t_s: NDArray[np.float64]) -> list[tuple[
 
 def _why(slow: Slowdown) -> str:
     speed = f"robot at {100 * slow.lowest:.0f} % speed"
-    where = f" on {spell(slow.robot_task)}" if slow.robot_task else ""
+    where = f" on {spelt(slow.robot_task)}" if slow.robot_task else ""
     near = "" if np.isnan(slow.nearest_m) else f", operator {slow.nearest_m:.2f} m away"
     doing = f" ({slow.human_task})" if slow.human_task else ""
     return f"{speed}{where}{near}{doing}"
@@ -165,7 +160,7 @@ def _slow_lines(run: ReplayedExecution) -> Iterator[LogLine]:
 
 def _task_lines(run: ReplayedExecution) -> Iterator[LogLine]:
     for row in run.tasks.iter_rows(named=True):
-        yield LogLine(row["start_s"], f"Robot starts {spell(row['task'])}")
+        yield LogLine(row["start_s"], f"Robot starts {spelt(row['task'])}")
         took = row["arrival_s"] - row["start_s"]
         loss = row["safety_loss_s"]
         lost = "" if loss is None else f", {loss:.1f} s of it slow-down" if loss >= 0.05 else ", no slow-down"
@@ -176,7 +171,7 @@ def _operator_lines(run: ReplayedExecution) -> Iterator[LogLine]:
     changes = lanes(run.human_task, run.t_s)[:-1]
     for time_s, task in changes:
         if task is not None:
-            yield LogLine(time_s, f"Operator: {spell(task)}", colour="#2ba08d")
+            yield LogLine(time_s, f"Operator: {spelt(task)}", colour="#2ba08d")
     unseen = np.isnan(run.human_m[:, 0])
     if unseen.all():
         return

@@ -65,6 +65,11 @@ def needs_it(document: str) -> bool:
     return "\\" in document or CONTROL.search(document) is not None
 
 
+def spelt(task: str) -> str:
+    """Write a task `a->b` for display."""
+    return task.replace("->", " → ")
+
+
 def markdown(text: str) -> str:
     """Return a text that Markdown shows as it is: no HTML, link, picture, emphasis, heading or list in it."""
     plain = " ".join(one_line(line) for line in text.splitlines()) if "\n" in text else one_line(text)

@@ -144,7 +144,8 @@ def write_report(
         page = asked.found(sequences, changes, tried, jobs, estimates, evaluation)
     if chosen == "xlsx":
         return _as_workbook(data, trained, file, page, looks)
-    facts = compose_report(data, trained, file, kind=chosen, play=play, **page, **looks, progress=_part(tell, 0.7, 1.0))
+    written = {"kind": chosen, "play": play, "progress": _part(tell, 0.35, 1.0), **looks}
+    facts = compose_report(data, trained, file, **page, **written)
     if printed is not None:
         tell(1.0, "printing")
         write_pdf(file, printed)
@@ -233,19 +234,19 @@ class _Asked:
         }
 
     def _planned(self, jobs: Jobs | Place) -> OrderPlan:
-        found = plan_order(self.model, self.data, jobs_of(jobs), progress=_part(self.tell, 0.0, 0.2), **self.given)
+        found = plan_order(self.model, self.data, jobs_of(jobs), progress=_part(self.tell, 0.0, 0.1), **self.given)
         return cast("OrderPlan", found)  # of places, as the jobs are
 
     def _estimated(self, wanted: list[TaskSequence]) -> CycleEstimates:
-        asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.2, 0.4), **self.given}
+        asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.1, 0.2), **self.given}
         return estimate_cycles(self.model, self.data, wanted, takt_s=self.takt_s, **asked).require_all()
 
     def _changed(self, wanted: list[TaskSequence], changes: list[Change], check: Check | None) -> WhatIfAnswers:
-        asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.4, 0.6), "check": check, **self.given}
+        asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.2, 0.3), "check": check, **self.given}
         return try_changes(self.model, self.data, wanted, changes, **asked).require_all()
 
     def _evaluated(self) -> Evaluation:
-        foreign, tell = self.given["other_cell"], _part(self.tell, 0.6, 0.7)
+        foreign, tell = self.given["other_cell"], _part(self.tell, 0.3, 0.35)
         return evaluate_model(self.model, self.data, boosting=False, other_cell=foreign, progress=tell)
 
 

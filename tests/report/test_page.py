@@ -11,7 +11,7 @@ from importlib.resources import files
 
 import pytest
 from msgspec import structs
-from report_pages import Page, estimate
+from report_pages import DistanceModel, Page, estimate
 
 from cyclekit.config.cells import NamedPlace
 from cyclekit.dataset.dataset import Dataset
@@ -148,3 +148,14 @@ def test_people_are_shown_the_labels_of_places_and_data_keep_the_names(dataset, 
     assert "→ left" not in shown
     compose_report(labelled, None, tmp_path / "r.csv", estimates=[estimate("A first")], kind="csv")
     assert "conveyor->left," in (tmp_path / "r.csv").read_text("utf-8")
+
+
+def test_drawing_is_told_picture_by_picture(dataset, tmp_path):
+    told = []
+    compose_report(dataset, DistanceModel(), tmp_path / "r.html", progress=lambda *it: told.append(it))
+    parts = [part for part, _ in told]
+    assert parts == sorted(parts)
+    drawn = [text for _, text in told if text.startswith("picture ")]
+    assert drawn[0].startswith("picture 1 of ")
+    assert len(drawn) == int(drawn[0].rsplit(" ", 1)[1]) > 2
+    assert told[-1][1] == "writing the page"

@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from cyclekit.fleet.project import run_project as run_project
     from cyclekit.fleet.run import FleetRun as FleetRun
     from cyclekit.fleet.run import run_fleet as run_fleet
-    from cyclekit.ingest.ingest import IngestReport as IngestReport
+    from cyclekit.ingest.report import IngestReport as IngestReport
     from cyclekit.learning.evaluation.evaluate import Evaluation as Evaluation
     from cyclekit.learning.networks.saved import TrainedModel as TrainedModel
     from cyclekit.learning.networks.saved import load_model as load_model
@@ -117,7 +117,7 @@ _NAMES = {
     "estimate.whatif.separation": "Separation",
     "fleet.project": "run_project",
     "fleet.run": "FleetRun run_fleet",
-    "ingest.ingest": "IngestReport",
+    "ingest.report": "IngestReport",
     "learning.evaluation.evaluate": "Evaluation",
     "learning.networks.saved": "TrainedModel load_model save_model",
     "learning.networks.spec": "ModelSpec",

@@ -13,7 +13,7 @@ from cyclekit.cli.terminal import Terminal
 from cyclekit.errors import command_line
 
 if TYPE_CHECKING:
-    from cyclekit.ingest.ingest import IngestReport
+    from cyclekit.ingest.report import IngestReport
 
 EXAMPLE = "cyclekit ingest logs --out dataset"
 

@@ -66,14 +66,15 @@ def response_lines(found: ResponseFacts | None) -> str:
     """Return how the safety system answers in time, one line for each property that was seen."""
     if found is None:
         return ""
+    read = found.read
     values = (
-        ("reaction time", found.latency_s, 1.0, "s"),
-        ("slows by", found.down_per_s, 100.0, "% per second"),
-        ("recovers by", found.up_per_s, 100.0, "% per second"),
-        ("hysteresis", found.hysteresis_m, 1.0, "m"),
-        ("hold time", found.hold_s, 1.0, "s"),
+        ("reaction time", read.latency_s, 1.0, "s"),
+        ("slows by", read.ramp_down_per_s, 100.0, "% per second"),
+        ("recovers by", read.ramp_up_per_s, 100.0, "% per second"),
+        ("hysteresis", read.hysteresis_m, 1.0, "m"),
+        ("hold time", read.hold_s, 1.0, "s"),
     )
-    lines = [f"response of the safety system, read from {found.changes} changes of level"]
+    lines = [f"response of the safety system, read from {read.changes} changes of level"]
     lines += [f"  {name:<13} {_value(value, factor, unit)}" for name, value, factor, unit in values]
     if found.few_rows:
         lines.append(bullet([_FEW_ROWS], mark="  ! "))

@@ -10,6 +10,7 @@ import typer
 from cyclekit.cli.options import DatasetPlace, Json, OtherCell, Quiet, seconds
 from cyclekit.cli.terminal import Terminal, duration, megabytes, table
 from cyclekit.errors import command_line
+from cyclekit.text.numbers import whole_percent
 
 if TYPE_CHECKING:
     from cyclekit.replay import Miss, ReplayFacts
@@ -94,8 +95,8 @@ def _worst(misses: tuple[Miss, ...]) -> str:
     rows = [
         [
             f"{miss.t_s:.1f} s",
-            f"{100 * miss.logged:.0f} %",
-            f"{100 * miss.predicted:.0f} %",
+            whole_percent(miss.logged),
+            whole_percent(miss.predicted),
             f"{miss.seconds:.1f} s",
             f"{miss.distance_m:.2f} m",
             miss.robot_task or "",

@@ -9,6 +9,7 @@ import typer
 
 from cyclekit.cli.options import DatasetPlace, Extrapolate, Json, ModelPlace, OtherCell, Quiet
 from cyclekit.cli.terminal import Terminal, bullet, percent, table
+from cyclekit.text.numbers import exact_percent
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards.rule import RuleCard
@@ -205,7 +206,7 @@ def _margins(found: Margins | None) -> str:
         return ""
     rows = [
         [
-            f"{100 * row.speed:.4g} % beyond",
+            f"{exact_percent(row.speed)} beyond",
             *(f"{metres:.3f}" for metres in (row.threshold_m, row.separation_m)),
             "-" if row.margin_m is None else f"{row.margin_m:+.3f}",
             f"{row.costs_s_per_cm:+.3f}",

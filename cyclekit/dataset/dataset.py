@@ -21,9 +21,9 @@ import msgspec
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.dataset import checksums
 from cyclekit.dataset.files import DatasetFiles
 from cyclekit.dataset.opening import opened_card
+from cyclekit.dataset.recorded_tables import RecordedTables
 from cyclekit.errors import DatasetError, UnknownName, command_line
 from cyclekit.storage.mistaken import DATASET_CARD
 from cyclekit.storage.remote.folders import local
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from cyclekit.plots.drawing import Drawing
 
 CARD, TASKS, QUARANTINE = DATASET_CARD, "tasks.parquet", "quarantine.parquet"
-_NEAR_S = 1e-3
-"""Rows so far outside of a span are read too, since its ends in a log's own clock are rounded."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +80,7 @@ class Dataset:
         self.place = place or str(path)
         self.is_part = False
         self._files = DatasetFiles(path, card.files)
+        self._recorded = RecordedTables(path, self._files, card.recordings)
 
     def __repr__(self) -> str:
         """Return where it is and how much is in it."""
@@ -268,58 +267,22 @@ class Dataset:
 
     def recorded(self, recording: str, table: str) -> pl.DataFrame | None:
         """Return one native-rate table (`robot`, `people` or `events`) of a recording, None if it has none."""
-        if (shared := self._shared(recording, table)) is not None:
-            return self._files.collected(shared, _recorded(recording, table))
-        if (name := self._native(recording, table)) is None:
-            return None
-        file = self._files.whole(name)
-        with checksums.reading(file, self.path):
-            rows = pl.scan_parquet(file, glob=False)
-            columns = rows.collect_schema().names()
-        self._files.check_memory([file], columns)
-        return self._files.collected(rows, name)
+        return self._recorded.table(recording, table)
 
     def recorded_between(self, recording: str, table: str, first_s: float, last_s: float) -> pl.DataFrame | None:
         """Return the rows of one native-rate table from `first_s` to `last_s` of the log's clock, None without it."""
-        if (shared := self._shared(recording, table)) is not None:
-            within = shared.filter(pl.col("t_s").is_between(first_s, last_s))
-            return self._files.collected(within, _recorded(recording, table))
-        if (name := self._native(recording, table)) is None:
-            return None
-        return self._files.collected(self._files.between(name, first_s, last_s), name)
+        return self._recorded.between(recording, table, first_s, last_s)
 
     def times(self, recording: str, table: str) -> Iterator[pl.DataFrame]:
         """Yield the times of one native-rate table (`t_s`), in parts: it may be larger than memory."""
-        from cyclekit.storage.parquet import StoredTable  # whoever reads a log needs no Arrow to begin
-
-        if (shared := self._shared(recording, table)) is not None:
-            yield self._files.collected(shared.select("t_s"), _recorded(recording, table))
-            return
-        file = self._files.of_columns(self._native(recording, table) or _recorded(recording, table), ["t_s"])
-        with checksums.reading(file, self.path):
-            stored = StoredTable(file, ("t_s",))
-            for begin, end in stored.groups:
-                yield pl.DataFrame({"t_s": stored.column("t_s", begin, end)})
+        return self._recorded.times(recording, table)
 
     def native_robot(self, execution: str, columns: Sequence[str] | None = None) -> pl.DataFrame | None:
         """Return the native-rate robot rows of one execution, `t_s` in session time; None without a robot log.
 
         `columns`: no others are read.
         """
-        entry = self._execution(execution)
-        for record in self.recordings:
-            if record.session == entry.session and "robot" in record.tables:
-                shared, name = self._shared(record.id, "robot"), _recorded(record.id, "robot")
-                if shared is None:
-                    self._native(record.id, "robot")  # has its rows counted; a lost one is named below
-                rate, offset_s = record.clock.rate, record.clock.offset_s
-                first, last = ((at_s - offset_s) / rate for at_s in (entry.start_s, entry.end_s))
-                inside = pl.col("t_s").is_between(entry.start_s, entry.end_s)
-                if shared is None:  # rows of no other time are unpacked
-                    shared = self._files.between(name, first - _NEAR_S, last + _NEAR_S, columns)
-                rows = shared.with_columns(t_s=pl.col("t_s") * rate + offset_s).filter(inside)
-                return self._files.collected(rows if columns is None else rows.select(columns), name)
-        return None
+        return self._recorded.robot_of(self._execution(execution), columns)
 
     def find_execution(self, name: str) -> str:
         """Return the execution called `name`; a plain number counts executions from 1.
@@ -354,24 +317,6 @@ class Dataset:
         """
         return self._files.damaged()
 
-    def _shared(self, recording: str, table: str) -> pl.LazyFrame | None:
-        """Return a native-rate table, unread, that lies in a file which recordings share; None if it does not."""
-        counts = self._row_counts.get(recording, {})
-        return self._files.shared(recording, table, counts[table]) if table in counts else None
-
-    @cached_property
-    def _row_counts(self) -> dict[str, dict[str, int]]:
-        return {entry.id: {str(name): rows for name, rows in entry.rows.items()} for entry in self.recordings}
-
-    def _native(self, recording: str, table: str) -> str | None:
-        """Return the name of a native-rate table that holds no more rows than the card says; None if there is none."""
-        name = _recorded(recording, table)
-        if not self._files.has(name):
-            return None
-        if (count := self._row_counts.get(recording, {}).get(table)) is not None:
-            self._files.check_rows(name, count, f"in table {table}")
-        return name
-
     def _rows_of(self, executions: Sequence[str]) -> int:
         """Return how many samples executions have at most."""
         entries = [self._execution(name) for name in executions]
@@ -400,7 +345,3 @@ class Dataset:
             cure = f"Give one of {shown}, or a number from 1 to {len(names)}." if names else "It has no execution."
             raise UnknownName(str(self.path), "execution", name, names, cure=cure)
         return by_name[name]
-
-
-def _recorded(recording: str, table: str) -> str:
-    return f"recordings/{recording}/{table}.parquet"

@@ -8,9 +8,9 @@ these passes is found what takes all sessions: places, executions, references of
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -21,51 +21,34 @@ from cyclekit.dataset.signals import switches
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
 from cyclekit.derive.operator_tasks import operator_tasks
+from cyclekit.derive.over_sessions import Passes, is_much
+from cyclekit.derive.robot import numbered, robot_of, with_stands
 from cyclekit.derive.sample_file import in_order, shared_files
 from cyclekit.derive.seen_slow import Switches, joined, rows_of
 from cyclekit.derive.session_end import Finished, Left, finish
-from cyclekit.derive.session_look import Look, look_at
-from cyclekit.derive.session_samples import Made, SessionToSample, samples_of
+from cyclekit.derive.session_look import look_at
+from cyclekit.derive.session_samples import Made, samples_of
 from cyclekit.derive.session_signals import looked_for, mixed, some_executions
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
 from cyclekit.people.silence import absences
 from cyclekit.scaling.levels import Staircase, find_staircase
-from cyclekit.scaling.of_runs import with_scaling
 from cyclekit.scaling.response import MOST, SafetyResponse, read_response
-from cyclekit.segmentation.arrivals import Stands, stands_of
-from cyclekit.segmentation.dwell import Dwell, usual_dwells
-from cyclekit.segmentation.executions import Execution, find_executions, find_visits
-from cyclekit.segmentation.places import find_places, with_turns
-from cyclekit.segmentation.waits import with_waits
-from cyclekit.storage.parquet import forget, keeping
+from cyclekit.storage.parquet import forget
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from cyclekit.config import Cell, Source
     from cyclekit.dataset.cards import ExecutionCard, Note, OperatorSignalCard, RecordingCard
     from cyclekit.dataset.dataset import Place
-    from cyclekit.dataset.sessions import LogGroup, Session
+    from cyclekit.dataset.sessions import LogGroup
     from cyclekit.dataset.signals import Read, Stored
+    from cyclekit.derive.robot import Robot
     from cyclekit.schema import Floats, Progress
-    from cyclekit.segmentation.standstills import Stop
     from cyclekit.segmentation.stored_run import Run
     from cyclekit.segmentation.time_account import Leg
-
-
-__all__ = ["Derived", "derive"]
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-
-KEPT_BYTES = 160 << 20
-"""Of decoded rows while the scaling is inferred: the fastest repetitions of each motion lie all over the log."""
-SHARED_ROWS = 2_000_000
-"""Of the robot, below which a pass takes less time than workers need to start."""
-SESSION_ROWS = 1000
-"""What a session costs besides its rows, in rows."""
 
 
 @dataclass(frozen=True)
@@ -122,29 +105,29 @@ def derive(
         EstimateError: An execution cannot be so long.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    passes = _Passes(engine if _is_much(groups) else LOCAL, progress)
+    passes = Passes(engine if is_much(groups) else LOCAL, progress)
     look = partial(look_at, sources=sources, read=read, stored=stored, cell=cell, coarse=coarse)
     looks = passes.over(look, groups, 0.0, 0.2, "motion")
-    sessions = _numbered(looks)
-    robot = _robot(looks, sessions, cell, passes.engine, lambda done, told: progress(0.2 + 0.3 * done, told))
-    works, dwells = _with_stands(passes, sessions, robot)
+    sessions = numbered(looks)
+    robot = robot_of(looks, sessions, cell, passes.engine, lambda done, told: progress(0.2 + 0.3 * done, told))
+    works, dwells = with_stands(passes, sessions, robot)
     sample = partial(
         samples_of, places=robot.places, dwells=dwells, sources=sources, read=read, cell=cell, folder=folder
     )
     files = shared_files(sessions, cell.rate_hz)
     made = passes.over_files(sample, works, files, 0.6, 0.85, "samples")
-    if _is_much(groups) or any(run.is_inferred for run in robot.runs):
+    if is_much(groups) or any(run.is_inferred for run in robot.runs):
         forget()  # samples and scaling of many hours take that memory
     runs = {work.session.name: list(work.runs.values()) for work in works}
     return _finished(passes, made, files, runs, robot, cell, folder, read, stored)
 
 
 def _finished(
-    passes: _Passes,
+    passes: Passes,
     made: Sequence[Made],
     files: Sequence[Sequence[int]],
     runs: Mapping[str, list[Run]],
-    robot: _Robot,
+    robot: Robot,
     cell: Cell,
     folder: Path,
     read: Read,
@@ -303,86 +286,6 @@ def _evidence(
     return find_evidence(joined(found), levels, people) if found else NOTHING
 
 
-def _numbered(looks: Sequence[Look]) -> list[Session]:
-    """Return the sessions with the numbers of their runs in the list of all runs."""
-    sessions: list[Session] = []
-    count = 0
-    for look in looks:
-        sessions.append(replace(look.session, runs=tuple(range(count, count + len(look.runs)))))
-        count += len(look.runs)
-    return sessions
-
-
-class _Robot(NamedTuple):
-    """What the robot of all sessions was doing.
-
-    Attributes:
-        runs: All its runs; a session knows the numbers of its own.
-        places: All its places.
-        executions: Of each run, in the order of time.
-        warnings: What is to be said about the scaling.
-    """
-
-    runs: Sequence[Run]
-    places: Mapping[str, Place]
-    executions: Sequence[Sequence[Execution]]
-    warnings: list[Note]
-
-
-def _robot(
-    looks: Sequence[Look], sessions: Sequence[Session], cell: Cell, engine: Engine, progress: Progress
-) -> _Robot:
-    """Find places and executions in all sessions, and the scaling where it was not logged."""
-    runs: list[Run] = []
-    stops: list[Stop] = []
-    for look in looks:
-        stops += [replace(stop, run=stop.run + len(runs)) for stop in look.stops]
-        runs += look.runs
-    places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
-    visits = find_visits(stops, places, runs)
-    if all(len({visit.place for visit in seen}) < 2 for seen in visits):  # it rests at one place at most
-        stops = with_turns(runs, stops)
-        places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
-        visits = find_visits(stops, places, runs)
-    executions = find_executions(visits, places, cell.executions, [marks for look in looks for marks in look.marks])
-    executions = with_waits(executions, stops, runs) + _whole_runs(runs, executions)
-    with keeping(KEPT_BYTES):
-        runs, warnings = with_scaling(runs, executions, places, sessions, progress, engine)
-    by_run: list[list[Execution]] = [[] for _ in runs]
-    for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
-        by_run[found.run].append(found)
-    return _Robot(runs, places, by_run, warnings)
-
-
-def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Execution]:
-    """A run in which no task was found is still an execution: it can be inspected and replayed."""
-    covered = {execution.run for execution in executions}
-    return [Execution(number, (), False) for number in range(len(runs)) if number not in covered]
-
-
-def _with_stands(
-    passes: _Passes, sessions: Sequence[Session], robot: _Robot
-) -> tuple[list[SessionToSample], dict[str, Dwell]]:
-    """Return the work that each session is, and the usual dwell at each place."""
-    works = [
-        SessionToSample(
-            session,
-            {number: robot.runs[number] for number in session.runs},
-            [found for number in session.runs for found in robot.executions[number]],
-            {},
-        )
-        for session in sessions
-    ]
-    stands = passes.over(partial(_stands, places=robot.places), works, 0.5, 0.6, "stands")
-    every = {key: stand for mine in stands for key, stand in mine.items()}
-    dwells = usual_dwells([found for mine in robot.executions for found in mine], every)
-    return [replace(work, stands=mine) for work, mine in zip(works, stands, strict=True)], dwells
-
-
-def _stands(work: SessionToSample, *, places: Mapping[str, Place]) -> Stands:
-    return stands_of(work.runs, work.executions, places)
-
-
 def _staircase(made: Sequence[Made], files: Sequence[Sequence[int]], cell: Cell, folder: Path) -> Staircase:
     """Find the levels of the scaling of all executions, or label them by those that the cell file fixes."""
     if not any(one.samples for one in made):
@@ -402,44 +305,3 @@ def _scaling_of(made: Sequence[Made], folder: Path) -> list[pl.DataFrame]:
     frame = pl.read_parquet(folder / f"{made[0].part}.parquet", columns=columns, glob=False)
     begins = np.cumsum([0, *counts]).tolist()
     return [frame[begin : begin + count] for begin, count in zip(begins, counts, strict=False)]
-
-
-def _is_much(groups: Sequence[LogGroup]) -> bool:
-    """Tell whether a pass over the sessions takes longer than workers need to start."""
-    rows = sum(log.rows.get("robot", 0) for group in groups for log in group.logs)
-    return rows + SESSION_ROWS * len(groups) >= SHARED_ROWS
-
-
-class _Passes:
-    """Runs functions over all sessions on the engine: results in order, progress reported."""
-
-    def __init__(self, engine: Engine, progress: Progress) -> None:
-        self.engine, self.progress = engine, progress
-
-    def over(
-        self, function: Callable[[Item], Result], items: Sequence[Item], begin: float, end: float, what: str
-    ) -> list[Result]:
-        files = [[number] for number in range(len(items))]
-        return self.over_files(partial(_one, function), items, files, begin, end, what)
-
-    def over_files(
-        self,
-        function: Callable[[Sequence[Item]], Sequence[Result]],
-        items: Sequence[Item],
-        files: Sequence[Sequence[int]],
-        begin: float,
-        end: float,
-        what: str,
-    ) -> list[Result]:
-        """Do a function for the items, those of each file together."""
-        found, count = [], 0
-        for done in self.engine.map(function, [[items[number] for number in numbers] for numbers in files]):
-            found.append((files[done.number], done.get()))
-            count += len(files[done.number])
-            told = f"{what}, {count} of {len(items)} sessions"
-            self.progress(begin + (end - begin) * count / len(items), told)
-        return in_order(found)
-
-
-def _one(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    return [function(item) for item in items]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from cyclekit.estimate.result import AWAY, ELSEWHERE, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.plots import colours
 from cyclekit.plots.gantt import Arrow, Bar, BarLabel, Block, Layer, TaskEnds, draw_gantt
+from cyclekit.text.numbers import whole_percent
 from cyclekit.text.plain_text import spelt
 
 if TYPE_CHECKING:
@@ -64,8 +65,8 @@ def legend_of(found: Sequence[CycleEstimate], takt_s: float | None = None) -> di
     legend = {_MOTION: colours.NOMINAL} if split else {_ROBOT: colours.NOMINAL}
     if any(share.safety_loss_s > 0.0 for each in found if not _of_lists(each) for share in each.tasks):
         first, *others = _SPEEDS
-        legend[f"slow-down to a mean speed of {_percent(first)}"] = colours.scaling_hex(first)
-        legend |= {_percent(speed): colours.scaling_hex(speed) for speed in others}
+        legend[f"slow-down to a mean speed of {whole_percent(first)}"] = colours.scaling_hex(first)
+        legend |= {whole_percent(speed): colours.scaling_hex(speed) for speed in others}
     known = {_DWELL: colours.DWELL, _WAIT: colours.WAIT, _OPERATOR: colours.OPERATOR}
     legend |= {text: colour for text, colour in known.items() if colour in drawn}
     legend |= {f"operator at {name}": colour for name, colour in _operator_colours(found).items() if name != AWAY}
@@ -103,7 +104,7 @@ def _parts(share: TaskShare, lane: int, start_s: float, end_s: float, row: str) 
     slow = colours.scaling_hex(min(max(speed, 0.0), 1.0))
     parts = [
         (share.nominal_s, colours.NOMINAL, "motion at full speed"),
-        (share.safety_loss_s, slow, f"slow-down (mean speed {_percent(speed)})"),
+        (share.safety_loss_s, slow, f"slow-down (mean speed {whole_percent(speed)})"),
         (share.dwell_s, colours.DWELL, _DWELL),
         (share.wait_s, colours.WAIT, _WAIT),
     ]
@@ -112,7 +113,7 @@ def _parts(share: TaskShare, lane: int, start_s: float, end_s: float, row: str) 
     for part_s, colour, what in parts:
         if part_s > 0.0:
             long_s = (end_s - start_s) * part_s / whole_s
-            tip = f"{row}: {what} {part_s:.1f} s ({_percent(part_s / whole_s)} of the task)"
+            tip = f"{row}: {what} {part_s:.1f} s ({whole_percent(part_s / whole_s)} of the task)"
             bars.append(Bar(lane, at_s, at_s + long_s, colour, colour == colours.WAIT, tip, row))
             at_s += long_s
     return bars
@@ -194,7 +195,7 @@ def _titles(each: CycleEstimate) -> tuple[str, ...]:
     if len(levels) < 2:
         return (mean, each.name)
     low, high = levels[0], levels[-1]
-    cycles = f"{100 * (high - low):.0f} % of cycles {each.quantiles_s[low]:.1f} to {each.quantiles_s[high]:.1f} s"
+    cycles = f"{whole_percent(high - low)} of cycles {each.quantiles_s[low]:.1f} to {each.quantiles_s[high]:.1f} s"
     return (f"{mean} ({cycles})", mean, each.name)
 
 
@@ -234,7 +235,7 @@ def _layers(each: CycleEstimate, tints: Mapping[str, str]) -> tuple[Layer, ...]:
         merged[_REST] = tuple(map(sum, zip(*rest, strict=True)))
     said = "operator at or on the way to"
     return tuple(
-        Layer(merged[name], each.expected_s, tint, f"{said} {name}: {_percent(_mean(merged[name]))} of the time")
+        Layer(merged[name], each.expected_s, tint, f"{said} {name}: {whole_percent(_mean(merged[name]))} of the time")
         for name, tint in tints.items()
         if name in merged
     )
@@ -242,7 +243,3 @@ def _layers(each: CycleEstimate, tints: Mapping[str, str]) -> tuple[Layer, ...]:
 
 def _mean(parts: Sequence[float]) -> float:
     return sum(parts) / max(len(parts), 1)
-
-
-def _percent(part: float) -> str:
-    return f"{100 * part:.0f} %"

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import EstimateError, ModelError
 from cyclekit.estimate.check import Check, check_rollout
+from cyclekit.estimate.entry import LEAST_SUPPORT
 from cyclekit.estimate.nominal import slider_losses
 from cyclekit.estimate.safety import OnStates
 from cyclekit.learning.windows import nobody_there
@@ -20,7 +22,10 @@ from cyclekit.learning.windows import nobody_there
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.joint.roll import RolledBoth
+    from cyclekit.estimate.question import Question
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.estimate.walk import Rolled
@@ -28,8 +33,25 @@ if TYPE_CHECKING:
 
 CONTINUED = 0.5
 """Above this part of the time on continued tracks it is said."""
+ENDLESS = "The operator keeps the robot at speed 0 %; check the tracker's frame and clock."
+"""What helps where cycles do not end."""
 FEW_EXECUTIONS = 20
 """With fewer operators the mean itself is uncertain by more than a percent in the cells seen so far."""
+
+
+def no_answer(
+    ask: Question, sequence: TaskSequence, cycles: Rolled | RolledBoth, until_s: float
+) -> EstimateError | None:
+    """Return why these cycles are no answer: they do not end, or lie outside of the logs and that was not asked for."""
+    open_ended = float(np.mean(~np.isfinite(cycles.duration_s)))
+    if open_ended:
+        seen = f"{sequence.shown}: {open_ended:.0%} of the cycles do not end within {until_s:.0f} s"
+        return EstimateError(seen, cure=ENDLESS)
+    if cycles.support < LEAST_SUPPORT and not ask.extrapolate:
+        seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through logged positions"
+        cure = "Log this part of the cell, or estimate with --extrapolate and mark the number."
+        return EstimateError(seen, cure=cure)
+    return None
 
 
 def doubts_of(cycles: Rolled, entry: CycleEstimate, check: Check | None) -> list[str]:

@@ -13,14 +13,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate.cycles import cycles_of
-from cyclekit.estimate.entry import LEAST_SUPPORT, entry_of
+from cyclekit.estimate.entry import entry_of
 from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.joint.answer import estimate_both, waits_are_known
-from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs, refuse_biased, validated
+from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs, no_answer, refuse_biased, validated
 from cyclekit.estimate.means import history_of, means_of
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
@@ -195,7 +193,7 @@ def _answered(
             for sequence in programs:
                 refuse(sequence, error)
             break
-        problems = [_problem(ask, *pair, until_s) for pair in zip(programs, rolled, strict=True)]
+        problems = [no_answer(ask, *pair, until_s) for pair in zip(programs, rolled, strict=True)]
         if not any(problems):
             return list(programs), rolled, tracks
         for sequence, problem in zip(programs, problems, strict=True):
@@ -204,21 +202,6 @@ def _answered(
         left = zip(programs.items(), problems, strict=True)
         programs = dict(pair for pair, problem in left if problem is None)
     return [], [], None
-
-
-def _problem(ask: Question, sequence: TaskSequence, cycles: Rolled, until_s: float) -> EstimateError | None:
-    """Return why these cycles are no answer: they do not end, or lie outside of the logs and that was not asked for."""
-    stuck = float(np.mean(~np.isfinite(cycles.duration_s)))
-    if stuck:
-        seen = f"{sequence.shown}: {stuck:.0%} of the cycles do not end within {until_s:.0f} s"
-        cure = "The operator's tracks keep the robot at speed 0 %; check the tracker's frame and clock."
-        return EstimateError(seen, cure=cure)
-    if cycles.support < LEAST_SUPPORT and not ask.extrapolate:
-        seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through logged positions"
-        return EstimateError(
-            seen, cure="Log this part of the cell, or estimate with --extrapolate and mark the number."
-        )
-    return None
 
 
 def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> Floats:

@@ -11,11 +11,11 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import polars as pl
 from msgspec import structs
@@ -24,11 +24,6 @@ from cyclekit import schema
 from cyclekit.config import Cell
 from cyclekit.dataset.cards import (
     DatasetCard,
-    DynamicsCard,
-    PlaceCard,
-    RowCounts,
-    UnreadCard,
-    checked,
     note,
     plain,
     texts,
@@ -41,11 +36,13 @@ from cyclekit.dataset.shared_index import shared_rows
 from cyclekit.dataset.shared_tables import SharedTable, shared_frame
 from cyclekit.derive.passes import Derived, derive
 from cyclekit.errors import ConfigError, DatasetError, LogError
+from cyclekit.ingest.card import card_of
 from cyclekit.ingest.discover import Log, cell_for, find_all, matches
 from cyclekit.ingest.pseudonymise import Names, numbered_logs, take_out
 from cyclekit.ingest.read.read_logs import Digests, How, check_shared, read_all
 from cyclekit.ingest.read.resume import Shelf
 from cyclekit.ingest.read.reuse import gather_quarantine
+from cyclekit.ingest.report import IngestReport, report_of
 from cyclekit.ingest.shared_events import apart, may_be_shared
 from cyclekit.learning.coupling.learn import learn_executions
 from cyclekit.learning.coupling.visits import courses_of
@@ -57,65 +54,12 @@ from cyclekit.storage.parquet import StoredTable
 from cyclekit.storage.remote.cache import cached, of_file_url
 from cyclekit.storage.remote.folders import is_url, mirrored, published
 from cyclekit.text.plain_json import finite
-from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from cyclekit.dataset.cards import CouplingCard, LogCard, Note, RecordingCard
-    from cyclekit.dataset.dataset import Place
+    from cyclekit.dataset.cards import CouplingCard, LogCard, Note
     from cyclekit.dataset.signals import Read
 
 Progress = Callable[[float, str], None]
-
-
-@dataclass(frozen=True, repr=False)
-class IngestReport(Result):
-    """What an ingest did.
-
-    Attributes:
-        dataset: Its folder on this machine.
-        place: Where it was asked for: that folder, or a URL.
-        recordings_new: Recordings read now.
-        recordings_kept: Recordings taken over from the old dataset without reading their logs.
-        not_read: Files that were found and not used, with the reason.
-        said: What a person must know before trusting the dataset: name of a recording, empty where it is about all of
-            them, and a sentence.
-        unchanged: The dataset was up to date; nothing was read or written.
-    """
-
-    dataset: Path
-    place: str
-    recordings_new: int
-    recordings_kept: int
-    executions: int
-    tasks: int
-    samples: int
-    not_read: tuple[tuple[str, str], ...]
-    said: tuple[tuple[str, str], ...]
-    unchanged: bool
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a person must know before trusting the dataset, one sentence each."""
-        return tuple(f"{name}: {text}" if name else text for name, text in self.said)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the report as plain JSON values."""
-        not_read = [{"path": path, "reason": reason} for path, reason in self.not_read]
-        found = {name: value for name, value in vars(self).items() if name != "said"}
-        return {**found, "dataset": self.place, "not_read": not_read, "warnings": list(self.warnings)}
-
-    def to_frame(self) -> pl.DataFrame:
-        """One row per file that was not read."""
-        return pl.DataFrame(list(self.not_read), schema={"path": pl.String, "reason": pl.String}, orient="row")
-
-    def _said(self) -> list[str]:
-        counts = f"{self.executions} executions, {self.tasks} tasks, {self.samples} samples"
-        read = (
-            f"{self.recordings_new} recordings read, {self.recordings_kept} kept, {len(self.not_read)} files not read"
-        )
-        return [f"{self.place}: {counts}", read]
 
 
 @one_thread()
@@ -176,12 +120,12 @@ def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -
     how, count = wanted.how, len(wanted.logs)
     shelf = Shelf(out, "skeletons" if how.skeletons else "plain")
     if not unsettled(out) and not shelf.is_left and (card := _up_to_date(out, wanted)):
-        return _report(out, card, new=0, kept=count, unchanged=True)
+        return report_of(out, card, new=0, kept=count, unchanged=True)
     with locked(out):
         settle(out)
         if card := _up_to_date(out, wanted):
             shelf.clear()
-            return _report(out, card, new=0, kept=count, unchanged=True)
+            return report_of(out, card, new=0, kept=count, unchanged=True)
         if how.pseudonymise:
             shelf.clear()  # what an earlier ingest left has names in it
         with shelf.while_making(), built(out) as staging, Digests(wanted=how.checksums) as digests:
@@ -191,7 +135,7 @@ def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -
             old = _old(out)
             card, kept = _build(wanted, staging, digests, old, explicit, shelved, names, tell)
             repaired = _repaired(old, (out / CARD).exists())
-    report = _report(out, card, new=len(card.recordings) - kept, kept=kept, unchanged=False)
+    report = report_of(out, card, new=len(card.recordings) - kept, kept=kept, unchanged=False)
     return replace(report, said=(*(("", text) for text in texts(repaired)), *report.said))
 
 
@@ -292,7 +236,9 @@ def _build(
     tasks, coupling = _with_waits(derived, native, cell)
     write_parquet(tasks, staging / TASKS)
     derived = replace(derived, tasks=tasks, recordings=recordings, warnings=warnings)
-    card = structs.replace(_card(cell, derived, not_read, wanted), coupling=coupling, files=listed(staging))
+    card = structs.replace(
+        card_of(cell, derived, not_read, wanted.how, wanted.fingerprint), coupling=coupling, files=listed(staging)
+    )
     values = finite(plain(card))
     write_text(staging / CARD, sealed(json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n"))
     return card, intake.kept
@@ -361,66 +307,6 @@ def _unmatched(cell: Cell, logs: Sequence[Log]) -> list[Note]:
     return [note("source-without-log", path=path) for path in unused]
 
 
-def _card(cell: Cell, derived: Derived, not_read: list[tuple[str, str]], wanted: _Wanted) -> DatasetCard:
-    return DatasetCard(
-        schema_version=schema.SCHEMA_VERSION,
-        cyclekit_version=version("cyclekit"),
-        name=cell.name,
-        fingerprint=wanted.fingerprint,
-        pseudonymised=wanted.how.pseudonymise,
-        skeletons=wanted.how.skeletons,
-        settings=checked(json.loads(json.dumps(cell, default=vars)), Cell),
-        rate_hz=cell.rate_hz,
-        recordings=tuple(derived.recordings),
-        not_read=tuple(UnreadCard(path=path, reason=reason) for path, reason in not_read),
-        executions=tuple(derived.executions),
-        places=_places(derived.places),
-        human_places=_places(derived.human_places),
-        positions=_placed(derived.recordings),
-        levels=derived.levels,
-        scaling_origin=derived.origin,
-        dynamics=DynamicsCard(**asdict(derived.dynamics)),
-        operator_signals=derived.operator_signals,
-        rows=RowCounts(samples=derived.samples, tasks=derived.tasks.height),
-        warnings=tuple(derived.warnings),
-    )
-
-
 def _without_places(logs: Sequence[LogCard]) -> list[Note]:
     """Say so where nothing tells where the robot and the people were."""
     return [note("no-positions")] if all(set(log.tables) <= WITHOUT_PLACES for log in logs) else []
-
-
-def _placed(recordings: Sequence[RecordingCard]) -> tuple[Literal["robot", "people"], ...]:
-    """Return of whom the recordings hold places."""
-    placed = {table for one in recordings if one.positions is not False for table in one.tables}
-    whose: tuple[Literal["robot", "people"], ...] = ("robot", "people")
-    return tuple(each for each in whose if each in placed)
-
-
-def _places(places: Mapping[str, Place]) -> dict[str, PlaceCard]:
-    return {
-        name: PlaceCard(xyz_m=one.xyz_m, radius_m=one.radius_m, inferred=one.inferred) for name, one in places.items()
-    }
-
-
-def _shown(card: RecordingCard) -> str:
-    """How a message names a recording: by its file, or by its id where a folder is one log."""
-    return card.shown if len(card.sources) == 1 else card.id
-
-
-def _report(out: Path, card: DatasetCard, *, new: int, kept: int, unchanged: bool) -> IngestReport:
-    said = [("", text) for text in texts(card.warnings)]
-    said += [(_shown(one), text) for one in card.recordings for text in one.said]
-    return IngestReport(
-        dataset=out,
-        place=str(out),
-        recordings_new=new,
-        recordings_kept=kept,
-        executions=len(card.executions),
-        tasks=card.rows.tasks,
-        samples=card.rows.samples,
-        not_read=tuple((one.path, one.reason) for one in card.not_read),
-        said=tuple(said),
-        unchanged=unchanged,
-    )

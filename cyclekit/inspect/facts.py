@@ -261,6 +261,7 @@ class DatasetDescription(Result):
         from cyclekit.dataset.cards import plain
 
         document = super().to_dict() | {"coupling": None if self.coupling is None else plain(self.coupling)}
+        document["response"] = None if self.response is None else self.response.to_dict()
         return document if self.verified is not None else {k: v for k, v in document.items() if k != "verified"}
 
     def _frame_rows(self) -> tuple[Mapping[str, Any], ...]:

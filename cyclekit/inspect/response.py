@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.dataset.cards import DynamicsCard, plain
 from cyclekit.scaling.response import RAMP_ROWS
 
 if TYPE_CHECKING:
@@ -15,29 +16,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ResponseFacts:
-    """The response of the safety system; None = not seen in the logs.
+    """The response of the safety system.
 
     Attributes:
-        latency_s: Reaction time: from the crossing of a threshold to the beginning of the change.
-        down_per_s, up_per_s: Change of the scaling per second; None where it jumps.
-        hysteresis_m: How much farther away than where the robot slowed the operator is when it speeds up again.
-        hold_s: How much later than it slows down the robot speeds up again.
-        changes: Changes of level that were seen.
+        read: As it was read at ingest.
         rows: Rows of the robot's log in the shortest ramp, at its median rate; None without a ramp.
     """
 
-    latency_s: float | None
-    down_per_s: float | None
-    up_per_s: float | None
-    hysteresis_m: float | None
-    hold_s: float | None
-    changes: int
+    read: DynamicsCard
     rows: float | None
 
     @property
     def few_rows(self) -> bool:
         """Whether a rate is read from the share of rows between levels, as single ramps have too few rows."""
         return self.rows is not None and self.rows < RAMP_ROWS
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Return plain JSON values."""
+        told = {
+            name.removeprefix("ramp_"): value
+            for name, value in plain(self.read, nulls=True).items()
+            if name != "spread_m"
+        }
+        return {**told, "rows": self.rows}
 
 
 def response_facts(dataset: Dataset) -> ResponseFacts | None:
@@ -50,12 +51,4 @@ def response_facts(dataset: Dataset) -> ResponseFacts | None:
     rows = None
     if rates and rates_hz and len(dataset.levels) > 1:
         rows = float(np.median(rates_hz)) * float(np.diff(dataset.levels).min()) / max(rates)
-    return ResponseFacts(
-        latency_s=read.latency_s,
-        down_per_s=read.ramp_down_per_s,
-        up_per_s=read.ramp_up_per_s,
-        hysteresis_m=read.hysteresis_m,
-        hold_s=read.hold_s,
-        changes=read.changes,
-        rows=rows,
-    )
+    return ResponseFacts(read, rows)

@@ -16,6 +16,7 @@ from cyclekit.plots import colours
 from cyclekit.replay.ledger import ACCOUNTS, ledger
 from cyclekit.replay.phase import TASK
 from cyclekit.replay.words import LogLine, lanes, log_lines, miss_lines, summary
+from cyclekit.text.numbers import whole_percent
 from cyclekit.text.plain_text import spelt
 
 if TYPE_CHECKING:
@@ -135,8 +136,10 @@ def _joints(sink: Sink) -> None:
 
 def _lanes(sink: Sink) -> None:
     run = sink.run
-    speed = [None if np.isnan(value) else _percent(value) for value in run.scaling]
-    shades = {_percent(value): colours.scaling_hex(round(float(value), 2)) for value in run.scaling if value == value}
+    speed = [None if np.isnan(value) else whole_percent(value) for value in run.scaling]
+    shades = {
+        whole_percent(value): colours.scaling_hex(round(float(value), 2)) for value in run.scaling if value == value
+    }
     _lane(sink, "lanes/1_robot_speed", _with_gaps(run, speed), {**shades, GAP: "#3a4048"})
     doing = list(zip(run.robot_task, run.moving, strict=True))
     robot = [_doing(task, moving) for task, moving in doing]
@@ -185,10 +188,6 @@ def _text(sink: Sink, path: str, lines: Sequence[LogLine]) -> None:
         color=np.array([int(line.colour[1:] + "ff", 16) for line in lines], dtype=np.uint32),
     )
     sink.columns(path, np.array([line.t_s for line in lines]), columns)
-
-
-def _percent(scaling: float) -> str:
-    return f"{100 * scaling:.0f} %"
 
 
 def _doing(task: str | None, moving: bool | None) -> str | None:

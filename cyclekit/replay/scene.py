@@ -16,6 +16,7 @@ from cyclekit.plots import colours
 from cyclekit.plots.labels import place_labels
 from cyclekit.replay.bodies import floor_m, log_people
 from cyclekit.replay.shapes import goals, pack, trail
+from cyclekit.text.numbers import exact_percent, whole_percent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -102,7 +103,7 @@ def _rule(sink: Sink) -> None:
     height = floor_m(sink.run) + 0.004
     strips = [[(x, y, height) for x, y in (*shape.outline_m, shape.outline_m[0])] for shape in shapes]
     paint = [colours.to_rgb(colours.scaling_hex(shape.level)) for shape in shapes]
-    words = [f"{100 * shape.level:.4g} %" for shape in shapes]
+    words = [exact_percent(shape.level) for shape in shapes]
     sink.static("scene/rule", rr.LineStrips3D(strips, radii=0.012, colors=paint, labels=words, show_labels=True))
 
 
@@ -163,7 +164,7 @@ def _link(sink: Sink) -> None:
 def _link_label(distance_m: float, scaling: float) -> str:
     if np.isnan(scaling):
         return f"{distance_m:.2f} m"
-    return f"{distance_m:.2f} m: robot at {100 * scaling:.0f} % speed"
+    return f"{distance_m:.2f} m: robot at {whole_percent(scaling)} speed"
 
 
 def _path(positions: NDArray[np.float64], colour: str) -> rr.LineStrips3D:

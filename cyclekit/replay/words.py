@@ -14,6 +14,7 @@ import numpy as np
 
 from cyclekit.plots import colours
 from cyclekit.replay.misses import misses
+from cyclekit.text.numbers import whole_percent
 from cyclekit.text.plain_text import markdown, spelt
 
 if TYPE_CHECKING:
@@ -104,7 +105,7 @@ def miss_lines(run: ReplayedExecution) -> list[LogLine]:
     for rank, miss in enumerate(misses(run), start=1):
         doing = f" on {spelt(miss.robot_task)}" if miss.robot_task else ""
         text = (
-            f"#{rank}: logged {100 * miss.logged:.0f} %, predicted {100 * miss.predicted:.0f} %{doing}, "
+            f"#{rank}: logged {whole_percent(miss.logged)}, predicted {whole_percent(miss.predicted)}{doing}, "
             f"operator {miss.distance_m:.2f} m away; off by {miss.seconds:.1f} s in {miss.end_s - miss.start_s:.1f} s"
         )
         lines.append(LogLine(miss.t_s, text, "WARN" if rank <= 3 else "INFO", "#e6a4ff"))
@@ -144,7 +145,7 @@ def lanes(labels: Sequence[str | None], t_s: NDArray[np.float64]) -> list[tuple[
 
 
 def _why(slow: Slowdown) -> str:
-    speed = f"robot at {100 * slow.lowest:.0f} % speed"
+    speed = f"robot at {whole_percent(slow.lowest)} speed"
     where = f" on {spelt(slow.robot_task)}" if slow.robot_task else ""
     near = "" if np.isnan(slow.nearest_m) else f", operator {slow.nearest_m:.2f} m away"
     doing = f" ({slow.human_task})" if slow.human_task else ""

@@ -56,11 +56,6 @@ def percent(fraction: float | None) -> str:
     return f"{fixed(share, 1 if 0 < abs(share) < 9.95 else 0)}\N{NO-BREAK SPACE}%"
 
 
-def speed(scaling: float) -> str:
-    """Write a speed scaling as whole per cent of full speed."""
-    return f"{100 * scaling:.0f} %"
-
-
 def signed_percent(fraction: float) -> str:
     """Write a difference as whole per cent with its sign; one decimal below 1 %."""
     share = 100 * fraction

@@ -11,6 +11,7 @@ from cyclekit.report.numbers import count, fixed, percent, significant
 from cyclekit.report.provenance import provenance
 from cyclekit.report.rests import signed
 from cyclekit.report.tables import ReportTable
+from cyclekit.text.numbers import whole_percent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -63,7 +64,7 @@ def _facts(texts: ReportTexts, dataset: Dataset, seen: Overview, origin: Provena
         (texts("trust.duration"), length),
         (texts("trust.seen"), percent(seen.operator_seen)),
         (texts("trust.inferred"), percent(seen.inferred)),
-        (texts("trust.levels"), ", ".join(f"{100 * level:.0f} %" for level in dataset.levels) or "–"),
+        (texts("trust.levels"), ", ".join(whole_percent(level) for level in dataset.levels) or "–"),
     ]
     return facts + [(name, value) for name, value in origin.versions]
 

@@ -80,7 +80,7 @@ def answer(capsys: pytest.CaptureFixture[str], *words: object) -> Any:
 def test_a_dataset_is_the_same_to_the_last_byte(
     small_cell: Path, elsewhere: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cyclekit.derive.passes.SHARED_ROWS", 0)  # as with many hours of logs
+    monkeypatch.setattr("cyclekit.derive.over_sessions.SHARED_ROWS", 0)  # as with many hours of logs
     shared, by_themselves = [], Engine.map
     monkeypatch.setattr(Engine, "map", lambda *words: shared.append(words[0]) or by_themselves(*words))
     assert run(["ingest", str(small_cell / "logs"), "--out", str(tmp_path / "dataset"), "-q", *elsewhere]) == 0

@@ -29,7 +29,7 @@ def described(folder: Path, options: SimulationOptions, *, keep: int = 1) -> Dat
 def test_reaction_time_and_both_ramps_are_shown(tmp_path: Path):
     found = described(tmp_path, SimulationOptions(ramp_up_per_s=0.1, ramp_down_per_s=1.0, latency_s=0.3))
     assert found.response is not None
-    assert (found.response.latency_s, found.response.up_per_s) == pytest.approx((0.3, 0.1), abs=0.02)
+    assert (found.response.read.latency_s, found.response.read.ramp_up_per_s) == pytest.approx((0.3, 0.1), abs=0.02)
     assert not found.response.few_rows
     shown = page(found)
     assert "reaction time 0.3 s" in shown
@@ -49,5 +49,5 @@ def test_a_ramp_with_few_rows_is_told(tmp_path: Path):
 def test_a_robot_that_changes_its_speed_at_once_has_no_ramp(tmp_path: Path):
     found = described(tmp_path, SimulationOptions())
     assert found.response is not None
-    assert (found.response.up_per_s, found.response.rows) == (None, None)
+    assert (found.response.read.ramp_up_per_s, found.response.rows) == (None, None)
     assert "recovers by   at once" in page(found)

@@ -19,11 +19,12 @@ from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, ModelError
 from cyclekit.estimate.transit import transit_table
 from cyclekit.inspect.describe import describe
+from cyclekit.learning.divided_rows import _enough
 from cyclekit.learning.evaluation.evaluate import evaluate
 from cyclekit.learning.labelling import staircase_of
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.safety_function.fit import ScalingSamples, hysteresis
-from cyclekit.learning.training import _enough, train
+from cyclekit.learning.training import train
 from cyclekit.plots.colours import scaling_hex
 from cyclekit.plots.levels import levels_figure
 from cyclekit.replay import write_replay

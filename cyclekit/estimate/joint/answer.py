@@ -13,7 +13,14 @@ from cyclekit.estimate.joint.judged import JointCheck, judge_joint
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, longest_s
 from cyclekit.estimate.joint.shares import operator_shares, planned_shares, task_shares
-from cyclekit.estimate.limits import FEW_EXECUTIONS, extrapolation_of, few_tracks, limits_of_logs, refuse_biased
+from cyclekit.estimate.limits import (
+    FEW_EXECUTIONS,
+    extrapolation_of,
+    few_tracks,
+    limits_of_logs,
+    no_answer,
+    refuse_biased,
+)
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.question import Altered, Question
 from cyclekit.estimate.ranked import ranked
@@ -113,7 +120,7 @@ class JointAnswers:
         weights = _weights(self._ask.seed, len(self._cell.segments.orders))
         found = []
         for sequence, cycles in rolled.items():
-            problem = _problem(self._ask, sequence, cycles)
+            problem = no_answer(self._ask, sequence, cycles, longest_s(cycles.plan))
             if problem is not None:
                 refuse(sequence, problem)
                 continue
@@ -228,18 +235,3 @@ def _weights(seed: int, executions: int, cycles: int = CYCLES) -> Floats:
     """Return weights of the cycles as finite logs would give them: as many cycles as executions, drawn again."""
     drawn = np.random.default_rng(seed).multinomial(max(executions, 2), np.full(cycles, 1.0 / cycles), RESAMPLES)
     return np.asarray(drawn / max(executions, 2))
-
-
-def _problem(ask: Question, sequence: TaskSequence, cycles: RolledBoth) -> EstimateError | None:
-    """Return why these cycles are no answer: they do not end, or lie outside of the logs and that was not asked for."""
-    open_ended = float(np.mean(~np.isfinite(cycles.duration_s)))
-    if open_ended:
-        seen = f"{sequence.shown}: {open_ended:.0%} of the cycles do not end within {longest_s(cycles.plan):.0f} s"
-        cure = "The operator keeps the robot at speed 0 %; check the tracker's frame and clock."
-        return EstimateError(seen, cure=cure)
-    if cycles.support < LEAST_SUPPORT and not ask.extrapolate:
-        seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through logged positions"
-        return EstimateError(
-            seen, cure="Log this part of the cell, or estimate with --extrapolate and mark the number."
-        )
-    return None

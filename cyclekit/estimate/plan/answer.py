@@ -13,7 +13,7 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
 from cyclekit.estimate.joint.answer import waits_are_known
-from cyclekit.estimate.limits import validated
+from cyclekit.estimate.limits import ENDLESS, validated
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.plan.both import best_of_both
 from cyclekit.estimate.plan.jobs import ROW
@@ -164,10 +164,7 @@ def plan(
     unseen = _unseen(table, jobs, basis, tracks.executions, seed)
     looked_up = float(every.means([order])[0])
     if not np.isfinite(looked_up):
-        raise EstimateError(
-            f"{jobs.shown}: cycles do not end within {3 * length:.0f} s",
-            cure="The operator's tracks keep the robot at speed 0 %; check the tracker's frame and clock.",
-        )
+        raise EstimateError(f"{jobs.shown}: cycles do not end within {3 * length:.0f} s", cure=ENDLESS)
     walked = partial(estimate, model, dataset, seed=seed, extrapolate=True, other_cell=other_cell)
     (found,) = walked([TaskSequence("order 0", jobs.places(order))], validate=validate, check=check)
     saved = _mean_of(basis, every, partial(walked, validate=False, check=found.check)) - np.array(found.durations_s)

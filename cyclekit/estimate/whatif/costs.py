@@ -18,6 +18,7 @@ from cyclekit.estimate.walk import FINE_STEP_S
 from cyclekit.estimate.whatif.answer import NO_PROOF, saved_of
 from cyclekit.estimate.whatif.separation import margins_of, refuse_other_thresholds
 from cyclekit.learning.rules.quantities import outwards, quantities, released, shifted
+from cyclekit.text.numbers import exact_percent
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def named(cost: ParameterCost) -> str:
     """Return a number of the rule as a row of a table names it."""
     if cost.level is None:
         return cost.parameter
-    return f"{'stop' if cost.level == 0.0 else f'{100 * cost.level:.4g} %'}, {cost.where}"
+    return f"{'stop' if cost.level == 0.0 else exact_percent(cost.level)}, {cost.where}"
 
 
 def step(cost: ParameterCost) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from cyclekit.learning.rules.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
 from cyclekit.learning.rules.law import SAME, shape_of
 from cyclekit.learning.rules.regions import asks_operator, corners, polygon_corners
+from cyclekit.text.numbers import exact_percent
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards.rule import (
@@ -87,7 +88,7 @@ def _limit(limit: LimitCard) -> str:
 
 
 def _speed(level: float) -> str:
-    return "stop (speed 0 %)" if level == 0.0 else f"speed {100 * level:.4g} %"
+    return "stop (speed 0 %)" if level == 0.0 else f"speed {exact_percent(level)}"
 
 
 def _region(region: RegionCard, verb: str) -> str:

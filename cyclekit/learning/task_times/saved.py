@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.dataset.cards import BadCard, checked, plain, read_json
+from cyclekit.dataset.cards import plain
 from cyclekit.dataset.cards.task_model import FORMAT, TaskModelCard
-from cyclekit.errors import ModelError, command_line
-from cyclekit.learning.networks.saved import check_model_output
-from cyclekit.storage.atomic import recover, staged
-from cyclekit.storage.mistaken import MODEL_CARD
-from cyclekit.storage.remote.folders import local, published
-from cyclekit.text.plain_json import json_text
-from cyclekit.text.plain_text import all_in_one_line
+from cyclekit.learning import card_file
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,36 +48,14 @@ class TaskTimesModel(Result):
 
 def holds_task_times(place: Path | str) -> bool:
     """Tell whether a place holds a model of task times."""
-    try:
-        return read_json(local(place) / MODEL_CARD).get("format") == FORMAT
-    except (OSError, BadCard):
-        return False
+    return card_file.holds(place, FORMAT)
 
 
 def save_task_times(place: Path | str, model: TaskTimesModel) -> None:
-    """Write a model as a folder, at a path or a URL.
-
-    Raises:
-        ModelError: The path is there already and is no model.
-        CyclekitError: The place cannot be written.
-    """
-    check_model_output(place)
-    with published(place) as path:
-        recover(path)
-        with staged(path) as folder:
-            text = json_text(model.to_dict(), ascii_only=True) + "\n"
-            (folder / MODEL_CARD).write_text(text, encoding="utf-8", newline="\n")
+    """Write a model as a folder; see `card_file.save`."""
+    card_file.save(place, model.card)
 
 
 def load_task_times(place: Path | str) -> TaskTimesModel:
-    """Open a model of task times.
-
-    Raises:
-        ModelError: It is damaged, or of another version.
-    """
-    file = local(place) / MODEL_CARD
-    try:
-        return TaskTimesModel(checked(all_in_one_line(read_json(file)), TaskModelCard))
-    except (OSError, BadCard) as cause:
-        again = command_line("train", "DATASET", "--out", place)
-        raise ModelError(f"{file}: {cause}", cure=f"Train it again: {again}") from cause
+    """Open a model of task times; see `card_file.load`."""
+    return TaskTimesModel(card_file.load(place, TaskModelCard))

@@ -2,54 +2,28 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-from cyclekit.dataset.cards import BadCard, checked, plain, read_json
 from cyclekit.dataset.cards.unseen import FORMAT, UnseenModelCard
-from cyclekit.errors import ModelError, command_line
-from cyclekit.learning.networks.saved import check_model_output
+from cyclekit.learning import card_file
 from cyclekit.learning.unseen.model import UnseenOperator
-from cyclekit.storage.atomic import recover, staged
-from cyclekit.storage.mistaken import MODEL_CARD
-from cyclekit.storage.remote.folders import local, published
-from cyclekit.text.plain_json import json_text
-from cyclekit.text.plain_text import all_in_one_line
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def holds_unseen(place: Path | str) -> bool:
     """Tell whether a place holds a model of an unseen operator."""
-    try:
-        return read_json(local(place) / MODEL_CARD).get("format") == FORMAT
-    except (OSError, BadCard):
-        return False
+    return card_file.holds(place, FORMAT)
 
 
 def save_unseen(place: Path | str, model: UnseenOperator) -> None:
-    """Write a model as a folder, at a path or a URL.
-
-    Raises:
-        ModelError: The path is there already and is no model.
-        CyclekitError: The place cannot be written.
-    """
-    check_model_output(place)
-    kept = UnseenModelCard(format=FORMAT, levels=model.levels, unseen=model.unseen, card=model.card)
-    with published(place) as path:
-        recover(path)
-        with staged(path) as folder:
-            text = json_text(plain(kept, nulls=True), ascii_only=True) + "\n"
-            (folder / MODEL_CARD).write_text(text, encoding="utf-8", newline="\n")
+    """Write a model as a folder; see `card_file.save`."""
+    card = UnseenModelCard(format=FORMAT, levels=model.levels, unseen=model.unseen, card=model.card)
+    card_file.save(place, card)
 
 
 def load_unseen(place: Path | str) -> UnseenOperator:
-    """Open a model of an unseen operator.
-
-    Raises:
-        ModelError: It is damaged, or of another version.
-    """
-    file = local(place) / MODEL_CARD
-    try:
-        card = checked(all_in_one_line(read_json(file)), UnseenModelCard)
-    except (OSError, BadCard) as cause:
-        again = command_line("train", "DATASET", "--out", place)
-        raise ModelError(f"{file}: {cause}", cure=f"Train it again: {again}") from cause
+    """Open a model of an unseen operator; see `card_file.load`."""
+    card = card_file.load(place, UnseenModelCard)
     return UnseenOperator(card.levels, card.unseen, card.card)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cyclekit.report.figures.figure import Chart, Figure
-from cyclekit.report.numbers import fixed, speed
+from cyclekit.report.numbers import fixed
 from cyclekit.report.pictures import Picture
+from cyclekit.text.numbers import whole_percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,7 +23,7 @@ def _zones(page: PageInputs) -> Iterator[Chart]:
 
     labels = maps.floor_labels(texts) | {"speed": texts("why.zone_speed")}
     x, y, slowest = plan.zones[int(plan.zones[:, 2].argmin())].tolist()
-    alt = texts("why.zone_picture", x=fixed(x, 1), y=fixed(y, 1), speed=speed(slowest))
+    alt = texts("why.zone_picture", x=fixed(x, 1), y=fixed(y, 1), speed=whole_percent(slowest))
     picture = Picture("zones", alt, lambda width_in: maps.zone_map(width_in, plan, labels))
     caption = texts("why.zone_model" if plan.zones_of_model else "why.zone_log")
     if plan.shapes:

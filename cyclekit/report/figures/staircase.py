@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.report.figures.figure import Chart, Figure
-from cyclekit.report.numbers import UNKNOWN, count, fixed, speed
+from cyclekit.report.numbers import UNKNOWN, count, fixed
 from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable
+from cyclekit.text.numbers import whole_percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,7 +32,8 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
     labels = {key: texts(f"why.{key}") for key in ("logged", "predicted", "distance", "speed")}
     labels["tip"] = texts.section("why")["tip_samples"]
     bands = " ".join(
-        texts("why.band", speed=speed(b.scaling), low=fixed(b.low_m, 2), high=fixed(b.high_m, 2)) for b in found.bands
+        texts("why.band", speed=whole_percent(b.scaling), low=fixed(b.low_m, 2), high=fixed(b.high_m, 2))
+        for b in found.bands
     )
     levels, alt = page.dataset.levels, texts("why.picture", bands=bands)
     picture = Picture("staircase", alt, lambda width_in: maps.staircase(width_in, found, levels, labels))
@@ -41,7 +43,10 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
 
 def _bands(texts: ReportTexts, found: LoggedResponse) -> ReportTable:
     heads = [texts("why.level"), texts("why.range"), texts("why.count")]
-    rows = [[speed(b.scaling), f"{fixed(b.low_m, 2)} to {fixed(b.high_m, 2)}", count(b.samples)] for b in found.bands]
+    rows = [
+        [whole_percent(b.scaling), f"{fixed(b.low_m, 2)} to {fixed(b.high_m, 2)}", count(b.samples)]
+        for b in found.bands
+    ]
     return ReportTable(texts("why.bands"), heads, rows, frozenset({0, 1, 2}))
 
 
@@ -56,10 +61,10 @@ def _data(texts: ReportTexts, found: LoggedResponse) -> ReportTable:
     rows = []
     for edge in np.unique(edges).tolist():
         mine = edges == edge
-        logged = speed(float(np.average(found.logged[mine], weights=weight[mine])))
+        logged = whole_percent(float(np.average(found.logged[mine], weights=weight[mine])))
         expected = UNKNOWN
         if found.predicted is not None and np.isfinite(found.predicted[mine]).all():
-            expected = speed(float(np.average(found.predicted[mine], weights=weight[mine])))
+            expected = whole_percent(float(np.average(found.predicted[mine], weights=weight[mine])))
         name = f"{fixed(edge * DATA_M, 2)} to {fixed((edge + 1) * DATA_M, 2)}"
         rows.append([name, logged, expected, count(int(weight[mine].sum()))])
     return ReportTable(texts("why.data"), heads, rows, frozenset({0, 1, 2, 3}), silent=True)

@@ -1,0 +1,110 @@
+"""Tables at the native rate of each recording: in a file of their own, or in one that short recordings share."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.dataset import checksums
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from cyclekit.dataset.cards import ExecutionCard, RecordingCard
+    from cyclekit.dataset.files import DatasetFiles
+
+_NEAR_S = 1e-3
+"""Rows so far outside of a span are read too, since its ends in a log's own clock are rounded."""
+
+
+class RecordedTables:
+    """The tables of the recordings of a dataset, read when asked for."""
+
+    def __init__(self, path: Path, files: DatasetFiles, recordings: Sequence[RecordingCard]) -> None:
+        """Keep what it is given.
+
+        Args:
+            path: Folder of the dataset.
+            files: Its files.
+            recordings: What its card says of them.
+        """
+        self._path, self._files, self._recordings = path, files, recordings
+
+    def table(self, recording: str, table: str) -> pl.DataFrame | None:
+        """Return one table (`robot`, `people` or `events`) of a recording, None if it has none."""
+        if (shared := self._shared(recording, table)) is not None:
+            return self._files.collected(shared, _recorded(recording, table))
+        if (name := self._native(recording, table)) is None:
+            return None
+        file = self._files.whole(name)
+        with checksums.reading(file, self._path):
+            rows = pl.scan_parquet(file, glob=False)
+            columns = rows.collect_schema().names()
+        self._files.check_memory([file], columns)
+        return self._files.collected(rows, name)
+
+    def between(self, recording: str, table: str, first_s: float, last_s: float) -> pl.DataFrame | None:
+        """Return the rows of one table from `first_s` to `last_s` of the log's clock, None without it."""
+        if (shared := self._shared(recording, table)) is not None:
+            within = shared.filter(pl.col("t_s").is_between(first_s, last_s))
+            return self._files.collected(within, _recorded(recording, table))
+        if (name := self._native(recording, table)) is None:
+            return None
+        return self._files.collected(self._files.between(name, first_s, last_s), name)
+
+    def times(self, recording: str, table: str) -> Iterator[pl.DataFrame]:
+        """Yield the times of one table (`t_s`), in parts: it may be larger than memory."""
+        from cyclekit.storage.parquet import StoredTable  # whoever reads a log needs no Arrow to begin
+
+        if (shared := self._shared(recording, table)) is not None:
+            yield self._files.collected(shared.select("t_s"), _recorded(recording, table))
+            return
+        file = self._files.of_columns(self._native(recording, table) or _recorded(recording, table), ["t_s"])
+        with checksums.reading(file, self._path):
+            stored = StoredTable(file, ("t_s",))
+            for begin, end in stored.groups:
+                yield pl.DataFrame({"t_s": stored.column("t_s", begin, end)})
+
+    def robot_of(self, entry: ExecutionCard, columns: Sequence[str] | None = None) -> pl.DataFrame | None:
+        """Return the robot's rows of one execution, `t_s` in session time; None without a robot log.
+
+        `columns`: no others are read.
+        """
+        for record in self._recordings:
+            if record.session == entry.session and "robot" in record.tables:
+                shared, name = self._shared(record.id, "robot"), _recorded(record.id, "robot")
+                if shared is None:
+                    self._native(record.id, "robot")  # has its rows counted; a lost one is named below
+                rate, offset_s = record.clock.rate, record.clock.offset_s
+                first, last = ((at_s - offset_s) / rate for at_s in (entry.start_s, entry.end_s))
+                inside = pl.col("t_s").is_between(entry.start_s, entry.end_s)
+                if shared is None:  # rows of no other time are unpacked
+                    shared = self._files.between(name, first - _NEAR_S, last + _NEAR_S, columns)
+                rows = shared.with_columns(t_s=pl.col("t_s") * rate + offset_s).filter(inside)
+                return self._files.collected(rows if columns is None else rows.select(columns), name)
+        return None
+
+    def _shared(self, recording: str, table: str) -> pl.LazyFrame | None:
+        """Return a native-rate table, unread, that lies in a file which recordings share; None if it does not."""
+        counts = self._row_counts.get(recording, {})
+        return self._files.shared(recording, table, counts[table]) if table in counts else None
+
+    @cached_property
+    def _row_counts(self) -> dict[str, dict[str, int]]:
+        return {entry.id: {str(name): rows for name, rows in entry.rows.items()} for entry in self._recordings}
+
+    def _native(self, recording: str, table: str) -> str | None:
+        """Return the name of a native-rate table that holds no more rows than the card says; None if there is none."""
+        name = _recorded(recording, table)
+        if not self._files.has(name):
+            return None
+        if (count := self._row_counts.get(recording, {}).get(table)) is not None:
+            self._files.check_rows(name, count, f"in table {table}")
+        return name
+
+
+def _recorded(recording: str, table: str) -> str:
+    return f"recordings/{recording}/{table}.parquet"

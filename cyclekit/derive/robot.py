@@ -1,0 +1,113 @@
+"""What the robot of all sessions did: places, executions, speed scaling, and usual dwells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+from cyclekit.derive.session_samples import SessionToSample
+from cyclekit.scaling.of_runs import with_scaling
+from cyclekit.segmentation.arrivals import Stands, stands_of
+from cyclekit.segmentation.dwell import Dwell, usual_dwells
+from cyclekit.segmentation.executions import Execution, find_executions, find_visits
+from cyclekit.segmentation.places import find_places, with_turns
+from cyclekit.segmentation.waits import with_waits
+from cyclekit.storage.parquet import keeping
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.config import Cell
+    from cyclekit.dataset.cards import Note
+    from cyclekit.dataset.dataset import Place
+    from cyclekit.dataset.sessions import Session
+    from cyclekit.derive.over_sessions import Passes
+    from cyclekit.derive.session_look import Look
+    from cyclekit.parallel.engine import Engine
+    from cyclekit.schema import Progress
+    from cyclekit.segmentation.standstills import Stop
+    from cyclekit.segmentation.stored_run import Run
+
+KEPT_BYTES = 160 << 20
+"""Of decoded rows while the scaling is inferred: the fastest repetitions of each motion lie all over the log."""
+
+
+def numbered(looks: Sequence[Look]) -> list[Session]:
+    """Return the sessions with the numbers of their runs in the list of all runs."""
+    sessions: list[Session] = []
+    count = 0
+    for look in looks:
+        sessions.append(replace(look.session, runs=tuple(range(count, count + len(look.runs)))))
+        count += len(look.runs)
+    return sessions
+
+
+class Robot(NamedTuple):
+    """What the robot of all sessions was doing.
+
+    Attributes:
+        runs: All its runs; a session knows the numbers of its own.
+        places: All its places.
+        executions: Of each run, in the order of time.
+        warnings: What is to be said about the scaling.
+    """
+
+    runs: Sequence[Run]
+    places: Mapping[str, Place]
+    executions: Sequence[Sequence[Execution]]
+    warnings: list[Note]
+
+
+def robot_of(
+    looks: Sequence[Look], sessions: Sequence[Session], cell: Cell, engine: Engine, progress: Progress
+) -> Robot:
+    """Find places and executions in all sessions, and the scaling where it was not logged."""
+    runs: list[Run] = []
+    stops: list[Stop] = []
+    for look in looks:
+        stops += [replace(stop, run=stop.run + len(runs)) for stop in look.stops]
+        runs += look.runs
+    places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
+    visits = find_visits(stops, places, runs)
+    if all(len({visit.place for visit in seen}) < 2 for seen in visits):  # it rests at one place at most
+        stops = with_turns(runs, stops)
+        places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
+        visits = find_visits(stops, places, runs)
+    executions = find_executions(visits, places, cell.executions, [marks for look in looks for marks in look.marks])
+    executions = with_waits(executions, stops, runs) + _whole_runs(runs, executions)
+    with keeping(KEPT_BYTES):
+        runs, warnings = with_scaling(runs, executions, places, sessions, progress, engine)
+    by_run: list[list[Execution]] = [[] for _ in runs]
+    for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
+        by_run[found.run].append(found)
+    return Robot(runs, places, by_run, warnings)
+
+
+def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Execution]:
+    """A run in which no task was found is still an execution: it can be inspected and replayed."""
+    covered = {execution.run for execution in executions}
+    return [Execution(number, (), False) for number in range(len(runs)) if number not in covered]
+
+
+def with_stands(
+    passes: Passes, sessions: Sequence[Session], robot: Robot
+) -> tuple[list[SessionToSample], dict[str, Dwell]]:
+    """Return the work that each session is, and the usual dwell at each place."""
+    works = [
+        SessionToSample(
+            session,
+            {number: robot.runs[number] for number in session.runs},
+            [found for number in session.runs for found in robot.executions[number]],
+            {},
+        )
+        for session in sessions
+    ]
+    stands = passes.over(partial(_stands, places=robot.places), works, 0.5, 0.6, "stands")
+    every = {key: stand for mine in stands for key, stand in mine.items()}
+    dwells = usual_dwells([found for mine in robot.executions for found in mine], every)
+    return [replace(work, stands=mine) for work, mine in zip(works, stands, strict=True)], dwells
+
+
+def _stands(work: SessionToSample, *, places: Mapping[str, Place]) -> Stands:
+    return stands_of(work.runs, work.executions, places)

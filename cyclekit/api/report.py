@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.estimate import estimate_cycles
+from cyclekit.api.estimate import estimate_cycles, with_plan
 from cyclekit.api.evaluate import evaluate_model
 from cyclekit.api.given import Sequences, jobs_of, place_of, refuse_baseline, sequences_of, times_of, trained_of
 from cyclekit.api.plan import plan_order
@@ -19,7 +19,7 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import ConfigError, CyclekitError
-from cyclekit.estimate.answers import CycleEstimates
+from cyclekit.estimate.answers import CycleEstimates, together
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.whatif.change import Change, load_changes
 from cyclekit.learning.evaluation.evaluate import Evaluation
@@ -239,7 +239,10 @@ class _Asked:
 
     def _estimated(self, wanted: list[TaskSequence]) -> CycleEstimates:
         asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.1, 0.2), **self.given}
-        return estimate_cycles(self.model, self.data, wanted, takt_s=self.takt_s, **asked).require_all()
+        found = estimate_cycles(self.model, self.data, wanted, takt_s=self.takt_s, **asked)
+        if found.refused:
+            raise with_plan(together(found.refused), self.model, self.data, wanted)
+        return found
 
     def _changed(self, wanted: list[TaskSequence], changes: list[Change], check: Check | None) -> WhatIfAnswers:
         asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.2, 0.3), "check": check, **self.given}

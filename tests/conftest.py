@@ -40,6 +40,12 @@ def _what_is_shared_stays_as_it_was(tmp_path_factory: pytest.TempPathFactory) ->
 
 
 @pytest.fixture
+def no_boosting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evaluations of the test leave out the rival that takes most of their time; other files look at it."""
+    monkeypatch.setattr("cyclekit.learning.evaluation.evaluate._boosted", lambda *_: [])
+
+
+@pytest.fixture
 def words_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages of the test have empty pictures: drawing them takes most of the time, and other files look at them."""
     monkeypatch.setattr("cyclekit.report.pictures.Picture._drawn", lambda *_: "<svg></svg>")

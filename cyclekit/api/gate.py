@@ -24,7 +24,7 @@ class GateVerdict(Result):
 
     Attributes:
         takt_s: The takt time, s.
-        confidence: Which part of the cycles must be within it.
+        confidence: Share of the cycles that must be within the takt.
         sure: Whether the lower end of the 95 % interval must reach that part, too.
         estimates: Of the sequences that were judged.
     """

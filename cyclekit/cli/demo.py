@@ -53,7 +53,7 @@ def demo(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Go the whole way once, on a simulated cell.
+    """Run every step once, on a simulated cell.
 
     Plant logs are simulated and ingested, a model is trained, three sequences are estimated; a replay and a report
     are written. The same demo again gives the same numbers.

@@ -29,9 +29,9 @@ def fleet(
     json: Json = False,
     quiet: Quiet = False,
 ) -> int:
-    """Work on what is new of every cell of a fleet.
+    """Process the new logs of every cell of a fleet.
 
-    WHAT is ingest, train, report or all. What fails in a cell is told and the others go on; then the exit code is 1.
+    WHAT is ingest, train, report or all. A cell that fails is reported and the others go on; the exit code is then 1.
     """
     from cyclekit.fleet import run_fleet
 

@@ -28,9 +28,9 @@ def gate(
     sequences: SequenceFile,
     dataset: LoggedPlace,
     takt: Annotated[str, typer.Option(metavar="TIME", help="Takt time, such as 105s or 1min 45s.")],
-    confidence: Annotated[float, typer.Option(help="Which part of the cycles must be within it.")] = 0.95,
+    confidence: Annotated[float, typer.Option(help="Share of the cycles that must be within the takt.")] = 0.95,
     sure: Annotated[
-        bool, typer.Option("--sure", help="The lower end of that part's 95 % interval must reach it, too.")
+        bool, typer.Option("--sure", help="The lower end of the share's 95 % confidence interval must reach it, too.")
     ] = False,
     sequence: Annotated[str | None, typer.Option(help="Judge this sequence alone.", metavar="NAME")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling.")] = 0,
@@ -42,7 +42,7 @@ def gate(
 ) -> int:
     """Judge whether enough cycles are within the takt.
 
-    For a CI: exit code 0 where they are, of every sequence in the file; 1 where not; 2 where that cannot be told.
+    For CI: exit code 0 if every sequence in the file passes, 1 if one fails, 2 if that cannot be told.
     """
     from cyclekit.api.gate import gate_takt
 

@@ -23,7 +23,7 @@ EXAMPLE = "cyclekit init logs --takt 105s"
 def init(
     logs: Annotated[Path, typer.Argument(help="Folder of logs; default: this one.", metavar="FOLDER")] = Path(),
     takt: Takt = None,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask no questions.")] = False,
     follow_links: FollowLinks = False,
     json: Json = False,
     quiet: Quiet = False,

@@ -35,7 +35,7 @@ def inspect(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say what a log, a folder of logs, a dataset or a model is.
+    """Describe a log, a folder of logs, a dataset or a model.
 
     Adapter, rate, duration, columns, executions, places and tasks found, scaling levels, gaps, warnings.
     """

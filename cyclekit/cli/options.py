@@ -14,9 +14,7 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, all else on standard error.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no remarks; errors are still shown.")]
-FollowLinks = Annotated[
-    bool, typer.Option("--follow-links", help="Also read what links in a folder of logs lead to outside of it.")
-]
+FollowLinks = Annotated[bool, typer.Option("--follow-links", help="Follow links that lead out of a folder of logs.")]
 Extrapolate = Annotated[bool, typer.Option("--extrapolate", help="Estimate outside of the logged data too.")]
 Checked = Annotated[bool, typer.Option("--check/--no-check", help="Validate on logged executions; correct the bias.")]
 
@@ -36,7 +34,7 @@ Takt = Annotated[
 ]
 Baseline = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Sequence that the others are held against; default: what was logged most."),
+    typer.Option(metavar="NAME", help="Sequence that the others are compared with; default: the one logged most."),
 ]
 OperatorLog = Annotated[
     Path | None, typer.Option(help="Real tracker recording to use instead of the simulated operator.")

@@ -23,7 +23,7 @@ def replay(
     dataset: DatasetPlace,
     execution: Annotated[
         list[str],
-        typer.Option(help="Name of the execution, or its number from 1; again for more, side by side.", metavar="ID"),
+        typer.Option(help="Name of the execution, or its number from 1; repeat for several.", metavar="ID"),
     ],
     out: Annotated[Path, typer.Option(help="Recording to write (.rrd).")],
     model: Annotated[

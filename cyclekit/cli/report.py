@@ -36,7 +36,7 @@ def report(
         ),
     ] = None,
     plan: Annotated[
-        Path | None, typer.Option(metavar="JOBS.toml", help="Search the order of this work that takes least time.")
+        Path | None, typer.Option(metavar="JOBS.toml", help="Search the order of this work with the least cycle time.")
     ] = None,
     kind: Annotated[
         str | None, typer.Option("--format", help="html, json, csv, md or xlsx; default: by the ending of --out.")

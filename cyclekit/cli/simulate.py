@@ -48,7 +48,7 @@ def simulate(
         Path | None, typer.Option(help="Rule file: the safety function, in place of the scene's (docs/commands.md).")
     ] = None,
     ramps: Annotated[float | None, typer.Option(help="Fastest change of the scaling, 1/s.")] = None,
-    ramp_down: Annotated[float | None, typer.Option(help="Fastest fall, 1/s, where it is not that of --ramps.")] = None,
+    ramp_down: Annotated[float | None, typer.Option(help="Fastest fall, 1/s; default: as --ramps.")] = None,
     latency: Annotated[float, typer.Option(help="Reaction time of the safety system, s.")] = 0.0,
     hysteresis: Annotated[float, typer.Option(help="Extra distance before the robot speeds up again, m.")] = 0.0,
     hold: Annotated[float, typer.Option(help="For how long the robot stays slow after it may speed up, s.")] = 0.0,
@@ -65,13 +65,13 @@ def simulate(
         typer.Option("--causes", help="Also slider, reduced mode, limits, waits, pauses and protective stops (CSV)."),
     ] = False,
     coupling: Annotated[
-        float, typer.Option(min=0, max=1, help="In which share of the joint tasks robot and operator wait.")
+        float, typer.Option(min=0, max=1, help="Share of the joint tasks in which robot and operator wait.")
     ] = 1.0,
     without_signals: Annotated[
         bool, typer.Option("--no-signals", help="Leave buttons and sensors out of the logs of cells with waits.")
     ] = False,
     task_list: Annotated[
-        bool, typer.Option("--task-list", help="Of such a cell, starts and ends of tasks only, no positions.")
+        bool, typer.Option("--task-list", help="For a cell with waits: log starts and ends of tasks, no positions.")
     ] = False,
     without_operator: Annotated[
         bool, typer.Option("--without-operator", help="Reference run without an operator.")

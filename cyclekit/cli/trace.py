@@ -26,9 +26,9 @@ def trace(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say which lines of which logs a sample was made of.
+    """Show the lines of the logs that a sample was made from.
 
-    Robot: the row it stands on. People and events: the rows around it.
+    Robot: the row it was taken from. People and events: the rows around it.
     """
     at_s = seconds(at)
     from cyclekit.api.trace import trace_sample

@@ -54,13 +54,13 @@ def train(
     features: Annotated[
         Literal["auto", "positions", "distance", "past"],
         typer.Option(
-            help="distance: the network sees it too; past: LSTMs see goal times and scaling; auto: distance for now."
+            help="distance: also an input; past: also goal times and scaling (LSTM); auto: distance for --problem now."
         ),
     ] = "auto",
     target: Annotated[
         Literal["auto", "commanded", "logged"],
         typer.Option(
-            help="For now: the level that is headed for, or the scaling as logged (the paper's); auto: the level."
+            help="For --problem now: the commanded level, or the scaling as logged (as in the paper); auto: the level."
         ),
     ] = "auto",
     optimiser: Annotated[

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import LogGroup
     from cyclekit.dataset.signals import Read, Stored
-    from cyclekit.derive.robot import RobotRuns
+    from cyclekit.derive.robot import RobotInSessions
     from cyclekit.schema import Floats, Progress
     from cyclekit.segmentation.stored_run import Run
     from cyclekit.segmentation.time_account import Leg
@@ -127,7 +127,7 @@ def _finished(
     made: Sequence[Made],
     files: Sequence[Sequence[int]],
     runs: Mapping[str, list[Run]],
-    robot: RobotRuns,
+    robot: RobotInSessions,
     cell: Cell,
     folder: Path,
     read: Read,

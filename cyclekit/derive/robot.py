@@ -43,7 +43,7 @@ def numbered(looks: Sequence[Look]) -> list[Session]:
     return sessions
 
 
-class RobotRuns(NamedTuple):
+class RobotInSessions(NamedTuple):
     """What the robot of all sessions was doing.
 
     Attributes:
@@ -61,7 +61,7 @@ class RobotRuns(NamedTuple):
 
 def robot_of(
     looks: Sequence[Look], sessions: Sequence[Session], cell: Cell, engine: Engine, progress: Progress
-) -> RobotRuns:
+) -> RobotInSessions:
     """Find places and executions in all sessions, and the scaling where it was not logged."""
     runs: list[Run] = []
     stops: list[Stop] = []
@@ -81,7 +81,7 @@ def robot_of(
     by_run: list[list[Execution]] = [[] for _ in runs]
     for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
         by_run[found.run].append(found)
-    return RobotRuns(runs, places, by_run, warnings)
+    return RobotInSessions(runs, places, by_run, warnings)
 
 
 def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Execution]:
@@ -91,7 +91,7 @@ def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Ex
 
 
 def with_stands(
-    passes: Passes, sessions: Sequence[Session], robot: RobotRuns
+    passes: Passes, sessions: Sequence[Session], robot: RobotInSessions
 ) -> tuple[list[SessionToSample], dict[str, Dwell]]:
     """Return the work that each session is, and the usual dwell at each place."""
     works = [

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     Tip = Callable[[Figure, Artist, str, str], None]
 
-_WIDTH_IN, _WIDE_IN = 11.0, 6.0
+_WIDTH_IN = 11.0
 _LEFT_IN, _RIGHT_IN, _FOOT_IN, _KEY_IN = 0.82, 0.16, 0.5, 0.2
 _TITLE_IN, _COURSE_IN, _LABEL_IN, _BAR_IN, _GAP_IN = 0.27, 0.5, 0.17, 0.24, 0.09
 _TITLE_PT, _LABEL_PT, _NAME_PT = 9.0, 8.0, 8.5

@@ -208,8 +208,6 @@ def test_two_logs_that_borrow_each_other_s_clock_are_refused(few: Path, tmp_path
 
 
 def test_coarse_alignment_is_only_made_when_asked_for_and_goes_by_whole_samples(logs: Path, tmp_path: Path):
-    plain = ingested(logs, tmp_path / "d", cell_with(logs, {}))[1]
-    assert plain.clock.method == "assumed-common-start"
     dataset, operator = ingested(logs, tmp_path / "d", cell_with(logs, {}), align_clocks="coarse")
     clock = operator.clock
     assert clock.method == "coarse"
@@ -223,8 +221,10 @@ def test_coarse_alignment_is_only_made_when_asked_for_and_goes_by_whole_samples(
 
 def test_coarse_alignment_that_finds_nothing_says_so(few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("cyclekit.alignment.recording_clocks.coarse_fit", lambda *_, **__: None)
+    plain = ingested(few, tmp_path / "d", cell_with(few, {}))[1]
+    assert not any("not aligned on the operator" in text for text in plain.said)
     operator = ingested(few, tmp_path / "d", cell_with(few, {}), align_clocks="coarse")[1]
-    assert operator.clock.method == "assumed-common-start"
+    assert plain.clock.method == operator.clock.method == "assumed-common-start"
     (said,) = [text for text in operator.said if "not aligned on the operator" in text]
     assert "no offset within 120 s shows that" in said
     assert "clock_offset_s" in said

@@ -193,6 +193,7 @@ def test_a_change_of_a_place_that_does_not_exist_is_refused(
     assert "conveyor" in typed.err
 
 
+@pytest.mark.usefixtures("no_boosting")
 def test_evaluate_says_whether_the_cell_has_changed(model: Path, dataset: Path, cyclekit: Shell):
     typed = cyclekit("evaluate", model, dataset, "--trained-on", dataset, "--quiet")
     assert typed.code == 0, typed.err

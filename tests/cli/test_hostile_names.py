@@ -175,7 +175,10 @@ def test_a_name_in_a_table_is_one_row(name: str) -> None:
 
 @given(name=NAMES)
 @at_most(30, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_no_argument_comes_back_as_a_control(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_argument_comes_back_as_a_control(
+    name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # no name is that of the repository, which is long to look through
     capsys.readouterr()
     name = name.replace("\0", "").encode("utf-8", "ignore").decode()  # no process can be given the others
     run(["inspect", name])

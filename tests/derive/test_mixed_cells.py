@@ -4,6 +4,7 @@ import shutil
 
 import polars as pl
 import pytest
+from made_once import simulated
 
 from cyclekit import estimate_cycles
 from cyclekit.config import load_cell
@@ -28,8 +29,12 @@ def logs(folder, executions, seed=2, **options):
 def traced(request, tmp_path_factory):
     """Return a dataset whose signals stand in a PLC's trace alone, of that form."""
     folder = tmp_path_factory.mktemp("plc")
-    ingest(logs(folder / "logs", 8, plc_trace=request.param), folder / "dataset")
+    ingest(two_sessions(tmp_path_factory, request.param), folder / "dataset")
     return Dataset.open(folder / "dataset")
+
+
+def two_sessions(factory, trace):
+    return simulated(factory, "scanner-fields", 8, 2, executions_per_session=4, plc_trace=trace)
 
 
 def test_signals_of_a_trace_are_found_on_the_robots_clock(traced):
@@ -100,8 +105,8 @@ def test_an_unknown_signal_hides_nobody():
     assert (changed["human_gap"].to_list(), hidden) == (["absent", "occluded"], 1)
 
 
-def test_robot_logs_of_one_folder_share_a_trace_each_with_a_clock_of_its_own(tmp_path):
-    made, shared = logs(tmp_path / "made", 8, executions_per_session=4, plc_trace="wide"), tmp_path / "logs"
+def test_robot_logs_of_one_folder_share_a_trace_each_with_a_clock_of_its_own(tmp_path, tmp_path_factory):
+    made, shared = two_sessions(tmp_path_factory, "wide"), tmp_path / "logs"
     shared.mkdir()
     rows = []
     for number, later_s in enumerate((0, 2000)):

@@ -79,6 +79,7 @@ def run_export(model, folder):
     write_onnx(folder.parent / "m.onnx", model)
 
 
+@pytest.mark.usefixtures("no_boosting")
 def test_it_is_evaluated_and_shown_as_any_other(folder, cell, capsys):
     assert run(["evaluate", str(folder), str(cell.path)]) == 0
     assert run(["inspect", str(folder)]) == 0

@@ -10,6 +10,9 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import tempfile
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +24,6 @@ from cyclekit.storage.atomic import staged, write_parquet
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 THRESHOLDS_M = (1.2, 1.5, 1.9, 2.4)
@@ -51,6 +53,16 @@ def fabricate_dataset(
         rounds: Rounds of conveyor -> left -> conveyor -> right per execution, about 15 s to 60 s each.
         operator: False for a dataset in which nobody is ever there.
     """
+    with staged(path) as folder:
+        for name, content in _fabricated(executions, seed, rounds, operator).items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+    return Dataset.open(path)
+
+
+@cache
+def _fabricated(executions: int, seed: int, rounds: int, operator: bool) -> dict[str, bytes]:
+    """Return the files of a dataset by name, made once in a process."""
     rng = np.random.default_rng(seed)
     starts = {"session-1": 0.0, "session-2": 0.0}
     entries, samples, natives, tasks = [], {s: [] for s in starts}, {s: [] for s in starts}, []
@@ -65,7 +77,8 @@ def fabricate_dataset(
         natives[session].append(native)
         tasks.append(done)
         starts[session] = end_s + GAP_S
-    with staged(path) as folder:
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
         for session, frames in samples.items():
             if frames:
                 write_parquet(_conform(pl.concat(frames)), folder / "samples" / f"{session}.parquet")
@@ -73,7 +86,8 @@ def fabricate_dataset(
         write_parquet(schema.conform(pl.concat(tasks), schema.TASKS), folder / "tasks.parquet")
         card = _card(entries, {s: pl.concat(f).height for s, f in natives.items() if f})
         (folder / CARD).write_text(json.dumps(card, indent=1), encoding="utf-8")
-    return Dataset.open(path)
+        files = [file for file in folder.rglob("*") if file.is_file()]
+        return {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}
 
 
 class _Operator:

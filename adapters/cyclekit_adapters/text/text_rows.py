@@ -68,16 +68,6 @@ class TextRows:
     set_aside: pl.DataFrame
     not_finite: int = 0
 
-    def or_refuse(self, path: Path) -> TextRows:
-        """Return these rows, or refuse the log if none of them can be used.
-
-        Raises:
-            DamagedLog: There is no usable row; the message names the first reason.
-        """
-        if self.frame.is_empty():
-            raise nothing_usable(path, self.rows_read, self.set_aside)
-        return self
-
     def without(self, bad: pl.Series, reason: str) -> TextRows:
         """Return the rows with those for which `bad`, shape (N,), is true set aside."""
         if not bad.any():

@@ -135,7 +135,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "its clock was aligned by the operator being near while the robot slows: the reaction delay of the safety "
         "function is hidden in it, so delays in this dataset are meaningless"
     ),
-    "clock-coarse-ambiguous": "{away_s:+.1f} s from there it fits almost as well",
+    "clock-coarse-ambiguous": "an offset {away_s:+.1f} s away fits almost as well",
     "clock-by-start": (
         "aligned by the time of day of its start: accurate to about a second, so no delay can be read from it"
     ),
@@ -146,12 +146,12 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "clock-motion-rough": "its motion fits the robot's only roughly (correlation {correlation:.2f})",
     "clock-events-few": _events,
     "clock-events-disagree": "the events that align its clock disagree by {residual_s:.2g} s: check the pairs",
-    "clock-events-alone": "of {events} events only {used} align its clock: the others have no partner",
+    "clock-events-alone": "of {events} events only {used} align its clock: the others have no match",
     "clock-events-ambiguous": (
         "its events fit the robot's almost as well {away_s:+.2f} s away ({pairs:.0%} as many pairs): "
         "the clock may be off by that; record events at uneven intervals, or give sync_events"
     ),
-    "clock-events-unmatched": "only {used} of {events} events place its clock: the others have no partner",
+    "clock-events-unmatched": "only {used} of {events} events place its clock: the others have no match",
     # operator
     "tracks-linked": (
         "{ids} track ids in {frames} frames last only a frame or two: linked by motion into {tracks} tracks"
@@ -192,8 +192,8 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "to learn from those, ingest their logs alone"
     ),
     "operator-unseen": (
-        "in {samples} samples of {sessions} sessions a signal shows somebody whom the tracker does not: the operator "
-        "counts as there and hidden, not as absent"
+        "in {samples} samples of {sessions} sessions a signal shows a person whom the tracker does not see: the "
+        "operator counts as occluded, not as absent"
     ),
     "scaling-nowhere": "the scaling is unknown everywhere",
     "levels-none": (
@@ -214,7 +214,8 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "the values are levels times an operator slider ({sliders}); the levels are given without it"
     ),
     "learned-in-files": (
-        "more samples than fit into memory: levels were found in {executions} executions, rows learned from in files"
+        "more samples than fit into memory: levels were found in {executions} executions; training reads the samples "
+        "from files"
     ),
     "model-data": "{text}",
     "model-beaten": "{text}",

@@ -119,7 +119,7 @@ def test_every_text_is_asked_for_and_every_text_asked_for_exists():
     source = "".join(file.read_text("utf-8") for file in read if file.name.endswith((".py", ".jinja", ".js")))
     known = {f"{section}.{name}" for section, names in texts.items() for name in names}
     asked = set(re.findall(r"[\"']((?:page|answer|verdict|where|why|helps|trust|fleet|play)\.\w+)", source))
-    no_texts = {"page.css", "page.html", "page.js", "page.pdf", "fleet.html", "play.css", "play.html", "play.js"}
+    no_texts = {"page.css", "page.html", "page.js", "page.pdf", "fleet.html", "play.css", "play.html"}
     assert asked - known == no_texts  # but files
     names = set(re.findall(r'"(\w+)"', source))
     assert {key for key in known - asked if key.partition(".")[2] not in names} == set()

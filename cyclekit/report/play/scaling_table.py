@@ -83,7 +83,7 @@ def scaling_table(
         found["support"].append(known.near_logged(robot_m, human_m).astype(np.uint8))
     arrays |= {name: np.concatenate(parts) for name, parts in found.items() if parts}
     arrays |= {"values": book.astype(np.float32), "people_cells": code.astype(np.uint16).ravel()}
-    facts = {"cells": len(cells), "lags": lags, "fastest": max(levels, default=1.0), "moves": []}
+    facts: dict[str, Any] = {"cells": len(cells), "lags": lags, "fastest": max(levels, default=1.0), "moves": []}
     if isinstance(model, OnStates):
         return {**facts, "holds": True, "absent": None, "fixed": "fixed_states"}
     return {**facts, "holds": False, "absent": len(cells) - 1, "fixed": "fixed_table"}

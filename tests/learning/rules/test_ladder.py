@@ -20,7 +20,7 @@ from cyclekit.learning.rules.rows import RuleRows, hidden_for_long
 from cyclekit.learning.rules.words import sentences, verdict
 
 LEVELS = (0.0, 0.5, 1.0)
-ROWS, EXECUTIONS = 400, 20
+ROWS, EXECUTIONS = 400, 30
 
 
 def walks(*, away: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

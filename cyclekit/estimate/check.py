@@ -257,8 +257,7 @@ def check_rollout(
     means[some] = np.nanmean(crossed[some], axis=1) * found.factor
     part = model.unseen_error if isinstance(model, OnStates) else 0.0
     unseen_error, spread = unseen_people(part, logged / means, crossed[some])
-    times = TaskTimes(dataset)
-    chance: Floats | float = 0.0
+    times, chance = TaskTimes(dataset), np.zeros(len(sequences))
     if isinstance(model, OnStates):  # few operators are walked, and most of the difference is their chance
         together = TOGETHER if tracks.runs_on else 1
         chance = chance_of_logs(times, sequences, crossed, tracks.executions, together)

@@ -116,7 +116,8 @@ def operator_tracks(
         dataset: Where they were logged.
         horizon_s: Longest cycle that will be asked for.
         operator: Only executions in which the operator's tasks begin in this order.
-        phases: Entries per execution; None: PHASES where `phase_is_free` and no order is asked for, else 1. The first
+        phases: Entries per execution; None: PHASES where `phase_is_free`, no order is asked for, and positions are
+            known, else 1: of states later entries only lengthen the part that is put together of others. The first
             entry of each execution is its beginning, and those come first, in the order of the executions.
         goals: Also return g_h.
         model: Whom the tracks are for; one of states gets these in place of positions.
@@ -143,7 +144,7 @@ def operator_tracks(
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
     free = _is_free(tracks)
     if phases is None:
-        phases = PHASES if operator is None and free else 1
+        phases = PHASES if operator is None and free and not on_states else 1
     after = _after(dataset)
     ran_on = {name: _run_on(tracks, [name, *after[name]], step) for name in begins}
     length = int(np.ceil(horizon_s / step)) + 2

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from unittest.mock import Mock
+
 import numpy as np
+import polars as pl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cyclekit.estimate import tracks
 from cyclekit.estimate.continuation import Stretch
+from cyclekit.estimate.safety import OnStates
 from cyclekit.estimate.spells import LONGEST, Spells
 
 
@@ -54,3 +60,22 @@ def test_every_course_begins_as_logged_and_is_as_long_as_asked(logs: list[list[t
     for stretch, mine in zip(stretches, state, strict=True):
         kept = min(length, len(stretch.activity))
         np.testing.assert_array_equal(mine[:kept], stretch.activity[:kept])
+
+
+def test_courses_of_states_are_used_from_the_beginning_of_their_logs_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(1)
+    names = [f"execution {number}" for number in range(30)]
+    logs = {name: course(*((int(number), 1) for number in rng.integers(0, 2, 50))) for name in names}
+    ends = {"begin_s": 0.0, "end_s": 4.9, "seen": True, "away": False, "followed": True}
+    logged = {name: tracks.LoggedTrack(one.where, one.activity, **ends) for name, one in logs.items()}
+    monkeypatch.setattr(tracks, "_in_states", lambda dataset, model: (["nobody", "somebody"], logged))
+    starts = [100.0 * number for number in range(len(names))]
+    executions = pl.DataFrame({"execution": names, "session": 0, "start_s": starts, "complete": True})
+    executions = executions.with_columns(end_s=pl.col("start_s") + 4.9)
+    dataset = SimpleNamespace(rate_hz=10.0, executions=executions, card=SimpleNamespace(executions=()), path="cell")
+    model = Mock(spec=OnStates)
+    assert isinstance(model, OnStates)
+    found = tracks.operator_tracks(dataset, horizon_s=8.0, model=model)  # type: ignore[arg-type]
+    assert found.phase_free
+    assert found.executions == tuple(names)
+    np.testing.assert_array_equal(found.activity[0, :50], logs[names[0]].activity)

@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 
 from cyclekit.api.simulate import simulate_logs
 from cyclekit_sim import SimulationError, SimulationOptions, read_rule
+from cyclekit_sim.fields import on_of
 from cyclekit_sim.rules import IsoLaw, Limit, Rectangle, Rule
 from cyclekit_sim.safety import SafetyInputs, SpeedScaling
+from cyclekit_sim.scenes import BUILT_IN
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -126,3 +128,9 @@ def test_the_truth_of_the_rule_lies_beside_the_logs(tmp_path: Path) -> None:
     rows = pl.read_parquet(logs / "truth" / "samples.parquet")
     assert rows["scaling"].min() == 0.6
     assert rows["scaling"].n_unique() > 50, "a law has no levels"
+
+
+def test_operators_of_pick_and_package_stand_in_its_fields_and_outside_of_them():
+    scene = BUILT_IN["pick-and-package"]
+    on = {name: int(on_of(scene.fields, np.array([one.xyz_m]))[0]) for name, one in scene.stations.items()}
+    assert on == {"inspect": 0b011, "pack": 0b101, "refill": 0}

@@ -68,12 +68,16 @@ def logged(
     options: SimulationOptions = PLAIN,
     kind: str = "plain",
     rules: bool = False,
+    epochs: int | None = None,
 ) -> Logged:
-    """Return a logged cell with its `now` model, with `rules` a rule beside it; made once per folder `work`."""
+    """Return a logged cell with its `now` model, with `rules` a rule beside it; made once per folder `work`.
+
+    `epochs` of a network that no one asks, as a rule answers, can be few.
+    """
     dataset = dataset_of(work, scene, executions, seed=seed, options=options, kind=kind)
     folder = dataset.path.parent / ("model-and-rule" if rules else "model")
     if not (folder / "model.json").is_file():
-        save_model(folder, train(dataset, ModelSpec.of(problem="now", seed=0), rules=rules))
+        save_model(folder, train(dataset, ModelSpec.of(problem="now", seed=0, epochs=epochs), rules=rules))
     return Logged(scene, dataset, load_model(folder))
 
 

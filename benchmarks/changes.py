@@ -2,9 +2,10 @@
 
     python benchmarks/changes.py --executions 60 --fresh 600 --seeds 1 2 3 --work FOLDER
 
-What a change saves is told against simulating it twice: beside the very operators of the logs, entered at the same
-instants as the estimate enters them, and beside fresh ones. The first difference is what the method is off, the second
-is the luck of which operators were logged. `as it is` writes the true safety function down; it saves nothing.
+What a change saves is told against simulating it twice: beside the very tracks of the logged operators that the
+estimate rests on, and beside fresh operators. The first difference is what the method is off, with its standard error
+from one operator to the next; the second is the luck of which operators were logged. `as it is` writes the true safety
+function down; it saves nothing. What is changed is the rule read from the logs.
 """
 
 from __future__ import annotations
@@ -22,10 +23,12 @@ from cells import JUDGED_SEED, logged, unseen_sequences
 from rich.console import Console
 from rich.table import Table
 
-from cyclekit.estimate.tracks import PHASES, SHORTEST
+from cyclekit.estimate.check import check_rollout
+from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.whatif import Change, what_if
 from cyclekit.estimate.whatif.change import Zone
-from cyclekit_sim.choices import FRESH, LOGGED, OPERATOR, operator_legs, stream
+from cyclekit.learning.rules.safety import answering
+from cyclekit_sim.choices import FRESH, OPERATOR, operator_legs, stream
 from cyclekit_sim.engine import run
 from cyclekit_sim.motion import plan_moves
 from cyclekit_sim.plan import prepare, process_times
@@ -38,10 +41,17 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.estimate.whatif import WhatIf
     from cyclekit_sim import SimulationOptions
     from cyclekit_sim.scenes import Scene
+    from cyclekit_sim.walking import Press, Track
 
 OUT = Console(width=150)
+LONG_S = 300.0
+"""Longer than any cycle here."""
 LEVELS = (0.0, 0.3, 0.6, 1.0)
 NOW_M, NEARER_M = (0.8, 1.2, 1.7), (0.8, 1.2, 1.45)
 X_M, Y_M = (0.9, 2.3), (-0.6, 1.1)
@@ -67,18 +77,43 @@ def scene_of(thresholds_m: tuple[float, ...], zone: bool) -> Scene:
 
 @dataclasses.dataclass(frozen=True)
 class Operators:
-    """Whom a cell is simulated beside: the first operators of a seed, each entered at every instant."""
+    """Whom a cell is simulated beside: the tracks that an estimate rests on, or else the first operators of a seed."""
 
     seed: int
-    domain: int
     count: int
-    instants_s: tuple[float, ...] = (0.0,)
+    tracks: OperatorTracks | None = None
+
+    @property
+    def entries(self) -> int:
+        """How often each operator is entered."""
+        return 1 if self.tracks is None else len(self.tracks.executions) // self.count
+
+
+@dataclasses.dataclass(frozen=True)
+class Followed:
+    """An operator as an estimate has him: x_h on a grid of time, shape (T, 3), m."""
+
+    xyz_m: np.ndarray
+    step_s: float
+
+    def at(self, t_s: np.ndarray) -> np.ndarray:
+        """Return positions (M, 3), m, at times (M,), s; NaN: nobody."""
+        place = np.clip(t_s / self.step_s, 0.0, len(self.xyz_m) - 1.001)
+        sample = place.astype(np.int64)
+        here, after = self.xyz_m[sample], self.xyz_m[sample + 1]
+        between = here + (after - here) * (place - sample)[:, None]
+        return np.where(np.isnan(between), here, between)
+
+    def presses(self, until_s: float) -> list[Press]:
+        """Return no task."""
+        del until_s
+        return []
 
 
 def simulated(
     wanted: Sequence[TaskSequence], scene: Scene, options: SimulationOptions, sides: Sequence[Operators]
 ) -> list[np.ndarray]:
-    """Return per side the mean duration of each sequence, shape (sequences,), s; all are simulated at once."""
+    """Return per side the mean duration of each sequence beside each operator, shape (sequences, operators), s."""
     programs, tracks = [], []
     pairs = {pair for each in wanted for pair in pairwise(each.places)}
     table = plan_moves(scene.places, pairs)
@@ -86,42 +121,62 @@ def simulated(
         for each in wanted:
             work = prepare(scene, side.seed, options, executions=side.count, places=each.places)
             pick_s, place_s = process_times(work)
-            for after_s in side.instants_s:
+            for entry in range(side.entries):
                 programs += [compile_program([one], table, pick_s=pick_s, place_s=place_s) for one in work.executions]
-                tracks += [operator_of(scene, side, index, after_s) for index in range(side.count)]
+                tracks += [operator_of(scene, side, index, entry) for index in range(side.count)]
     took_s = np.array(
         [trace.duration_s for trace in run(programs, tracks, table=table, safety=scene.safety, options=options)]
     )
-    parts = np.split(took_s, np.cumsum([len(wanted) * side.count * len(side.instants_s) for side in sides])[:-1])
-    return [part.reshape(len(wanted), -1).mean(axis=1) for part in parts]
+    parts = np.split(took_s, np.cumsum([len(wanted) * side.count * side.entries for side in sides])[:-1])
+    shapes = [(len(wanted), side.entries, side.count) for side in sides]
+    return [part.reshape(shape).mean(axis=1) for part, shape in zip(parts, shapes, strict=True)]
 
 
-def operator_of(scene: Scene, side: Operators, index: int, after_s: float) -> WalkedTrack:
-    """Return the operator of an execution as `plan` draws him, so long after its beginning."""
-    rng = stream(side.seed, scene, OPERATOR, index, domain=side.domain)
-    at_any_time = scene.operator == "visit" or (scene.continuous and side.domain == FRESH)
-    skip_s = float(rng.uniform(60.0, 120.0)) if at_any_time else 0.0
-    return WalkedTrack(operator_legs(scene, rng), skip_s=skip_s + after_s)
+def operator_of(scene: Scene, side: Operators, index: int, entry: int) -> Track:
+    """Return the operator of an execution, entered there; a fresh one as `plan` draws him."""
+    if side.tracks is not None:
+        return Followed(side.tracks.xyz_m[entry * side.count + index], side.tracks.step_s)
+    rng = stream(side.seed, scene, OPERATOR, index, domain=FRESH)
+    skip_s = float(rng.uniform(60.0, 120.0)) if scene.operator == "visit" or scene.continuous else 0.0
+    return WalkedTrack(operator_legs(scene, rng), skip_s=skip_s)
+
+
+def beside(dataset: Dataset, seed: int, fresh: int, model: SafetyModel) -> tuple[Operators, Operators]:
+    """Return the operators of an estimate from these logs, and so many fresh ones."""
+    tracks = operator_tracks(dataset, horizon_s=LONG_S, phases=check_rollout(model, dataset).phases)
+    return Operators(seed, len(set(tracks.executions)), tracks), Operators(JUDGED_SEED, fresh)
 
 
 def of_set(work: Path, asked: argparse.Namespace, seed: int) -> list[np.ndarray]:
-    """Return per case what it saves, as part of the cycle: told, beside logged operators, fresh; (3, sequences)."""
-    cell = logged(work, SCENE, asked.executions, seed=seed, options=HARD, kind="visits")
+    """Return per case what it saves and how sure that is, as part of the cycle, shape (4, sequences).
+
+    Told, beside logged operators, beside fresh ones, and the standard error of the first less the second.
+    """
+    cell = logged(work, SCENE, asked.executions, seed=seed, options=HARD, kind="visits", rules=True, epochs=1)
     wanted = unseen_sequences(cell.dataset, SCENE, asked.sequences, first=JUDGED_SEED)
-    found = what_if(cell.model, cell.dataset, wanted, [case[0] for case in CASES])
-    took_s = cell.dataset.executions["duration_s"].to_numpy()
-    within_s = float(np.quantile(took_s, SHORTEST, method="lower"))
-    instants_s = tuple(within_s * phase / PHASES for phase in range(PHASES))
-    sides = Operators(seed, LOGGED, len(took_s), instants_s), Operators(JUDGED_SEED, FRESH, asked.fresh)
+    model = answering(cell.model)
+    found = what_if(model, cell.dataset, wanted, [case[0] for case in CASES])
+    sides = beside(cell.dataset, seed, asked.fresh, model)
     now, rows = None, []
     for change, thresholds_m, zone, options in CASES:
         mine = {entry.before.name: entry for entry in found if entry.change == change.name}
-        told = [mine[each.name].saves_s[0] / mine[each.name].before.expected_s for each in wanted]
+        told = np.array([_saved(mine[each.name], sides[0].count) for each in wanted])
         then = simulated(wanted, scene_of(thresholds_m, zone), options, sides)
         now = now or then  # the first case is the cell as it is
-        rows.append(np.array([told, *(1 - after_s / before_s for after_s, before_s in zip(then, now, strict=True))]))
+        logs, fresh = (
+            (before_s - after_s) / before_s.mean(axis=1, keepdims=True)
+            for after_s, before_s in zip(then, now, strict=True)
+        )
+        error = (told - logs).std(axis=1, ddof=1) / sides[0].count ** 0.5
+        rows.append(np.array([*(part.mean(axis=1) for part in (told, logs, fresh)), error]))
         OUT.print(change.name, rows[-1].round(4).tolist(), soft_wrap=True)
     return rows
+
+
+def _saved(entry: WhatIf, operators: int) -> np.ndarray:
+    """Return what is said to be saved beside each operator, as part of the cycle, shape (operators,)."""
+    saved_s = np.array(entry.before.durations_s) - np.array(entry.after.durations_s)
+    return np.asarray(saved_s.reshape(-1, operators).mean(axis=0) / entry.before.expected_s)
 
 
 def main() -> None:
@@ -135,13 +190,13 @@ def main() -> None:
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         sets = [of_set(asked.work or Path(folder), asked, seed) for seed in asked.seeds]
-    table = Table("change", "saves %", "beside logged operators %", "method off, mean / worst", "fresh %", "sampling")
+    table = Table("change", "saves %", "beside logged operators %", "off: mean, worst", "+-", "fresh %", "luck")
     for number, (change, *_) in enumerate(CASES):
-        told, beside, fresh = 100 * np.concatenate([rows[number] for rows in sets], axis=1)
+        told, beside, fresh, error = 100 * np.concatenate([rows[number] for rows in sets], axis=1)
         off = told - beside
         table.add_row(
             change.name, f"{told.mean():.2f}", f"{beside.mean():.2f}",
-            f"{off.mean():+.2f} / {off[np.abs(off).argmax()]:+.2f}", f"{fresh.mean():.2f}",
+            f"{off.mean():+.2f}, {off[np.abs(off).argmax()]:+.2f}", f"{error.mean():.2f}", f"{fresh.mean():.2f}",
             f"{np.mean(beside - fresh):+.2f}",
         )  # fmt: skip
     OUT.print(table)

@@ -6,6 +6,7 @@ Markov chain of slow-downs from task to task.
 
     python benchmarks/no_tracker_estimates.py --scenes box-picking,scanner-visits --executions 60 --seeds 1 2
     python benchmarks/no_tracker_estimates.py --scenes scanner-fields,light-curtain --fresh 1000
+    python benchmarks/no_tracker_estimates.py --scenes box-picking,pick-and-package --signals
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from cells import dataset_of, durations_of, fresh, logged, unseen_sequences
+from cells import PLAIN, dataset_of, durations_of, fresh, logged, unseen_sequences
 from order_rivals import markov_s
 
 from cyclekit.api.given import model_of
@@ -25,6 +26,7 @@ from cyclekit.api.train import train_model
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.rollout import estimate
 from cyclekit.ingest.ingest import ingest
+from cyclekit_sim import SimulationOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
 
 WITHOUT_TRACKER = ("scanner-fields", "light-curtain")
 """Scenes whose logs hold signals of people and no tracker."""
+BY_SIGNALS = SimulationOptions(people="signals", latency_s=0.1, ramp_down_per_s=1.5, ramp_up_per_s=1.5)
+"""Of the other scenes with `--signals`."""
 OF_PEOPLE = ("operator.csv", "events.csv", "truth")
 MEAN_OF_SIZE = (2 / np.pi) ** 0.5
 
@@ -73,13 +77,16 @@ def held(found: list[CycleEstimate], took: Mapping[str, np.ndarray]) -> str:
 
 def compared(asked: argparse.Namespace, work: Path, scene: str, executions: int, seed: int) -> None:
     """Print the rows of one cell."""
-    dataset = dataset_of(work, scene, executions, seed=seed)
-    blind = dataset if scene in WITHOUT_TRACKER else robot_alone(dataset.path.parent)
+    signals = scene in WITHOUT_TRACKER or asked.signals
+    options, kind = (BY_SIGNALS, "signals") if asked.signals else (PLAIN, "plain")
+    dataset = dataset_of(work, scene, executions, seed=seed, options=options, kind=kind)
+    blind = dataset if signals else robot_alone(dataset.path.parent)
     wanted: list[TaskSequence] = unseen_sequences(blind, scene, asked.sequences)
-    took = {one.name: durations_of(fresh(work, scene, one.places, asked.fresh)) for one in wanted}
+    runs = {one.name: fresh(work, scene, one.places, asked.fresh, options=options, kind=kind) for one in wanted}
+    took = {name: durations_of(run) for name, run in runs.items()}
     chance = 100 * MEAN_OF_SIZE * np.mean([x.std(ddof=1) / x.mean() for x in took.values()]) / executions**0.5
-    models = {"signals" if scene in WITHOUT_TRACKER else "robot log alone": (model_of(train_model(blind)), blind)}
-    if scene not in WITHOUT_TRACKER and not asked.no_tracker:
+    models = {"signals" if signals else "robot log alone": (model_of(train_model(blind)), blind)}
+    if not signals and not asked.no_tracker:
         models["tracker"] = (model_of(logged(work, scene, executions, seed=seed, rules=True).model), dataset)
     cell = f"| {scene} | {executions} | {seed} |"
     for name, (model, data) in models.items():
@@ -100,6 +107,7 @@ def main() -> None:
     parser.add_argument("--sequences", type=int, default=5, help="never logged")
     parser.add_argument("--fresh", type=int, default=500, help="fresh executions of each")
     parser.add_argument("--no-tracker", action="store_true", help="leave the same cell with its tracker out")
+    parser.add_argument("--signals", action="store_true", help="the bits of fields in place of the tracker")
     parser.add_argument("--work", type=Path, help="folder in which cells are kept")
     asked = parser.parse_args()
     print("| cell | executions | seed | estimate | error, % | bias, % | worst, % | in the 90 % intervals, % "

@@ -4,9 +4,9 @@
 
 Two cells with latency, ramps and hysteresis, tracker noise of 5 mm, and a log without scaling in `scanner-visits`: the
 rule is read from the logs (`rule_of`), and `whatif` changes one threshold, edge or part of the response of it. Truth is
-the simulator with the true function changed, beside the very operators of the logs, entered at the same instants as the
-estimate enters them, and beside fresh ones. The first difference is what the method is off, the second adds the luck of
-which operators were logged.
+the simulator with the true function changed, beside the very tracks of the logged operators that the estimate rests on,
+and beside fresh operators. The first difference is what the method is off, the second adds the luck of which operators
+were logged.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from any_length import HARD, TRUE
 from cells import JUDGED_SEED, unseen_sequences
-from changes import OUT, Operators, simulated
+from changes import OUT, Operators, beside, simulated
 from rich.table import Table
 
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.tracks import PHASES, SHORTEST, phase_is_free
 from cyclekit.estimate.whatif import Change, LimitChange, what_if
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.rules.of_dataset import rule_of
 from cyclekit.learning.rules.safety import RuleSafety
 from cyclekit_sim import simulate
-from cyclekit_sim.choices import FRESH, LOGGED
 from cyclekit_sim.safety import DistanceStaircase, FloorZone, FloorZones, SafetyFunction, SlowestOf
 from cyclekit_sim.scenes import BUILT_IN
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cyclekit.config.sequences import TaskSequence
 
 VISITS, BOXES = "scanner-visits", "box-picking"
@@ -115,11 +115,7 @@ def of_cell(work: Path, asked: argparse.Namespace, scene: str, seed: int) -> dic
     wanted = unseen_sequences(dataset, scene, asked.sequences, first=JUDGED_SEED)
     cases = [case for case in CASES if case.scene == scene]
     found = what_if(rule, dataset, wanted, [case.change for case in cases])
-    took_s = dataset.executions["duration_s"].to_numpy()
-    within_s = float(np.quantile(took_s, SHORTEST, method="lower"))
-    phases = PHASES if phase_is_free(dataset) else 1
-    instants_s = tuple(within_s * phase / phases for phase in range(phases))
-    sides = [Operators(seed, LOGGED, len(took_s), instants_s), Operators(JUDGED_SEED, FRESH, asked.fresh)]
+    sides = beside(dataset, seed, asked.fresh, rule)
     true = dataclasses.replace(TRUE, silent_when_empty=False)
     key = f"truth-{scene}-{seed}-{asked.executions}-{asked.sequences}-{asked.fresh}.json"
     kept = json.loads((work / key).read_text("utf-8")) if (work / key).is_file() else {}
@@ -138,9 +134,9 @@ def of_cell(work: Path, asked: argparse.Namespace, scene: str, seed: int) -> dic
     return rows
 
 
-def _simulated(wanted: list[TaskSequence], case: Case, options: Any, sides: list[Operators]) -> list[np.ndarray]:  # noqa: ANN401
+def _simulated(wanted: list[TaskSequence], case: Case, options: Any, sides: Sequence[Operators]) -> list[np.ndarray]:  # noqa: ANN401
     scene = dataclasses.replace(BUILT_IN[case.scene], safety=case.safety)
-    return simulated(wanted, scene, options, sides)
+    return [durations_s.mean(axis=1) for durations_s in simulated(wanted, scene, options, sides)]
 
 
 def main() -> None:

@@ -18,7 +18,9 @@ html_copy_source = False
 NOTES = [f"docs/notebook/{page.stem}" for page in sorted(Path(__file__).parent.glob("notebook/[!R]*.md"))]
 SIDEBAR = {
     "Start": ["README", "docs/tutorial"],
-    "How to": ["docs/howto/ur-motive", "docs/howto/ros2-bag", "docs/howto/no-override", "docs/howto/no-tracker"],
+    "How to": [
+        f"docs/howto/{name}" for name in ("ur-motive", "kuka-scanner", "ros2-bag", "no-override", "no-tracker")
+    ],
     "Using it": [
         *(f"docs/{name}" for name in ("commands", "concepts", "adapters", "clocks", "override", "models")),
         *(f"docs/{name}" for name in ("report", "replay", "fleet", "library")),

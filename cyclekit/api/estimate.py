@@ -117,7 +117,7 @@ def estimate_cycles(
             progress=progress,
         )
     if not found and wanted:
-        raise _with_plan(together(refused), opened, logs, wanted)
+        raise with_plan(together(refused), opened, logs, wanted)
     answer = CycleEstimates(tuple(found), tuple(refused))
     if file is not None and ending == ".xlsx":
         write_workbook(file, sheets_of_estimates(answer, logs, opened))
@@ -128,10 +128,10 @@ def estimate_cycles(
     return answer
 
 
-def _with_plan(
+def with_plan(
     error: EstimateError, model: SafetyModel | TaskTimesModel, logs: Dataset, wanted: Sequence[TaskSequence]
 ) -> EstimateError:
-    """Return an error with what to log next, so that these sequences can be answered."""
+    """Return an error with what to log next in its cure, so that these sequences can be answered."""
     if isinstance(model, TaskTimesModel) or any(one.plan for one in wanted):
         return error
     try:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.estimate import estimate_cycles
+from cyclekit.api.estimate import estimate_cycles, with_plan
 from cyclekit.api.evaluate import evaluate_model
 from cyclekit.api.given import Sequences, jobs_of, place_of, refuse_baseline, sequences_of, times_of, trained_of
 from cyclekit.api.plan import plan_order
@@ -19,7 +19,7 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import ConfigError, CyclekitError
-from cyclekit.estimate.answers import CycleEstimates
+from cyclekit.estimate.answers import CycleEstimates, together
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.whatif.change import Change, load_changes
 from cyclekit.learning.evaluation.evaluate import Evaluation
@@ -144,7 +144,8 @@ def write_report(
         page = asked.found(sequences, changes, tried, jobs, estimates, evaluation)
     if chosen == "xlsx":
         return _as_workbook(data, trained, file, page, looks)
-    facts = compose_report(data, trained, file, kind=chosen, play=play, **page, **looks, progress=_part(tell, 0.7, 1.0))
+    written = {"kind": chosen, "play": play, "progress": _part(tell, 0.35, 1.0), **looks}
+    facts = compose_report(data, trained, file, **page, **written)
     if printed is not None:
         tell(1.0, "printing")
         write_pdf(file, printed)
@@ -233,19 +234,22 @@ class _Asked:
         }
 
     def _planned(self, jobs: Jobs | Place) -> OrderPlan:
-        found = plan_order(self.model, self.data, jobs_of(jobs), progress=_part(self.tell, 0.0, 0.2), **self.given)
+        found = plan_order(self.model, self.data, jobs_of(jobs), progress=_part(self.tell, 0.0, 0.1), **self.given)
         return cast("OrderPlan", found)  # of places, as the jobs are
 
     def _estimated(self, wanted: list[TaskSequence]) -> CycleEstimates:
-        asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.2, 0.4), **self.given}
-        return estimate_cycles(self.model, self.data, wanted, takt_s=self.takt_s, **asked).require_all()
+        asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.1, 0.2), **self.given}
+        found = estimate_cycles(self.model, self.data, wanted, takt_s=self.takt_s, **asked)
+        if found.refused:
+            raise with_plan(together(found.refused), self.model, self.data, wanted)
+        return found
 
     def _changed(self, wanted: list[TaskSequence], changes: list[Change], check: Check | None) -> WhatIfAnswers:
-        asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.4, 0.6), "check": check, **self.given}
+        asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.2, 0.3), "check": check, **self.given}
         return try_changes(self.model, self.data, wanted, changes, **asked).require_all()
 
     def _evaluated(self) -> Evaluation:
-        foreign, tell = self.given["other_cell"], _part(self.tell, 0.6, 0.7)
+        foreign, tell = self.given["other_cell"], _part(self.tell, 0.3, 0.35)
         return evaluate_model(self.model, self.data, boosting=False, other_cell=foreign, progress=tell)
 
 

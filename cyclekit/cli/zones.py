@@ -137,14 +137,9 @@ def _written(found: SafetyFunction) -> str:
 
 def _fields(rule: RuleCard | None) -> str:
     """Return the table: which field, where on the robot's path, which speed."""
-    from cyclekit.learning.rules.words import place_of
+    from cyclekit.learning.rules.words import FIELD_COLUMNS, field_rows
 
-    rows = [
-        [one.signal, one.value, place_of(one), percent(limit.scaling)]
-        for limit in (() if rule is None else rule.limits)
-        for one in limit.within.signals
-    ]
-    return table(["signal ", "occupied at", "while the TCP is", "speed at most"], rows) + "\n"
+    return table(list(FIELD_COLUMNS), [] if rule is None else field_rows(rule)) + "\n"
 
 
 def _why(found: SafetyFunction) -> list[str]:

@@ -16,6 +16,8 @@ import numpy as np
 
 from cyclekit.derive.seen_slow import DISTANCES, HALTED, HELD, Rows, Switches, features_of
 from cyclekit.derive.usual_levels import UsualLevels, usual_levels
+from cyclekit.scaling.commanded import commanded_levels
+from cyclekit.scaling.response import SafetyResponse, changes_of, rate_of
 from cyclekit.schema import SCALING_CAUSES
 
 if TYPE_CHECKING:
@@ -54,7 +56,7 @@ class Input(NamedTuple):
 
 
 class Limit(NamedTuple):
-    """Places of a path, shape (K, 3), m, at which the scaling is at most `cap`, shape (K,)."""
+    """Places of a path, shape (K, 3), m, and the most that the scaling is at each, shape (K,); 1 = no limit there."""
 
     at_m: Points
     cap: Vector
@@ -96,11 +98,10 @@ def find_evidence(rows: Rows, levels: Sequence[float], people: Sequence[str] = (
     if not moving.any():
         return NOTHING
     top = float(np.quantile(rows.scaling[moving], 0.99))
-    held = moving & rows.held
     by_level = len(levels) >= 2
     values = np.array(levels) if by_level else np.linspace(0.0, 1.0, 11)
-    label = rows.step if by_level else np.rint(np.nan_to_num(rows.scaling) * 10).astype(np.int64)
-    held &= label >= 0
+    label = _commanded(rows, levels) if by_level else _tenths(rows)
+    told = moving & (label >= 0)
     features, seen = features_of(rows, ())
     capping = _capping(rows, moving, top)
     watching = tuple(people) or tuple(
@@ -111,14 +112,30 @@ def find_evidence(rows: Rows, levels: Sequence[float], people: Sequence[str] = (
     slow = _always_slow(rows, free & (rows.scaling > HALTED), top)
     features, seen = features_of(rows, watching)
     usual = None
-    if (learnt := held & free & seen & ~slow).any():
+    if (learnt := told & free & seen & ~slow).any():
         chosen = np.flatnonzero(learnt) if people else _apart(rows, np.flatnonzero(learnt), label)
         chosen = chosen[:: 1 + len(chosen) // MOST_ROWS]
         group = np.zeros_like(chosen) if people else rows.execution[chosen]  # a field may be on in few executions
         usual = usual_levels(features[chosen], label[chosen], len(values), group)
     evidence = Evidence(top, values, usual, inputs, watching, {})
     alone = free if usual is None and not seen.any() else free & seen & (_lowest(rows, evidence) >= top - SAME)
-    return Evidence(top, values, usual, inputs, watching, _limits(rows, slow, alone, top))
+    fast = moving & (rows.scaling >= top - SAME)
+    return Evidence(top, values, usual, inputs, watching, _limits(rows, slow, alone, fast, top))
+
+
+def _commanded(rows: Rows, levels: Sequence[float]) -> Ints:
+    """Return the level that is headed for at each sample, shape (N,), -1 = unknown: ramps are undone."""
+    parts = [part for part in np.split(np.arange(len(rows.t_s)), np.flatnonzero(rows.breaks)) if len(part)]
+    changes = [change for part in parts for change in changes_of(rows.t_s[part], rows.scaling[part], levels)]
+    down, up = (rate_of([change for change in changes if change.rises is rises]) for rises in (False, True))
+    response = SafetyResponse(None, down, up, None, len(changes), None)
+    found = [commanded_levels(rows.t_s[part], rows.scaling[part], levels, response).level for part in parts]
+    return np.concatenate(found).astype(np.int64)
+
+
+def _tenths(rows: Rows) -> Ints:
+    """Return the scaling in tenths where it is held, shape (N,), else -1."""
+    return np.where(rows.held, np.rint(np.nan_to_num(rows.scaling) * 10).astype(np.int64), -1)
 
 
 def lost_shares(rows: Rows, evidence: Evidence) -> Floats:
@@ -126,7 +143,7 @@ def lost_shares(rows: Rows, evidence: Evidence) -> Floats:
 
     Of a sample in motion of known scaling s they add up to 1 - s; of any other to 0.
     """
-    known = rows.moving & np.isfinite(rows.scaling)
+    known = np.isfinite(rows.scaling)  # also while it stands: a ramp that began there goes on in the next motion
     s = np.where(known, rows.scaling, 1.0)
     same = np.maximum(SAME, np.minimum(3.0 * np.nan_to_num(rows.deviation), 0.1))
     top, limit = np.maximum(evidence.top, s), _limit_at(rows, evidence)
@@ -143,7 +160,7 @@ def lost_shares(rows: Rows, evidence: Evidence) -> Floats:
     rest = 1.0 - at[2]
     which = _whose(rows, s, known & (rest > 0) & (s < cap - same), same, evidence)
     shares[np.arange(len(s)), which] += rest
-    shares[~known] = 0.0
+    shares[~(known & rows.moving)] = 0.0
     return shares
 
 
@@ -161,12 +178,13 @@ def _whose(rows: Rows, s: Vector, slow: Bools, same: Vector, evidence: Evidence)
     open_ = slow & ~person & ~stopped
     capped = _active(rows, evidence.inputs)
     after = np.where(capped, INPUT, np.where(_limit_at(rows, evidence) < 1.0, LIMITS, UNKNOWN))
-    held = 0
+    held, base = 0, 0.0
     for i in np.flatnonzero(open_).tolist():  # a level ends late, and slowly
         if i == 0 or rows.breaks[i] or s[i] < s[i - 1] - same[i]:
             continue
         before = which[i - 1] if slow[i - 1] else after[i - 1]
-        held = held + 1 if open_[i - 1] and s[i] <= s[i - 1] + HELD else 0
+        held = held + 1 if open_[i - 1] and s[i] <= base + HELD else 0
+        base = base if held else s[i]  # a slow ramp rises by less from sample to sample
         if before != UNKNOWN and held < STAYS:
             which[i] = before
     for i in np.flatnonzero(open_)[::-1].tolist():  # and falls before it is at the next one
@@ -265,7 +283,7 @@ def _always_slow(rows: Rows, free: Bools, top: float) -> Bools:
     return slow
 
 
-def _limits(rows: Rows, slow: Bools, alone: Bools, top: float) -> dict[str, Limit]:
+def _limits(rows: Rows, slow: Bools, alone: Bools, fast: Bools, top: float) -> dict[str, Limit]:
     """Return where every pass is slow, also those that no operator and no input slows."""
     from scipy.spatial import cKDTree
 
@@ -282,8 +300,21 @@ def _limits(rows: Rows, slow: Bools, alone: Bools, top: float) -> dict[str, Limi
             for mine in (free[near] for near in cKDTree(rows.robot_m[free]).query_ball_point(at_m, POOL_M / 2))
         ]
         if (sure := np.flatnonzero(np.isfinite(told))).size:
-            found[task] = Limit(at_m[sure], np.array(told)[sure])
+            around = here | ((fast | alone) & (rows.task == number))
+            found[task] = _edges(rows, around, Limit(at_m[sure], np.array(told)[sure]), top)
     return found
+
+
+def _edges(rows: Rows, seen: Bools, limit: Limit, top: float) -> Limit:
+    """Return a limit by the samples around it: where the robot is at full speed, or no pass was slow, there is none."""
+    from scipy.spatial import cKDTree
+
+    at_m = rows.robot_m[seen]
+    apart, nearest = cKDTree(limit.at_m).query(at_m)
+    scaling, cap = rows.scaling[seen], limit.cap[nearest]
+    slow = (apart <= POOL_M / 2) & (np.abs(scaling - cap) <= SAME)
+    near = (apart <= POOL_M) & (slow | (scaling >= top - SAME))
+    return Limit(at_m[near], np.where(slow, cap, 1.0)[near])
 
 
 def _cap(scaling: Vector, execution: Ints, top: float) -> float:
@@ -304,7 +335,7 @@ def _limit_at(rows: Rows, evidence: Evidence) -> Vector:
         mine = np.flatnonzero((rows.task == number) & np.isfinite(rows.robot_m[:, 0]))
         if limit is not None and len(mine):
             apart, nearest = cKDTree(limit.at_m).query(rows.robot_m[mine])
-            cap[mine] = np.where(apart <= POOL_M / 2, limit.cap[np.minimum(nearest, len(limit.cap) - 1)], 1.0)
+            cap[mine] = np.where(apart <= STEP_M, limit.cap[np.minimum(nearest, len(limit.cap) - 1)], 1.0)
     return cap
 
 

@@ -22,6 +22,9 @@ GAIN = 1e-4
 LIKELIER = 10.0
 """By how much a cut must raise the log-likelihood of rows that it was not found in."""
 
+STRAY = 0.1
+"""So many rows near a cut may lie on its wrong side: positions are noisy, and the robot answers late."""
+
 
 class _Cut(NamedTuple):
     """Rows with `feature` up to `at` go to leaf or cut `low`, others to `high`; below zero: leaf -1 - number."""
@@ -100,20 +103,18 @@ def _tree(nodes: list[_Node], cuts: list[_Cut | None], label: Ints, classes: int
 
 
 def _looked_at(binned: Ints, label: Ints, classes: int, every: Ints, learn: Bools) -> _Node:
-    """Return a group of rows with its best cut: the largest fall of the Gini impurity times rows."""
-    best, rows = (0.0, 0, 0), every[learn[every]]
-    if len(rows) >= 2 * LEAST_ROWS:
-        for feature, column in enumerate(binned):
-            counts = np.bincount(column[rows] * classes + label[rows], minlength=BINS * classes)
-            low = np.cumsum(counts.reshape(-1, classes), axis=0)[:-1].astype(np.float64)
-            high = np.bincount(label[rows], minlength=classes) - low
-            gain = _purity(low) + _purity(high) - float(_purity(low[-1:] + high[-1:])[0])
-            gain[np.minimum(low.sum(axis=1), high.sum(axis=1)) < LEAST_ROWS] = 0.0
-            if gain.max() > best[0]:
-                best = (float(gain.max()), feature, int(gain.argmax()))
-    if best[0] > 0.0 and not _helps(binned[best[1]] <= best[2], label, every, learn, classes):
-        best = (0.0, 0, 0)
-    return _Node(every, *best)
+    """Return a group of rows with its best cut that helps: the largest fall of the Gini impurity times rows."""
+    rows, found = every[learn[every]], list[tuple[float, int, int]]()
+    for feature, column in enumerate(binned if len(rows) >= 2 * LEAST_ROWS else ()):
+        counts = np.bincount(column[rows] * classes + label[rows], minlength=BINS * classes)
+        low = np.cumsum(counts.reshape(-1, classes), axis=0)[:-1].astype(np.float64)
+        high = np.bincount(label[rows], minlength=classes) - low
+        gain = _purity(low) + _purity(high) - float(_purity(low[-1:] + high[-1:])[0])
+        gain[np.minimum(low.sum(axis=1), high.sum(axis=1)) < LEAST_ROWS] = 0.0
+        found.append((float(gain.max()), feature, int(gain.argmax())))
+    found = sorted((one for one in found if one[0] > 0.0), key=lambda one: -one[0])  # distances before places
+    helping = (one for one in found if _helps(binned[one[1]] <= one[2], label, every, learn, classes))
+    return _Node(every, *next(helping, (0.0, 0, 0)))
 
 
 def _helps(low: Bools, label: Ints, every: Ints, learn: Bools, classes: int) -> bool:
@@ -121,14 +122,17 @@ def _helps(low: Bools, label: Ints, every: Ints, learn: Bools, classes: int) -> 
     found, others = every[learn[every]], every[~learn[every]]
     if not len(others):
         return bool(learn.all())
-    sides = [(found[side[found]], others[side[others]]) for side in (low, ~low)]
-    after, before = sum(_predicted(label, *side, classes) for side in sides), _predicted(label, found, others, classes)
-    return after > before + LIKELIER
+    before = _shares(label[found], classes)
+    gain = 0.0
+    for side in (low, ~low):
+        after = (1.0 - STRAY) * _shares(label[found[side[found]]], classes) + STRAY * before
+        gain += float(np.log(after / before)[label[others[side[others]]]].sum())
+    return gain > LIKELIER
 
 
-def _predicted(label: Ints, found: Ints, others: Ints, classes: int) -> float:
-    counts = np.bincount(label[found], minlength=classes) + 0.5
-    return float(np.log(counts / counts.sum())[label[others]].sum())
+def _shares(label: Ints, classes: int) -> Vector:
+    counts = np.bincount(label, minlength=classes) + 0.5
+    return np.asarray(counts / counts.sum())
 
 
 def _purity(counts: Floats) -> Vector:

@@ -19,7 +19,7 @@ import numpy as np
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.conformal import conformal, holds
-from cyclekit.estimate.history import TaskTimes, order_error
+from cyclekit.estimate.history import TaskTimes, chance_of_logs, order_error
 from cyclekit.estimate.judges import judge, within
 from cyclekit.estimate.logged import (
     beginnings,
@@ -31,6 +31,7 @@ from cyclekit.estimate.logged import (
 )
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.operator_model import OperatorModel, operator_model
+from cyclekit.estimate.resample import TOGETHER
 from cyclekit.estimate.safety import OnStates, SafetyModel
 from cyclekit.estimate.signal_states import on_states_of
 from cyclekit.estimate.tracks import operator_tracks
@@ -256,9 +257,13 @@ def check_rollout(
     means[some] = np.nanmean(crossed[some], axis=1) * found.factor
     part = model.unseen_error if isinstance(model, OnStates) else 0.0
     unseen_error, spread = unseen_people(part, logged / means, crossed[some])
+    times, chance = TaskTimes(dataset), 0.0
+    if isinstance(model, OnStates):  # few operators are walked, and most of the difference is their chance
+        together = TOGETHER if tracks.runs_on else 1
+        chance = chance_of_logs(times, sequences, crossed, tracks.executions, together)
     return replace(
         found,
-        order_error=order_error(TaskTimes(dataset), sequences, means),
+        order_error=order_error(times, sequences, means, chance),
         operator=operator_model([sequence.name for sequence in sequences], beside, entries),
         unseen_error=unseen_error,
         spread=spread,

@@ -17,6 +17,7 @@ import polars as pl
 
 from cyclekit.estimate.logged import SLIDER_LOSS
 from cyclekit.estimate.nominal import slider_losses
+from cyclekit.estimate.resample import resampled, resampled_alike
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -102,7 +103,9 @@ class TaskTimes:
         return [self._column[task] for task in tasks]
 
 
-def order_error(times: TaskTimes, sequences: Sequence[TaskSequence], crossed_s: Vector) -> float | None:
+def order_error(
+    times: TaskTimes, sequences: Sequence[TaskSequence], crossed_s: Vector, chance: Vector | float = 0.0
+) -> float | None:
     """Return how far history is off by the order, as part of the duration, for an order of one task.
 
     Tasks add up as if each were off by itself: for an order of N tasks it is this over the root of N.
@@ -111,15 +114,41 @@ def order_error(times: TaskTimes, sequences: Sequence[TaskSequence], crossed_s: 
         times: What tasks took.
         sequences: The logged executions.
         crossed_s: Their mean durations rolled out beside the operators of others, shape (E,), s.
+        chance: Variance of history over rollout by which executions were logged and walked, shape (E,): no order.
 
     Returns:
         None where fewer than LEAST_ORDERS of them can be compared.
     """
     known = [s.name in times.executions and times.knows(s.tasks) for s in sequences]
     elsewhere = [times.elsewhere_s(s) if ok else np.nan for s, ok in zip(sequences, known, strict=True)]
-    off = (np.array(elsewhere) / crossed_s - 1.0) * np.sqrt([len(s.tasks) for s in sequences])
-    off = off[np.isfinite(off)]
-    return float(np.sqrt(np.mean(off**2))) if len(off) >= LEAST_ORDERS else None
+    squares = ((np.array(elsewhere) / crossed_s - 1.0) ** 2 - chance) * np.array([len(s.tasks) for s in sequences])
+    squares = squares[np.isfinite(squares)]
+    return float(np.sqrt(max(squares.mean(), 0.0))) if len(squares) >= LEAST_ORDERS else None
+
+
+def chance_of_logs(
+    times: TaskTimes, sequences: Sequence[TaskSequence], crossed_s: Floats, executions: Sequence[str], together: int
+) -> Vector:
+    """Return the variance of history over rollout when executions are drawn again, shape (E,); NaN where unknown.
+
+    Args:
+        times: What tasks took.
+        sequences: The logged executions.
+        crossed_s: Their durations beside the operators of others, shape (E, K), s; NaN where that was not walked.
+        executions: Behind each of the K operators.
+        together: Neighbouring executions drawn together.
+    """
+    operators = resampled(executions, 0, together=together)
+    drawn = resampled_alike(executions, times.executions, 0, together=together)
+    found = np.full(len(sequences), np.nan)
+    for row, (sequence, mine_s) in enumerate(zip(sequences, crossed_s, strict=True)):
+        walked = np.isfinite(mine_s)
+        if walked.any() and times.knows(sequence.tasks):
+            weight = operators[:, walked]
+            total, some = weight @ mine_s[walked], weight.sum(axis=1)
+            history_s = times.resampled_s(sequence.tasks, drawn)
+            found[row] = (history_s * some / np.maximum(total, 1e-12))[some > 0.0].var()
+    return found
 
 
 def history_share(rollout: Vector, history: Vector, *, model_error: float, order_error: float) -> float:

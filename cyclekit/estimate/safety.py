@@ -276,22 +276,22 @@ class Follower:
 
     def _wanted(self, robot_m: Floats, human_m: Floats) -> Vector:
         """Return what the safety function with its hysteresis asks for."""
-        margin_m = self._dynamics.hysteresis_m or 0.0
-        lags = self._rule.lags if self._rule is not None else margin_m != 0.0
+        lags = self._rule.lags if self._rule is not None else bool(self._dynamics.hysteresis_m)
         if not lags:
             return scaling_of(self._model, robot_m, human_m)
-        rising, falling = self._within(margin_m, robot_m, human_m)
+        rising, falling = self.bounds(robot_m, human_m)
         falling = np.maximum(falling, rising)
         self._held = falling if self._held is None else np.clip(self._held, rising, falling)
         return self._held
 
-    def _within(self, margin_m: float, robot_m: Floats, human_m: Floats) -> tuple[Vector, Vector]:
+    def bounds(self, robot_m: Floats, human_m: Floats) -> tuple[Vector, Vector]:
         """Return up to which s may rise and down to which it must fall; what was learned lies half way between.
 
         A classifier hesitates within the hysteresis, where s was now one level, now the other. Its likeliest level
         there is on either side of the middle; of what lies within half the hysteresis the slowest may be risen to, and
         the quickest need not be fallen below.
         """
+        margin_m = self._dynamics.hysteresis_m or 0.0
         if self._rule is not None:
             entering, leaving = self._rule.of_side("entering"), self._rule.of_side("leaving")
             return scaling_of(leaving, robot_m, human_m), scaling_of(entering, robot_m, human_m)

@@ -22,6 +22,7 @@ import polars as pl
 from cyclekit.errors import DatasetError, EstimateError
 from cyclekit.estimate.continuation import Continuation, Stretch
 from cyclekit.estimate.safety import OnStates
+from cyclekit.estimate.spells import Spells
 from cyclekit.people.tracks import OCCLUDED_S
 
 if TYPE_CHECKING:
@@ -151,9 +152,12 @@ def operator_tracks(
     streams = [Stretch(ran_on[name][0].where[at:], ran_on[name][0].activity[at:]) for name, at in entries]
     followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
     pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
-    where, activity = Continuation(pool, step, phase_free=free).extend(
-        streams, [followed.get(ran_on[name][1], -1) for name, _ in entries], length
-    )
+    if on_states and free:
+        where, activity = Spells(pool).extend(streams, length)
+    else:
+        where, activity = Continuation(pool, step, phase_free=free).extend(
+            streams, [followed.get(ran_on[name][1], -1) for name, _ in entries], length
+        )
     logged = np.array([len(stream.where) for stream in streams])
     executions = tuple(name for name, _ in entries)
     goal_m, state = (where[..., 3:] if wanted else None for wanted in (goals, on_states))

@@ -142,7 +142,7 @@ def _every(step_s: float) -> int:
     return samples_in(START_S, 1 / step_s)
 
 
-def cells_of(tracks: OperatorTracks) -> tuple[Ints, Floats]:
+def cells_of(tracks: OperatorTracks, edge_m: float = HUMAN_M) -> tuple[Ints, Floats]:
     """Return the cell of every sample (K, T) and the mean position in each cell (C, 3); the last is NaN: no operator.
 
     Of an operator known by states the cells are these, to a hundredth. Where heights are unknown the cells are those
@@ -155,7 +155,7 @@ def cells_of(tracks: OperatorTracks) -> tuple[Ints, Floats]:
         return numbers.reshape(tracks.state.shape[:2]), states
     flat = tracks.xyz_m.reshape(-1, 3)
     seen = np.isfinite(flat[:, :2]).all(axis=1)
-    edge = HUMAN_M
+    edge = edge_m
     while True:
         index = np.floor(np.nan_to_num(flat[seen], nan=NO_HEIGHT_M) / edge).astype(np.int64) + (1 << 19)
         packed = (index[:, 0] << 40) | (index[:, 1] << 20) | index[:, 2]

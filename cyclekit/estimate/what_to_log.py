@@ -14,7 +14,7 @@ from cyclekit.errors import DatasetError
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
@@ -68,14 +68,18 @@ class RecordingPlan(Result):
     @property
     def lines(self) -> list[str]:
         """The plan in sentences; empty where nothing is lacking."""
-        found = [f"missing: {', '.join(self.missing)}"] if self.missing else []
+        return self.in_words(str)
+
+    def in_words(self, shown: Callable[[str], str]) -> list[str]:
+        """Return the plan in sentences, with tasks and places as `shown` writes them."""
+        found = [f"missing: {', '.join(map(shown, self.missing))}"] if self.missing else []
         if self.rare:
-            found.append(f"logged fewer than {ENOUGH} times: " + ", ".join(f"{t} ({n})" for t, n in self.rare.items()))
+            rare = ", ".join(f"{shown(task)} ({count})" for task, count in self.rare.items())
+            found.append(f"logged fewer than {ENOUGH} times: {rare}")
         for one in self.orders:
             name = f" (sequence {one.name!r})" if one.name else ""
-            found.append(
-                f"log {one.executions} execution{'s' * (one.executions != 1)} of {', '.join(one.places)}{name}"
-            )
+            times = f"{one.executions} execution{'s' * (one.executions != 1)}"
+            found.append(f"log {times} of {', '.join(map(shown, one.places))}{name}")
         if self.half_width is not None and self.half_width > self.within:
             known = f"the mean cycle time of {self.executions} executions is known to +-{self.half_width:.1%} (95% CI)"
             why = "the interval narrows with the root of their number"

@@ -73,7 +73,13 @@ def with_commands(dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float]
 
 
 def commanded_in_time(
-    dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float], response: Response, *, sure_s: float = 0.0
+    dataset: Dataset,
+    frame: pl.DataFrame,
+    levels: Sequence[float],
+    response: Response,
+    *,
+    sure_s: float = 0.0,
+    or_faster: bool = False,
 ) -> Ints:
     """Return the index of the level that is headed for at every row, shape (N,); -1 = unknown.
 
@@ -83,6 +89,7 @@ def commanded_in_time(
         levels: Of the scaling, ascending.
         response: What is undone.
         sure_s: The level is also unknown where it changes so shortly before or after.
+        or_faster: Say -1 - k where a rising ramp hides the level, and it is level k or a faster one.
     """
     scaling, run = scaling_in_time(frame, dataset.rate_hz)
     ends = np.flatnonzero(np.diff(run)) + 1
@@ -90,7 +97,9 @@ def commanded_in_time(
     found = []
     for t_s, s in stretches_of:
         at_s = np.concatenate([t_s - sure_s, t_s + sure_s])
-        early, late = np.split(commanded_levels(t_s, s, levels, response, at_s).level, 2)
+        told = commanded_levels(t_s, s, levels, response, at_s)
+        hidden = or_faster & (told.level < 0) & (told.at_least > 0)
+        early, late = np.split(np.where(hidden, -1 - told.at_least, told.level), 2)
         found.append(np.where(early == late, early, UNKNOWN))
     return np.concatenate(found).astype(np.int64)
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import chain
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Protocol, TypeAlias, cast
 
 import numpy as np
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator
-from matplotlib.transforms import Bbox
 
 from cyclekit.plots import colours
 from cyclekit.plots.labels import place_labels
@@ -28,6 +27,8 @@ _GAP_PX = 9.0
 _MARKER_PX = 5.0
 _MOST_COVERED = 0.3
 """A name of which more lies on other names is left out; the tooltip of its place has it."""
+_Box: TypeAlias = tuple[float, float, float, float]
+"""Left, bottom, right and top, px."""
 
 
 class Shape(Protocol):
@@ -125,10 +126,10 @@ def _write(axes: Axes, notes: Sequence[FloorNote]) -> None:
     """Write each note where it covers the least of the others, of the places and of the frame."""
     figure = _figure(axes)
     figure.draw_without_rendering()  # sets the limits of the axes
-    frame = axes.get_window_extent()
+    frame = axes.get_window_extent().extents
     points = axes.transData.transform([note.points_m[0] for note in notes if not note.on_line] or np.empty((0, 2)))
-    markers = [Bbox.from_bounds(x - _MARKER_PX, y - _MARKER_PX, 2 * _MARKER_PX, 2 * _MARKER_PX) for x, y in points]
-    taken: list[Bbox] = []
+    markers = [_around(x, y, 2 * _MARKER_PX, 2 * _MARKER_PX) for x, y in points.tolist()]
+    taken: list[_Box] = []
     halo = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
     for note in sorted(notes, key=lambda each: each.on_line):
         text = axes.annotate(note.text, note.points_m[0], xytext=(0, 0), textcoords="offset points", zorder=7)
@@ -136,18 +137,18 @@ def _write(axes: Axes, notes: Sequence[FloorNote]) -> None:
         size = text.get_window_extent()
         wide, high = size.width + 5, size.height + 3
         best, cost = None, np.inf
-        for at, (right, up) in _spots(axes, note, wide, high):
-            box = Bbox.from_bounds(right - wide / 2, up - high / 2, wide, high)
+        for at, middle in _spots(axes, note, wide, high):
+            box = _around(*middle, wide, high)
             names = sum(_common(box, other) for other in taken)
             outside = wide * high - _common(box, frame)
             this = 3 * names + 6 * outside + sum(_common(box, marker) for marker in markers)
             this += 1e6 * (names > _MOST_COVERED * wide * high or outside > _MOST_COVERED * wide * high)
             if this < cost - 4.0:
-                best, cost = (at, box), this
+                best, cost = (at, middle, box), this
         if best is None or cost >= 1e6:
             text.remove()
             continue
-        (anchor, box), middle = best, (best[1].get_points()).mean(axis=0)
+        anchor, middle, box = best
         shift = (middle - axes.transData.transform(anchor)) * 72 / figure.dpi
         text.xy = anchor
         text.set_position(tuple(shift.tolist()))
@@ -170,9 +171,14 @@ def _spots(
             yield from ((point, (x + a, y + b)) for a, b in chain(sides, corners))
 
 
-def _common(one: Bbox, other: Bbox) -> float:
-    both = Bbox.intersection(one, other)
-    return 0.0 if both is None else float(both.width * both.height)
+def _common(one: _Box, other: _Box) -> float:
+    """Return the area that two boxes share, px2."""
+    wide, high = min(one[2], other[2]) - max(one[0], other[0]), min(one[3], other[3]) - max(one[1], other[1])
+    return wide * high if wide > 0.0 and high > 0.0 else 0.0
+
+
+def _around(x: float, y: float, wide: float, high: float) -> _Box:
+    return x - wide / 2, y - high / 2, x + wide / 2, y + high / 2
 
 
 def _figure(axes: Axes) -> Figure:

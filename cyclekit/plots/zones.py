@@ -9,7 +9,7 @@ from matplotlib.ticker import PercentFormatter
 
 from cyclekit.plots import colours
 from cyclekit.plots.floor import finish, furnish, outline, square
-from cyclekit.plots.look import MUTED, RULE
+from cyclekit.plots.look import INK, MUTED, RULE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -74,3 +74,35 @@ def draw_floor(
     notes = [outline(axes, shape, f"{{speed}} %: {shape.name}") for shape in shapes]
     notes += furnish(axes, cell, "base")
     finish(axes, "x, m (base frame)", "y, m (base frame)", "speed, median while the operator is there", notes)
+
+
+def draw_path(
+    axes: Axes, squares: NDArray[np.float64], side_m: float, fastest: float, signal: str, cell: CellOnFloor
+) -> None:
+    """Draw the robot's path from above, in the colours of the speed where a signal counts, else grey.
+
+    Args:
+        axes: Where to.
+        squares: Middle x, y, m, and speed while the signal alone is on, 0 to 1, shape (C, 3).
+        side_m: Side of a square.
+        fastest: The speed where it does not count.
+        signal: Its name.
+        cell: Places and furniture.
+    """
+    counts = squares[:, 2] < fastest
+    for (x, y, speed), slower in zip(squares.tolist(), counts.tolist(), strict=True):
+        square(axes, x, y, side_m, colours.scaling_hex(speed) if slower else MUTED)
+    axes.update_datalim(np.concatenate([squares[:, :2] - side_m / 2, squares[:, :2] + side_m / 2]))
+    named = ", ".join(f"{100 * speed:.4g} %" for speed in np.unique(squares[counts, 2].round(3)).tolist())
+    where = f"{named} on {100 * counts.mean():.0f} % of the path" if counts.any() else "does not count"
+    axes.set_title(f"{signal}: {where}", loc="left")
+    finish(axes, "x, m (base frame)", "y, m (base frame)", None, furnish(axes, cell, "base"))
+
+
+def draw_table(axes: Axes, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Write a table in place of axes; a row of one text stands for all columns."""
+    axes.set_axis_off()
+    for line, row in enumerate([columns, *rows]):
+        for number, text in enumerate(row):
+            at = number / len(columns), 1.0 - (line + 0.5) / (len(rows) + 1)
+            axes.text(*at, text, transform=axes.transAxes, va="center", color=INK if line else MUTED)

@@ -46,6 +46,7 @@ def as_json(cell: str, made: str, page: PageInputs, sections: Mapping[str, Any])
         "plan": None if page.planned is None else page.planned.to_dict(),
         "evaluation": None if page.evaluation is None else page.judged,
         "check": None if page.check is None else page.check.to_dict(),
+        "to_log": None if page.to_log is None else page.to_log.to_dict(),
         "provenance": asdict(provenance(page.dataset, {})),
         "sentences": {key: list(section.get("sentences", ())) for key, section in sections.items()},
     }

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.errors import DatasetError
+from cyclekit.estimate.what_to_log import what_to_log
 from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.learning.rules.safety import answering
 from cyclekit.report import findings
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.what_to_log import RecordingPlan
     from cyclekit.report.findings import Judged, LoggedResponse, Overview, Predicts
     from cyclekit.report.floor import FloorPlan
     from cyclekit.report.texts import ReportTexts
@@ -95,6 +99,15 @@ class PageInputs:
     def best(self) -> CycleEstimate | None:
         """The sequence that the answer names; None without estimates."""
         return self.verdict.best if self.verdict and self.verdict.best else next(iter(self.ranked), None)
+
+    @cached_property
+    def to_log(self) -> RecordingPlan | None:
+        """What to log next for these sequences; None where the robot's tasks are not known."""
+        asked = [TaskSequence(each.name, each.places) for each in self.ranked if not each.plan]
+        try:
+            return what_to_log(self.dataset, asked)
+        except DatasetError:
+            return None
 
     @cached_property
     def judged(self) -> dict[str, Any]:

@@ -121,7 +121,7 @@ def compose_report(
     say = progress or (lambda _part, _text: None)
     dataset.require_positions()
     look = Template(template)
-    say(0.02, "reading the dataset")
+    say(0.0, "reading the dataset")
     quickest = sorted(estimates, key=lambda each: each.expected_s)
     ranked = [each for work in by_work(quickest).values() for each in work]
     name = cell_name or dataset.card.name or dataset.path.name
@@ -132,12 +132,12 @@ def compose_report(
         return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing), len(ranked))
     sections: dict[str, Any] = {}
     for number, (key, section) in enumerate(SECTIONS.items()):
-        say(0.1 + 0.17 * number, f"section {number + 1} of {len(SECTIONS)}: {texts(f'{key}.title').lower()}")
+        say(0.05 * number, f"section {number + 1} of {len(SECTIONS)}: {texts(f'{key}.title').lower()}")
         sections[key] = section(page)
+    say(0.25, "tables of the part to play with")
     played = play_part(page) if play and kind == "html" else None
     missing = [*missing, *(played.missing if played else ())]
     sections["trust"]["sentences"] = [*sections["trust"]["sentences"], *missing]
-    say(0.95, "writing the page")
     made = texts("page.made", date=_today(), version=installed("cyclekit"), executions=page.seen.executions)
     if kind == "json":
         content = as_json(name, made, page, sections)
@@ -145,12 +145,22 @@ def compose_report(
         content = as_markdown(texts, name, made, sections)
     else:
         data = played.data if played else None
+        _draw(sections, lambda part, text: say(0.3 + 0.65 * part, text))
+        say(0.95, "writing the page")
         content = look.render(cell=name, made=made, version=installed("cyclekit"), play=data, **sections)
         content += f"\n{MARK}\n"
     write_text(out, content)
     said = tuple(missing) + tuple(text for section in sections.values() for text in section.get("missing", ()))
     headline, size = sections["answer"]["headline"], out.stat().st_size
     return ReportFacts(out, size, headline, content.count("<figure>"), said, len(ranked))
+
+
+def _draw(sections: dict[str, Any], say: Callable[[float, str], None]) -> None:
+    """Draw every picture, for wide screens and for phones: most of the time goes here, so it is told."""
+    pictures = [chart.picture for section in sections.values() for chart in section.get("charts", ())]
+    for number, picture in enumerate(pictures):
+        say(number / len(pictures), f"picture {number + 1} of {len(pictures)}")
+        _ = picture.wide, picture.narrow
 
 
 def _today() -> str:

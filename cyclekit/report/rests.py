@@ -1,9 +1,10 @@
-"""Backtest on logged executions, and support: tables of section 5."""
+"""Backtest on logged executions, support, and what to log next: tables of section 5."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from cyclekit.estimate.what_to_log import ENOUGH, WITHIN
 from cyclekit.report.numbers import count, fixed, percent
 from cyclekit.report.tables import ReportTable
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
 
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.report.inputs import PageInputs
     from cyclekit.report.texts import ReportTexts
 
 
@@ -49,6 +51,16 @@ def _support(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> ReportTable
     return ReportTable(
         title, heads, rows, frozenset({1, 2, 3}), silent=True, title=title, text=texts("answer.support_note")
     )
+
+
+def to_log(page: PageInputs) -> list[ReportTable]:
+    """Return what to log next, as a list; none where the robot's tasks are not known."""
+    texts, plan = page.texts, page.to_log
+    if plan is None:
+        return []
+    lacking = [f"{text[0].upper()}{text[1:]}." for text in plan.in_words(texts.task)]
+    said = texts("trust.to_log_text" if lacking else "trust.to_log_none", most=ENOUGH, within=f"{100 * WITHIN:g}")
+    return [ReportTable(title=texts("trust.to_log"), text=said, items=lacking)]
 
 
 def signed(part: float) -> str:

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from cyclekit.report.texts import ReportTexts
 
 PAGE, STYLE, SCRIPT = "page.html.jinja", "page.css", "page.js"
-SCRIPTS, STYLES = (SCRIPT, "play.js"), (STYLE, "play.css")
+PLAY_STYLE = "play.css"
+PLAY = ("tables.js", "positions.js", "lookup.js", "often.js", "walk.js", "numbers.js", "chart.js", "controls.js")
+"""The script of the part to play with: one function, in this order."""
 LOGOS = {"logo.svg": "image/svg+xml", "logo.png": "image/png"}
 KNOWN = (PAGE, STYLE, SCRIPT, "texts.toml", "extra.css", "cover.html.jinja", *LOGOS)
 
@@ -68,7 +70,10 @@ class Template:
         environment = SandboxedEnvironment(
             loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, finalize=_shown
         )  # fmt: skip
-        script, css = ("".join(map(self._asset, names if play else names[:1])) for names in (SCRIPTS, STYLES))
+        script, css = self._asset(SCRIPT), self._asset(STYLE)
+        if play:
+            parts = "".join(map(self._asset, PLAY))
+            script, css = f'{script}(() => {{\n"use strict";\n{parts}}})();\n', css + self._asset(PLAY_STYLE)
         digest = base64.b64encode(hashlib.sha256(f"\n{script}\n".encode()).digest()).decode()
         try:
             return environment.get_template(page).render(

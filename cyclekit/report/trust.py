@@ -43,7 +43,8 @@ def section(page: PageInputs) -> dict[str, Any]:
     origin = provenance(dataset, versions)
     unmeasured = bool(page.ranked) and (check is None or check.coverage is None)
     said = [*_network_and_baselines(texts, page.judged, check), *([texts("trust.no_coverage")] if unmeasured else [])]
-    tables = [*rests.tables(texts, page.ranked, check), *_unseen(texts, page.samples), *_data_tables(texts, origin)]
+    tables = [*rests.tables(texts, page.ranked, check), *rests.to_log(page), *_unseen(texts, page.samples)]
+    tables += _data_tables(texts, origin)
     return {
         "facts": _facts(texts, dataset, page.seen, origin),
         "model": _model(texts, model, page.judged),

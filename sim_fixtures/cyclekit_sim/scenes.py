@@ -85,6 +85,12 @@ class Scene:
         return tuple(name for name in self.places if name not in ("home", "conveyor"))
 
 
+_LEFT: Points = ((-1.0, 0.05), (1.0, 0.05), (1.0, 1.0), (-1.0, 1.0))
+_RIGHT: Points = ((-1.0, -1.0), (1.0, -1.0), (1.0, -0.05), (-1.0, -0.05))
+_BELT: Points = ((-1.0, -1.0), (1.0, -1.0), (1.0, -0.2), (-1.0, -0.2))
+_BOXES: Points = ((-1.0, 0.1), (1.0, 0.1), (1.0, 1.0), (-1.0, 1.0))
+
+
 def _thing(x: float, y: float, top_z: float, length: float, width: float) -> tuple[Place, Place]:
     """A table or belt that stands on the floor: middle of its top, and its size."""
     return (x, y, top_z), (length, width, round(top_z - FLOOR_Z_M, 3))
@@ -149,6 +155,11 @@ def _pick_and_package() -> Scene:
             "packing_table": _thing(0.30, 0.55, -0.05, 1.0, 0.35),
         },
         safety=DistanceStaircase(LEVELS, (0.6, 0.8, 1.2, 1.6)),
+        fields=(
+            Field("warning", 4, (-0.5, 1.9), (-1.5, 1.6), 0.5),
+            Field("protective_belt", 5, (0.9, 1.8), (-1.2, -0.3), 0.0, _BELT, occupied=0),
+            Field("protective_pack", 8, (0.1, 1.3), (0.6, 1.5), 0.25, _BOXES, occupied=0),
+        ),
         picks=12,
         repeats_slots=True,
         pick_s=0.6,
@@ -225,10 +236,6 @@ def _scanner_visits() -> Scene:
         continuous=False,
         away_s=(3.0, 10.0),
     )
-
-
-_LEFT: Points = ((-1.0, 0.05), (1.0, 0.05), (1.0, 1.0), (-1.0, 1.0))
-_RIGHT: Points = ((-1.0, -1.0), (1.0, -1.0), (1.0, -0.05), (-1.0, -0.05))
 
 
 def _three_fields() -> tuple[Field, ...]:

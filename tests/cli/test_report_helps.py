@@ -131,3 +131,16 @@ def test_what_cannot_be_computed_as_asked_is_a_usage_error(
     assert typed.code == 2
     assert said in typed.err
     assert not (tmp_path / "r.html").exists()
+
+
+def test_a_sequence_of_tasks_never_logged_says_what_to_log_next(
+    model: Path, dataset: Path, tmp_path: Path, cyclekit: Shell
+):
+    file = tmp_path / "asked.toml"
+    known, new = '["home", "conveyor", "left_1"]', '["home", "left_1", "conveyor"]'
+    both = "".join(f'[[sequence]]\nname = "{n}"\nplaces = {places}\n' for n, places in (("A", known), ("B", new)))
+    file.write_text(both, encoding="utf-8")
+    words = ("report", dataset, "--model", model, "--sequences", file, "--extrapolate", "--no-check", "--quiet")
+    typed = cyclekit(*words, "--out", tmp_path / "r.html")
+    assert typed.code == 1
+    assert "To log next: log 5 executions of home, left_1, conveyor (sequence 'B')" in typed.err

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cyclekit.cli.estimate import rests_on
 from cyclekit.config.sequences import TaskSequence
-from cyclekit.estimate.history import TaskTimes, history_share, order_error
+from cyclekit.estimate.history import TaskTimes, chance_of_logs, history_share, order_error
 from cyclekit.estimate.logged import logged_sequences
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.resample import resampled, resampled_alike
@@ -57,6 +57,24 @@ def test_an_execution_is_judged_by_what_its_tasks_took_in_the_others(logged: Dat
         np.sqrt(np.nanmean((tasks * (1 / 1.02 - 1))[np.isfinite(elsewhere)] ** 2))
     )
     assert order_error(times, sequences[:9], elsewhere[:9]) is None
+
+
+def test_what_the_chance_of_a_few_walked_operators_explains_is_no_error_of_the_order(logged: Dataset):
+    times, sequences = TaskTimes(logged), logged_sequences(logged, nominal_tasks(logged))
+    names = [sequence.name for sequence in sequences]
+    elsewhere = np.array([times.elsewhere_s(sequence) for sequence in sequences])
+    luck = 1.0 + 0.2 * np.random.default_rng(0).standard_normal((len(names), 12))
+    order = np.where(np.arange(len(names)) % 2, 0.7, 1.3)[:, None]
+    found = []
+    for cycles_s in (elsewhere[:, None] * luck, elsewhere[:, None] * luck * order):
+        crossed_s = np.full((len(names), len(names)), np.nan)
+        crossed_s[:, :12] = cycles_s
+        chance = chance_of_logs(times, sequences, crossed_s, names, 1)
+        mean_s = cycles_s.mean(axis=1)
+        found.append(order_error(times, sequences, mean_s, chance) / order_error(times, sequences, mean_s))
+    by_chance, by_order = found
+    assert by_chance < 0.5
+    assert by_order > 0.9
 
 
 @given(st.floats(0.001, 0.05), st.floats(0.001, 0.05), st.floats(0.0, 0.9), st.floats(0.0, 0.05))

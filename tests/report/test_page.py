@@ -11,7 +11,7 @@ from importlib.resources import files
 
 import pytest
 from msgspec import structs
-from report_pages import Page, estimate
+from report_pages import DistanceModel, Page, estimate
 
 from cyclekit.config.cells import NamedPlace
 from cyclekit.dataset.dataset import Dataset
@@ -119,7 +119,7 @@ def test_every_text_is_asked_for_and_every_text_asked_for_exists():
     source = "".join(file.read_text("utf-8") for file in read if file.name.endswith((".py", ".jinja", ".js")))
     known = {f"{section}.{name}" for section, names in texts.items() for name in names}
     asked = set(re.findall(r"[\"']((?:page|answer|verdict|where|why|helps|trust|fleet|play)\.\w+)", source))
-    no_texts = {"page.css", "page.html", "page.js", "page.pdf", "fleet.html", "play.css", "play.html", "play.js"}
+    no_texts = {"page.css", "page.html", "page.js", "page.pdf", "fleet.html", "play.css", "play.html"}
     assert asked - known == no_texts  # but files
     names = set(re.findall(r'"(\w+)"', source))
     assert {key for key in known - asked if key.partition(".")[2] not in names} == set()
@@ -148,3 +148,14 @@ def test_people_are_shown_the_labels_of_places_and_data_keep_the_names(dataset, 
     assert "→ left" not in shown
     compose_report(labelled, None, tmp_path / "r.csv", estimates=[estimate("A first")], kind="csv")
     assert "conveyor->left," in (tmp_path / "r.csv").read_text("utf-8")
+
+
+def test_drawing_is_told_picture_by_picture(dataset, tmp_path):
+    told = []
+    compose_report(dataset, DistanceModel(), tmp_path / "r.html", progress=lambda *it: told.append(it))
+    parts = [part for part, _ in told]
+    assert parts == sorted(parts)
+    drawn = [text for _, text in told if text.startswith("picture ")]
+    assert drawn[0].startswith("picture 1 of ")
+    assert len(drawn) == int(drawn[0].rsplit(" ", 1)[1]) > 2
+    assert told[-1][1] == "writing the page"

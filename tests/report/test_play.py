@@ -16,7 +16,6 @@ from known_cells import logged
 from played import ORDERS, staircase, zoned
 from report_pages import DistanceModel
 from report_pages import estimate as made_up
-from ruled import near, ruled
 
 from cyclekit.dataset.cards.rule import LimitCard
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
@@ -24,10 +23,9 @@ from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.walk import roll_all
-from cyclekit.learning.rules.distances import TO_LINK
 from cyclekit.report import compose_report
 from cyclekit.report.inputs import PageInputs
-from cyclekit.report.play import part, play_part
+from cyclekit.report.play import part, play_part, scaling_table, tables
 from cyclekit.report.play.packed import UNKNOWN, in_steps, in_units, packed, units_per_metre
 from cyclekit.report.texts import load_texts
 
@@ -97,14 +95,21 @@ def test_the_tables_give_the_rolled_out_cycles_of_the_library(logged, model):
 def test_a_page_says_why_it_cannot_be_played_with(logged, monkeypatch):
     texts, rule = load_texts(), staircase()
     (short,) = estimate(rule, logged, ORDERS[:1], validate=False)
-    linked = ruled((0.0, near(1.0, TO_LINK), None))
+    average = DistanceModel()
+    average.problem = "average"
     assert play_part(PageInputs(texts, logged, rule)) == (None, ())
     for model, shown, why in (
-        (DistanceModel(), short, texts("play.no_rule")),
-        (linked, short, texts("play.other_rule")),
+        (None, short, texts("play.no_model")),
+        (average, short, texts("play.not_now")),
         (rule, made_up(plan=("x",)), texts("play.both")),
     ):
         assert play_part(PageInputs(texts, logged, model, [shown])) == (None, (why,))
+    with monkeypatch.context() as patched:
+        patched.setattr(tables, "waits_are_known", lambda _model: True)
+        assert play_part(PageInputs(texts, logged, rule, [short])) == (None, (texts("play.waits"),))
+        patched.undo()
+        patched.setattr(scaling_table, "MOST_ENTRIES", 10)
+        assert "million entries" in play_part(PageInputs(texts, logged, DistanceModel(), [short])).missing[0]
     monkeypatch.setattr(part, "MOST_BYTES", 1000)
     assert "MB" in play_part(PageInputs(texts, logged, rule, [short])).missing[0]
 

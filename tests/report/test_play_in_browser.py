@@ -9,7 +9,7 @@ import browser
 import pytest
 from known_cells import logged
 from msgspec import structs
-from played import ORDERS, SHORT, STAIRS, ZONED, staircase, zoned
+from played import ORDERS, SHORT, STAIRS, WITHOUT_RULE, ZONED, Gate, Network, staircase, zoned
 
 from cyclekit.config.sequences import TaskSequence, load_sequences
 from cyclekit.dataset.cards import DynamicsCard
@@ -26,7 +26,13 @@ pytestmark = [
 ]
 TAKT_S = 62.0
 SLOW = DynamicsCard(latency_s=0.2, ramp_down_per_s=2.0, ramp_up_per_s=0.5, hold_s=0.3)
-CELLS = {"staircase": (staircase(), DynamicsCard(), STAIRS), "zones": (zoned(), SLOW, ZONED)}
+SLOW_NETWORK = structs.replace(SLOW, hysteresis_m=0.2)
+CELLS = {
+    "staircase": (staircase(), DynamicsCard(), STAIRS),
+    "zones": (zoned(), SLOW, ZONED),
+    "network": (Network(), SLOW_NETWORK, {"ramp": STAIRS["ramp"]}),
+    "signals": (Gate(), SLOW, WITHOUT_RULE),
+}
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +47,13 @@ def cell(request, logged, tmp_path_factory):
     model, dynamics, changes = CELLS[request.param]
     data = Dataset.open(logged.path)
     data.card = structs.replace(data.card, dynamics=dynamics)
-    given = {each.name: each for each in estimate(model, data, ORDERS, takt_s=TAKT_S)}
+    given = {each.name: each for each in estimate(model, data, ORDERS, takt_s=TAKT_S, other_cell=True)}
     check = given["long"].check
     changed = {}
     for each in ORDERS[:2]:
-        for found in what_if(model, data, [each], [change for _, change in changes.values()], check=check):
+        for found in what_if(
+            model, data, [each], [change for _, change in changes.values()], check=check, other_cell=True
+        ):
             changed[each.name, found.change] = found.after
     page = tmp_path_factory.mktemp("play") / f"{request.param}.html"
     facts = compose_report(data, model, page, estimates=[given["long"]], check=check, takt_s=TAKT_S)

@@ -8,6 +8,7 @@ import pytest
 from report_pages import DistanceModel, Page, estimate
 
 from cyclekit.estimate.check import compare
+from cyclekit.estimate.what_to_log import RecordingPlan
 from cyclekit.report import compose_report
 
 pytestmark = pytest.mark.usefixtures("words_only")
@@ -93,3 +94,20 @@ def test_a_network_that_is_better_than_its_baselines_needs_no_explanation(datase
     text = said(dataset, tmp_path / "r.html", evaluation=Beaten(mse=0.01))
     assert "come from the network" in text
     assert "has the smaller error" not in text
+
+
+def test_the_page_says_what_to_log_next(dataset, tmp_path):
+    asked = dataclasses.replace(estimate("A first"), places=("conveyor", "left", "right"))
+    facts = compose_report(dataset, None, tmp_path / "r.html", estimates=[asked])
+    text = Page(facts.path.read_text("utf-8")).text.replace("\N{NO-BREAK SPACE}", " ")
+    assert "What to log next" in text
+    assert "Missing: left → right." in text
+    assert "Log 5 executions of conveyor, left, right (sequence 'A first')." in text
+    compose_report(dataset, None, tmp_path / "r.json", estimates=[asked], kind="json")
+    told = json.loads((tmp_path / "r.json").read_text("utf-8"))["to_log"]
+    assert told["missing"] == ["left->right"]
+
+
+def test_a_page_on_enough_logs_lacks_nothing(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(RecordingPlan, "in_words", lambda _plan, _shown: [])
+    assert "Nothing is lacking: each task was logged" in text_of(dataset, tmp_path / "r.html")

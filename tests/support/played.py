@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
+import numpy as np
 from ruled import box, near, ruled
 
 from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.cards import TrainingCard
 from cyclekit.estimate.whatif.change import Change, LimitChange
 from cyclekit.learning.rules.safety import RuleSafety
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.dataset import Dataset
 
 SHORT = ("left_2", "right_3", "left_4")
 LONG = ("right_1", "left_1", "right_2", "left_2", "left_5", "right_5")
@@ -37,6 +43,45 @@ def zoned() -> RuleSafety:
     )
 
 
+class Network:
+    """Has of a network what a rollout asks: speed rises with the distance."""
+
+    problem, network = "now", "regressor"
+
+    def __init__(self) -> None:
+        self.card = TrainingCard()
+
+    def predict(self, positions: np.ndarray) -> np.ndarray:
+        apart_m = np.linalg.norm(positions[:, :3].astype(float) - positions[:, 3:], axis=1)
+        return np.clip((apart_m - 0.9) / 1.6, 0.1, 1.0)
+
+
+class Gate:
+    """A safety function of two states: the operator is on the left, where the robot is slow, or not."""
+
+    problem, network, often = "now", "gate", True
+    unseen_error, states, why, doubts, limits = 0.3, ("left", "elsewhere"), "simulation with a gate", (), ()
+
+    def __init__(self) -> None:
+        self.card = TrainingCard()
+
+    def predict(self, positions: np.ndarray) -> np.ndarray:
+        return np.full(len(positions), 0.7)
+
+    def scaling_in(self, robot_m: np.ndarray, state: np.ndarray) -> np.ndarray:
+        return np.where(state[:, 0] == 0, np.where(robot_m[:, 1] > 0.2, 0.25, 0.6), 1.0)
+
+    def near_logged(self, robot_m: np.ndarray, state: np.ndarray) -> np.ndarray:
+        return (state[:, 0] == 1) | (robot_m[:, 1] > -0.2)
+
+    def logged_states(self, dataset: Dataset) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        frame = dataset.samples(columns=["execution", "t_s", "human_x_m"])
+        return {
+            name: (rows["t_s"].to_numpy(), (rows["human_x_m"].fill_null(9.0).to_numpy() > 0.3).astype(float)[:, None])
+            for (name,), rows in frame.group_by(["execution"], maintain_order=True)
+        }
+
+
 STAIRS = {
     "threshold": ({"moved": [0.15, 0, 0, 0]}, Change("t", limits=(LimitChange(0.0, threshold_m=1.35),))),
     "two": (
@@ -62,4 +107,5 @@ ZONED = {
         ),
     ),
 }
+WITHOUT_RULE = {name: STAIRS[name] for name in ("ramp", "seldom")}
 """What the script is asked with, and the same change in the library, by name."""

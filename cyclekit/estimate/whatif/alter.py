@@ -274,12 +274,17 @@ def _away(tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: Safe
     if tracks.state is not None:
         code, human = cells_of(tracks)
     else:
-        flat = tracks.xyz_m.reshape(-1, 3)
-        cells, code = np.unique(np.round(np.nan_to_num(flat, nan=NOWHERE_M) / SPOT_M), axis=0, return_inverse=True)
-        human = cells * SPOT_M
-        human[human > 1e2] = np.nan  # nobody, or nobody's height
+        code, human = spots_of(tracks.xyz_m.reshape(-1, 3))
     least = np.full(len(human), np.inf)
     for point in points:
         least = np.minimum(least, scaling_of(safety, np.broadcast_to(point, (len(human), 3)), human))
     away = (least >= AWAY * max(getattr(safety, "levels", ()), default=1.0)) | ~np.isfinite(human[:, 0])
     return np.asarray(away[code.ravel()].reshape(tracks.xyz_m.shape[:2]))
+
+
+def spots_of(xyz_m: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the number of the spot of each position (N, 3), and the spots (S, 3); NaN: nobody, or nobody's height."""
+    found, number = np.unique(np.round(np.nan_to_num(xyz_m, nan=NOWHERE_M) / SPOT_M), axis=0, return_inverse=True)
+    spots = found * SPOT_M
+    spots[spots > NOWHERE_M / 10] = np.nan
+    return number.ravel(), spots

@@ -45,17 +45,19 @@ def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], co
     ended = pl.DataFrame(waits, schema=columns, orient="row").unique(list(kinds), keep="first")
     joined = tasks.join(ended, on=list(kinds), how="left", maintain_order="left")
     own = (pl.col("agent") == "operator") & pl.col("agent_name").is_null()
-    stood = pl.when(own).then(pl.col("end_s") - pl.col("arrival_s")).otherwise(pl.col("dwell_s") + pl.col("wait_s"))
+    stood = pl.col("end_s") - pl.col("arrival_s")
+    on_the_way = pl.when(own).then(0.0).otherwise(pl.col("dwell_s") + pl.col("wait_s") - stood)  # paused
     other = pl.col("wait_s") - pl.col("lost_wait_s").fill_null(pl.col("wait_s"))  # lost to a pause or a stop: it stays
-    wait = pl.max_horizontal(pl.min_horizontal(pl.col("ended_s").fill_null(0.0), stood), pl.when(~own).then(other))
-    split = stood.is_not_null() & (own | ~pl.col("short").fill_null(value=True))
+    kept = pl.when(own).then(0.0).otherwise((other - on_the_way).clip(0.0))
+    wait = pl.max_horizontal(pl.min_horizontal(pl.col("ended_s").fill_null(0.0), stood), kept)
+    split = (stood + on_the_way).is_not_null() & (own | ~pl.col("short").fill_null(value=True))
     lost = split & ~own & pl.col("lost_wait_s").is_not_null()
     named = pl.col("ended_by").is_not_null() & (own | split | (pl.col("wait_s") > LEAST_S))
     return joined.with_columns(
         waited_for=pl.when(named).then("ended_by"),
-        wait_s=pl.when(split).then(wait).otherwise("wait_s"),
+        wait_s=pl.when(split).then(wait + on_the_way).otherwise("wait_s"),
         dwell_s=pl.when(split).then(stood - wait).otherwise("dwell_s"),
-        lost_wait_s=pl.when(lost).then(wait - other).otherwise("lost_wait_s"),
+        lost_wait_s=pl.when(lost).then(wait + on_the_way - other).otherwise("lost_wait_s"),
     ).select(tasks.columns)
 
 

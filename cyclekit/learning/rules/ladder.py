@@ -12,6 +12,7 @@ from cyclekit.learning.rules.crossings import LAG_M, by_crossings, lags
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.families.signal import SIGNALS
 from cyclekit.learning.rules.fitting import few_of, fit_limits, refined
+from cyclekit.learning.rules.hysteresis import with_one_hysteresis
 from cyclekit.learning.rules.intervals import with_intervals
 from cyclekit.learning.rules.quantities import quantities, with_bounds, without_doubtful
 from cyclekit.learning.rules.regions import followed
@@ -102,10 +103,11 @@ def find_rule(
     """
     levels = tuple(levels)
     judged = drawn(rows.execution, seed) if held_out is None else held_out
-    learn, judge = rows.of(np.setdiff1d(rows.execution, judged)), rows.of(judged)
+    learn, judge = rows.of(np.setdiff1d(rows.execution, judged)), rows.of(judged, known=True)
     if not len(learn) or not len(judge) or len(levels) < 2:
         return RuleSearch(None, rows=len(rows))
-    rival = None if network is None else _by_execution(network[np.isin(rows.execution, judged)] == judge.level, judge)
+    named = None if network is None else network[np.isin(rows.execution, judged) & rows.known]
+    rival = None if named is None else _by_execution(named == judge.level, judge)
     fits: list[_Fit] = []
     tried = _tried(_Search(learn, judge, levels, few_of(learn, seed)), fits)
     best = next((fit for fit in tried if _part(fit.right, judge) >= EXPLAINS and _is_wide(fit)), None)
@@ -256,7 +258,8 @@ def _whole(fit: _Fit, rows: RuleRows, levels: Sequence[float], *, noisy: bool, s
         return None
     if noisy:
         limits = by_crossings(limits, rows, {level: step for step, level in enumerate(levels)})
-    return without_doubtful(with_intervals(limits, rows, levels, family, noisy=noisy, seed=seed))
+    limits = with_intervals(limits, rows, levels, family, noisy=noisy, seed=seed)
+    return without_doubtful(with_one_hysteresis(limits))
 
 
 def _by_execution(right: NDArray[np.bool_], rows: RuleRows) -> NDArray[np.float64]:

@@ -17,6 +17,7 @@ from cyclekit.learning.rules.links import to_nearest_link
 from cyclekit.learning.rules.positions import Positions
 from cyclekit.learning.rules.signals import signals_of
 from cyclekit.learning.windows import nobody_there
+from cyclekit.scaling.commanded import UNKNOWN
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -40,14 +41,14 @@ class RuleRows:
 
     Attributes:
         positions: Where everybody is.
-        level: Index of the commanded level, shape (N,).
+        level: Index of the commanded level, shape (N,); k + 0.5 where a ramp hides how much faster than level k it is.
         before: Row of the sample before in the same unbroken stretch, shape (N,); -1 = there is none.
         execution: Number of the execution, shape (N,).
         at_m: TCP and operator, shape (N, 6), m; NaN where nobody is there.
     """
 
     positions: Positions
-    level: NDArray[np.int64]
+    level: NDArray[np.float64]
     before: NDArray[np.int64]
     execution: NDArray[np.int64]
     at_m: NDArray[np.float32]
@@ -67,6 +68,11 @@ class RuleRows:
         return self.positions.floor_m
 
     @property
+    def known(self) -> Bools:
+        """Where the level is known, and not only which ones it is faster than, shape (N,)."""
+        return np.asarray(self.level % 1.0 == 0.0)
+
+    @property
     def present(self) -> Bools:
         """Where somebody is there, shape (N,)."""
         return np.isfinite(self.floor_m[:, 0])
@@ -80,12 +86,11 @@ class RuleRows:
         off = off[np.isfinite(off[:, 0])]
         return float(1.4826 * np.median(np.abs(off)) / np.sqrt(6)) if len(off) else 0.0
 
-    def of(self, executions: NDArray[np.int64]) -> RuleRows:
-        """Return the rows of some executions; none of their stretches is broken by that."""
-        keep = np.isin(self.execution, executions)
-        number = np.cumsum(keep) - 1
-        before = self.before[keep]
-        before = np.where(before >= 0, number[before], -1)
+    def of(self, executions: NDArray[np.int64], *, known: bool = False) -> RuleRows:
+        """Return the rows of some executions, with `known` those of known level; no stretch is broken by that."""
+        keep = np.isin(self.execution, executions) & (self.known if known else True)
+        stretch = np.cumsum(self.before < 0)[keep]
+        before = np.where(np.diff(stretch, prepend=-1) == 0, np.arange(len(stretch)) - 1, -1)
         return RuleRows(self.positions.where(keep), self.level[keep], before, self.execution[keep], self.at_m[keep])
 
     @classmethod
@@ -93,7 +98,7 @@ class RuleRows:
         cls,
         robot_m: NDArray[np.float64],
         human_m: NDArray[np.float64],
-        level: NDArray[np.int64],
+        level: NDArray[np.int64] | NDArray[np.float64],
         execution: NDArray[np.int64],
         *,
         stretch: NDArray[np.int64] | None = None,
@@ -107,7 +112,7 @@ class RuleRows:
         Args:
             robot_m: The TCP.
             human_m: The operator; NaN where nobody is there.
-            level: Index of the level.
+            level: Index of the level, or k + 0.5: faster than level k.
             execution: Number of the execution, shape (N,).
             stretch: Number of the unbroken stretch, shape (N,); None: one for each execution.
             to_link_m: Distance of the nearest link, shape (N,); None = not known.
@@ -125,7 +130,7 @@ class RuleRows:
         inputs = np.concatenate([robot_m, human_m], axis=1).astype(np.float32)
         values = {name: value[known] for name, value in (signals or {}).items()}
         places = Positions(apart, human_m[:, :2], robot_m[:, :2], values)
-        return cls(places, level.astype(np.int64), before, execution, inputs)
+        return cls(places, level.astype(np.float64), before, execution, inputs)
 
 
 def rows_of(
@@ -146,7 +151,8 @@ def rows_of(
     response = dataset.card.dynamics
     sure_s = SURE_S if response.ramp_down_per_s or response.ramp_up_per_s else 0.0
     # the latency is undone by moving the positions, which hits the instant between two samples
-    level = commanded_in_time(dataset, frame, levels, structs.replace(response, latency_s=None), sure_s=sure_s)
+    response = structs.replace(response, latency_s=None)
+    level = commanded_in_time(dataset, frame, levels, response, sure_s=sure_s, or_faster=True)
     hidden = frame.select(pl.col("human_x_m").is_null() & ~nobody_there()).to_series().to_numpy()
     level[hidden | frame["robot_x_m"].is_null().to_numpy()] = -1
     places = frame.select(pl.col(_COLUMNS).fill_null(float("nan"))).to_numpy()
@@ -161,6 +167,7 @@ def rows_of(
     to_link = to_nearest_link(dataset, names, seen_s, places[:, :3], places[:, 3:])
     said = signals_of(dataset, executions, frame, level, run) if signals else None
     known = run + hidden_for_long(level >= 0, t_s)
+    level = np.where(level < UNKNOWN, -1.5 - level, level)
     return RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=known, to_link_m=to_link, signals=said)
 
 
@@ -172,7 +179,7 @@ def hidden_for_long(known: Bools, t_s: Vector) -> NDArray[np.int64]:
     return np.cumsum(after)
 
 
-def _alone(level: NDArray[np.int64], stretch: NDArray[np.int64]) -> Bools:
+def _alone(level: NDArray[np.int64] | NDArray[np.float64], stretch: NDArray[np.int64]) -> Bools:
     """Return where one row differs from two before and two after it that agree, shape (N,)."""
     found = np.zeros(len(level), np.bool_)
     if len(level) < 5:

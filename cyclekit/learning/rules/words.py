@@ -118,6 +118,15 @@ def _signal(signal: SignalCard) -> str:
     return f"signal {signal.signal} is {signal.value}{where}{after}"
 
 
+FIELD_COLUMNS = "signal ", "occupied at", "while the TCP is", "speed at most"
+
+
+def field_rows(rule: RuleCard) -> list[tuple[str, ...]]:
+    """Return the table: which field, where on the robot's path, which speed; rows of FIELD_COLUMNS."""
+    limits = ((limit, one) for limit in rule.limits for one in limit.within.signals)
+    return [(one.signal, one.value, place_of(one), f"{100 * limit.scaling:.4g} %") for limit, one in limits]
+
+
 def place_of(signal: SignalCard) -> str:
     """Return where the TCP is while a signal counts."""
     if signal.robot is None:

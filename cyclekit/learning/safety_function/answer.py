@@ -15,6 +15,7 @@ from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.learning.rules.distances import DISTANCES
 from cyclekit.learning.rules.ladder import RuleSearch
 from cyclekit.learning.rules.of_dataset import rule_of
+from cyclekit.learning.rules.safety import RuleSafety
 from cyclekit.learning.rules.shapes import RuleShape, shapes_of
 from cyclekit.learning.rules.words import sentences, verdict
 from cyclekit.learning.safety_function.fit import (
@@ -28,6 +29,7 @@ from cyclekit.learning.safety_function.fit import (
     hysteresis,
     thresholds,
 )
+from cyclekit.learning.safety_function.path import PATH_M, speeds_on_path
 from cyclekit.learning.signal_inputs import by_signals
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.plots.labels import CellOnFloor
@@ -75,6 +77,9 @@ class SafetyFunction(Result):
             thresholds are those to enter and to leave, and `thresholds` lie between them.
         shapes: That rule as outlines on the floor; empty without one.
         cell: Places and furniture, for the picture.
+        path_m: Where signals tell of people, corners x, y (base frame, m) of cells of the robot's path, shape (C, 2),
+            PATH_M wide.
+        path_speed: By name of the signal, the speed there while it alone is on, shape (C,), 0 to 1.
     """
 
     levels: tuple[float, ...]
@@ -94,6 +99,8 @@ class SafetyFunction(Result):
     commanded: RuleSearch
     shapes: tuple[RuleShape, ...] = ()
     cell: CellOnFloor = field(default_factory=CellOnFloor)
+    path_m: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    path_speed: Mapping[str, Floats] = field(default_factory=dict)
 
     def plot(self) -> Drawing:
         """Return the speed over the distance and the floor seen from above, as a matplotlib figure."""
@@ -112,7 +119,9 @@ class SafetyFunction(Result):
         out["explained"] = dict(self.explained)
         out["thresholds"] = [dict(vars(entry)) for entry in self.thresholds]
         out["floor_m"], out["floor_scaling"] = self.floor_m.tolist(), self.floor_scaling.tolist()
-        out["floor_cell_m"] = FLOOR_M
+        out["floor_cell_m"], out["path_cell_m"] = FLOOR_M, PATH_M
+        out["path_m"] = self.path_m.tolist()
+        out["path_speed"] = {name: speed.tolist() for name, speed in self.path_speed.items()}
         out["shapes"] = [dict(vars(entry)) for entry in self.shapes]
         found = self.commanded
         out["commanded"] = {
@@ -212,6 +221,7 @@ def _by_signals(model: TrainedModel, dataset: Dataset, seed: int) -> SafetyFunct
     """Return the safety function of a cell whose signals tell of people: no place on the floor, no distance."""
     frame = dataset.samples(columns=["execution", "scaling", "human_signals"]).drop_nulls()
     levels, found = model.levels, rule_of(dataset, model.levels, model=model, seed=seed)
+    path_m, speed = speeds_on_path(model if found.rule is None else RuleSafety(found.rule, model.card), dataset)
     return SafetyFunction(
         levels=levels,
         shares=_shares(frame["scaling"].to_numpy(), levels),
@@ -228,6 +238,9 @@ def _by_signals(model: TrainedModel, dataset: Dataset, seed: int) -> SafetyFunct
         executions=found.executions,
         notes=(_NO_PROOF,),
         commanded=found,
+        cell=CellOnFloor(dataset.places, dataset.human_places, dataset.furniture),
+        path_m=path_m,
+        path_speed=speed,
     )
 
 

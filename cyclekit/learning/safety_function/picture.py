@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.learning.rules.law import shape_of
+from cyclekit.learning.rules.words import FIELD_COLUMNS, field_rows
 from cyclekit.learning.safety_function.fit import FLOOR_M, Threshold
+from cyclekit.learning.safety_function.path import PATH_M
 from cyclekit.plots.look import MUTED, plain_style
 
 if TYPE_CHECKING:
@@ -26,6 +28,10 @@ if TYPE_CHECKING:
 
 LETTERS, LINE_IN = 150, 0.19
 """How many letters a line of the words has at most, and how high it is."""
+ABREAST = 3
+"""So many paths stand beside each other."""
+OF_PATH = "The robot's path in the colour of the speed while the signal alone is on; grey where it does not count."
+PROOF = "Read back from logs. No safety proof."
 
 
 def zones_figure(zones: SafetyFunction) -> Drawing:
@@ -33,10 +39,12 @@ def zones_figure(zones: SafetyFunction) -> Drawing:
     from cyclekit.plots.drawing import Drawing
     from cyclekit.plots.zones import draw_floor
 
+    if zones.path_speed:
+        return _path_figure(zones)
     texts = [line for one in zones.rule_sentences for line in textwrap.wrap(f"- {one}", LETTERS)]
     if zones.shapes:
         texts.append("Lines on the floor: the rule; dashed: what the operator leaves before the robot speeds up again.")
-    texts.append("Read back from logs. No safety proof.")
+    texts.append(PROOF)
     with_floor = bool(len(zones.floor_m) or zones.shapes)
     with plain_style():
         figure = Drawing(11.0, 5.0 + LINE_IN * len(texts))
@@ -46,6 +54,26 @@ def zones_figure(zones: SafetyFunction) -> Drawing:
         if with_floor:
             squares = np.column_stack([np.reshape(zones.floor_m, (-1, 2)) + FLOOR_M / 2, zones.floor_scaling])
             draw_floor(places[1], squares, FLOOR_M, zones.shapes, zones.cell)
+    return figure
+
+
+def _path_figure(zones: SafetyFunction) -> Drawing:
+    """Return the robot's path from above, once for each signal of people, over the table of the rule."""
+    from cyclekit.plots.drawing import Drawing
+    from cyclekit.plots.zones import draw_path, draw_table
+
+    rule, count = zones.commanded.rule, len(zones.path_speed)
+    rows = [("no rule explains the logs: the network was asked",)] if rule is None else field_rows(rule)
+    high, wide, table_in = -(-count // ABREAST), min(count, ABREAST), 1.6 * LINE_IN * (len(rows) + 1)
+    with plain_style():
+        figure = Drawing(11.0, 4.6 * high + table_in + LINE_IN)
+        figure.supxlabel(f"{OF_PATH} {PROOF}", x=0.01, ha="left", fontsize=9, color=MUTED)
+        grid = figure.add_gridspec(high + 1, wide, height_ratios=(*[4.6] * high, table_in))
+        draw_table(figure.add_subplot(grid[-1, :]), FIELD_COLUMNS, rows)
+        for number, (name, speed) in enumerate(zones.path_speed.items()):
+            axes = figure.add_subplot(grid[divmod(number, wide)])
+            squares = np.column_stack([zones.path_m + PATH_M / 2, speed])
+            draw_path(axes, squares, PATH_M, zones.levels[-1], name, zones.cell)
     return figure
 
 

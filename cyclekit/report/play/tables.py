@@ -15,17 +15,19 @@ from cyclekit.estimate.joint.answer import waits_are_known
 from cyclekit.estimate.nominal import STEP_S, nominal_tasks
 from cyclekit.estimate.program import stands_of
 from cyclekit.estimate.resample import RESAMPLES, TOGETHER, resampled_alike
-from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.safety import Dynamics, OnStates, SafetyModel, asked_often, at_once
+from cyclekit.estimate.signal_states import on_states_of
 from cyclekit.estimate.spread import logged_support
 from cyclekit.estimate.support import HUMAN_M, ROBOT_M
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
-from cyclekit.estimate.whatif.alter import AWAY, LOOKED_AT, NOWHERE_M, SPOT_M
+from cyclekit.estimate.whatif.alter import AWAY, LOOKED_AT, spots_of
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.learning.rules.distances import TO_LINK
 from cyclekit.learning.rules.quantities import RulePlace, quantities
-from cyclekit.learning.rules.safety import RuleSafety, asks_signals, distances_of
+from cyclekit.learning.rules.safety import RuleSafety, distances_of
 from cyclekit.report.play.packed import in_steps, in_units, units_per_metre
+from cyclekit.report.play.scaling_table import scaling_table, thinned
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -50,24 +52,24 @@ MOVED_M = 0.5
 """A threshold can be moved by this much to either side."""
 
 
-def playable(page: PageInputs) -> RuleSafety | str:
-    """Return the rule that a page can be played with, or the name of the text that says why it cannot."""
+def playable(page: PageInputs) -> SafetyModel | str:
+    """Return the model that a page can be played with, or the name of the text that says why it cannot."""
     model = page.answers
-    if not isinstance(model, RuleSafety):
-        return "no_rule"
-    if asks_signals(model.rule) or TO_LINK in distances_of(model.rule):
-        return "other_rule"
-    return model if _played(page, model) else "both"
-
-
-def _played(page: PageInputs, model: RuleSafety) -> list[CycleEstimate]:
-    """Return the sequences of the robot alone, beside operators of any order."""
+    if not isinstance(model, SafetyModel):
+        return "no_model"
+    if model.problem != "now":
+        return "not_now"
     if waits_are_known(model):
-        return []
+        return "waits"
+    return model if _played(page) else "both"
+
+
+def _played(page: PageInputs) -> list[CycleEstimate]:
+    """Return the sequences of the robot alone, beside operators of any order."""
     return [each for each in page.ranked if each.estimator == "rollout" and not each.plan and each.operator is None]
 
 
-def tables_of(page: PageInputs, model: RuleSafety) -> tuple[dict[str, Any], Arrays]:
+def tables_of(page: PageInputs, model: SafetyModel) -> tuple[dict[str, Any], Arrays]:
     """Return facts (plain JSON values) and arrays of a page's sequences.
 
     Args:
@@ -75,31 +77,46 @@ def tables_of(page: PageInputs, model: RuleSafety) -> tuple[dict[str, Any], Arra
         model: What answers for it, as `playable` has found.
 
     Raises:
-        EstimateError: There is no operator track.
+        CyclekitError: There is no operator track, or the tables would be too large.
     """
-    shown = _played(page, model)
+    shown = _played(page)
     dataset, _ = in_memory(page.dataset)
-    check = shown[0].check
+    model, check = on_states_of(model, dataset), shown[0].check
     legs = nominal_tasks(dataset)
     nominal_s = max(each.nominal_s + each.dwell_s + each.wait_s for each in shown)
     tracks = operator_tracks(dataset, horizon_s=LONGER * nominal_s, phases=check.phases if check else None, model=model)
+    dynamics = Dynamics.of(dataset.card.dynamics, model)
     facts = {
         "sequences": [{"name": each.name, "places": list(each.places)} for each in shown],
         "labels": {name: dataset.label(name) for name in dataset.places},
         "takt_s": page.takt_s,
         "tracks": {"count": len(tracks.executions), "step_s": tracks.step_s, "logged": tracks.logged.tolist()},
-        "rule": _rule(model),
-        "dynamics": vars(Dynamics.of(dataset.card.dynamics, model)),
+        "dynamics": vars(dynamics),
         "step": {"coarse_s": TIME_STEP_S, "fine_s": FINE_STEP_S, "support_s": SUPPORT_EVERY_S, "nominal_s": STEP_S},
+        "follows": not at_once(model, dynamics),
+        "often": asked_often(model),
         "away": {"part": AWAY, "points": LOOKED_AT},
     }
-    paths = np.concatenate([leg.xyz_m for leg in legs.values()])
-    unit = facts["per_metre"] = units_per_metre(tracks.xyz_m, paths)
-    arrays = {"tracks": in_steps(in_units(tracks.xyz_m, unit)), "paths": in_steps(in_units(paths, unit))}
+    arrays: Arrays = {}
+    if isinstance(model, RuleSafety) and TO_LINK not in distances_of(model.rule):
+        facts |= _positions(dataset, legs, tracks, arrays) | {"rule": _rule(model)}
+    else:
+        legs = legs if isinstance(model, OnStates) else thinned(legs)
+        paths = [leg.xyz_m for leg in legs.values()]
+        facts["rule"] = scaling_table(model, dynamics, dataset, paths, tracks, arrays)
     facts["legs"] = _legs(legs, arrays, len(tracks.executions), [each.places for each in shown])
-    facts["support"] = _support(dataset, paths, tracks, arrays)
     facts["check"] = _corrected(check, dataset, tracks, legs, arrays)
     return facts, arrays
+
+
+def _positions(
+    dataset: Dataset, legs: Mapping[str, NominalTask], tracks: OperatorTracks, arrays: Arrays
+) -> dict[str, Any]:
+    """Put positions of robot and operator into `arrays`, and which pairs were logged; return their facts."""
+    paths = np.concatenate([leg.xyz_m for leg in legs.values()])
+    unit = units_per_metre(tracks.xyz_m, paths)
+    arrays["tracks"], arrays["paths"] = (in_steps(in_units(xyz_m, unit)) for xyz_m in (tracks.xyz_m, paths))
+    return {"per_metre": unit, "support": _support(dataset, paths, tracks, arrays)}
 
 
 def _rule(model: RuleSafety) -> dict[str, Any]:
@@ -169,11 +186,12 @@ def _support(dataset: Dataset, paths: NDArray[np.float64], tracks: OperatorTrack
     on_floor = np.where(np.isnan(people), 0.0, people)  # an unknown height is that of the floor there
     robots, arrays["robot_cells"] = _numbered(np.floor(paths / ROBOT_M))
     humans, arrays["people_cells"] = _numbered(np.floor(on_floor / HUMAN_M), absent)
-    spots, arrays["people_spots"] = _numbered(np.round(np.nan_to_num(people, nan=NOWHERE_M) / SPOT_M), absent)
+    at, spots = spots_of(people)
     middles = (robots + 0.5) * ROBOT_M, (humans + 0.5) * HUMAN_M
     rows, columns = np.repeat(middles[0], len(humans), axis=0), np.tile(middles[1], (len(robots), 1))
     arrays["support"] = logged_support(dataset).near_logged(rows, columns).astype(np.uint8)
-    arrays["spots"] = np.where(spots * SPOT_M == NOWHERE_M, np.nan, spots * SPOT_M).astype(np.float32)
+    arrays["people_spots"] = np.where(absent, NOBODY, at).astype(np.uint16)
+    arrays["spots"] = spots.astype(np.float32)
     return {"operators": len(humans)}
 
 
@@ -189,17 +207,19 @@ def _corrected(
     check: Check | None, dataset: Dataset, tracks: OperatorTracks, legs: Mapping[str, NominalTask], arrays: Arrays
 ) -> dict[str, Any]:
     """Return what corrects a rollout: its bias, what tasks took in the logs, and how executions are drawn again."""
-    names, which = np.unique(np.array(tracks.executions), return_inverse=True)
+    executions, which = np.unique(np.array(tracks.executions), return_inverse=True)
     together = TOGETHER if tracks.runs_on else 1
     arrays["execution"] = which.astype(np.uint16)
-    arrays["drawn"] = resampled_alike(tracks.executions, names.tolist(), SEED, together=together).astype(np.uint8)
+    arrays["drawn"] = resampled_alike(tracks.executions, executions.tolist(), SEED, together=together).astype(np.uint8)
     judged = len(check.residuals) if check else 2
     drawn = np.random.default_rng(SEED + 1).standard_t(max(judged - 1, 1), RESAMPLES)
     arrays["errors"] = drawn.astype(np.float32)
     if check is None:
-        return {"factor": 1.0, "model_error": 0.0, "doubted_bias": 0.0, "order_error": None, "history": {}}
+        alone = {"factor": 1.0, "network_error": 0.0, "unseen_error": 0.0, "spread": 1.0, "doubted_bias": 0.0}
+        return {**alone, "order_error": None, "history": {}}
     arrays["residuals"] = check.residuals_of(len(tracks.executions)).astype(np.float32)
-    told = {name: getattr(check, name) for name in ("factor", "model_error", "doubted_bias", "order_error")}
+    names = ("factor", "network_error", "unseen_error", "spread", "doubted_bias", "order_error")
+    told = {name: getattr(check, name) for name in names}
     return {**told, "history": _history(check, dataset, tracks, legs, together, arrays)}
 
 

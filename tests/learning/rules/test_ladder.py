@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, RectangleCard, RegionCard
+from cyclekit.learning.rules.cuts import LimitRows
 from cyclekit.learning.rules.distances import TO_LINK, TO_TCP, to_links
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.ladder import find_rule
+from cyclekit.learning.rules.positions import Positions
 from cyclekit.learning.rules.quantities import quantities, without_doubtful
 from cyclekit.learning.rules.regions import corners, polygon_corners
 from cyclekit.learning.rules.rows import RuleRows, hidden_for_long
@@ -291,3 +293,29 @@ def test_simpler_kinds_come_first() -> None:
     mixed = [family.mixed for family in FAMILIES.values()]
     assert all(first <= second for first, second in pairwise(mixed))
     assert next(iter(FAMILIES)) == "presence"
+
+
+def test_what_a_rising_ramp_hides_moves_no_edge() -> None:
+    margin_m, hidden = 0.1, 4
+    rows = rows_by(by_box, margin_m=margin_m)
+    level = rows.level.copy()
+    rises = np.flatnonzero((rows.before >= 0) & (level > level[rows.before]))
+    for row in rises.tolist():  # the box asks for level 1 of 3, and the ramp passes level 2 of 3 on its way
+        level[row : row + hidden] = np.where(level[row : row + hidden] == 2, 1.5, level[row : row + hidden])
+    seen = RuleRows.made(rows.at_m[:, :3], rows.at_m[:, 3:], level, rows.execution)
+    found = find_rule(seen, LEVELS)
+    assert found.rule is not None
+    assert found.rule.family == "rectangle on the floor"
+    edges_m = [m.value for place, m in quantities(found.rule.limits).items() if place.until]
+    assert edges_m == pytest.approx([0.0, 1.4, -0.7, 0.8], abs=0.02)
+
+
+def test_a_rectangle_seen_by_chance_hides_no_distance() -> None:
+    rng = np.random.default_rng(0)
+    near, floor = rng.uniform(0.0, 1.0, 300), rng.uniform(-2.0, 2.0, (300, 2))
+    rows = LimitRows(Positions({TO_TCP: near}, floor, np.zeros((300, 2))), near < 0.97, np.ones(300))
+    chance = RectangleCard(along=edges((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)), across=(None, None))
+    start = RegionCard(nearer=(NearerCard(distance=TO_TCP, metres=MetresCard(value=0.8)),), rectangles=(chance,))
+    found = FAMILIES[f"{TO_TCP}, or rectangle on the floor"].fit(rows, start)
+    assert rows.wrong(found) == 0.0
+    assert found.nearer

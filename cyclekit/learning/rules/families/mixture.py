@@ -31,12 +31,12 @@ _GAIN = 2e-4
 def _fit(rows: LimitRows, start: RegionCard | None, distance: str, rectangle: _Rectangle) -> RegionCard:
     if start is not None and not (start.nearer and start.rectangles):
         return rectangle(rows, start) if start.rectangles else nearer(rows, None, distance)
-    if start is not None:
-        return _alternating(rows, RegionCard(nearer=start.nearer), start, distance, rectangle)
+    if start is not None:  # where the rectangle came about by chance, the distance explains more without it
+        both = _alternating(rows, RegionCard(nearer=start.nearer), start, distance, rectangle)
+        return min(both, nearer(rows, None, distance), key=rows.wrong)
     single = [nearer(rows, None, distance), rectangle(rows, None)]
     begins = [_purely_slow(rows, distance), single[0], _near_outside(rows, single[1], distance)]
-    both = [_alternating(rows, begin, None, distance, rectangle) for begin in begins]
-    best = min(both, key=lambda region: rows.wrong(region))
+    best = min((_alternating(rows, begin, None, distance, rectangle) for begin in begins), key=rows.wrong)
     least = rows.wrong(best) + _GAIN * float(rows.weight.sum())
     return next((region for region in single if rows.wrong(region) <= least), best)
 

@@ -1,0 +1,62 @@
+"""One hysteresis for the whole rule, unless its thresholds and edges show several.
+
+Where few operators crossed an edge on their way out, where the robot speeds up again is known to decimetres only. A
+safety system widens its fields by one margin, as a rule: what the other thresholds and edges show of that tells where
+such an edge lies.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from msgspec import structs
+
+from cyclekit.learning.rules.quantities import outwards, put, quantities
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.cards.rule import LimitCard, MetresCard
+    from cyclekit.learning.rules.quantities import RulePlace
+
+Z95 = 1.96
+"""Half a 95 % interval, standard errors."""
+SUREST_M = 0.001
+"""No threshold or edge is known better than this."""
+
+
+def with_one_hysteresis(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
+    """Return a rule whose regions to leave are wider than those to enter by one margin, as far as its intervals allow.
+
+    Each pair of numbers is drawn to the mean margin of all pairs, weighed by how well each is known; one whose own
+    margin differs by more than its interval stays.
+    """
+    values = quantities(limits)
+    places = [place for place in values if not place.until and place._replace(until=True) in values]
+    if len(places) < 2:
+        return limits
+    pairs = [(values[place], values[place._replace(until=True)]) for place in places]
+    ways = [outwards(place) for place in places]
+    margin = np.array([way * (outer.value - inner.value) for way, (inner, outer) in zip(ways, pairs, strict=True)])
+    error = np.array([np.hypot(_error(inner), _error(outer)) for inner, outer in pairs])
+    mean_m = float(np.average(margin, weights=error**-2.0))
+    mean_error = float((error**-2.0).sum() ** -0.5)
+    found: dict[RulePlace, MetresCard] = {}
+    for number in np.flatnonzero(np.abs(margin - mean_m) <= Z95 * error).tolist():
+        place, apart_m, (inner, outer) = places[number], ways[number] * mean_m, pairs[number]
+        found[place] = _joined(inner, outer, -apart_m, mean_error)
+        found[place._replace(until=True)] = _joined(outer, inner, apart_m, mean_error)
+    return put(limits, found)
+
+
+def _error(metres: MetresCard) -> float:
+    """Return the standard error of a threshold or edge with an interval, m."""
+    width = 0.0 if metres.low is None or metres.high is None else metres.high - metres.low
+    return max(width / 2 / Z95, SUREST_M)
+
+
+def _joined(mine: MetresCard, other: MetresCard, by_m: float, by_error: float) -> MetresCard:
+    """Return a number as it is known by itself and by another one that lies `by_m` off, give or take `by_error`."""
+    weights = np.array([_error(mine), np.hypot(_error(other), by_error)]) ** -2.0
+    value = float(weights @ [mine.value, other.value + by_m] / weights.sum())
+    half_m = Z95 * float(weights.sum() ** -0.5)
+    return structs.replace(mine, value=value, low=value - half_m, high=value + half_m)

@@ -1,0 +1,166 @@
+// ---- statistics: `resample`, `history`, `means`, `conformal`
+
+const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
+const covariance = (one, other) => {
+  const [a, b] = [mean(one), mean(other)];
+  let sum = 0;
+  for (let n = 0; n < one.length; n += 1) sum += (one[n] - a) * (other[n] - b);
+  return sum / (one.length - 1);
+};
+const sorted = (values) => Float64Array.from(values).sort();
+const quantile = (ordered, level, conformal = false) => { // linear; conformal: Weibull's ranks
+  const last = ordered.length - 1;
+  const place = conformal ? (last + 2) * level - 1 : last * level;
+  const below = Math.min(Math.max(Math.floor(place), 0), last);
+  const above = Math.min(below + 1, last);
+  return ordered[below] + (ordered[above] - ordered[below]) * Math.min(Math.max(place - below, 0), 1);
+};
+
+const inResamples = (values) => { // the mean of K values in each resample of the executions
+  const executions = tables.drawn.length / tables.errors.length;
+  const sum = new Float64Array(executions);
+  const size = new Float64Array(executions);
+  for (let k = 0; k < COUNT; k += 1) {
+    sum[tables.execution[k]] += values[k];
+    size[tables.execution[k]] += 1;
+  }
+  return Float64Array.from(tables.errors, (_, row) => {
+    let [all, weight] = [0, 0];
+    for (let e = 0; e < executions; e += 1) {
+      const drawn = tables.drawn[row * executions + e];
+      all += drawn * sum[e];
+      weight += drawn * size[e];
+    }
+    return all / weight;
+  });
+};
+
+const resampledMeans = (cycles) => { // Rolled.resampled_means
+  const usual = mean(cycles.ownLoss_s) / Math.max(mean(cycles.ownBase_s), NOTHING);
+  if (usual <= 0) return inResamples(cycles.duration_s);
+  const [loss, base] = [inResamples(cycles.ownLoss_s), inResamples(cycles.ownBase_s)];
+  const free = inResamples(cycles.duration_s.map((value, k) => value - cycles.lost_s[k]));
+  const lost = mean(cycles.lost_s);
+  return free.map((value, row) => value + (lost * (loss[row] / Math.max(base[row], NOTHING))) / usual);
+};
+
+const modelError = () => Math.hypot(facts.check.network_error, facts.check.unseen_error);
+
+const meansOf = (cycles, legs) => { // means_of: factor, resampled mean and error of the cell as it was logged
+  const check = facts.check;
+  const resampled = resampledMeans(cycles).map((value) => value * check.factor);
+  const alone = { factor: check.factor, resampled, error: modelError() };
+  const names = Object.keys(check.history);
+  if (check.order_error === null || !legs.every((name) => name in check.history)) return alone;
+  const rollout_s = mean(cycles.duration_s) * check.factor;
+  const history_s = legs.reduce((sum, name) => sum + check.history[name], 0);
+  const size = tables.errors.length;
+  const history = new Float64Array(size);
+  for (const name of legs) {
+    const from = names.indexOf(name) * size;
+    for (let row = 0; row < size; row += 1) history[row] += tables.history[from + row];
+  }
+  const order = check.order_error / Math.sqrt(legs.length);
+  const [one, other] = [resampled, history].map((values) => {
+    const middle = mean(values);
+    return values.map((value) => value / middle);
+  });
+  const together = covariance(one, other);
+  const mine = covariance(one, one) + check.network_error ** 2 - together;
+  const its = covariance(other, other) + order ** 2 + (history_s / rollout_s - 1) ** 2 - together;
+  const share = mine + its > 0 ? Math.min(Math.max(mine / (mine + its), 0), 1) : 0;
+  const expected = rollout_s + share * (history_s - rollout_s);
+  return {
+    factor: (check.factor * expected) / rollout_s,
+    resampled: resampled.map((value, row) => (1 - share) * value + share * history[row]),
+    error: Math.hypot((1 - share) * check.network_error, share * order, check.unseen_error),
+    moved: expected / rollout_s,
+  };
+};
+
+const entryOf = (cycles, means, legs, takt_s) => { // entry_of: what the cycles say
+  const durations = cycles.duration_s.map((value) => value * means.factor);
+  const expected = mean(durations);
+  const bias = facts.check.doubted_bias;
+  const spread = sorted(means.resampled.map((value, row) => value * (1 + means.error * tables.errors[row])));
+  const wide = durations.map((value) => expected + facts.check.spread * (value - expected));
+  const off = tables.residuals ? wide.map((value, k) => value * (1 + tables.residuals[k])) : durations;
+  const single = sorted(off);
+  const conformal = Boolean(tables.residuals);
+  const takt = takt_s > 0 ? [0, bias, -bias].map((by) => durations.map((value) => Number(value * (1 + by) <= takt_s))) : null;
+  const lost = cycles.loss_s.reduce((sum, value) => sum + value, 0);
+  const slower = lost > 0 ? Math.max(1 + ((means.factor - 1) * mean(cycles.duration_s)) / lost, 0) : 1;
+  const nominal = legs.reduce((sum, name) => sum + facts.legs[name].nominal_s, 0);
+  const stands = cycles.stand_s.reduce((sum, value) => sum + value, 0);
+  const stretch = stands > 0 ? (expected - nominal - lost * slower) / stands : 0;
+  return {
+    expected_s: expected,
+    durations_s: [...durations],
+    low_s: quantile(spread, 0.025) - bias * expected,
+    high_s: quantile(spread, 0.975) + bias * expected,
+    quantiles_s: [0.05, 0.5, 0.95].map((level) => quantile(single, level, conformal)),
+    takt: takt && [
+      mean(takt[0]), quantile(sorted(inResamples(takt[1])), 0.025), quantile(sorted(inResamples(takt[2])), 0.975),
+    ],
+    safety_s: lost * slower,
+    support: cycles.known / cycles.looked,
+    tasks: legs.map((name, n) => {
+      const leg = facts.legs[name];
+      const stand = cycles.stand_s[n] * stretch;
+      const dwell = leg.dwell_s + leg.wait_s > 0 ? leg.dwell_s / (leg.dwell_s + leg.wait_s) : 1;
+      const parts = [leg.nominal_s, cycles.loss_s[n] * slower, stand * dwell, stand * (1 - dwell)];
+      return { name, parts, logged: leg.logged };
+    }),
+  };
+};
+
+const rolled = (legs, asked) => { // cycles_of: tracks as long as the slowest cycle takes
+  const nominal = legs.reduce((sum, name) => {
+    const leg = facts.legs[name];
+    return sum + leg.nominal_s + leg.dwell_s + leg.wait_s;
+  }, 0);
+  field.moved(asked.moved);
+  const ramp = asked.ramp === null ? {} : { ramp_up_per_s: asked.ramp };
+  const dynamics = { ...facts.dynamics, ...ramp };
+  for (let horizon = 2.5 * nominal; ; horizon *= 2) {
+    const samples = Math.min(SAMPLES, Math.ceil(horizon / STEP_S) + 2);
+    let crowd = null;
+    if (asked.frequency !== 1) {
+      const key = ["away", asked.moved, samples, [...new Set(legs)]].join();
+      crowd = asOften(asked.frequency, remembered(key, () => awayOf(legs, samples)), samples);
+      if (crowd.unknown) return crowd;
+    }
+    const cycles = walk(legs, dynamics, crowd, samples);
+    if (cycles.ends) return cycles;
+    if (samples === SAMPLES) return { unknown: say("no_end") };
+  }
+};
+
+const AS_LOGGED = () => ({ moved: facts.rule.moves.map(() => 0), ramp: null, frequency: 1 });
+const isLogged = (asked) => asked.ramp === null && asked.frequency === 1 && asked.moved.every((by) => by === 0);
+
+const answer = (places, asked, takt_s) => {
+  const legs = places.slice(1).map((place, n) => `${places[n]}->${place}`);
+  if (!legs.length) return { unknown: say("no_visit") };
+  const missing = [...new Set(legs.filter((name) => !(name in facts.legs)))];
+  if (missing.length) return { unknown: say("never_logged", { tasks: missing.map(shown).join(", ") }), missing };
+  const base = remembered(legs.join(), () => {
+    const cycles = rolled(legs, AS_LOGGED());
+    return cycles.unknown ? cycles : { cycles, means: meansOf(cycles, legs) };
+  });
+  if (base.unknown) return base;
+  let { cycles, means } = base;
+  if (!isLogged(asked)) {
+    cycles = rolled(legs, asked);
+    if (cycles.unknown) return cycles;
+    const factor = facts.check.factor * (base.means.moved || 1);
+    const resampled = resampledMeans(cycles).map((value) => value * factor);
+    means = { factor, resampled, error: modelError() };
+  }
+  const entry = entryOf(cycles, means, legs, takt_s);
+  if (entry.support < 0.5) return { unknown: say("thin", { share: percent(entry.support) }) };
+  return entry;
+};
+const labelled = (place) => facts.labels[place] || place;
+const shown = (task) => task.split("->").map(labelled).join(" \u2192 ");
+const percent = (share) => `${Math.round(share * 100)}\u00a0%`;

@@ -1,0 +1,118 @@
+// ---- where robot and operator are, and the safety function: `RuleSafety.predict` with the limits that were moved
+
+const UNKNOWN = -32768;
+const NOBODY = 65535;
+
+const TO_TCP = "distance TCP to operator";
+const TO_TCP_FLAT = "distance TCP to operator on the floor";
+const within = (rectangle, out, x, y) => {
+  const cos = Math.cos(rectangle.angle_rad || 0);
+  const sin = Math.sin(rectangle.angle_rad || 0);
+  const along = x * cos + y * sin;
+  const across = y * cos - x * sin;
+  const bound = (edge, side, axis) => (edge === null ? side * Infinity : edge.value + side * out[axis]);
+  return along > bound(rectangle.along[0], -1, 0) && along < bound(rectangle.along[1], 1, 0)
+    && across > bound(rectangle.across[0], -1, 1) && across < bound(rectangle.across[1], 1, 1);
+};
+const STAYS = [0, 0];
+
+const apart = (name, r, h) => { // r: TCP, h: operator, his height that of the TCP where it is unknown
+  if (name === TO_TCP) return Math.hypot(r[0] - h[0], r[1] - h[1], r[2] - h[2]);
+  return name === TO_TCP_FLAT ? Math.hypot(r[0] - h[0], r[1] - h[1]) : Math.hypot(h[0], h[1]);
+};
+
+const inside = (region, move, r, h) => {
+  const there = !region.robot || within(region.robot, STAYS, r[0], r[1]);
+  if (!there) return false;
+  const asks = region.anywhere || region.nearer.length || region.rectangles.length || region.polygons.length;
+  if (!asks) return Boolean(region.robot);
+  if (Number.isNaN(h[0])) return false;
+  return region.anywhere
+    || region.nearer.some((near) => apart(near.distance, r, h) < near.metres.value + move.threshold_m)
+    || region.rectangles.some((rectangle) => within(rectangle, move.zone, h[0], h[1]))
+    || region.polygons.some((polygon) => polygon.sides.every(
+      (side) => h[0] * Math.cos(side.angle_rad) + h[1] * Math.sin(side.angle_rad) < side.metres.value));
+};
+
+const filled = (region) => region && {
+  anywhere: false, nearer: [], rectangles: [], polygons: [], robot: null, ...region,
+};
+const safetyOf = (moved) => { // moved: by how much each of `rule.moves` is moved
+  const rule = facts.rule;
+  const limits = rule.limits.map((limit) => {
+    const move = { threshold_m: 0, zone: [0, 0] };
+    rule.moves.forEach((each, index) => {
+      if (each.level !== limit.scaling) return;
+      if (each.kind === "zone") for (const axis of each.axes) move.zone[axis] = moved[index];
+      else move.threshold_m = moved[index];
+    });
+    return { scaling: limit.scaling, move, within: filled(limit.within), until: filled(limit.until) || filled(limit.within) };
+  });
+  const simple = limits.every(({ within: one }) => one.nearer.length === 1 && one.nearer[0].distance === TO_TCP
+    && !one.anywhere && !one.rectangles.length && !one.polygons.length && !one.robot) && !rule.lags && !rule.law;
+  const square = limits.map((one) => (simple ? (one.within.nearer[0].metres.value + one.move.threshold_m) : 0));
+  const lawful = (r, h) => {
+    const { stop, linear, square: squared, lowest, distance } = rule.law;
+    const left = Math.max(apart(distance, r, h) - stop.value, 0);
+    const root = Math.sqrt(linear.value ** 2 + 4 * squared.value * left);
+    return Math.min(1, Math.max(lowest || 0, (2 * left) / Math.max(linear.value + root, 1e-12)));
+  };
+  return (r, h, leaving) => {
+    if (Number.isNaN(h[0]) && !rule.slows_alone) return rule.alone;
+    if (simple) {
+      const x = r[0] - h[0];
+      const y = r[1] - h[1];
+      const z = r[2] - h[2];
+      const away = Math.sqrt(x * x + y * y + z * z);
+      for (let n = 0; n < limits.length; n += 1) if (away < square[n]) return limits[n].scaling;
+      return rule.fastest;
+    }
+    if (rule.law) return lawful(r, h);
+    for (const limit of limits) {
+      if (inside(leaving ? limit.until : limit.within, limit.move, r, h)) return limit.scaling;
+    }
+    return rule.fastest;
+  };
+};
+
+const summed = (array, from, count) => { // steps become values again; both wrap
+  for (let at = from + 3; at < from + 3 * count; at += 1) array[at] += array[at - 3];
+};
+const metres = (array) => Float64Array.from(array, (units) => (units === UNKNOWN ? NaN : units / facts.per_metre));
+
+const positionsField = () => { // a field: `at` a point of a task and between two samples, what is s, and was it logged
+  for (let k = 0; k < COUNT; k += 1) summed(tables.tracks, 3 * k * SAMPLES, SAMPLES);
+  summed(tables.paths, 0, tables.paths.length / 3);
+  const people = metres(tables.tracks);
+  const paths = metres(tables.paths);
+  const r = [0, 0, 0];
+  const h = [0, 0, 0];
+  let safety, robot, human;
+  return {
+    spots: tables.people_spots,
+    nobody: NOBODY,
+    count: tables.spots.length / 3,
+    free: (point, spot) => {
+      const there = [...paths.subarray(3 * point, 3 * point + 3)];
+      const who = [...tables.spots.subarray(3 * spot, 3 * spot + 3)];
+      if (Number.isNaN(who[2])) who[2] = there[2];
+      const [falls, rises] = [false, facts.rule.lags].map((leaving) => safety(there, who, leaving));
+      return (falls + rises) / 2 >= facts.away.part * facts.rule.fastest;
+    },
+    moved: (by) => { safety = safetyOf(by); },
+    at: (point, next, far, from, to, weight) => {
+      for (let axis = 0; axis < 3; axis += 1) {
+        const here = paths[3 * point + axis];
+        r[axis] = here + (paths[3 * next + axis] - here) * far;
+        const now = people[3 * from + axis];
+        const between = now + (people[3 * to + axis] - now) * weight;
+        h[axis] = Number.isNaN(between) ? now : between;
+      }
+      if (Number.isNaN(h[2])) h[2] = r[2];
+      robot = tables.robot_cells[far < 0.5 ? point : next];
+      human = tables.people_cells[weight < 0.5 ? from : to];
+    },
+    scaling: (rising) => safety(r, h, rising),
+    known: () => human === NOBODY || tables.support[robot * facts.support.operators + human],
+  };
+};

@@ -1,0 +1,133 @@
+// ---- the walk: `estimate.walk`, one track after the other
+
+const walk = (legs, dynamics, crowd, samples) => {
+  const { rule, step } = facts;
+  const down = dynamics.ramp_down_per_s;
+  const up = dynamics.ramp_up_per_s;
+  const follows = facts.follows || Object.values(dynamics).some((value) => value);
+  const step_s = follows ? step.fine_s : step.coarse_s;
+  const asksAfter = facts.often ? 1 : Math.round(step.coarse_s / step_s); // a network is asked more seldom
+  const looksAfter = Math.round(step.support_s / step_s);
+  const delay = Math.round((dynamics.latency_s || 0) / step_s);
+  const hold = 1 + Math.round((dynamics.hold_s || 0) / step_s);
+  const steps = Math.floor(((samples - 2) * STEP_S) / step_s);
+  const count = legs.length;
+  const times = {};
+  let begins_s = 0;
+  const parts = legs.map((name) => {
+    const leg = facts.legs[name];
+    const usual_s = leg.dwell_s + leg.wait_s;
+    times[name] = (times[name] || 0) + 1;
+    const part = { ...leg, usual_s, begins_s, drawn: COUNT * (leg.stands + times[name] - 1) };
+    begins_s += leg.nominal_s + usual_s;
+    return part;
+  });
+  const cells = Math.max(1, Math.round(begins_s / step.nominal_s)); // Program.xyz_m: the TCP in the middle of cells
+  const cell_s = begins_s / cells;
+  const found = {
+    duration_s: new Float64Array(COUNT), lost_s: new Float64Array(COUNT), ownBase_s: new Float64Array(COUNT),
+    ownLoss_s: new Float64Array(COUNT), loss_s: new Float64Array(count), stand_s: new Float64Array(count),
+    known: 0, looked: 0, ends: true,
+  };
+  for (let k = 0; k < COUNT; k += 1) {
+    const logged = crowd ? crowd.logged[k] : facts.tracks.logged[k];
+    let leg = 0;
+    let moving = true;
+    let at = 0; // of the motion, nominal; of the stand, elapsed
+    let scaling = 1;
+    let s; // as it follows
+    let held;
+    let told_s; // what was asked for last
+    let asked; // at which sample
+    const recent = [];
+    const queue = [];
+    let spliced = 0;
+    let ownLoss = 0;
+    let lost = 0;
+    let end_s = NaN;
+    for (let number = 0; number < steps; number += 1) {
+      const part = parts[leg];
+      const stand = part.usual_s > 0 ? tables.stands[part.drawn + k] : 0;
+      const asksNow = number % asksAfter === 0;
+      const t = ((number + (asksNow ? asksAfter / 2 : 0.5)) * step_s) / STEP_S;
+      const sample = asksNow ? Math.floor(t + NOTHING) : asked;
+      const looks = number % looksAfter === 0;
+      const asks = asksNow && (follows || moving || stand - at < step_s);
+      asked = sample;
+      if (asks || looks) {
+        const place = moving ? Math.min(at + (scaling * asksAfter * step_s) / 2, part.nominal_s) : part.nominal_s;
+        const middle = (Math.min(Math.floor((part.begins_s + place) / cell_s), cells - 1) + 0.5) * cell_s - part.begins_s;
+        const share = moving ? Math.min(Math.max(middle / Math.max(part.nominal_s, NOTHING), 0), 1) : 1;
+        const phase = share * (part.points - 1);
+        const point = Math.min(Math.floor(phase), part.points - 1);
+        const next = Math.min(point + 1, part.points - 1);
+        const first = k * samples;
+        const from = k * SAMPLES + (crowd ? crowd.at[first + sample] : sample);
+        const to = k * SAMPLES + (crowd ? crowd.at[first + sample + 1] : sample + 1);
+        const weight = t - sample < 1e-6 ? 0 : t - sample;
+        field.at(part.first + point, part.first + next, phase - point, from, to, weight);
+        if (looks) {
+          found.looked += 1;
+          if (field.known()) found.known += 1;
+        }
+      }
+      if (follows) {
+        let wanted = asksNow ? field.scaling(false) : told_s;
+        if (rule.lags && asksNow) { // Follower: s falls by one side and rises by the other
+          const rising = field.scaling(true);
+          wanted = Math.max(wanted, rising);
+          held = held === undefined ? wanted : Math.min(Math.max(held, rising), wanted);
+          wanted = held;
+        }
+        told_s = wanted;
+        if (hold > 1) {
+          recent.push(wanted);
+          if (recent.length > hold) recent.shift();
+          wanted = Math.min(...recent);
+        }
+        if (delay > 0) {
+          queue.push(wanted);
+          wanted = queue.length > delay ? queue.shift() : queue[0];
+        }
+        if (s !== undefined) {
+          if (down && wanted < s - down * step_s) wanted = s - down * step_s;
+          if (up && wanted > s + up * step_s) wanted = s + up * step_s;
+        }
+        s = wanted;
+        scaling = wanted;
+      } else {
+        scaling = asks ? field.scaling(false) : 1;
+      }
+      let left = step_s;
+      let loss = 0;
+      for (;;) { // a step is divided where a motion or a stand ends in it
+        const now = parts[leg];
+        const goal = moving ? now.nominal_s : (now.usual_s > 0 ? tables.stands[now.drawn + k] : 0);
+        const rate = moving ? scaling : 1;
+        const needs = goal - at <= NOTHING ? 0 : (goal - at) / Math.max(rate, 1e-12);
+        const spent = Math.min(needs, left);
+        if (moving) {
+          loss += (1 - rate) * spent;
+          found.loss_s[leg] += (1 - rate) * spent;
+        } else found.stand_s[leg] += spent;
+        left -= spent;
+        if (needs > left + spent) { at += rate * spent; break; }
+        at = 0;
+        if (!moving) leg += 1;
+        moving = !moving;
+        if (leg === count) break;
+      }
+      lost += loss;
+      if (sample < logged) ownLoss += loss;
+      else spliced += step_s;
+      if (leg === count) { end_s = (number + 1) * step_s - left; break; }
+    }
+    if (Number.isNaN(end_s)) return { ends: false };
+    found.duration_s[k] = end_s;
+    found.lost_s[k] = lost;
+    found.ownLoss_s[k] = ownLoss;
+    found.ownBase_s[k] = Math.max(end_s - spliced - ownLoss, 0);
+  }
+  for (const sums of [found.loss_s, found.stand_s]) for (let n = 0; n < count; n += 1) sums[n] /= COUNT;
+  return found;
+};

@@ -20,15 +20,15 @@ from cyclekit.learning.rules.rows import RuleRows, hidden_for_long
 from cyclekit.learning.rules.words import sentences, verdict
 
 LEVELS = (0.0, 0.5, 1.0)
-ROWS, EXECUTIONS, MANY = 400, 20, 30
+ROWS, EXECUTIONS = 400, 30
 
 
-def walks(*, away: bool = False, executions: int = EXECUTIONS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def walks(*, away: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A robot and somebody who walks at up to 1.5 m/s, ten times a second: TCP and operator (N, 3), execution (N,)."""
     rng = np.random.default_rng(0)
     t = np.arange(ROWS) / 10
     robots, humans = [], []
-    for _ in range(executions):
+    for _ in range(EXECUTIONS):
         phase = rng.uniform(0, 6.3, 6)
         robots.append(np.stack([0.5 * np.sin(t + phase[0]), 0.4 * np.sin(0.7 * t + phase[1]), 0.2 + 0 * t], axis=1))
         x = 0.6 + 1.6 * np.sin(0.5 * t + phase[2]) + 0.5 * np.sin(1.1 * t + phase[3])
@@ -36,14 +36,12 @@ def walks(*, away: bool = False, executions: int = EXECUTIONS) -> tuple[np.ndarr
         human = np.stack([x, y, 0.2 + 0 * t], axis=1)
         human[: ROWS // 4 if away else 0] = np.nan
         humans.append(human)
-    return np.concatenate(robots), np.concatenate(humans), np.repeat(np.arange(executions), ROWS)
+    return np.concatenate(robots), np.concatenate(humans), np.repeat(np.arange(EXECUTIONS), ROWS)
 
 
-def rows_by(
-    step: Any, *, margin_m: float = 0.0, noise_m: float = 0.0, away: bool = False, executions: int = EXECUTIONS
-) -> RuleRows:
+def rows_by(step: Any, *, margin_m: float = 0.0, noise_m: float = 0.0, away: bool = False) -> RuleRows:
     """Rows of which `step(robot, human, margin)` is the commanded level, with a hysteresis of `margin_m`."""
-    robot, human, execution = walks(away=away, executions=executions)
+    robot, human, execution = walks(away=away)
     level = step(robot, human, 0.0)
     outer = step(robot, human, margin_m)
     for row in range(1, len(level)):
@@ -217,7 +215,7 @@ def test_a_region_of_the_robot_is_named_alone_and_beside_a_field(field: Any, fam
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [by_distance, by_box, by_either])
 def test_labels_that_are_wrong_now_and_then_hide_no_rule(step: Any) -> None:
-    robot, human, execution = walks(executions=MANY)
+    robot, human, execution = walks()
     level, rng = step(robot, human, 0.0), np.random.default_rng(3)
     clean = find_rule(RuleRows.made(robot, human, level, execution), LEVELS).rule
     level = np.where(rng.random(len(level)) < 0.003, rng.integers(0, 3, len(level)), level)
@@ -261,7 +259,7 @@ def test_a_rectangle_that_may_have_no_extent_is_none_beside_a_distance() -> None
 
 @pytest.mark.slow
 def test_noise_is_no_hysteresis_and_moves_no_threshold() -> None:
-    found = find_rule(rows_by(by_distance, noise_m=0.05, executions=MANY), LEVELS)
+    found = find_rule(rows_by(by_distance, noise_m=0.05), LEVELS)
     assert found.rule is not None
     assert (found.rule.family, found.rule.hysteresis) == (TO_TCP, False)
     assert found.rule.explained < 0.99

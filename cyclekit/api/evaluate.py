@@ -145,9 +145,9 @@ def evaluate_models(
     tell = progress or (lambda _fraction, _text: None)
     inner = tell if len(models) == 1 and engine.stays_here(1) else None
     newer = None if trained_on is None else str(trained_on)
-    asked: dict[str, Any] = {"trained_on": newer, "other_cell": other_cell, "boosting": boosting, "progress": inner}
+    judge = partial(evaluate_at, dataset=str(dataset), trained_on=newer)
     found: dict[str, Evaluation] = {}
-    for done in engine.map(partial(evaluate_at, dataset=str(dataset), **asked), models):
+    for done in engine.map(partial(judge, other_cell=other_cell, boosting=boosting, progress=inner), models):
         found[done.item] = done.get()
         tell(len(found) / len(models), done.item)
     return ModelComparison({place: found[place] for place in models}, together=models != [str(model)])

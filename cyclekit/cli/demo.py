@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -118,9 +119,9 @@ def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) ->
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.parallel.engine import Engine
 
-    asked: dict[str, Any] = {"executions": executions, "seed": seed, "settings": settings}
+    simulated = partial(simulate_logs, SCENE, run.out / "logs", executions=executions, seed=seed)
     with run.step(f"simulate {executions} executions of {SCENE}") as progress:
-        logs = simulate_logs(SCENE, run.out / "logs", **asked, progress=progress).logs
+        logs = simulated(settings=settings, progress=progress).logs
     with run.step("ingest the logs") as progress:
         ingest_logs(logs, run.out / "dataset", engine=Engine(jobs=2), progress=progress)
     return Dataset.open(run.out / "dataset")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -65,7 +65,6 @@ def report(
     terminal = Terminal(json=json, quiet=quiet)
     takt_s, chosen = seconds(takt) if takt else None, _format(kind, out, pdf)
     _check(sequences, what_if or [], plan, model)
-    asked: dict[str, Any] = {"validate": check, "extrapolate": extrapolate, "other_cell": other_cell}
     with terminal.progress("writing the page") as progress:
         facts = write_report(
             dataset,
@@ -80,8 +79,10 @@ def report(
             pdf=pdf,
             template=template,
             play=play,
+            validate=check,
+            extrapolate=extrapolate,
+            other_cell=other_cell,
             progress=progress,
-            **asked,
         )
     terminal.warnings(facts.missing)
     terminal.done(facts.to_dict(), _said(facts, chosen))

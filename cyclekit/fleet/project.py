@@ -178,8 +178,8 @@ def _estimate(work: CellAtWork) -> tuple[State, str]:
     written = first_sequences(dataset, project)
     wanted = load_sequences(Path(project.sequences))
     mark = mark_of(dataset, plain(model.card), asked_for(wanted), project.takt_s)
-    asked: dict[str, Any] = {"out": project.estimates, "takt_s": project.takt_s, "progress": work.tell}
-    work.estimates = cache(partial(estimate_cycles, model, dataset, wanted, **asked))
+    ask = partial(estimate_cycles, model, dataset, wanted, out=project.estimates)
+    work.estimates = cache(partial(ask, takt_s=project.takt_s, progress=work.tell))
     if work.ledger.marks.get("estimate") == mark and is_there(project.estimates):
         return "unchanged", "same dataset, model, sequences and takt"
     found = work.estimates()

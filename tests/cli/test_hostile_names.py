@@ -15,7 +15,6 @@ from examples import at_most
 from fabricated import fabricate_dataset
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from rerun.chunk import RrdReader
 
 from cyclekit.cli import run
 from cyclekit.cli.terminal import Terminal, _Lines, bullet, say_failure, table, write_json
@@ -84,6 +83,8 @@ def test_every_text_out_of_a_hostile_table_is_one_line(dataset: Path) -> None:
 
 @pytest.mark.slow
 def test_reports_and_replay_of_a_hostile_dataset_are_shown_and_not_obeyed(dataset: Path, tmp_path: Path) -> None:
+    from rerun.chunk import RrdReader
+
     for name in ("r.md", "r.csv", "r.html"):
         assert run(["report", str(dataset), "--out", str(tmp_path / name), "--quiet"]) == 0
     texts = {file.suffix: file.read_text(encoding="utf-8") for file in tmp_path.iterdir()}

@@ -12,8 +12,6 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import duckdb
-import pandas as pd
 import polars as pl
 import pytest
 
@@ -51,6 +49,9 @@ def changed_card(folder: Path, **changes: Any) -> None:
 
 
 def test_polars_pandas_and_duckdb_read_the_samples_with_the_columns_of_the_contract(boxes: SimulatedCell):
+    import duckdb  # here, as every process that collects the tests would import them
+    import pandas as pd
+
     files = str(boxes.dataset.path / "samples" / "*.parquet")
     lazily = pl.scan_parquet(files).collect()
     by_pandas = pd.concat(pd.read_parquet(file) for file in sorted((boxes.dataset.path / "samples").iterdir()))
@@ -61,6 +62,9 @@ def test_polars_pandas_and_duckdb_read_the_samples_with_the_columns_of_the_contr
 
 
 def test_tasks_and_recordings_are_plain_tables_too(boxes: SimulatedCell):
+    import duckdb
+    import pandas as pd
+
     folder = boxes.dataset.path
     tasks = pd.read_parquet(folder / "tasks.parquet")
     assert list(tasks.columns) == list(schema.TASKS)

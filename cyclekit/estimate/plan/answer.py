@@ -201,8 +201,9 @@ def _of_both(
     progress: Progress | None,
 ) -> OrderPlan:
     tell = progress or (lambda fraction, text: None)
-    asked: dict[str, Any] = {"seed": seed, "validate": validate, "other_cell": other_cell, "tell": tell}
-    sequence, order, found, saved, tried = best_of_both(model, dataset, jobs, **asked)
+    sequence, order, found, saved, tried = best_of_both(
+        model, dataset, jobs, seed=seed, validate=validate, other_cell=other_cell, tell=tell
+    )
     operator = tuple(task.name for task in sequence.plan if task.agent == "operator")
     return OrderPlan(
         order=order,

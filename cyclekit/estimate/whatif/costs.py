@@ -7,7 +7,8 @@ Steps are wider than the unit that is told: a threshold that moves by 1 cm is cr
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -154,11 +155,11 @@ def costs_of(
     if separation is not None:
         refuse_other_thresholds(safety.rule, separation)
     tell = progress or (lambda fraction, text: None)
-    asked: dict[str, Any] = {"seed": seed, "extrapolate": extrapolate, "other_cell": other_cell, "validate": False}
+    asked = partial(estimate, seed=seed, extrapolate=extrapolate, other_cell=other_cell, validate=False)
 
     def rolled(cell: tuple[RuleSafety, Dynamics]) -> dict[str, CycleEstimate]:
         altered = Altered(lambda tasks: tasks, lambda tracks, _: tracks, cell[1])
-        return {one.name: one for one in estimate(cell[0], dataset, sequences, altered=altered, **asked)}
+        return {one.name: one for one in asked(cell[0], dataset, sequences, altered=altered)}
 
     now = safety, Dynamics.of(dataset.card.dynamics, safety)
     before = rolled(now)

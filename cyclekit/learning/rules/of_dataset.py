@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from msgspec import structs
@@ -77,10 +78,11 @@ def rule_of(
     if law is not None:
         return _with_poses(law, dataset, names)
     latency_s = float(dataset.card.dynamics.latency_s or 0.0)
-    asked: dict[str, Any] = {"judged_apart": judged_apart, "seed": seed, "signals": signals}
-    found = _searched(dataset, names, unseen, levels, model, latency_s, **asked)
+    search = partial(_searched, dataset, names, unseen, levels, model)
+    search = partial(search, judged_apart=judged_apart, seed=seed, signals=signals)
+    found = search(latency_s)
     if latency_s and not found.clean:  # a latency read off the wrong distance hides the rule
-        other = _searched(dataset, names, unseen, levels, model, 0.0, **asked)
+        other = search(0.0)
         found = other if other.clean else found
     return _with_poses(found, dataset, names)
 
@@ -172,8 +174,8 @@ def _searched(
         return RuleSearch(None, rows=len(rows))
     judged = _numbers(names, unseen, rows.execution)
     named = None if model is None or judged is None else _named(model, rows, levels)
-    asked: dict[str, Any] = {"network": named, "latency_s": latency_s, "judged_apart": judged_apart, "seed": seed}
-    return find_rule(rows, levels, held_out=judged, **asked)
+    search = partial(find_rule, rows, levels, held_out=judged, network=named)
+    return search(latency_s=latency_s, judged_apart=judged_apart, seed=seed)
 
 
 def _numbers(names: Sequence[str], chosen: Collection[str], executions: NDArray[np.int64]) -> NDArray[np.int64] | None:

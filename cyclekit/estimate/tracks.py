@@ -39,10 +39,10 @@ PHASES = 4
 """Phases of each execution at which a track is entered, where the operator's habits do not begin with it,"""
 SHORTEST = 0.1
 """... spread over the length of the shortest tracks: no more than this part of them are shorter."""
-SAME_SPREAD = (0.6, 1.6)
-"""Where starts are like any other instant, the operator's spread at them is within this ratio of that at all times."""
-SAME_MEAN = 3.5
-"""... and the mean of his position within this many standard errors."""
+SAME_SPREAD = 1.65
+"""Where starts are like any other instant, the operator's spread at them is within this ratio of that at all times,"""
+SURE_Z = 3.5
+"""... or within this many standard errors, as is the mean of his position."""
 CHANCE = 4.0
 """... and how often he is away and at each task differs by no more standard deviations of chi squared."""
 LEAST_FREE = 8
@@ -186,9 +186,9 @@ def _runs_on(dataset: Dataset) -> bool:
 def phase_is_free(dataset: Dataset) -> bool:
     """Tell whether a cycle may begin at any instant of the operator's day.
 
-    So where he does at the beginning, a third and two thirds of an execution what he does at any time: he is away and
-    at each of his tasks as often (no rarer or more frequent than chance gives in one of a thousand cases), the mean of
-    his position is within SAME_MEAN standard errors, its spread within SAME_SPREAD.
+    So where he does at the beginning, a third and two thirds of the shortest execution what he does at any time in so
+    long: he is away and at each of his tasks as often (CHANCE), the mean of his position is within SURE_Z standard
+    errors, its spread within these or SAME_SPREAD.
     """
     return _is_free(_names_and_tracks(dataset, goals=False)[1])
 
@@ -197,8 +197,11 @@ def _is_free(tracks: dict[str, LoggedTrack]) -> bool:
     usual = [track for track in tracks.values() if track.followed]
     if len(usual) < LEAST_FREE:
         return False
-    every = Stretch(np.concatenate([t.where for t in usual]), np.concatenate([t.activity for t in usual]))
-    shortest = min(len(track.where) for track in usual)
+    shortest = min(len(track.where) for track in usual)  # later on there are slow executions alone
+    every = Stretch(
+        np.concatenate([track.where[:shortest] for track in usual]),
+        np.concatenate([track.activity[:shortest] for track in usual]),
+    )
     return all(_is_alike(usual, every, at) for at in (0, shortest // 3, 2 * shortest // 3))
 
 
@@ -215,8 +218,9 @@ def _is_alike(tracks: Sequence[LoggedTrack], every: Stretch, at: int) -> bool:
     if not spread.any():  # he is known by states, which are alike
         return True
     off = np.abs(here.mean(axis=0) - everywhere.mean(axis=0)) / np.maximum(spread / np.sqrt(len(here)), 1e-9)
-    ratio = there / np.maximum(spread, 1e-9)
-    return bool((off < SAME_MEAN).all() and (ratio > SAME_SPREAD[0]).all() and (ratio < SAME_SPREAD[1]).all())
+    ratio = np.maximum(there / np.maximum(spread, 1e-9), 1e-9)
+    chance = np.exp(SURE_Z / np.sqrt(2 * len(here)))  # of the spread of so few
+    return bool((off < SURE_Z).all() and (np.abs(np.log(ratio)) < np.log(max(SAME_SPREAD, chance))).all())
 
 
 def _kinds(where: NDArray[np.float64], activity: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -12,7 +12,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.rollout import estimate
-from cyclekit.estimate.tracks import PHASES, phase_is_free
+from cyclekit.estimate.tracks import PHASES, LoggedTrack, _is_free, phase_is_free
 from cyclekit.estimate.whatif import Change, what_if
 
 AND_BACK = TaskSequence("and back", ("place_1", "place_2", "place_1"))
@@ -79,3 +79,25 @@ def test_an_operator_who_keeps_no_time_with_the_cycle_is_entered_at_any_instant(
     assert not found.check.operator.as_logged
     assert found.tracks == PHASES * EXECUTIONS
     assert "logged tracks" not in "".join(found.warnings)
+
+
+def who_comes_and_goes(count: int) -> dict[str, LoggedTrack]:
+    """Operators who come and go at random; beside one the robot is slow, so executions with much of him are long."""
+    rng, tracks = np.random.default_rng(0), {}
+    for number in range(count):
+        there, done_s, where = rng.random() < 0.5, 0.0, []
+        while done_s < 10.0:
+            for _ in range(int(rng.exponential(80)) + 1):
+                where.append((*rng.normal(1.0, 0.5, 2), 0.2) if there else (np.nan,) * 3)
+                done_s += 0.1 * (0.05 if there else 1.0)
+                if done_s >= 10.0:
+                    break
+            there = not there
+        xyz_m = np.array(where)
+        activity = np.where(np.isnan(xyz_m[:, 0]), -1, 0)
+        tracks[str(number)] = LoggedTrack(xyz_m, activity, 0.0, len(xyz_m) / 10, seen=True, away=False, followed=True)
+    return tracks
+
+
+def test_long_executions_do_not_make_an_operator_seem_to_start_with_the_cycle() -> None:
+    assert _is_free(who_comes_and_goes(200))

@@ -71,7 +71,9 @@ def same(found, wanted, cycles=2e-3):
     assert found["durations_s"] == pytest.approx(list(wanted.durations_s), rel=cycles)  # each cycle by itself
     means = [wanted.expected_s, wanted.expected_low_s, wanted.expected_high_s]
     assert [found["expected_s"], found["low_s"], found["high_s"]] == pytest.approx(means, rel=2e-3)
-    assert found["quantiles_s"] == pytest.approx(list(wanted.quantiles_s.values()), rel=cycles)
+    assert found["quantiles_s"] == pytest.approx(
+        list(wanted.quantiles_s.values()), rel=cycles / 2 if cycles > 0.01 else cycles
+    )
     assert found["safety_s"] == pytest.approx(wanted.safety_loss_s, abs=2e-3 * wanted.expected_s)
     assert found["support"] == pytest.approx(wanted.support, abs=0.01 if cycles < 0.01 else 0.02)
     assert [sum(task["parts"]) for task in found["tasks"]] == pytest.approx(
@@ -83,7 +85,7 @@ def same(found, wanted, cycles=2e-3):
 
 def test_orders_and_changes_have_the_numbers_of_the_library(tab, cell):
     page, given, changed, changes = cell
-    cycles = 2e-2 if "tables" in page.stem else 2e-3
+    cycles = 4e-2 if "tables" in page.stem else 2e-3  # a step more or less at an edge, and the ramp that follows
     tab.events.clear()
     tab.show(page)
     assert tab.ask("cyclekitPlay.ready.then(() => document.getElementById('play').dataset.ready)") == "yes"

@@ -217,7 +217,7 @@ class _Asked:
         if changes:
             if not wanted:
                 raise ConfigError("changes are tried on sequences, and none are given", cure="Give sequences or jobs.")
-            tried += [Tried.of(each) for each in self._changed(wanted, changes, check)]
+            tried += [Tried.of(each, self.takt_s) for each in self._changed(wanted, changes, check)]
         missing: list[str] = []
         if evaluation is None:
             try:

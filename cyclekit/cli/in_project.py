@@ -24,7 +24,7 @@ PATHS: dict[str, dict[str, str]] = {
     "levels": {"dataset": "dataset"},
     "train": {"dataset": "dataset", "out": "model"},
     "evaluate": {"model": "model", "dataset": "dataset"},
-    "estimate": _ESTIMATE,
+    "estimate": {**_ESTIMATE, "baseline": "baseline"},
     "gate": _ESTIMATE,
     "plan": {"model": "model", "jobs": "jobs", "dataset": "dataset"},
     "zones": {"model": "model", "dataset": "dataset"},
@@ -32,7 +32,7 @@ PATHS: dict[str, dict[str, str]] = {
     "replay": {"dataset": "dataset", "model": "model"},
     "report": {
         **{"dataset": "dataset", "model": "model", "sequences": "sequences", "takt": "takt"},
-        **{"out": "report", "template": "template"},
+        **{"out": "report", "template": "template", "baseline": "baseline"},
     },
     "export": {"model": "model"},
 }

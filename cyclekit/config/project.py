@@ -35,6 +35,7 @@ class Project:
         sequences: Sequence file that is estimated.
         jobs: Work whose order `plan` searches.
         takt: Takt time, as `105s`.
+        baseline: Name of the sequence that the verdict holds the others against.
         estimates: Where the estimates go, `.json`, `.csv` or `.xlsx`.
         report: Where the report goes.
         template: Folder with the look of the report.
@@ -48,6 +49,7 @@ class Project:
     sequences: _Text = "sequences.toml"
     jobs: _Text | None = None
     takt: Annotated[str | None, Meta(examples=["105s"])] = None
+    baseline: _Text | None = None
     estimates: _Text = "estimates.json"
     report: _Text = "report.html"
     template: _Text | None = None
@@ -91,6 +93,7 @@ _SAID = {
     "sequences": "the orders whose cycle time is estimated",
     "jobs": "the work whose order the command plan searches",
     "takt": "a part is needed every ...",
+    "baseline": "the sequence that others are held against; else what was logged most",
     "estimates": ".json, .csv or .xlsx",
     "report": "the page for the customer",
     "template": "folder with your logo and look (docs/report.md)",
@@ -110,7 +113,14 @@ def project_to_toml(project: Project) -> str:
     return "\n".join(lines) + "\n"
 
 
-_EXAMPLES = {"name": "cell 4", "cell": "cell.toml", "jobs": "jobs.toml", "takt": "105s", "template": "look"}
+_EXAMPLES = {
+    "name": "cell 4",
+    "cell": "cell.toml",
+    "jobs": "jobs.toml",
+    "takt": "105s",
+    "baseline": "A",
+    "template": "look",
+}
 
 
 def _place(here: Path, text: str) -> str:

@@ -79,7 +79,8 @@ class ProjectCell(FleetCell):
     @property
     def looks(self) -> dict[str, Any]:
         """What else its report is told."""
-        return {"takt_s": self.project.takt_s, "template": self.project.template}
+        project = self.project
+        return {"takt_s": project.takt_s, "baseline": project.baseline, "template": project.template}
 
 
 @dataclass(frozen=True, repr=False)

@@ -44,7 +44,7 @@ def section(page: PageInputs) -> dict[str, Any]:
     same = next(work for work in works.values() if best in work)
     tied = [each.name for each in same if each is not best and each.expected_low_s <= best.expected_high_s]
     if tied:
-        sentences.append(texts("answer.tied", names=", ".join(tied), best=best.name))
+        sentences.append(texts("answer.tied", names=", ".join(f"“{name}”" for name in tied), best=best.name))
     if len(works) > 1:
         sentences.append(texts("answer.works", count=len(works)))
     if takt_s is not None:

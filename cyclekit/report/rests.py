@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from cyclekit.estimate.what_to_log import ENOUGH, WITHIN
@@ -58,9 +59,10 @@ def to_log(page: PageInputs) -> list[ReportTable]:
     texts, plan = page.texts, page.to_log
     if plan is None:
         return []
-    lacking = [f"{text[0].upper()}{text[1:]}." for text in plan.in_words(texts.task)]
-    said = texts("trust.to_log_text" if lacking else "trust.to_log_none", most=ENOUGH, within=f"{100 * WITHIN:g}")
-    return [ReportTable(title=texts("trust.to_log"), text=said, items=lacking)]
+    said = (re.sub(r"(?<=\d)%", "\N{NO-BREAK SPACE}%", text).replace("+-", "± ") for text in plan.in_words(texts.task))
+    lacking = [f"{text[0].upper()}{text[1:]}." for text in said]
+    lead = texts("trust.to_log_text" if lacking else "trust.to_log_none", most=ENOUGH, within=f"{100 * WITHIN:g}")
+    return [ReportTable(title=texts("trust.to_log"), text=lead, items=lacking)]
 
 
 def signed(part: float) -> str:

@@ -84,7 +84,7 @@ def report_tasks(
         CyclekitError: The file cannot be written.
     """
     look, found = Template(template), sorted(estimates or (), key=lambda one: one.expected_s)
-    texts, tried = look.texts, [Tried.of(one) for one in changed]
+    texts, tried = look.texts, [Tried.of(one, takt_s) for one in changed]
     held = verdict(dataset, found, tried, None, takt_s, baseline)
     parts = [*_ranking(found, takt_s), *_order(planned), *_changes(changed), _learned(card), _trust(card)]
     parts[1:1] = [_plan(one) for one in found]

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from cyclekit.errors import CyclekitError
+from cyclekit.estimate.resample import wilson
+from cyclekit.estimate.result import CycleEstimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.whatif import WhatIf
 
 
@@ -35,6 +36,7 @@ class Tried:
         limits: What limits the number, one sentence each.
         places: Ordered places of the sequence, the start first; empty where unknown.
         operator: Operator tasks of the sequence; None if it names none.
+        within: Share of its cycles within the takt, with its 95 % interval; None where that is not known.
     """
 
     label: str
@@ -47,10 +49,11 @@ class Tried:
     limits: tuple[str, ...] = ()
     places: tuple[str, ...] = ()
     operator: tuple[str, ...] | None = None
+    within: tuple[float, float, float] | None = None
 
     @staticmethod
-    def of(found: WhatIf | _Answer) -> Tried:
-        """Return a result of `whatif` as a row of the page."""
+    def of(found: WhatIf | _Answer, takt_s: float | None = None) -> Tried:
+        """Return a result of `whatif` as a row of the page, held against a takt if one is given."""
         after, support = found.after, found.after.support
         known = support is not None and not math.isnan(support)  # a safety function that is given holds everywhere
         return Tried(
@@ -61,6 +64,7 @@ class Tried:
             limits=tuple(text for text in after.warnings if text != found.safety),
             places=after.places,
             operator=after.operator,
+            within=share_of(found.after, takt_s) if isinstance(found.after, CycleEstimate) else None,
         )
 
     def saves(self, before: Mapping[str, CycleEstimate]) -> tuple[float, float | None, float | None] | None:
@@ -109,6 +113,14 @@ class _Document(msgspec.Struct):
 
     answers: tuple[_Answer, ...] | None = None
     sequences: tuple[_Estimate, ...] | None = None
+
+
+def share_of(found: CycleEstimate, takt_s: float | None) -> tuple[float, float, float] | None:
+    """Return the share of its cycles within the takt, with its 95 % interval; None without a takt, or cycles."""
+    if takt_s is None or not found.durations_s:
+        return None
+    share = sum(one <= takt_s for one in found.durations_s) / len(found.durations_s)
+    return share, *wilson(share, found.executions or len(found.durations_s))
 
 
 def _times(of: CycleEstimate | _Estimate) -> tuple[str, float, float, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.dataset.cards import plain
+from cyclekit.learning.rules.safety import RuleSafety
 from cyclekit.report import rests
 from cyclekit.report.figures import charts_of
 from cyclekit.report.numbers import count, fixed, percent, significant
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.check import Check
     from cyclekit.report.findings import Overview, Predicts
     from cyclekit.report.inputs import PageInputs
     from cyclekit.report.provenance import Provenance
@@ -42,7 +42,7 @@ def section(page: PageInputs) -> dict[str, Any]:
         versions[texts("trust.made_model")] = f"cyclekit {model.card.cyclekit or 'unknown'}"
     origin = provenance(dataset, versions)
     unmeasured = bool(page.ranked) and (check is None or check.coverage is None)
-    said = [*_network_and_baselines(texts, page.judged, check), *([texts("trust.no_coverage")] if unmeasured else [])]
+    said = [*_network_and_baselines(page), *([texts("trust.no_coverage")] if unmeasured else [])]
     tables = [*rests.tables(texts, page.ranked, check), *rests.to_log(page), *_unseen(texts, page.samples)]
     tables += _data_tables(texts, origin)
     return {
@@ -107,13 +107,16 @@ def _judged_rows(texts: ReportTexts, judged: Mapping[str, Any]) -> list[list[str
     return rows
 
 
-def _network_and_baselines(texts: ReportTexts, judged: Mapping[str, Any], check: Check | None) -> list[str]:
+def _network_and_baselines(page: PageInputs) -> list[str]:
     """Say which row the cycle times come from, and what a smaller error of a baseline means."""
-    errors = {str(entry.get("name")): float(entry["mse"]) for entry in judged.get("mse") or ()}
+    texts, check = page.texts, page.check
+    errors = {str(entry.get("name")): float(entry["mse"]) for entry in page.judged.get("mse") or ()}
     model = errors.get(MODEL)
     rivals = {name: mse for name, mse in errors.items() if not name.startswith(MODEL)}
     if model is None or not rivals:
         return []
+    if isinstance(page.answers, RuleSafety):
+        return [texts("trust.made_with_rule")]
     found = [texts("trust.made_with")]
     best = min(rivals, key=lambda name: rivals[name])
     if rivals[best] >= model:

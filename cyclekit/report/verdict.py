@@ -9,13 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from cyclekit.errors import UnknownName
 from cyclekit.estimate.baseline import today_of
-from cyclekit.estimate.resample import least_wide, wilson
+from cyclekit.estimate.resample import least_wide
 from cyclekit.estimate.same_work import by_work, work_of
 from cyclekit.report.numbers import count, fixed, given, percent, signed_percent, with_uncertainty
+from cyclekit.report.tried import share_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -77,7 +76,7 @@ class TaktVerdict:
             "takt_s": self.takt_s,
             "today": None if self.today is None else self.today.to_dict(),
             "best": None if self.expected_s is None else best | {"order": order and order.places},
-            "change": None if change is None else tried | _saving(self, change.expected_s),
+            "change": None if change is None else tried | _saving(self, change.expected_s) | {"within": change.within},
         }
 
     @property
@@ -88,8 +87,7 @@ class TaktVerdict:
             return None
         if best.takt_probability is not None and best.takt_s == self.takt_s:
             return least_wide(best.takt_probability, best.executions)
-        share = float((np.array(best.durations_s) <= self.takt_s).mean())
-        return share, *wilson(share, best.executions or len(best.durations_s))
+        return share_of(best, self.takt_s)
 
     def saves_s(self, expected_s: float | None) -> float | None:
         """Return what a mean cycle time saves against today, s; None without a cycle of today."""
@@ -187,7 +185,8 @@ def _found(texts: ReportTexts, found: TaktVerdict) -> str:
     if change is None:
         return f"{said}." if said else ""
     mean, _ = with_uncertainty(change.expected_s, change.low_s, change.high_s)
-    values = {"label": change.label, "mean": mean, "change": _beside(texts, found, change.expected_s)}
+    beside = _beside(texts, found, change.expected_s) + _within(texts, "verdict.within", change.within, found.takt_s)
+    values = {"label": change.label, "mean": mean, "change": beside}
     if not said:
         return f"{texts('verdict.change_alone', name=change.sequence, **values)}."
     named = best.places if best else found.order.places if found.order else ()

@@ -63,7 +63,7 @@ def test_sequences_are_ranked_and_the_ones_that_cannot_be_told_apart_are_named(p
     assert written.headline.replace("\N{NO-BREAK SPACE}", " ") == "“A first” takes 30.0 s on average."
     table = page.text[page.text.index("Sequence Rank") :]
     assert table.index("A first") < table.index("C first") < table.index("B first")
-    assert "No clear difference between C first and “A first”" in page.text
+    assert "No clear difference between “C first” and “A first”" in page.text
     assert "C first: Thin logs." in page.text
 
 

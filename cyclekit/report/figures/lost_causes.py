@@ -61,7 +61,7 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
 
         return charts.causes(width_in, bars, labels)
 
-    numbers = ReportTable(caption, heads, rows, frozenset({1, 2, 3}), silent=True)
+    numbers = ReportTable(texts("lost_causes.title"), heads, rows, frozenset({1, 2, 3}), silent=True)
     yield Chart(Picture("lost_causes", alt, drawn), caption, title=texts("lost_causes.title"), numbers=numbers)
 
 

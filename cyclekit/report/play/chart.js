@@ -53,7 +53,7 @@ const showNumbers = (entry, given) => {
     safety: known ? say("seconds", { value: fixed(entry.safety_s) }) : "\u2013",
     support: known ? percent(entry.support) : "\u2013",
     takt: known && entry.takt
-      ? say("within", { share: percent(entry.takt[0]), low: percent(entry.takt[1]), high: percent(entry.takt[2]) })
+      ? say("within", Object.fromEntries(["share", "low", "high"].map((name, n) => [name, percent(leastWide(entry.takt)[n])])))
       : "\u2013",
   };
   for (const [name, text] of Object.entries(cells)) part(name).textContent = text;

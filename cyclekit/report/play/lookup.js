@@ -3,6 +3,9 @@
 const lookupField = () => {
   const { cells: width, absent, holds, lags, fastest } = facts.rule;
   const cells = tables.people_cells;
+  for (const table of [tables.scaling, tables.rising, tables.support]) { // steps become values again; both wrap
+    for (let at = width; table && at < table.length; at += 1) table[at] += table[at - width];
+  }
   let near, far, share, now, after, weight; // two points and how far between; two cells and how far between
   const of = (table, point, cell) => tables.values[table[point * width + cell]];
   const between = (table, point) => {
@@ -17,6 +20,7 @@ const lookupField = () => {
     moved: () => {},
     at: (point, next, part, from, to, part_of_step) => {
       [near, far, share, weight] = [point, next, part, part_of_step];
+      if (holds) [near, share] = [part < 0.5 ? point : next, 0]; // levels: there is nothing between two
       now = cells[from];
       after = holds || now === absent || cells[to] === absent ? now : cells[to];
     },

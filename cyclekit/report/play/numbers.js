@@ -114,6 +114,14 @@ const entryOf = (cycles, means, legs, takt_s) => { // entry_of: what the cycles 
   };
 };
 
+const leastWide = ([share, low, high]) => { // resample.least_wide: no narrower than Wilson's of so many executions
+  const count = tables.drawn.length / tables.errors.length;
+  const z = 1.96;
+  const middle = (share + z ** 2 / (2 * count)) / (1 + z ** 2 / count);
+  const half = (z * Math.sqrt((share * (1 - share)) / count + (z / (2 * count)) ** 2)) / (1 + z ** 2 / count);
+  return [share, Math.min(low, Math.max(middle - half, 0)), Math.max(high, Math.min(middle + half, 1))];
+};
+
 const rolled = (legs, asked) => { // cycles_of: tracks as long as the slowest cycle takes
   const nominal = legs.reduce((sum, name) => {
     const leg = facts.legs[name];

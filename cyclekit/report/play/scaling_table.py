@@ -79,9 +79,9 @@ def scaling_table(
     for robot_m, human_m in _pairs(paths, cells):
         asked = _bounds(model, dynamics, robot_m, human_m) if lags else [scaling_of(model, robot_m, human_m)]
         for name, scaling in zip(("scaling", "rising"), asked, strict=False):
-            found[name].append(_nearest(book, scaling))
-        found["support"].append(known.near_logged(robot_m, human_m).astype(np.uint8))
-    arrays |= {name: np.concatenate(parts) for name, parts in found.items() if parts}
+            found[name].append(_nearest(book, scaling).reshape(-1, len(cells)))
+        found["support"].append(known.near_logged(robot_m, human_m).astype(np.uint8).reshape(-1, len(cells)))
+    arrays |= {name: _steps(np.concatenate(parts)) for name, parts in found.items() if parts}
     arrays |= {"values": book.astype(np.float32), "people_cells": code.astype(np.uint16).ravel()}
     facts: dict[str, Any] = {"cells": len(cells), "lags": lags, "fastest": max(levels, default=1.0), "moves": []}
     if isinstance(model, OnStates):
@@ -111,3 +111,8 @@ def _nearest(book: Vector, values: Vector) -> NDArray[np.uint8]:
     """Return which value of an ascending book of at most 256 lies nearest to each."""
     middles = (book[1:] + book[:-1]) / 2
     return np.searchsorted(middles, np.clip(values, 0.0, 1.0)).astype(np.uint8)
+
+
+def _steps(table: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the steps from point to point in place of the values: they wrap, and need a third of the room."""
+    return np.diff(table, axis=0, prepend=np.zeros_like(table[:1]))

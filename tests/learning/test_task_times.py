@@ -209,6 +209,15 @@ def test_of_two_robots_the_times_of_the_one_that_ends_last_make_up_the_cycle_tim
     assert found.nominal_s + found.safety_loss_s + found.wait_s + found.idle_s == pytest.approx(found.expected_s)
 
 
+def test_the_bias_on_one_order_has_the_standard_error_of_its_executions() -> None:
+    rng = np.random.default_rng(2)
+    runs = [Run(str(at), {"arm": (DoneTask("weld", 0.0, 5.0 + rng.uniform(0.0, 1.0)),)}) for at in range(20)]
+    held_out = learn_runs(runs, {"arm": "robot"}, folds=2).held_out
+    assert held_out is not None
+    assert 0.005 < held_out.within < 0.03
+    assert abs(held_out.bias) < 2.0 * held_out.within
+
+
 def _slowed(number: int, rate: float, more: float) -> Run:
     """Return a weld at `rate` while the operator waits between two packs, then at `more` beside the second one."""
     rng = np.random.default_rng(number)

@@ -252,7 +252,8 @@ def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:
     chance = float(np.mean(spread**2) * np.mean([1.0 / count for count in counts]))
     chance *= 1.0 + np.sqrt(2.0 / len(errors))  # the mean of their squares scatters by so much
     error = float(np.sqrt(max(np.mean(errors**2) - chance, 0.0)))
-    within = float(errors.std(ddof=1) / np.sqrt(len(errors))) if len(errors) > 1 else error
+    each_off = errors if len(errors) > 1 else np.array([each.mean_s / each.true_s - 1.0 for each in found])
+    within = float(each_off.std(ddof=1) / np.sqrt(len(each_off)))
     deviations = [(each.true_s - each.mean_s) / max(each.sd_s, 1e-3 * each.mean_s) for each in found]
     kept = _kept(np.clip(deviations, -1e3, 1e3))
     return HeldOutCard(

@@ -158,10 +158,16 @@ def task_times_summary(found: TaskTimesModel) -> str:
     held = "held out: too few executions to judge by"
     if judged is not None:
         held = (
-            f"held out: {judged.orders} orders, mean cycle time {judged.bias:+.1%} off (+-{judged.within:.1%}), "
+            f"held out: {judged.orders} order{'s' * (judged.orders != 1)}, "
+            f"mean cycle time {judged.bias:+.1%} off (+-{judged.within:.1%}), "
             f"spread over orders {judged.order_error:.1%}"
         )
-    lines = [held, *(pace.said(agent) for agent, pace in found.card.pace.items())]
+    fine = ["rates differ by turn and by where an agent waits: held-out orders are told better so"]
+    lines = [
+        held,
+        *(fine if found.card.detailed else []),
+        *(pace.said(agent) for agent, pace in found.card.pace.items()),
+    ]
     told = "\n".join(f"  {line}" for line in lines)
     return f"task times from {found.card.executions} executions\n{table(heads, rows)}\n{told}"
 

@@ -77,9 +77,10 @@ def _estimated(
     durations = durations * corrected
     single = _single(durations, judged)
     shares, planned = _shares(model, rolled, sequence, corrected, quantiles)
-    robot = [share for share, task in zip(shares, sequence.plan, strict=True) if _is_robot(model, task, sequence)]
+    robot = _last_robot(model, rolled, sequence)
+    mine = [share for share, task in zip(shares, planned, strict=True) if task.agent == robot]
     parts = ("nominal_s", "safety_loss_s", "wait_s")
-    nominal, beside, waited = (sum(getattr(share, part) for share in robot) for part in parts)
+    nominal, beside, waited = (sum(getattr(share, part) for share in mine) for part in parts)
     within = None if takt_s is None else _within(single, takt_s, (high - low) / (2 * SURE))
     return CycleEstimate(
         name=sequence.name,
@@ -111,6 +112,13 @@ def _estimated(
 
 def _drift(model: TaskModelCard) -> list[str]:
     return [pace.said(agent) for agent, pace in model.pace.items()]
+
+
+def _last_robot(model: TaskModelCard, rolled: RolledPlan, sequence: TaskSequence) -> str | None:
+    """Return the name in the plan of the robot that ends last: times of one robot make up the cycle, not of several."""
+    ends = rolled.end_s.mean(axis=0)
+    robots = {task.agent: end for task, end in zip(rolled.tasks, ends, strict=True) if _is_robot(model, task, sequence)}
+    return max(robots, key=lambda name: robots[name], default=None)
 
 
 def _is_robot(model: TaskModelCard, task: object, sequence: TaskSequence) -> bool:

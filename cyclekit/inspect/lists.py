@@ -33,7 +33,8 @@ def task_list_facts(tasks: pl.DataFrame) -> TaskListFacts:
     tasks = tasks.with_columns(took_s=pl.col("end_s") - pl.col("t_s"))
     clocks = [name for name in ("session",) if name in tasks.columns]
     told = tasks.group_by("agent_name", maintain_order=True).agg(pl.col("agent").first())
-    agents = overlaps_of(tasks, ["agent_name", *clocks]).join(told, on="agent_name", how="left", maintain_order="left")
+    agents = overlaps_of(tasks, ["agent_name", "execution", *clocks])
+    agents = agents.join(told, on="agent_name", how="left", maintain_order="left")
     kinds = tasks.group_by("agent_name", "task", maintain_order=True).agg(
         pl.len().alias("count"),
         pl.col("took_s").mean().alias("mean"),

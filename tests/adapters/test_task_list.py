@@ -70,7 +70,8 @@ def test_the_cell_file_says_who_is_a_robot_and_who_a_person(tmp_path):
     log = read(path, operator=["Anna"], robot=["human"])
     assert log.task_list["agent"].to_list() == ["operator", "robot"]
     assert log.warnings == (
-        "no column gives the execution of a task: one execution assumed; give execution in the map",
+        "no column gives the execution of a task: all are taken for one. "
+        'Name it in the cell file: map = { execution = "COLUMN" }',
     )
 
 
@@ -272,7 +273,7 @@ def test_outcomes_of_no_known_word_are_kept_and_named(tmp_path):
 def test_a_list_in_which_nobody_is_called_a_person_says_so(tmp_path):
     path = table(tmp_path / "a.csv", "run,agent,task,start_s,end_s", "1,Anna,a,0,1", "1,r,b,1,2")
     (said,) = read(path).warnings
-    assert said.startswith("no agent is recognised as a person ('Anna', 'r'): robots assumed")
+    assert said.startswith("no agent is recognised as a person ('Anna', 'r'): all are taken for robots")
 
 
 NAMES = st.text(string.ascii_letters + " _-", min_size=1, max_size=12).filter(lambda text: text.strip())
@@ -356,3 +357,12 @@ def test_a_date_a_name_and_a_status_beside_make_it_no_event_log(tmp_path):
     )
     assert [name for name, entry in adapters().items() if entry.adapter.recognises(path)] == ["task-list"]
     assert read(path).task_list["outcome"].to_list() == ["done"]
+
+
+@pytest.mark.parametrize(("start", "unit"), [("iso", 1), ("epoch", 1), ("iso", 1000), ("epoch", 1000)])
+def test_whole_numbers_of_a_plan_are_read_in_the_unit_that_fits_what_was_done(tmp_path, start, unit):
+    begin = {"iso": "2024-05-01T10:00:{:02d}Z", "epoch": "17145576{:02d}000"}[start]
+    rows = [f"1,arm,task,{begin.format(at)},{begin.format(at + 4)},{at * unit}" for at in (0, 5, 10)]
+    log = read(table(tmp_path / "a.csv", "run,agent,task,start,end,planned_start", *rows))
+    planned = log.task_list["planned_start_s"] - log.task_list["t_s"][0]
+    assert planned.to_list() == pytest.approx([0.0, 5.0, 10.0])

@@ -133,7 +133,7 @@ def test_lists_without_executions_are_one_or_begin_anew_after_gaps(tmp_path: Pat
     (logs / "plan.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     one = Dataset.open(ingest([logs], tmp_path / "one").dataset)
     assert one.executions.select("start_s", "end_s").rows() == [(0.0, 21.0)]
-    assert any("one execution assumed" in text for text in one.recordings[0].said)
+    assert any("all are taken for one" in text for text in one.recordings[0].said)
     (logs / "cell.toml").write_text('[executions]\nbegin = "gap"\ngap_s = 5.0\n', encoding="utf-8")
     split = Dataset.open(ingest([logs], tmp_path / "split").dataset)
     assert split.executions.select("start_s", "end_s").rows() == [(0.0, 12.0), (20.0, 21.0)]
@@ -155,6 +155,12 @@ def test_tasks_of_one_agent_at_the_same_time_are_counted() -> None:
     assert found.task_list is not None
     assert found.task_list.height == 5
     assert found.warnings == ("2 of 3 tasks of 'ur5' start before its previous task has ended, by up to 4.0 s",)
+
+
+def test_executions_that_each_count_from_zero_do_not_overlap() -> None:
+    rows = [("ur5", run, begin, begin + 2.0) for run in "ab" for begin in (0.0, 2.5)]
+    table = pl.DataFrame(rows, schema=["agent_name", "execution", "t_s", "end_s"], orient="row")
+    assert examined(Recording(task_list=conform(table, TASK_LIST))).warnings == ()
 
 
 def test_tasks_of_days_are_named_as_a_slip_of_units() -> None:

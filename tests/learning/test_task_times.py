@@ -27,9 +27,10 @@ from cyclekit.errors import ConfigError, DatasetError, EstimateError, ModelError
 from cyclekit.estimate.gantt import blocks_of
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.plan.task_orders import JobTask, TaskJobs, TaskOrderPlan
+from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.task_times.learn import learn_task_times
+from cyclekit.learning.task_times.learn import learn_runs, learn_task_times
 from cyclekit.learning.task_times.pace import pace_drift
 from cyclekit.learning.task_times.rates import fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
@@ -194,6 +195,56 @@ def test_a_rate_is_found_whatever_it_is(rate: float, seed: int) -> None:
     assert found.rates["worker: pack"] / found.rates[""] == pytest.approx(rate, rel=0.12)
 
 
+def test_of_two_robots_the_times_of_the_one_that_ends_last_make_up_the_cycle_time() -> None:
+    rng = np.random.default_rng(1)
+    lasts = {"arm": ("weld", 5.0), "rover": ("carry", 3.0), "worker": ("pack", 4.0)}
+    runs = []
+    for number in range(12):
+        ends = {agent: took + rng.uniform(0.0, 0.2) for agent, (_, took) in lasts.items()}
+        runs.append(Run(str(number), {agent: (DoneTask(lasts[agent][0], 0.0, end),) for agent, end in ends.items()}))
+    model = learn_runs(runs, {"arm": "robot", "rover": "robot", "worker": "operator"}, folds=2)
+    plan = TaskSequence.of_plan("all", [PlannedTask(agent, task) for agent, (task, _) in lasts.items()])
+    (found,) = estimate_plans(model, [plan], refused=lambda _sequence, error: pytest.fail(str(error)))
+    assert found.nominal_s == pytest.approx(5.1, abs=0.1)
+    assert found.nominal_s + found.safety_loss_s + found.wait_s + found.idle_s == pytest.approx(found.expected_s)
+
+
+def test_the_bias_on_one_order_has_the_standard_error_of_its_executions() -> None:
+    rng = np.random.default_rng(2)
+    runs = [Run(str(at), {"arm": (DoneTask("weld", 0.0, 5.0 + rng.uniform(0.0, 1.0)),)}) for at in range(20)]
+    held_out = learn_runs(runs, {"arm": "robot"}, folds=2).held_out
+    assert held_out is not None
+    assert 0.005 < held_out.within < 0.03
+    assert abs(held_out.bias) < 2.0 * held_out.within
+
+
+def _slowed(number: int, rate: float, more: float) -> Run:
+    """Return a weld at `rate` while the operator waits between two packs, then at `more` beside the second one."""
+    rng = np.random.default_rng(number)
+    packs = [DoneTask("pack", 0.0, 4.0, 0.0), DoneTask("pack", 10.0, 14.0, 10.0)][: 2 - number % 2]
+    at, left, speed = rng.uniform(0.0, 12.0), 5.0 * np.exp(0.02 * rng.standard_normal()), {4.0: rate, 10.0: more}
+    done = [DoneTask("weld", at, at, at)]
+    for since, until in ((0.0, 4.0), (4.0, 10.0), (10.0, 14.0), (14.0, 99.0)):
+        now = speed.get(since, 1.0) if len(packs) == 2 else 1.0
+        part = min(left / now, max(until - max(at, since), 0.0))
+        at, left = at + part, left - part * now
+    done = [DoneTask("weld", done[0].start_s, at, done[0].start_s)]
+    for task in rng.permutation(["drill", "glue", "clean"]):
+        done.append(DoneTask(str(task), done[-1].end_s, done[-1].end_s + 1.0))
+    return Run(str(number), {"arm": tuple(done), "worker": tuple(packs)}, number)
+
+
+@pytest.mark.parametrize(("rates", "took"), [((0.5, 1.0), (7.75, 5.0)), ((1.0, 0.5), (5.0, 6.75)), ((1.0, 1.0), None)])
+def test_who_waits_or_packs_again_slows_a_task_only_where_held_out_orders_say_so(rates, took) -> None:
+    agents = {"arm": "robot", "worker": "operator"}
+    model = learn_runs([_slowed(number, *rates) for number in range(60)], agents, folds=3)
+    assert model.detailed == (took is not None)
+    for at, expected in zip((4.5, 10.5), took or (5.0, 5.0), strict=True):
+        packs = [PlannedTask("worker", "pack"), PlannedTask("worker", "pack", 10.0)]
+        rolled = roll_plan(model, [PlannedTask("arm", "weld", at), *packs], cycles=200)
+        assert float((rolled.end_s - rolled.start_s)[:, 0].mean()) == pytest.approx(expected, rel=0.1)
+
+
 def _end(work: float, since: float, until: float, rate: float) -> float:
     """Return when work that begins at 0 is done, at `rate` from `since` to `until` and at 1 else."""
     t, left = 0.0, work
@@ -207,7 +258,7 @@ def _end(work: float, since: float, until: float, rate: float) -> float:
 def test_few_executions_are_refused(tmp_path) -> None:
     simulate_task_lists(tmp_path / "logs", executions=3, seed=1)
     ingest([tmp_path / "logs" / "tasks.csv"], tmp_path / "dataset")
-    with pytest.raises(DatasetError, match="3 executions whose tasks all have an end"):
+    with pytest.raises(DatasetError, match="executions whose tasks all have an end: 3; 5 are needed"):
         learn_task_times(Dataset.open(tmp_path / "dataset"))
 
 

@@ -133,9 +133,15 @@ def _said_of(rows: pl.DataFrame, columns: Mapping[str, str], people: Sequence[st
     said = []
     if not people and rows["agent_name"].n_unique() > 1:
         names = ", ".join(map(repr, rows["agent_name"].unique(maintain_order=True).to_list()[:6]))
-        said.append(f"no agent is recognised as a person ({names}): robots assumed; give operator = [...] in the map")
+        said.append(
+            f"no agent is recognised as a person ({names}): all are taken for robots. "
+            'Say in the cell file who is one: map = { operator = ["NAME"] }'
+        )
     if "execution" not in columns:
-        said.append("no column gives the execution of a task: one execution assumed; give execution in the map")
+        said.append(
+            "no column gives the execution of a task: all are taken for one. "
+            'Name it in the cell file: map = { execution = "COLUMN" }'
+        )
     elif unnamed := rows["execution"].null_count():
         said.append(f"{unnamed} of {rows.height} tasks name no execution: they are in no execution")
     words = rows["outcome"].drop_nulls().unique(maintain_order=True)

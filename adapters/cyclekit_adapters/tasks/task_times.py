@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import LogError
-from cyclekit_adapters.tasks.event_table import TimeColumn, counted_in, times_of
+from cyclekit_adapters.tasks.event_table import UNITS, TimeColumn, counted_in, times_of
 from cyclekit_adapters.tasks.task_columns import TIMES, unit_of
 from cyclekit_adapters.text.written_time import written_seconds
 
@@ -72,14 +72,16 @@ def with_seconds(
         LogError: The times cannot be decided.
     """
     start = _times(path, cells, "start", columns, said, None, decimal_comma=decimal_comma)
-    read = {"start": start}
-    for key in ("end", *_PLAN):
-        if key in cells.columns:
-            read[key] = _times(path, cells, key, columns, said, start, decimal_comma=decimal_comma)
+    read = {"start": start, "end": _times(path, cells, "end", columns, said, start, decimal_comma=decimal_comma)}
+    cells = cells.with_columns(_seconds(key, times, said.zone, decimal_comma) for key, times in read.items())
+    for key in (key for key in _PLAN if key in cells.columns):
+        read[key] = _times(path, cells, key, columns, said, start, decimal_comma=decimal_comma)
     if _zone_named(start) != _zone_named(read["end"]) and said.zone is None and start.pattern:
         cause = f"only one of {columns['start']!r} and {columns['end']!r} names its time zone"
         raise LogError(path, cause, cure='Give the zone of the other: time_zone = "Europe/Rome" in [sources.map].')
-    cells = cells.with_columns(_seconds(key, times, said.zone, decimal_comma) for key, times in read.items())
+    cells = cells.with_columns(
+        _seconds(key, times, said.zone, decimal_comma) for key, times in read.items() if key in _PLAN
+    )
     zoned = start.clock == "epoch" or (said.zone is not None and _dated(start))
     plan = _plan_counts_from(cells, {key: _epoch(read[key], said) for key in _PLAN if key in read}, zoned=zoned)
     if plan == "execution":
@@ -127,6 +129,8 @@ def _times(
     if said.unit is not None and not times.pattern:
         numbers = [float(text.replace(",", ".") if decimal_comma else text) for text in shown]
         times = counted_in((name,), said.unit, "from the cell file", numbers, shown[0])
+    if times.seconds is None and key in _PLAN and start is not None and (start.pattern or start.clock == "epoch"):
+        times = _by_size(times, cells, key)
     if times.seconds is None and start is not None and not start.pattern and start.seconds is not None:
         times = replace(times, seconds=start.seconds, why=f"in the unit of {start.columns[0]}")
     if times.seconds is None:
@@ -137,6 +141,19 @@ def _times(
         if said.zone is None:
             raise LogError(path, cause, cure='Give the zone of the others: time_zone = "Europe/Rome" in [sources.map].')
     return times
+
+
+def _by_size(times: TimeColumn, cells: pl.DataFrame, key: str) -> TimeColumn:
+    """Return planned times, counted from the start of an execution, in the unit that fits what was done."""
+    by = "execution" if "execution" in cells.columns else pl.lit(0)
+    done = pl.col("start_s" if key == "planned_start" else "end_s") - pl.col("start_s").min().over(by)
+    planned = pl.col(key).cast(pl.Float64, strict=False)
+    both = cells.select(done=done, planned=planned).filter((pl.col("done") > 0.0) & (pl.col("planned") > 0.0))
+    if both.is_empty():
+        return times
+    ratio = float(np.log((both["done"] / both["planned"]).median()))  # type: ignore[arg-type]  # a number
+    unit = min(UNITS, key=lambda name: abs(ratio - np.log(UNITS[name])))
+    return replace(times, seconds=UNITS[unit], why=f"{unit}: by what was done")
 
 
 def _zone_named(times: TimeColumn) -> bool | None:

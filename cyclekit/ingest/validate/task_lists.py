@@ -21,7 +21,7 @@ SHOWN = 6
 """Agents that are named."""
 TOUCH_S = 1e-3
 """A task may start this much before its agent's previous one has ended: clocks are rounded."""
-_READ = ("t_s", "end_s", "agent_name")
+_READ = ("t_s", "end_s", "agent_name", "execution")
 
 
 class TaskChecks(Checks):
@@ -46,7 +46,7 @@ class TaskChecks(Checks):
             return said
         if open_ends := rows["end_s"].null_count():
             said.append(f"{open_ends} of {rows.height} tasks have no end: how long they took is unknown")
-        said += self._said_of_overlaps(overlaps_of(rows, ["agent_name"]).filter(pl.col("overlaps") > 0))
+        said += self._said_of_overlaps(overlaps_of(rows, ["agent_name", "execution"]).filter(pl.col("overlaps") > 0))
         median_s = (rows["end_s"] - rows["t_s"]).median()
         if isinstance(median_s, float) and (median_s > LONGEST_S or 0.0 < median_s < SHORTEST_S):
             said.append(f"half of the tasks take {median_s:.3g} s: check the unit of time and give time_unit")
@@ -65,7 +65,7 @@ def overlaps_of(rows: pl.DataFrame, by: Sequence[str]) -> pl.DataFrame:
 
     Args:
         rows: Columns `t_s`, `end_s`, `agent_name`, and those of `by`.
-        by: What makes one agent in one clock; `agent_name` is among them.
+        by: What makes one agent in one clock; `agent_name` is among them, and `execution`: some count from its start.
 
     Returns:
         Columns `agent_name`, `tasks`, `overlaps`, `overlap_s` (by how much at most), in order of appearance.

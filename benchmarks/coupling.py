@@ -1,10 +1,11 @@
 """Cells where robot and operator wait for each other: expected cycle times of orders never logged, waits, conditions.
 
-Each scene is logged with its signals, by positions alone, and as a task list; then as if nobody waited for anybody.
+Each scene is logged with its signals, by positions alone, and as a task list; then with waits in half of the joint
+tasks, and as if nobody waited for anybody.
 Orders of both agents that no execution followed are held against fresh executions. Beside the estimate stand the sums
 of logged durations of the robot's tasks (history) and the estimate of a model that knows no conditions.
 
-    python benchmarks/coupling.py --work DIR [--scenes shared-fixture] [--kinds signals positions list uncoupled]
+    python benchmarks/coupling.py --work DIR [--scenes shared-fixture] [--kinds signals positions list half uncoupled]
         [--executions 60 200] [--seeds 1 2] [--orders 8] [--fresh 1000] [--plans]
 
 With --plans the order that `plan` chooses is held against the best of all orders of a small set of jobs: one half of
@@ -50,6 +51,7 @@ KINDS = {
     "signals": SimulationOptions(),
     "positions": SimulationOptions(signals=False),
     "list": SimulationOptions(task_list=True),
+    "half": SimulationOptions(coupling=0.5),
     "uncoupled": SimulationOptions(coupling=0.0),
 }
 HEAD = ("cell", "logged", "mean |error|, %", "bias, %", "worst, %", "no conditions, %", "history, %", "CI holds",

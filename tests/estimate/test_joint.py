@@ -74,6 +74,17 @@ def test_the_robot_leaves_at_the_later_of_its_own_work_and_the_event_with_its_la
     assert robot.times.waits_s[:, at[1]].max() > 0.5
 
 
+def test_an_event_that_half_of_the_passages_need_holds_half_of_them_up(logged: Dataset) -> None:
+    need = msgspec.structs.replace(AFTER_INBOUND, needed=0.5)
+    gate = GateCard(agent="robot", at="leave", place="conveyor", own_s=(OWN_S,), conditions=(need,))
+    plan = both(("inbound", "out_left_1", "rest"), inbound=PlannedTask("operator", "inbound", not_before_s=30.0))
+    found = rolled(logged, gates(gate), plan)
+    (first, *_) = [n for n, leg in enumerate(found.robot.agenda.legs) if leg.place == "conveyor"]
+    waits_s = found.robot.times.waits_s[:, first]
+    assert np.mean(waits_s > 10.0) == pytest.approx(0.5)
+    assert np.mean(waits_s == 0.0) == pytest.approx(0.5)
+
+
 def test_the_operator_waits_where_he_is_until_the_robot_has_left(logged: Dataset) -> None:
     need = ConditionCard(agent="robot", place="left_2", event="leaves", lag_s=(0.5,))
     gate = GateCard(agent="operator", at="approach", place="out_left_1", conditions=(need,))

@@ -8,7 +8,7 @@ event plus that condition's lag.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from msgspec import Meta
 
@@ -20,6 +20,28 @@ Quantiles = Annotated[tuple[Seconds, ...], Meta(min_length=1, max_length=1001)]
 Turn = Annotated[int, Meta(ge=0, le=100)]
 
 
+class Turns(NamedTuple):
+    """Which passages of a gate an event belongs to, where one of both comes more often than the other.
+
+    A robot that brings a part to a fixture and takes it from there again comes twice for each press of the button:
+    every 2nd passage needs one, the first of them that number 1.
+
+    Attributes:
+        every, first: Passages number first, first + every, ... need an event; the others need none.
+        event_every, event_first: Of the events, those of these numbers.
+    """
+
+    every: int = 1
+    first: int = 0
+    event_every: int = 1
+    event_first: int = 0
+
+    def event(self, passage: int, back: int) -> int | None:
+        """Return the number of the event that a passage needs, both from 0; None = it needs none."""
+        turn, rest = divmod(passage, self.every)
+        return (turn - back) * self.event_every + self.event_first if rest == self.first and turn >= back else None
+
+
 class ConditionCard(Card, frozen=True, kw_only=True):
     """An event that must have come.
 
@@ -29,6 +51,8 @@ class ConditionCard(Card, frozen=True, kw_only=True):
         event: `arrives` at it, `leaves` it, or the signal is `set` or `cleared`.
         back: The k-th passage of the gate (from 0, in one execution) needs the (k - back)-th such event; a negative
             number, or one that never comes in the plan, needs nothing.
+        turns: Of passages and events these are counted.
+        needed: Part of the passages that need the event at all; the others go on without it.
         lag_s: From the event to going on, if nothing else decides.
         held: Part of the logged passages that came after the event.
         decided: Logged passages that it decided: everything else was there earlier.
@@ -39,6 +63,8 @@ class ConditionCard(Card, frozen=True, kw_only=True):
     place: Name
     event: Literal["arrives", "leaves", "set", "cleared"]
     back: Turn = 0
+    turns: Turns = Turns()
+    needed: Fraction = 1.0
     lag_s: Quantiles
     held: Fraction = 1.0
     decided: Count = 0

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Vector
 
 NEVER = -np.inf
-"""When an event came that nobody needs to wait for."""
+"""When an event came that nobody needs to wait for; the lag of one that is not needed this time."""
 
 
 class EventColumns:
@@ -112,7 +112,11 @@ class Drawn:
             self.own_s[rows, number] = np.maximum(quantile(leg.own_s, self._level(rows, key, turns[key])), 0.0)
             for each, need in enumerate(leg.needs):
                 level = self._level(rows, f"{key} after {need.event[:3]}", turns[key])
-                self.lag_s[rows, number, each] = quantile(need.lag_s, level)
+                lag_s = quantile(need.lag_s, level)
+                if need.needed < 1.0:
+                    chance = self._level(rows, f"{key} needs {need.event[:3]}", turns[key])
+                    lag_s = np.where(chance < need.needed, lag_s, NEVER)
+                self.lag_s[rows, number, each] = lag_s
             turns[key] += 1
 
     def draw_segments(self, segments: Segments, pace: float = 1.0) -> None:

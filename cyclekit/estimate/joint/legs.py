@@ -29,10 +29,11 @@ NONE = np.zeros(1)
 
 @dataclass(frozen=True, eq=False)
 class Need:
-    """An event that must have come, and the quantiles of the time from it to going on, s."""
+    """An event that must have come, the quantiles of the time from it to going on, s, and how often it is needed."""
 
     event: Event
     lag_s: Vector = field(default_factory=lambda: NONE)
+    needed: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +103,9 @@ class Gates:
         """Return what the passage number `turn` of a gate needs."""
         gate = self.at(agent, at, place)
         return tuple(
-            Need((one.agent, one.place, _kind(one), turn - one.back), np.array(one.lag_s))
+            Need((one.agent, one.place, _kind(one), number), np.array(one.lag_s), one.needed)
             for one in (gate.conditions if gate else ())
-            if turn >= one.back
+            if (number := one.turns.event(turn, one.back)) is not None
         )
 
     def waits(self, agent: str) -> bool:

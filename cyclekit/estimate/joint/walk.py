@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.estimate.joint.drawn import NEVER
 from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, asked_often, at_once, scaling_of
 from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
 
@@ -54,7 +55,8 @@ def opens(drawn: Drawn, events_s: Floats, rows: Ints, legs: Ints, works_s: Vecto
     """Return when these rows may go on from these legs, s (inf: not known yet), and what decides it."""
     agenda = drawn.which[rows]
     columns = drawn.needs[agenda, legs]
-    due = events_s[rows[:, None], columns] + drawn.lag_s[rows, legs]
+    lag_s = drawn.lag_s[rows, legs]
+    due = np.where(lag_s == NEVER, NEVER, events_s[rows[:, None], columns]) + lag_s
     latest = due.argmax(axis=1)
     each = np.arange(len(rows))
     planned = drawn.not_before_s[agenda, legs]

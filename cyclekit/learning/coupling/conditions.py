@@ -6,17 +6,18 @@ regular by it that neither chance among all candidates nor the same events in an
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from cyclekit.dataset.cards.coupling import Turns
 from cyclekit.errors import UnknownName
 from cyclekit.learning.coupling.lags import Causes, take_apart
 from cyclekit.learning.coupling.visits import Event
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Collection, Iterator, Sequence
 
     from cyclekit.config import Wait
     from cyclekit.dataset.cards.coupling import Agent
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Vector
 
 HELD = 0.98
-"""Part of the departures that must come after a condition's event."""
+"""Part of the departures that must come after a condition's event, if all of them need it."""
+NEEDED, LEAST_PART = 0.15, 2.0
+"""Of others at least so many departures must need the event; such a condition must gain so many times as much."""
 EARLY_S, EARLY_LEAVING_S = 0.25, 1.0
 """A departure may come so much before it: clocks of two agents; who leaves is done before he is seen to move."""
 LEAST_DECIDED = 5
@@ -39,6 +42,8 @@ FOLLOWS = 0.8
 """An event that is as near to so many of the departures that own work decided follows own work, and is no condition."""
 PULSE_S = 1.0
 """Whoever presses a button sets a signal; that it is cleared so soon afterwards says the same."""
+PAIRED = 0.9
+"""Part of the executions in which a gate is passed exactly twice as often as an event comes, or the other way round."""
 SHUFFLES = 6
 MOST = 2
 """Conditions of one gate."""
@@ -63,10 +68,12 @@ Times = dict[Event, "Floats"]
 
 
 class Condition(NamedTuple):
-    """An event, and the how-many-th of them a passage needs (`ConditionCard`)."""
+    """An event, and the how-many-th of them a passage needs (`ConditionCard`); `partly`: not all passages need it."""
 
     event: Event
     back: int
+    turns: Turns = Turns()
+    partly: bool = False
 
 
 @dataclass
@@ -78,7 +85,8 @@ class Passages:
         rows: Of each: its number among all departures of the agent, shape (N,).
         course, nth: Of each: number of the execution, and how many passages of the gate came before it there, (N,).
         own_s, left_s: Since when nothing of its own kept the agent, or it came there, and when it went on, (N,).
-        since_s: From the event of each condition that was found to going on, shape (N,); NaN = none was needed.
+        since_s: From the event of each condition that was found to going on, shape (N,); NaN = none was needed, -inf =
+            it came later.
     """
 
     gate: Gate
@@ -151,8 +159,16 @@ def _comparable(found: list[Passages]) -> list[Passages]:
     return [each for each in found if each.gate.short or each.gate.at == "leave" or each.gate.place not in short]
 
 
-def find_conditions(courses: Sequence[ExecutionVisits], agent: Agent, told: Sequence[Wait] = ()) -> list[Passages]:
+def find_conditions(
+    courses: Sequence[ExecutionVisits], agent: Agent, told: Sequence[Wait] = (), barred: Collection[Event] = ()
+) -> list[Passages]:
     """Return the passages of an agent's gates with the conditions that were found, or told.
+
+    Args:
+        courses: The executions.
+        agent: Whose gates.
+        told: By the cell file.
+        barred: Events that the agent does not wait for.
 
     Raises:
         UnknownName: The cell file tells of a place or event that the logs do not show.
@@ -164,8 +180,10 @@ def find_conditions(courses: Sequence[ExecutionVisits], agent: Agent, told: Sequ
         if not wait.never:
             condition = _told(times, chosen, wait)
             _attach(gates, chosen, condition, since_event(times, chosen, condition))
-    candidates = [Condition(event, back) for event in times if event.agent != agent for back in (0, 1)]
-    allowed = [[one for one in candidates if not _forbidden(told, gate, one)] for gate in gates]
+    allowed = [
+        [one for one in _candidates(times, gate, agent) if one.event not in barred and not _forbidden(told, gate, one)]
+        for gate in gates
+    ]
     open_to = [_best(times, gate, some) for gate, some in zip(gates, allowed, strict=True)]
     while any(open_to):
         number = max((n for n, found in enumerate(open_to) if found), key=lambda n: open_to[n][2])  # type: ignore[index]
@@ -174,6 +192,24 @@ def find_conditions(courses: Sequence[ExecutionVisits], agent: Agent, told: Sequ
         for other in _attach(gates, gates[number], condition, since):
             open_to[other] = _best(times, gates[other], allowed[other]) if len(gates[other].found) < MOST else None
     return gates
+
+
+def _candidates(times: Times, gate: Passages, agent: Agent) -> list[Condition]:
+    """Return what the passages of a gate may wait for; twice as many of one as of the other go in pairs."""
+    found = []
+    passages = np.zeros(len(next(iter(times.values()), ())), np.int64)
+    np.maximum.at(passages, gate.course, gate.nth + 1)
+    for event, at in times.items():
+        if event.agent == agent:
+            continue
+        some, events = passages > 0, np.isfinite(at).sum(axis=1)
+        pairs = [Turns()]
+        if np.mean(passages[some] == 2 * events[some]) >= PAIRED:
+            pairs += [Turns(every=2, first=first) for first in (0, 1)]
+        elif np.mean(events[some] == 2 * passages[some]) >= PAIRED:
+            pairs += [Turns(event_every=2, event_first=first) for first in (0, 1)]
+        found += [Condition(event, back, turns) for turns in pairs for back in (0, 1)]
+    return found
 
 
 def _attach(gates: Sequence[Passages], to: Passages, condition: Condition, since: Vector) -> list[int]:
@@ -263,18 +299,30 @@ def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Fou
         return None
     before = float(gate.causes().log_likelihood.sum())
     taken = {one.event[:2] for (_, one), at in gate.since_s.items() if 2 * np.isfinite(at).sum() > len(at)}
+    free = [one for one in candidates if one.event[:2] not in taken]
+    least = least_gain(min(len(gate.left_s), SEEN)) + np.log(max(len(candidates), 1))
+    always = _best_of(times, gate, free, before, least)
+    rival = 0.0 if always is None else (1.0 + AS_GOOD_PART) * always[2] / gate.step  # one that all need is likelier
+    partly = [one._replace(partly=True) for one in free]
+    return _best_of(times, gate, partly, before, max(rival, LEAST_PART * least)) or always
+
+
+def _best_of(
+    times: Times, gate: Passages, candidates: Sequence[Condition], before: float, least: float
+) -> _Found | None:
+    """Return the best of some conditions that raise the log-likelihood from `before` by at least so much."""
     tried: list[_Found] = []
     for condition in candidates:
         since = since_event(times, gate, condition)
-        if condition.event[:2] in taken or not _holds(gate, condition, since):
+        if not _holds(gate, condition, since):
             continue
+        since = _later(condition, since)
         causes = gate.causes(since)
         if causes.share[-1].sum() * gate.step >= LEAST_DECIDED and not _follows(causes, since[:: gate.step]):
             tried.append((condition, since, float(causes.log_likelihood.sum()) - before))
     tried.sort(key=lambda each: -each[2])
-    least = least_gain(min(len(gate.left_s), SEEN)) + np.log(max(len(candidates), 1))
     good = [each for each in tried if each[2] >= least]
-    if not good or good[0][2] - _by_chance(gate, good[0][1]) + before < least:
+    if not good or good[0][2] - _by_chance(gate, times, good[0][0]) + before < least:
         return None
     as_good = [each for each in good if each[2] >= good[0][2] - max(AS_GOOD, AS_GOOD_PART * good[0][2])]
     found = min(as_good, key=lambda each: _before(*each[:2]))
@@ -298,16 +346,18 @@ def _follows(causes: Causes, since: Vector) -> bool:
 
 def _before(condition: Condition, since: Vector) -> float:
     """Return how far before the departures an event comes, s; the end of a button's pulse counts as later."""
-    if not np.isfinite(since).any():
+    known = since[np.isfinite(since)]
+    if not len(known):
         return float("inf")
-    return abs(float(np.nanquantile(since, 0.1))) + (PULSE_S if "cleared" in str(condition.event) else 0.0)
+    return abs(float(np.quantile(known, 0.1))) + (PULSE_S if "cleared" in str(condition.event) else 0.0)
 
 
 def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
     """Return the time from a condition's event to each passage, shape (N,), s; NaN where none is needed."""
-    at = times[condition.event]
-    number = gate.nth - condition.back
-    there = (number >= 0) & (number < at.shape[1])
+    at, turns = times[condition.event], condition.turns
+    turn, rest = np.divmod(gate.nth, turns.every)
+    number = (turn - condition.back) * turns.event_every + turns.event_first
+    there = (rest == turns.first) & (turn >= condition.back) & (number < at.shape[1])
     return np.asarray(np.where(there, gate.left_s - at[gate.course, np.where(there, number, 0)], np.nan))
 
 
@@ -328,8 +378,15 @@ def _holds(gate: Passages, condition: Condition, since: Vector) -> bool:
     if np.count_nonzero(known) < LEAST_DECIDED:
         return False
     late = since < gate.left_s - gate.own_s  # later than where own work began
-    held = since[known] >= -early_s(condition)
-    return bool(held.mean() >= HELD and np.count_nonzero(late & known) >= LEAST_DECIDED)
+    held = known & (since >= -early_s(condition))
+    share = np.count_nonzero(held) / np.count_nonzero(known)
+    enough = NEEDED <= share < HELD if condition.partly else share >= HELD
+    return bool(enough and np.count_nonzero(late & (held if condition.partly else known)) >= LEAST_DECIDED)
+
+
+def _later(condition: Condition, since: Vector) -> Vector:
+    """Return the time from an event to each passage; -inf where it came later, if not all passages need it."""
+    return np.where(since < -early_s(condition), -np.inf, since) if condition.partly else since
 
 
 def early_s(condition: Condition) -> float:
@@ -338,14 +395,43 @@ def early_s(condition: Condition) -> float:
     return EARLY_LEAVING_S if of_leaving else EARLY_S
 
 
-def _by_chance(gate: Passages, since: Vector) -> float:
+def _by_chance(gate: Passages, times: Times, condition: Condition) -> float:
     """Return the best log-likelihood with the same events in another order among the departures."""
-    rng = np.random.default_rng(0)
+    rng, since = np.random.default_rng(0), since_event(times, gate, condition)
     known = np.flatnonzero(np.isfinite(since))
     ahead = (gate.left_s - gate.own_s) - since  # of the event since own work began
     found = [-np.inf]
     for _ in range(SHUFFLES):
         other = np.full(len(since), np.nan)
         other[known] = (gate.left_s - gate.own_s)[known] - rng.permutation(ahead[known])
-        found.append(float(gate.causes(np.where(other >= -EARLY_S, other, np.nan)).log_likelihood.sum()))
+        other = _later(condition, other) if condition.partly else np.where(other >= -EARLY_S, other, np.nan)
+        found.append(float(gate.causes(other).log_likelihood.sum()))
     return max(found)
+
+
+def in_circles(robot: Sequence[Passages], operator: Sequence[Passages]) -> Iterator[tuple[Agent, Event]]:
+    """Yield of each two conditions by which each agent waits for the other's next step the one that explains less."""
+    for mine in robot:
+        for his in operator:
+            for a in mine.found:
+                for b in his.found:
+                    if _meets(mine, a, his, b):
+                        drop_mine = _gain(mine, a) < _gain(his, b)
+                        yield ("robot", a.event) if drop_mine else ("operator", b.event)
+
+
+def _meets(mine: Passages, a: Condition, his: Passages, b: Condition) -> bool:
+    """Tell whether most of his passages need my passages, which need what he does on or before his."""
+    needed = his.left_s - his.since_s[his.gate, b]
+    at = {key: row for row, key in enumerate(zip(mine.course.tolist(), mine.left_s.round(6).tolist(), strict=True))}
+    rows = [at.get(key, -1) for key in zip(his.course.tolist(), needed.round(6).tolist(), strict=True)]
+    met = np.array(rows) >= 0
+    began = (mine.left_s - mine.since_s[mine.gate, a])[rows]
+    within = met & (began <= his.left_s + EARLY_LEAVING_S) & (began >= his.own_s)
+    return bool(within.sum() > 0.5 * np.isfinite(needed).sum() > 0)
+
+
+def _gain(gate: Passages, condition: Condition) -> float:
+    """Return by how much a condition raises the log-likelihood of a gate's passages."""
+    without = replace(gate, since_s={key: at for key, at in gate.since_s.items() if key != (gate.gate, condition)})
+    return float((gate.causes().log_likelihood - without.causes().log_likelihood).sum()) * gate.step

@@ -49,19 +49,20 @@ def take_apart(since_s: Floats) -> Causes:
     """Return what decided each of N departures, out of C causes.
 
     Args:
-        since_s: From each cause to the departure, shape (C, N), s; NaN = the cause was not there.
+        since_s: From each cause to the departure, shape (C, N), s; NaN = the cause was not there, -inf = it came later
+            than the departure, which did not need it.
     """
-    known = np.isfinite(since_s)
-    since = np.where(known, since_s, 0.0)
-    share = _first_guess(since_s)
+    known, there = np.isfinite(since_s), ~np.isnan(since_s)
+    since, ranked = np.where(known, since_s, 0.0), np.where(there, since_s, 0.0)
+    share = _first_guess(np.where(known, since_s, np.nan))
     kernels: list[tuple[Floats, Floats]] = []
     for number in range(ROUNDS if len(since) > 1 else 1):
-        mass = np.array([reverse_kaplan_meier(*each) for each in zip(since, share, known, strict=True)])
+        mass = np.array([reverse_kaplan_meier(*each) for each in zip(ranked, share, there, strict=True)])
         if number <= SETTLED:
             kernels = [
                 _kernels(t, m, OF_LAG if c else OF_OWN) for c, (t, m) in enumerate(zip(since, mass, strict=True))
             ]
-        parts = [_smooth(m, k, *both) for m, k, both in zip(mass, known, kernels, strict=True)]
+        parts = [_smooth(*each) for each in zip(mass, known, there, kernels, strict=True)]
         cdf = np.array([below for _, below in parts])
         others = [np.prod(np.delete(cdf, c, axis=0), axis=0) for c in range(len(cdf))]
         joint = np.array([pdf for pdf, _ in parts]) * others
@@ -73,7 +74,7 @@ def reverse_kaplan_meier(since_s: Vector, decided: Vector, known: Bools) -> Vect
     """Return the mass of a distribution at each of its times, shape (N,); what lies below all decided ones is missing.
 
     Args:
-        since_s: Times, shape (N,): the time itself where it decided, else longer than it.
+        since_s: Times, shape (N,): the time itself where it decided, else longer than it; -inf = shorter than all.
         decided: Weight with which it decided, 0 to 1, shape (N,).
         known: Whether there is a time, shape (N,).
     """
@@ -87,19 +88,20 @@ def reverse_kaplan_meier(since_s: Vector, decided: Vector, known: Bools) -> Vect
     return mass
 
 
-def quantiles(since_s: Vector, mass: Vector) -> tuple[float, ...]:
+def quantiles(since_s: Vector, mass: Vector, *, shortest: bool = True) -> tuple[float, ...]:
     """Return a distribution by its quantiles at evenly spaced levels, s; one value where it does not vary.
 
     Args:
         since_s: Times, shape (N,).
-        mass: Their mass, shape (N,); what is missing to 1 lies at the shortest of them.
+        mass: Their mass, shape (N,).
+        shortest: What is missing to 1 lies at the shortest of them; else it is no part of the distribution.
     """
     some = mass > 1e-9
     if not some.any():
         return (0.0,)
     order = np.argsort(since_s[some], kind="stable")
     times, parts = since_s[some][order], mass[some][order]
-    parts[0] += max(0.0, 1.0 - parts.sum())
+    parts[0] += max(0.0, 1.0 - parts.sum()) if shortest else 0.0
     middle = (np.cumsum(parts) - 0.5 * parts) / parts.sum()
     values = np.interp(np.linspace(0.0, 1.0, LEVELS), middle, times)
     rounded = tuple(round(float(value), 4) for value in values)
@@ -128,12 +130,13 @@ def _kernels(times: Vector, mass: Vector, irregular: float) -> tuple[Floats, Flo
     return density, below
 
 
-def _smooth(mass: Vector, known: Bools, density: Floats, below: Floats) -> tuple[Vector, Vector]:
+def _smooth(mass: Vector, known: Bools, there: Bools, kernels: tuple[Floats, Floats]) -> tuple[Vector, Vector]:
     """Return density, without its own mass, and distribution function of a cause at each departure, both (N,)."""
-    total = float(mass.sum())
+    (density, below), total = kernels, float(mass.sum())
     pdf = (1.0 - ANY) * total * (density @ mass) / np.maximum(total - mass, 1e-9) + ANY / ANY_S
-    cdf = np.clip(below @ mass + 1.0 - total, 1e-9, 1.0)  # what is missing lies below all times
-    return np.where(known, pdf, 0.0), np.where(known, cdf, 1.0)
+    missing = 1.0 - total  # lies below all times
+    cdf = np.clip(below @ mass + missing, 1e-9, 1.0)
+    return np.where(known, pdf, 0.0), np.where(known, cdf, np.where(there, np.clip(missing, 1e-9, 1.0), 1.0))
 
 
 def _width(times: Vector, mass: Vector) -> float:

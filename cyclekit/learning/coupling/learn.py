@@ -12,17 +12,19 @@ from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, 
 from cyclekit.errors import DatasetError
 from cyclekit.learning.coupling.conditions import (
     KEPT,
+    LEAST_DECIDED,
     Condition,
     Passages,
     early_s,
     find_conditions,
+    in_circles,
     least_gain,
     since_event,
     times_of,
 )
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier, take_apart
 from cyclekit.learning.coupling.sources import find_sources
-from cyclekit.learning.coupling.visits import ExecutionVisits, courses_of
+from cyclekit.learning.coupling.visits import Event, ExecutionVisits, courses_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -77,11 +79,18 @@ def learn_executions(
 
 def learn_courses(courses: Sequence[ExecutionVisits], told: Sequence[Wait] = ()) -> CouplingCard:
     """Return who waits for whom in some executions; a robot's `phase` of a motion is left open."""
+    passages = {agent: find_conditions(courses, agent, told) for agent in AGENTS}
+    barred: dict[Agent, set[Event]] = {agent: set() for agent in AGENTS}
+    while circle := next(in_circles(passages["robot"], passages["operator"]), None):
+        agent, event = circle
+        if event in barred[agent]:  # told by the cell file
+            break
+        barred[agent].add(event)
+        passages[agent] = find_conditions(courses, agent, told, barred[agent])
     found = []
-    for agent in AGENTS:
-        passages = find_conditions(courses, agent, told)
-        usual_s = _usual_work_s(passages)
-        found += [_gate(courses, gate, told, usual_s) for gate in passages]
+    for mine in passages.values():
+        usual_s = _usual_work_s(mine)
+        found += [_gate(courses, gate, told, usual_s) for gate in mine]
     gates = tuple(gate for gate in found if gate is not None)
     return CouplingCard(gates=gates, sources=find_sources(courses, gates), executions=len(courses))
 
@@ -97,14 +106,18 @@ def _gate(courses: Sequence[ExecutionVisits], found: Passages, told: Sequence[Wa
     gate = found.gate
     if gate.at == "approach" and not found.found:
         return None
+    by_file = any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in told)
     own_s, cards = _parts(courses, found, usual_s)
+    cards = [card for card in cards if by_file or card.decided >= LEAST_DECIDED]  # beside the others it says nothing
+    if gate.at == "approach" and not cards:
+        return None
     return GateCard(
         agent=gate.agent,
         at=gate.at,
         place=gate.place,
         own_s=own_s if gate.at == "leave" else (0.0,),
         conditions=tuple(cards),
-        told=any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in told),
+        told=by_file,
         passages=len(found.left_s),
     )
 
@@ -132,17 +145,20 @@ def _parts(
         if gate != found.gate:
             continue
         seen = since[row] if condition.event.signal is None else _from_leaving(courses, found, condition)[::step]
+        seen = np.where(np.isneginf(since[row]), -np.inf, seen)
         every = found.since_s[gate, condition]
-        known = np.isfinite(every)
-        event = condition.event
+        there, event = ~np.isnan(every), condition.event
+        mass = reverse_kaplan_meier(seen, (decided == row) * 1.0, ~np.isnan(seen))
         cards.append(
             ConditionCard(
                 agent=event.agent,  # type: ignore[arg-type]  # of these three
                 place=event.place,
                 event=event.event,  # type: ignore[arg-type]  # of these four
                 back=condition.back,
-                lag_s=_distribution(seen, decided == row),
-                held=float((every[known] >= -early_s(condition)).mean()),
+                turns=condition.turns,
+                needed=min(1.0, round(float(mass.sum()), 4)) if condition.partly else 1.0,
+                lag_s=quantiles(seen, mass, shortest=not condition.partly),
+                held=float((every[there] >= -early_s(condition)).mean()),
                 decided=int((decided == row).sum()) * step,
                 signal=event.signal,
             )
@@ -162,7 +178,7 @@ def _decided(since_s: Floats) -> Ints:
 
 def _from_leaving(courses: Sequence[ExecutionVisits], found: Passages, condition: Condition) -> Vector:
     """Return the time from when the agent that gives a signal left its place, which is what a plan knows."""
-    return since_event(times_of(courses), found, Condition(condition.event._replace(signal=None), condition.back))
+    return since_event(times_of(courses), found, condition._replace(event=condition.event._replace(signal=None)))
 
 
 def _distribution(since_s: Vector, decided: Floats) -> tuple[float, ...]:

@@ -101,9 +101,10 @@ def _opened(course: ExecutionVisits, condition: ConditionCard, nth: int, left_s:
     """Return when a condition let a passage go on, None where it did not decide."""
     event = Event(condition.agent, condition.place, condition.event)
     at = course.events.get(event, np.empty(0))
-    if not 0 <= nth - condition.back < len(at):
+    number = condition.turns.event(nth, condition.back)
+    if number is None or number >= len(at):
         return None
-    since = left_s - float(at[nth - condition.back])
+    since = left_s - float(at[number])
     decided = condition.lag_s[0] - ABOUT_S <= since <= condition.lag_s[-1] + ABOUT_S
     return left_s - since + float(np.median(condition.lag_s)) if decided else None
 

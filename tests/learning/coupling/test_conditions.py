@@ -35,16 +35,20 @@ def _walk(rng: np.random.Generator, places: list[str], dwell_s: tuple[float, flo
     return found
 
 
-def _coupled(rng: np.random.Generator, name: str) -> ExecutionVisits:
-    """Return one in which the robot brings parts to a fixture; the operator mounts each and lets the robot in again."""
+def _coupled(rng: np.random.Generator, name: str, share: float = 1.0) -> ExecutionVisits:
+    """Return one in which the robot brings parts to a fixture; the operator mounts each and lets the robot in again.
+
+    Only with a `share` of the parts they wait for each other.
+    """
     robot, operator, pressed = [PlaceVisit("home", 0.0, 0.0)], [PlaceVisit("bench", 0.0, np.nan)], [-np.inf]
     free_s = 0.0
     for _ in range(3):
         at = robot[-1].left_s + rng.uniform(3.0, 14.0)
-        reached, went_on = at, max(at, pressed[-1] + rng.uniform(0.1, 0.2))
+        waits = share == 1.0 or rng.random() < share
+        reached, went_on = at, max(at, pressed[-1] + rng.uniform(0.1, 0.2)) if waits else at
         robot.append(PlaceVisit("fixture", went_on + 1.0, went_on + 2.2, reached, went_on))
         ready = free_s + rng.uniform(1.0, 12.0)
-        left = max(ready, robot[-1].left_s + rng.uniform(0.3, 0.8))
+        left = max(ready, robot[-1].left_s + rng.uniform(0.3, 0.8)) if waits else ready
         operator[-1] = operator[-1]._replace(left_s=left)
         pressed.append(left + 2.0 + rng.uniform(5.0, 7.0))
         gone = pressed[-1] + rng.uniform(0.1, 0.4)
@@ -69,6 +73,66 @@ def _handed_over(rng: np.random.Generator, name: str) -> ExecutionVisits:
     robot.append(PlaceVisit("home", at + 2.0, np.nan))
     visits: dict[Agent, list[PlaceVisit]] = {"robot": robot, "operator": operator}
     return ExecutionVisits(name, visits, events_of(visits))
+
+
+def _taken_again(rng: np.random.Generator, name: str) -> ExecutionVisits:
+    """Return one in which the robot brings each part, waits short of the fixture, and takes it when it is mounted."""
+    robot, operator, at, free_s = [PlaceVisit("home", 0.0, 0.0)], [PlaceVisit("bench", 0.0, np.nan)], 0.0, 0.0
+    for _ in range(3):
+        came = at + rng.uniform(3.0, 9.0)
+        robot.append(PlaceVisit("fixture", came, came + 1.0))
+        left = max(free_s + rng.uniform(1.0, 9.0), came + 1.0 + rng.uniform(0.3, 0.8))
+        operator[-1] = operator[-1]._replace(left_s=left)
+        gone = left + 1.5 + rng.uniform(4.0, 6.0)
+        went_on = gone + rng.uniform(0.1, 0.2)
+        robot.append(PlaceVisit("fixture", went_on + 0.8, went_on + 1.6, came + 2.0, went_on))
+        at, free_s = went_on + 1.6, gone + 2.0
+        operator += [PlaceVisit("fixture", left + 1.5, gone), PlaceVisit("bench", free_s, np.nan)]
+    visits: dict[Agent, list[PlaceVisit]] = {
+        "robot": [*robot, PlaceVisit("home", at + 2.0, np.nan)],
+        "operator": operator,
+    }
+    return ExecutionVisits(name, visits, events_of(visits))
+
+
+def test_a_robot_that_takes_again_what_it_brought_waits_at_every_second_visit() -> None:
+    rng = np.random.default_rng(8)
+    card = learn_courses([_taken_again(rng, str(number)) for number in range(30)])
+    found = {(gate.agent, gate.place): gate.conditions for gate in card.gates if gate.conditions}
+    assert set(found) == {("robot", "fixture"), ("operator", "fixture")}
+    (robot,), (operator,) = found["robot", "fixture"], found["operator", "fixture"]
+    assert (robot.agent, robot.place, robot.event) == ("operator", "fixture", "leaves")
+    assert [robot.turns.event(passage, robot.back) for passage in range(6)] == [None, 0, None, 1, None, 2]
+    assert (operator.agent, operator.place, operator.event) == ("robot", "fixture", "leaves")
+    assert [operator.turns.event(passage, operator.back) for passage in range(3)] == [0, 2, 4]
+
+
+@pytest.mark.parametrize("seed", [11, 13])
+def test_where_only_half_of_the_passages_wait_it_is_said_how_many(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    card = learn_courses([_coupled(rng, str(number), 0.5) for number in range(60)])
+    found = {(gate.agent, gate.at, gate.place): gate.conditions for gate in card.gates if gate.conditions}
+    assert set(found) == {("robot", "approach", "fixture"), ("operator", "approach", "fixture")}
+    for (condition,), lag_s in zip(found.values(), (-0.1, 0.55), strict=True):
+        assert condition.needed == pytest.approx(0.5, abs=0.15)
+        assert condition.held < 0.98
+        assert np.median(condition.lag_s) == pytest.approx(lag_s, abs=0.1)
+
+
+def test_who_leaves_just_after_the_robot_that_waited_for_him_does_not_wait_for_it() -> None:
+    rng = np.random.default_rng(9)
+    courses = []
+    for number in range(30):
+        visits = {agent: list(some) for agent, some in _handed_over(rng, str(number)).visits.items()}
+        robot = [visit.left_s for visit in visits["robot"] if visit.place == "handover"]
+        gone = [visit for visit in visits["operator"] if visit.place == "handover"]
+        for visit, left_s in zip(gone, robot, strict=True):
+            visits["operator"][visits["operator"].index(visit)] = visit._replace(left_s=left_s + rng.uniform(0.0, 0.3))
+        courses.append(ExecutionVisits(str(number), visits, events_of(visits)))
+    card = learn_courses(courses)
+    found = {(gate.agent, one.agent, one.event, one.place) for gate in card.gates for one in gate.conditions}
+    assert ("robot", "operator", "leaves", "handover") in found
+    assert ("operator", "robot", "leaves", "handover") not in found
 
 
 def test_own_work_where_the_robot_always_waits_is_that_of_its_other_places() -> None:

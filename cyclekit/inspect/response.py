@@ -29,7 +29,7 @@ class ResponseFacts:
     @property
     def few_rows(self) -> bool:
         """Whether a rate is read from the share of rows between levels, as single ramps have too few rows."""
-        return self.rows is not None and self.rows < RAMP_ROWS
+        return self.rows is not None and self.rows < RAMP_ROWS + 1
 
     def to_dict(self) -> dict[str, float | None]:
         """Return plain JSON values."""

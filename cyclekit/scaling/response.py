@@ -24,14 +24,20 @@ if TYPE_CHECKING:
     from cyclekit.schema import Points, Vector
 
 
-RAMP_ROWS = 3
-"""A way of fewer rows between its levels has no slope; how many there are on average tells the rate."""
+RAMP_ROWS = 1
+"""A way of so many rows between its levels or fewer has no slope; how many there are on average tells the rate."""
 JUMP_ROWS = 0.1
 """With fewer rows between two levels on average the scaling jumps."""
 LEAST_RAMPS = 5
 """Fewer ramps do not tell a rate."""
 _WHOLE = 0.85
 """Changes from row to row of so much of a step are limited by the step and not by the rate."""
+_AGREE = 0.3
+"""Slopes of a few ramps are right where the number of rows in all ramps tells the same rate, to this part of it."""
+LEAST_SEEN = 20
+"""Fewer rows between levels do not tell by how much the scaling changes at once."""
+_ALIKE = 2e-4
+"""Scalings that differ by no more are the same, as logged."""
 SHORT_S = 1.0
 """Ways without a slope are no longer."""
 MOST = 20_000
@@ -49,6 +55,8 @@ class LevelChange(NamedTuple):
         change: By how much it changed where that was seen.
         way_s: How long it was between two levels, as its rows tell; None where it did not lead from one to another.
         most_per_s: Its fastest change from one row to the next, where it has rows.
+        near: So near to either level the scaling is on it.
+        gone: How far from the level that it left each of its rows is, where they are too few for a rate.
     """
 
     t_s: float
@@ -58,6 +66,8 @@ class LevelChange(NamedTuple):
     change: float = 0.0
     way_s: float | None = None
     most_per_s: float | None = None
+    near: float = 0.0
+    gone: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -102,10 +112,17 @@ def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[Le
         rises: _usual([slope for way, slope in zip(ways, slopes, strict=True) if way.rises is rises and slope[0]])
         for rises in (False, True)
     }
-    return [
-        _change(way, slope, t_s, scaling, steps, usual[way.rises], near)
-        for way, slope in zip(ways, slopes, strict=True)
-    ]
+
+    def found() -> list[LevelChange]:
+        return [
+            _change(way, slope, t_s, scaling, steps, usual[way.rises], near)
+            for way, slope in zip(ways, slopes, strict=True)
+        ]
+
+    if None in usual.values():  # ramps of few rows: how many tells the rate, and so when each began
+        first = found()
+        usual = {rises: rate_of([one for one in first if one.rises is rises]) for rises in usual}
+    return found()
 
 
 def _slope(way: Way, t_s: Vector, scaling: Vector) -> tuple[float | None, float]:
@@ -137,8 +154,9 @@ def _change(
     row_s = np.diff(t_s[rows])
     most = float(np.abs(np.diff(scaling[rows]) / row_s).max()) if way.last >= way.first else None
     whole = abs(float(levels[way.after] - levels[way.before])) - 2 * near  # within that it is on a level
+    gone = tuple(np.abs(scaling[way.first : way.last + 1] - levels[way.before]).tolist()) if rate is None else ()
     return LevelChange(
-        begin_s, step, way.rises, rate, whole, (way.last - way.first + 1) * float(np.median(row_s)), most
+        begin_s, step, way.rises, rate, whole, (way.last - way.first + 1) * float(np.median(row_s)), most, near, gone
     )  # fmt: skip
 
 
@@ -166,24 +184,49 @@ def _weighted_median(values: Vector, weight: Vector) -> float:
 def rate_of(changes: Sequence[LevelChange]) -> float | None:
     """Return the rate of the ramps of one direction; None where they are too few, or the scaling jumps.
 
-    Slopes tell it where ramps have rows enough; else the time that all of them spend between levels: the mean number
-    of rows is right even where a single ramp has one or none. Where the log is written by the safety system's own
-    cycle that number is too low, and the fastest change from row to row is the rate.
+    Slopes tell it where ramps have rows enough, or some have and agree with the rest; else the time that all of them
+    spend between levels: the mean number of rows is right even where a single ramp has one or none. Where the log is
+    written by the safety system's own cycle that number is too low, and the fastest change from row to row is the rate.
     """
     whole = [change for change in changes if change.way_s is not None]
     sloped = [(change.rate_per_s, change.change) for change in changes if change.rate_per_s is not None]
     short = [change for change in whole if change.rate_per_s is None and (change.way_s or 0.0) <= SHORT_S]
+    slope = _usual(sloped)
     if sum(weight for _, weight in sloped) > 0.5 * sum(change.change for change in short):
-        return _usual(sloped)
+        return slope
     spent_s = sum(change.way_s or 0.0 for change in short)
     fastest = [change.most_per_s for change in short if change.most_per_s is not None]
     if len(fastest) < max(LEAST_RAMPS, JUMP_ROWS * len(short)):
         return None
-    mean = sum(change.change for change in short) / spent_s
+    stride = _stride(np.sort([gone for change in short for gone in change.gone]))
+    mean = sum(_off_levels(change, stride) for change in short) / spent_s
+    if slope is not None and abs(slope / mean - 1.0) <= _AGREE:
+        return slope
     row_s = float(np.median([change.way_s for change in short if change.most_per_s is not None]))
     most = float(np.quantile(fastest, 0.95))
     limited = most * row_s > _WHOLE * float(np.median([change.change for change in short]))
     return mean if limited else min(mean, most)
+
+
+def _stride(gone: Vector) -> float | None:
+    """Return by how much the scaling changes at once on its way, of distances from the level left, ascending.
+
+    A controller changes it once in each of its cycles, so that few values occur; None where nothing shows that.
+    """
+    if len(gone) < LEAST_SEEN:
+        return None
+    apart = np.diff(gone, prepend=0.0)
+    stride = float(apart[apart > _ALIKE].min(initial=np.inf))
+    return stride if np.abs(gone - stride * np.rint(gone / stride)).max() <= _ALIKE else None
+
+
+def _off_levels(change: LevelChange, stride: float | None) -> float:
+    """Return which part of a change between two levels is seen off them: with a stride, of the values that occur."""
+    if stride is None:
+        return change.change
+    whole = change.change + 2 * change.near
+    gone = stride * np.arange(1, np.ceil(whole / stride - 1e-6))
+    return stride * int(np.count_nonzero((gone > change.near) & (gone < whole - change.near)))
 
 
 @dataclass(frozen=True)

@@ -173,3 +173,31 @@ def test_the_override_of_a_research_cell_has_three_levels_and_two_rates():
     changes = [change for part_s, part in parts for change in changes_of(part_s, part, found.levels.tolist())]
     down, up = (rate_of([change for change in changes if change.rises is rises]) for rises in (False, True))
     assert (down, up) == pytest.approx((1.0, 0.1), rel=0.01)
+
+
+def stepped(up: float, down: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return times and scaling of a controller of 8 ms cycles, logged at 10 Hz, and when it began to change."""
+    begins = np.arange(1, 500) * 1.508  # at every phase of the rows as often
+    cycles = np.arange(0.0, begins[-1] + 1.0, 0.008)
+    wanted = np.where(np.searchsorted(begins, cycles, side="right") % 2 == 0, 0.75, 0.5)
+    scaling, now = np.empty(len(cycles)), 0.75
+    for row, goal in enumerate(wanted.tolist()):
+        now = min(goal, now + 0.008 * up) if goal > now else max(goal, now - 0.008 * down)
+        scaling[row] = now
+    rows = np.unique(np.searchsorted(cycles, np.arange(0.0, cycles[-1], 0.1)))
+    return cycles[rows], scaling[rows], begins
+
+
+def test_a_ramp_shorter_than_a_row_is_read_without_the_step_of_its_controller() -> None:
+    t_s, scaling, _ = stepped(up=5.0)
+    rise = rate_of([one for one in changes_of(t_s, scaling, (0.5, 0.75, 1.0)) if one.rises])
+    assert rise == pytest.approx(5.0, rel=0.05)
+
+
+def test_two_rows_in_a_ramp_tell_its_rate_and_one_row_when_it_began() -> None:
+    t_s, scaling, begins = stepped(up=1.0)
+    changes = changes_of(t_s, scaling, (0.5, 0.75, 1.0))
+    for rises in (False, True):
+        mine = [one for one in changes if one.rises is rises]
+        assert rate_of(mine) == pytest.approx(1.0, rel=0.01)
+        assert np.median([np.abs(begins - one.t_s).min() for one in mine]) < 0.01

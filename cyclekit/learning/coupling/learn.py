@@ -138,8 +138,8 @@ def _parts(
         own_s = _distribution(since[0], decided == 0)
     else:
         shortest_s, low, middle = np.quantile(since[0], (0.0, 0.1, 0.3)).tolist()
-        usual_s = low if middle - low <= TIE_S else usual_s
-        own_s = (round(min(usual_s, shortest_s) if np.isfinite(usual_s) else 0.5 * shortest_s, 4),)
+        other_s = min(usual_s, shortest_s) if np.isfinite(usual_s) else 0.5 * shortest_s
+        own_s = (round(low if middle - low <= TIE_S else other_s, 4),)
     cards = []
     for row, (gate, condition) in enumerate(found.since_s, 1):
         if gate != found.gate:

@@ -76,6 +76,8 @@ class _LeftOut:
         """Return the value of a parameter; None where the project has none, or no anchor was taken from it."""
         if anchors is not None and not anchors & set(self.taken):
             return None
+        if name == "baseline" and "sequences" not in self.taken:  # it is one of the project's own sequences
+            return None
         if self._project is None:
             from cyclekit.config.project import load_project
 

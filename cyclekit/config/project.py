@@ -118,7 +118,7 @@ _EXAMPLES = {
     "cell": "cell.toml",
     "jobs": "jobs.toml",
     "takt": "105s",
-    "baseline": "A",
+    "baseline": "left table first",
     "template": "look",
 }
 

@@ -120,6 +120,19 @@ def test_a_project_file_reads_back(logs: list[str], name: str, tmp_path_factory:
     assert [Path(each).name for each in back.logs] == [Path(one_line(each)).name for each in logs]
 
 
+def test_a_baseline_of_the_project_counts_for_its_own_sequences(begun: Path, sequences: Path, cyclekit: Shell) -> None:
+    (own,) = load_sequences(begun / "sequences.toml")
+    file = begun / "cyclekit.toml"
+    text = file.read_text("utf-8").replace('# baseline = "left table first"', f'baseline = "{own.name}"')
+    file.write_text(text, encoding="utf-8")
+    typed = cyclekit("estimate", "--no-check", "--extrapolate")
+    assert typed.code == 0, typed.err
+    assert f"baseline = {own.name}" in typed.err
+    other = cyclekit("estimate", sequences, "--no-check", "--extrapolate")
+    assert other.code == 0, other.err
+    assert "baseline" not in other.err
+
+
 def test_commands_find_in_the_project_what_was_left_out_and_what_is_typed_wins(
     begun: Path, sequences: Path, cyclekit: Shell
 ) -> None:

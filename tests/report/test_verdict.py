@@ -49,13 +49,13 @@ def document(dataset, tmp_path, **given):
 
 def test_today_is_the_logged_cycle_and_the_order_and_change_stand_beside_it(logged, tmp_path):
     order = estimate("order found", 25.0, places=TURNED)
-    change = Tried("smaller zone", "order found", 20.0, 19.5, 20.5, (5.0, 4.0, 6.0), places=TURNED)
+    change = Tried("smaller zone", "order found", 20.0, 19.5, 20.5, (5.0, 4.0, 6.0), places=TURNED, within=(1, 0.7, 1))
     given = {"estimates": [estimate("as now", 31.0, places=ROUTE), order], "what_if": [change], "planned": PLANNED}
     found = document(logged, tmp_path, takt_s=30.5, **given)
     said = (
         "Today 31.0 s, 50 % of cycles within the takt of 30.5 s (95 % CI 15 to 85 %). "
         "The order found takes 25.0 s, saving 6.0 s (−19 %), 100 % of cycles within the takt (95 % CI 44 to 100 %); "
-        "with “smaller zone” 20.0 s, saving 11.0 s (−35 %)."
+        "with “smaller zone” 20.0 s, saving 11.0 s (−35 %), 100 % of cycles within the takt (95 % CI 70 to 100 %)."
     )
     assert found["answer"] == said
     assert found["verdict"]["text"] == said
@@ -66,6 +66,7 @@ def test_today_is_the_logged_cycle_and_the_order_and_change_stand_beside_it(logg
     assert (best["sequence"], best["expected_s"], best["order"]) == (None, 25.0, list(TURNED))
     assert best["saves_s"] == pytest.approx(6.0)
     assert (found["verdict"]["change"]["expected_s"], found["verdict"]["change"]["saves_s"]) == (20.0, 11.0)
+    assert found["verdict"]["change"]["within"] == [1, 0.7, 1]
     (basis, *_) = found["sentences"]["answer"]
     assert basis.startswith("Today: mean 31.0 s (95 % CI ")
     assert basis.endswith("of the 4 logged executions of the order run most; 2 of them (50 %) miss the takt of 30.5 s.")

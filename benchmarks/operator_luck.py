@@ -1,4 +1,4 @@
-"""How near any estimate can come that knows only the logged operators: their luck alone, many sets of them.
+"""The luck of the logged operators alone: how far means beside them are off, by how their tracks are entered.
 
     python benchmarks/operator_luck.py --operators 1200 --executions 20 60 --work FOLDER
 

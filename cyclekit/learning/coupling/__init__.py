@@ -1,5 +1,5 @@
 """Who waits for whom: conditions of the departures of robot and operator, learned from their visits and signals.
 
-`visits` has when each agent came and went, and the signals; `conditions` finds what the departures wait for; `lags`
-tells own work from waiting in max(own work, event + lag); `learn` makes the card.
+`visits` has when each agent came and went, and the signals; `passages` has the departures, gate by gate; `conditions`
+finds what they wait for; `lags` tells own work from waiting in max(own work, event + lag); `learn` makes the card.
 """

@@ -13,8 +13,6 @@ from cyclekit.errors import DatasetError
 from cyclekit.learning.coupling.conditions import (
     KEPT,
     LEAST_DECIDED,
-    Condition,
-    Passages,
     early_s,
     find_conditions,
     in_circles,
@@ -23,6 +21,7 @@ from cyclekit.learning.coupling.conditions import (
     times_of,
 )
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier, take_apart
+from cyclekit.learning.coupling.passages import Condition, Passages
 from cyclekit.learning.coupling.sources import find_sources
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits, courses_of
 

@@ -1,0 +1,123 @@
+"""Gates of an agent, and their logged passages: since when it was free to go, when it went, what it came after."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from cyclekit.dataset.cards.coupling import Turns
+from cyclekit.learning.coupling.lags import Causes, take_apart
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from cyclekit.dataset.cards.coupling import Agent
+    from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit
+    from cyclekit.schema import Ints, Vector
+
+SEEN = 120
+"""Departures by which conditions are compared."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Where an agent may have to wait, as in `GateCard`; `short` of the place, or where it starts from."""
+
+    agent: Agent
+    at: Literal["leave", "approach"]
+    place: str
+    short: bool = False
+
+
+class Condition(NamedTuple):
+    """An event, and the how-many-th of them a passage needs (`ConditionCard`); `partly`: not all passages need it."""
+
+    event: Event
+    back: int
+    turns: Turns = Turns()
+    partly: bool = False
+
+
+@dataclass
+class Passages:
+    """All logged passages of one gate.
+
+    Attributes:
+        gate: Which.
+        rows: Of each: its number among all departures of the agent, shape (N,).
+        course, nth: Of each: number of the execution, and how many passages of the gate came before it there, (N,).
+        own_s, left_s: Since when nothing of its own kept the agent, or it came there, and when it went on, (N,).
+        since_s: From the event of each condition that was found to going on, shape (N,); NaN = none was needed, -inf =
+            it came later.
+    """
+
+    gate: Gate
+    rows: Ints
+    course: Ints
+    nth: Ints
+    own_s: Vector
+    left_s: Vector
+    since_s: dict[tuple[Gate, Condition], Vector] = field(default_factory=dict)
+
+    @property
+    def found(self) -> list[Condition]:
+        """Conditions of this gate."""
+        return [condition for gate, condition in self.since_s if gate == self.gate]
+
+    @property
+    def step(self) -> int:
+        """Every how-many-th passage serves to compare conditions."""
+        return -(-len(self.left_s) // SEEN)
+
+    def causes(self, more: Vector | None = None) -> Causes:
+        """Return what decided each passage (of SEEN of them), own work first, then conditions as in `since_s`."""
+        columns = [self.left_s - self.own_s, *self.since_s.values(), *([] if more is None else [more])]
+        return take_apart(np.array([column[:: self.step] for column in columns]))
+
+
+def passages_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Passages]:
+    """Return the passages of every gate that an agent may have; own work of different places is made comparable."""
+    rows: dict[Gate, list[tuple[int, int, int, float, float]]] = {}
+    number = 0
+    for index, course in enumerate(courses):
+        counts: dict[Gate, int] = {}
+        visits = course.visits[agent]
+        for before, after in zip([None, *visits], [*visits, None], strict=True):
+            for gate, own_s, left_s in _passed(agent, before, after):
+                nth = counts.get(gate, 0)
+                counts[gate] = nth + 1
+                began = agent == "robot" and not gate.short and left_s <= own_s  # it stood there at the start
+                if np.isfinite(own_s) and np.isfinite(left_s) and not began:
+                    rows.setdefault(gate, []).append((number, index, nth, own_s, left_s))
+            number += 1
+    found = [_passages(gate, some) for gate, some in rows.items()]
+    return _comparable(found)
+
+
+def _passed(agent: Agent, before: PlaceVisit | None, after: PlaceVisit | None) -> Iterator[tuple[Gate, float, float]]:
+    if after is not None:
+        yield Gate(agent, "approach", after.place, short=True), after.reached_s, after.went_on_s
+    if before is not None and after is not None:  # where nobody knows whither, another gate may have decided
+        yield Gate(agent, "leave", before.place), before.arrived_s, before.left_s
+        yield Gate(agent, "approach", after.place), before.arrived_s, before.left_s
+
+
+def _passages(gate: Gate, some: list[tuple[int, int, int, float, float]]) -> Passages:
+    rows, course, nth = np.array([each[:3] for each in some], np.int64).T
+    own_s, left_s = np.array([each[3:] for each in some]).T
+    return Passages(gate, rows, course, nth, own_s, left_s)
+
+
+def _comparable(found: list[Passages]) -> list[Passages]:
+    """Return the passages; those on leaving different places for one count own work from its usual end at each."""
+    usual = np.full(1 + max((int(each.rows.max()) for each in found), default=0), 0.0)
+    for each in found:
+        if each.gate.at == "leave":
+            usual[each.rows] = np.quantile(each.left_s - each.own_s, 0.1)
+    for each in found:
+        if each.gate.at == "approach" and not each.gate.short:
+            each.own_s = each.own_s + usual[each.rows]
+    short = {each.gate.place for each in found if each.gate.short}
+    return [each for each in found if each.gate.short or each.gate.at == "leave" or each.gate.place not in short]

@@ -113,9 +113,10 @@ def what_to_log(dataset: Dataset, sequences: Sequence[TaskSequence] = (), *, wit
     )
     if not counts:
         raise DatasetError(f"{dataset.place}: no robot task in it", cure="Log executions that drive to places.")
-    asked = dict.fromkeys(task for one in sequences for task in one.tasks if not one.plan) or dict.fromkeys(counts)
+    of_places = [one for one in sequences if one.tasks and not one.plan]
+    asked = dict.fromkeys(task for one in of_places for task in one.tasks) or dict.fromkeys(counts)
     lacking = {task: counts.get(task, 0) for task in asked if counts.get(task, 0) < ENOUGH}
-    orders = _of_sequences(sequences, lacking) if sequences else _one_tour(dataset, counts, lacking)
+    orders = _of_sequences(of_places, lacking) if of_places else _one_tour(dataset, counts, lacking)
     executions, half = _half_width(dataset)
     wanted = 0 if half is None else math.ceil(executions * (half / within) ** 2) - executions
     more = max(wanted, sum(one.executions for one in orders))

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit import plan_recordings
-from cyclekit.config.sequences import TaskSequence
+from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.errors import ConfigError, CyclekitError
 from cyclekit.estimate.what_to_log import ENOUGH, _of_sequences, _one_tour
 
@@ -39,6 +39,13 @@ def test_missing_and_rare_tasks_of_a_sequence_are_named_with_the_order_that_hold
     assert (order.name, order.places, order.executions) == ("new", ("conveyor", "left", "right"), ENOUGH)
     assert any("left->right" in line for line in plan.lines)
     assert plan.to_frame().height == 1
+
+
+def test_a_plan_for_both_agents_asks_for_the_logged_tasks(logged: Dataset) -> None:
+    tasks = [PlannedTask("robot", place) for place in ("left", "conveyor")]
+    plan = plan_recordings(logged, TaskSequence.of_plan("both", [*tasks, PlannedTask("operator", "desk")]))
+    assert plan.lines == plan_recordings(logged).lines
+    assert plan.rare
 
 
 def test_half_the_interval_takes_four_times_the_executions(logged: Dataset) -> None:

@@ -165,6 +165,7 @@ const start = async () => {
   await unpack();
   prepare();
   section.hidden = false;
+  document.getElementById("to-play")?.removeAttribute("hidden"); // a template of one's own may lack it
   state.asked = AS_LOGGED();
   const select = part("sequence");
   select.append(...facts.sequences.map((each, index) => new Option(each.name, String(index))));

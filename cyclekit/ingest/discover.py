@@ -183,6 +183,8 @@ def find_all(
     if not logs:
         cure = "Give files, or a folder that holds logs; `cyclekit adapters` lists what can be read."
         cause = f"holds no log that can be read ({_some(not_read)})" if not_read else "holds no file"
+        if not not_read and roots[0].suffix == ".toml" and roots[0].is_file():
+            cause, cure = "is a cell file, and no log", f"Give the folder of logs, and --cell {roots[0]}."
         raise unknown if unknown and len(not_read) == 1 else LogError(roots[0], cause, cure=cure)
     return list(logs.values()), not_read
 

@@ -107,6 +107,13 @@ def test_a_log_of_a_header_alone_leaves_no_trace(three_runs: Path, tmp_path: Pat
     assert not (tmp_path / "dataset" / "recordings" / "header").exists()
 
 
+def test_a_cell_file_in_place_of_logs_is_named_as_one(tmp_path):
+    (tmp_path / "cell.toml").write_text("", "utf-8")
+    with pytest.raises(LogError, match="is a cell file, and no log") as caught:
+        ingest([tmp_path / "cell.toml"], tmp_path / "dataset")
+    assert "--cell" in str(caught.value.cure)
+
+
 def test_an_empty_folder_is_refused(tmp_path: Path):
     (tmp_path / "logs").mkdir()
     with pytest.raises(LogError, match="holds no file"):

@@ -21,7 +21,6 @@ from cyclekit import (
     write_report,
 )
 from cyclekit.config.sequences import PlannedTask
-from cyclekit.dataset.cards.task_model import PaceCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, DatasetError, EstimateError, ModelError
 from cyclekit.estimate.gantt import blocks_of
@@ -31,7 +30,6 @@ from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.task_times.learn import learn_runs, learn_task_times
-from cyclekit.learning.task_times.pace import pace_drift
 from cyclekit.learning.task_times.rates import fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import DoneTask, Run
@@ -268,29 +266,6 @@ def test_a_task_that_takes_longer_each_time_in_an_execution_is_learned_so(tmp_pa
     took = (rolled.end_s - rolled.start_s).mean(axis=0)
     assert took[1] / took[0] == pytest.approx(1.2, abs=0.05)
     assert took[2] / took[0] == pytest.approx(1.4, abs=0.07)
-
-
-@given(st.floats(-0.4, 0.4), st.sampled_from(["linear", "learning"]), st.integers(0, 10_000))
-def test_a_drift_of_the_pace_is_found_where_there_is_one(change: float, law: str, seed: int) -> None:
-    true = PaceCard(law=law, change=change, first=0, last=79)  # type: ignore[arg-type]
-    number = np.repeat(np.arange(80), 5)
-    log_work = change * true.passed(number) + 0.05 * np.random.default_rng(seed).standard_normal(len(number))
-    found = pace_drift(number, log_work - log_work.mean())
-    if abs(change) > 0.1:
-        assert found is not None
-        assert found.factor(0) == pytest.approx(np.exp(-change), rel=0.12)
-    if found is not None:
-        assert abs(found.change - change) < 0.1
-
-
-def test_no_drift_is_found_where_executions_near_each_other_are_alike() -> None:
-    found = 0
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        number = np.repeat(np.arange(100), 5)
-        log_work = np.repeat(0.1 * rng.standard_normal(10), 50) + 0.1 * rng.standard_normal(500)
-        found += pace_drift(number, log_work) is not None
-    assert found <= 3
 
 
 @pytest.mark.slow

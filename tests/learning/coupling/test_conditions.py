@@ -226,16 +226,18 @@ def test_agents_that_do_not_see_each_other_wait_for_nothing(seed: int) -> None:
     assert {gate.agent for gate in card.gates} == {"robot", "operator"}  # they have gates of their own work
 
 
+def _told(course: ExecutionVisits, index: int, visit: PlaceVisit) -> dict[str, object]:
+    """Return what the table of tasks has of a task that ends with a visit of the robot."""
+    times = {"arrival_s": visit.arrived_s, "end_s": visit.left_s}
+    return {"execution": course.name, "index": index, "agent": "robot", **times}
+
+
 def test_a_wait_at_a_place_is_all_of_the_standstill_but_the_own_work() -> None:
     rng = np.random.default_rng(7)
     courses = [_handed_over(rng, str(number)) for number in range(20)]
     rows = [
         {
-            "execution": course.name,
-            "index": index,
-            "agent": "robot",
-            "arrival_s": after.arrived_s,
-            "end_s": after.left_s,
+            **_told(course, index, after),
             "dwell_s": after.left_s - after.arrived_s,
         }
         for course in courses
@@ -278,11 +280,7 @@ def test_a_wait_after_a_pause_on_the_way_keeps_its_seconds() -> None:
     courses = [_supplied(rng, str(number)) for number in range(20)]
     rows = [
         {
-            "execution": course.name,
-            "index": index,
-            "agent": "robot",
-            "arrival_s": after.arrived_s,
-            "end_s": after.left_s,
+            **_told(course, index, after),
             "dwell_s": 0.89,
             "wait_s": after.left_s - after.arrived_s - 0.89 + 10.0,
             "lost_wait_s": after.left_s - after.arrived_s - 0.89,

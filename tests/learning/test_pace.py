@@ -1,0 +1,34 @@
+"""Drift of an agent's pace over the executions: found where there is one, and only there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cyclekit.dataset.cards.task_model import PaceCard
+from cyclekit.learning.task_times.pace import pace_drift
+
+
+@given(st.floats(-0.4, 0.4), st.sampled_from(["linear", "learning"]), st.integers(0, 10_000))
+def test_a_drift_of_the_pace_is_found_where_there_is_one(change: float, law: str, seed: int) -> None:
+    true = PaceCard(law=law, change=change, first=0, last=79)  # type: ignore[arg-type]
+    number = np.repeat(np.arange(80), 5)
+    log_work = change * true.passed(number) + 0.05 * np.random.default_rng(seed).standard_normal(len(number))
+    found = pace_drift(number, log_work - log_work.mean())
+    if abs(change) > 0.1:
+        assert found is not None
+        assert found.factor(0) == pytest.approx(np.exp(-change), rel=0.12)
+    if found is not None:
+        assert abs(found.change - change) < 0.1
+
+
+def test_no_drift_is_found_where_executions_near_each_other_are_alike() -> None:
+    found = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        number = np.repeat(np.arange(100), 5)
+        log_work = np.repeat(0.1 * rng.standard_normal(10), 50) + 0.1 * rng.standard_normal(500)
+        found += pace_drift(number, log_work) is not None
+    assert found <= 3

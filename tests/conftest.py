@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
+import os
+import shutil
+import sys
+import tempfile
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,6 +19,12 @@ from simulated_cells import boxes, cells, large, logs, motive_log, reads, robot_
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
+    # Each process that a test starts would compile all sources again. What is compiled stays out of the tree.
+    sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = tempfile.mkdtemp(prefix="cyclekit-compiled-")
+    sys.dont_write_bytecode = False
+    atexit.register(shutil.rmtree, sys.pycache_prefix, ignore_errors=True)
 
 settings.register_profile("cyclekit", deadline=None, print_blob=True)
 settings.register_profile("everyday", settings.get_profile("cyclekit"), max_examples=12)  # of `make test`

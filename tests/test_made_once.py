@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -63,3 +65,10 @@ def test_who_changes_what_others_read_is_found_out(workers: list[Any], tmp_path:
     (folder / "b.txt").touch()
     (folder / "a.txt").write_text("longer now", encoding="utf-8")
     assert changed(tmp_path / SHARED) == ["cell: a.txt, b.txt"]
+
+
+def test_processes_that_tests_start_compile_no_source_twice(tmp_path: Path) -> None:
+    (tmp_path / "a_module.py").write_text("", encoding="utf-8")
+    script = "import a_module, pathlib; print(pathlib.Path(a_module.__cached__).is_file())"
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "True"

@@ -12,6 +12,21 @@ from pathlib import Path
 from cyclekit.learning.networks.spec import ModelSpec, RunSettings
 
 ROOT = Path(__file__).parents[1]
+UNTYPED = {
+    "dataset/cards/read.py": "a card becomes JSON values here, and nowhere else",
+    "report/answer.py": "a section of the page, read by the template and written as JSON",
+    "report/helps.py": "a section of the page",
+    "report/inputs.py": "the evaluation as `evaluate --json` prints it, which the page and its JSON show",
+    "report/page.py": "the sections of the page, given to the template and to the JSON",
+    "report/trust.py": "a section of the page",
+    "report/verdict.py": "the verdict in the JSON of the page",
+    "report/where.py": "a section of the page",
+    "report/why.py": "a section of the page",
+    "report/texts.py": "the texts of the page as its TOML file has them",
+    "report/play/scaling_table.py": "facts for the script in the page, as JSON",
+    "report/play/tables.py": "facts for the script in the page, as JSON",
+}
+"""Where `dict[str, Any]` may stand, and why: values that are read from or written to JSON, TOML or a template."""
 PACKAGES = {"cyclekit": ROOT / "cyclekit", "cyclekit_adapters": ROOT / "adapters" / "cyclekit_adapters"}
 
 
@@ -46,6 +61,13 @@ def test_no_module_leads_back_to_itself() -> None:
         TopologicalSorter({module: imported(module) for module in modules()}).prepare()
     except CycleError as error:
         raise AssertionError(" -> ".join(error.args[1])) from None
+
+
+def test_values_without_a_type_stay_where_files_are_read_and_written() -> None:
+    folder = PACKAGES["cyclekit"]
+    files = {file.relative_to(folder).as_posix(): file for file in folder.rglob("*.py")}
+    found = {name for name, file in files.items() if "dict[str, Any]" in file.read_text(encoding="utf-8")}
+    assert found == set(UNTYPED), "give values a dataclass or a TypedDict; of JSON `dict[str, object]` asks what it is"
 
 
 def test_every_public_class_has_a_name_of_its_own() -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import polars as pl
@@ -47,7 +47,7 @@ class Calibration(Result):
         """The line for the tracker's source in cell.toml."""
         return frame_line(self.fit.frame)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         frame = self.fit.frame
         residuals = zip(self.points, self.fit.residual_m.tolist(), strict=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from cyclekit.api.arguments import checked
 from cyclekit.ingest.registry import adapters, left_out
@@ -20,7 +19,7 @@ class AdapterList(Result):
     """
 
     adapters: tuple[dict[str, str], ...]
-    left_out: tuple[dict[str, Any], ...]
+    left_out: tuple[dict[str, str], ...]
 
     def _frame_rows(self) -> tuple[dict[str, str], ...]:
         return self.adapters

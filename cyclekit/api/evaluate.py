@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import trained_of
@@ -99,7 +98,7 @@ class ModelComparison(Result, Mapping[str, Evaluation]):
         """Return how many models there are."""
         return len(self.evaluations)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return everything as plain JSON values; of one model its evaluation alone."""
         if not self.together:
             return next(iter(self.evaluations.values())).to_dict()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from cyclekit.api.arguments import Place, checked
 from cyclekit.api.given import place_of, trained_of
@@ -26,7 +25,7 @@ class ExportedModel(Result):
     path: Path
     difference: float | None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {"onnx": str(self.path), "difference": self.difference}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.estimate import estimate_cycles
@@ -48,16 +47,16 @@ class GateVerdict(Result):
         share, low, _ = _share(one)
         return low if self.sure else share
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         given = {"takt_s": self.takt_s, "confidence": self.confidence, "sure": self.sure}
         return {"passed": self.passed, **given, "worst": self.worst.name, "sequences": self._frame_rows()}
 
-    def _frame_rows(self) -> list[dict[str, Any]]:
+    def _frame_rows(self) -> list[dict[str, object]]:
         rows = []
         for one in self.estimates:
             share, low, high = _share(one)
-            found: dict[str, Any] = {"sequence": one.name, "probability": share, "low": low, "high": high}
+            found: dict[str, object] = {"sequence": one.name, "probability": share, "low": low, "high": high}
             reached = {"passed": self._reached(one) >= self.confidence, "expected_s": one.expected_s}
             rows.append(found | reached | {"executions": one.executions, "doubts": list(one.doubts)})
         return rows
@@ -127,8 +126,10 @@ def gate_takt(
         if sequence not in names:
             raise UnknownName("the sequences", "sequence", sequence, names)
         wanted = [one for one in wanted if one.name == sequence]
-    given: dict[str, Any] = {"seed": seed, "extrapolate": extrapolate, "validate": validate, "other_cell": other_cell}
-    found = estimate_cycles(model, dataset, wanted, takt_s=takt_s, progress=progress, **given).require_all()
+    found = estimate_cycles(
+        model, dataset, wanted, takt_s=takt_s, seed=seed, extrapolate=extrapolate, validate=validate,
+        other_cell=other_cell, progress=progress,
+    ).require_all()  # fmt: skip
     for one in found:
         if one.takt_probability is None:
             cure = "Log more executions, so that single cycles can be told."

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import Sequences, path_of, sequences_of
@@ -38,7 +37,7 @@ class CellDraft(Result):
     unsure: int
     out: Path | None = None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {"cell": self.cell, "unsure": self.unsure, **({"out": str(self.out)} if self.out else {})}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from cyclekit.api.arguments import Place, checked
 from cyclekit.api.given import path_of, place_of
@@ -43,7 +42,7 @@ class ScalingLevels(Result):
     picture: Path | None = None
     warnings: tuple[str, ...] = ()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         document = {"method": self.method, "count": len(self.levels), **super().to_dict()}
         return {name: value for name, value in document.items() if name != "warnings"}

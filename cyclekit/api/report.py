@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Literal, TypedDict, cast
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.estimate import estimate_cycles, with_plan
@@ -56,6 +56,38 @@ _ENDINGS: dict[str, Format] = {
     ".csv": "csv",
     ".xlsx": "xlsx",
 }
+
+
+class Looks(TypedDict, total=False):
+    """How a page looks beside its numbers, by the names of `write_report`."""
+
+    takt_s: float | None
+    baseline: str | None
+    template: Path | None
+
+
+class _Looks(Looks, total=False):
+    """The same with the title, which a fleet and a project give apart."""
+
+    cell_name: str | None
+
+
+class _Page(TypedDict, total=False):
+    """What a page shows beside the logs, by the names of `compose_report`."""
+
+    estimates: CycleEstimates | tuple[()]
+    evaluation: Evaluation | None
+    check: Check | None
+    what_if: Sequence[Tried]
+    planned: OrderPlan | None
+    missing: Sequence[str]
+
+
+class _Given(TypedDict):
+    """How a model is asked, by the names of `estimate_cycles`."""
+
+    validate: bool
+    other_cell: bool
 
 
 @checked
@@ -128,12 +160,11 @@ def write_report(
     Template(folder)
     tell = progress or (lambda _fraction, _text: None)
     data = Dataset.of(dataset)
-    page: dict[str, Any] = {"estimates": estimates or (), "check": estimates.check if estimates else None}
-    page["what_if"] = tried
-    looks: dict[str, Any] = {"takt_s": takt_s, "baseline": baseline, "template": folder, "cell_name": cell_name}
+    page: _Page = {"estimates": estimates or (), "check": estimates.check if estimates else None, "what_if": tried}
+    looks: _Looks = {"takt_s": takt_s, "baseline": baseline, "template": folder, "cell_name": cell_name}
     times = times_of(model)
     if times is not None:
-        facts = _of_tasks(times, data, file, sequences, changes, jobs, {"kind": chosen, **looks})
+        facts = _of_tasks(times, data, file, sequences, changes, jobs, chosen, looks)
         if printed is not None:
             write_pdf(file, printed)
         return replace(facts, pdf=printed)
@@ -144,8 +175,8 @@ def write_report(
         page = asked.found(sequences, changes, tried, jobs, estimates, evaluation)
     if chosen == "xlsx":
         return _as_workbook(data, trained, file, page, looks)
-    written = {"kind": chosen, "play": play, "progress": _part(tell, 0.35, 1.0), **looks}
-    facts = compose_report(data, trained, file, **page, **written)
+    drawing = _part(tell, 0.35, 1.0)
+    facts = compose_report(data, trained, file, kind=chosen, play=play, progress=drawing, **page, **looks)
     if printed is not None:
         tell(1.0, "printing")
         write_pdf(file, printed)
@@ -159,7 +190,8 @@ def _of_tasks(
     sequences: Sequences | None,
     changes: list[Change],
     jobs: Jobs | Place | None,
-    looks: dict[str, Any],
+    kind: Format,
+    looks: _Looks,
 ) -> ReportFacts:
     """Write the report of a model of task times."""
     wanted = [] if sequences is None else sequences_of(sequences)
@@ -167,15 +199,14 @@ def _of_tasks(
     asked = [*wanted, *([TaskSequence.of_plan(ORDER, planned.tasks)] if planned else [])]
     if changes and not asked:
         raise ConfigError("changes are tried on sequences, and none are given", cure="Give sequences or jobs.")
-    found = estimate_cycles(model, data, asked, takt_s=looks["takt_s"]).require_all() if asked else None
+    found = estimate_cycles(model, data, asked, takt_s=looks.get("takt_s")).require_all() if asked else None
     changed = try_changes(model, data, asked, changes).require_all() if changes else ()
-    parts: dict[str, Any] = {"estimates": found, "planned": planned, "changed": list(changed)}
-    return report_tasks(model.card, data, file, **parts, **looks)
+    return report_tasks(
+        model.card, data, file, estimates=found, planned=planned, changed=list(changed), kind=kind, **looks
+    )
 
 
-def _as_workbook(
-    data: Dataset, model: TrainedModel | None, file: Path, page: dict[str, Any], looks: dict[str, Any]
-) -> ReportFacts:
+def _as_workbook(data: Dataset, model: TrainedModel | None, file: Path, page: _Page, looks: _Looks) -> ReportFacts:
     """Write the numbers of the page as a workbook, and return the facts of the page about it."""
     with Scratch() as scratch:
         facts = compose_report(data, model, scratch.path / "report.json", kind="json", **page, **looks)
@@ -193,7 +224,7 @@ class _Asked:
         refuse_other_cell(model.card, data, other_cell=other_cell)
         self.model, self.data, self.extrapolate, self.tell = model, data, extrapolate, tell
         self.takt_s: float | None = None
-        self.given: dict[str, Any] = {"validate": validate, "other_cell": other_cell}
+        self.given: _Given = {"validate": validate, "other_cell": other_cell}
 
     def found(
         self,
@@ -203,7 +234,7 @@ class _Asked:
         jobs: Jobs | Place | None,
         estimates: CycleEstimates | None,
         evaluation: Evaluation | None,
-    ) -> dict[str, Any]:
+    ) -> _Page:
         """Return what the page shows beside the logs, by the names of `compose_report`.
 
         Raises:
@@ -238,15 +269,20 @@ class _Asked:
         return cast("OrderPlan", found)  # of places, as the jobs are
 
     def _estimated(self, wanted: list[TaskSequence]) -> CycleEstimates:
-        asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.1, 0.2), **self.given}
-        found = estimate_cycles(self.model, self.data, wanted, takt_s=self.takt_s, **asked)
+        tell = _part(self.tell, 0.1, 0.2)
+        found = estimate_cycles(
+            self.model, self.data, wanted, takt_s=self.takt_s, extrapolate=self.extrapolate, progress=tell, **self.given
+        )
         if found.refused:
             raise with_plan(together(found.refused), self.model, self.data, wanted)
         return found
 
     def _changed(self, wanted: list[TaskSequence], changes: list[Change], check: Check | None) -> WhatIfAnswers:
-        asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.2, 0.3), "check": check, **self.given}
-        return try_changes(self.model, self.data, wanted, changes, **asked).require_all()
+        tell = _part(self.tell, 0.2, 0.3)
+        return try_changes(
+            self.model, self.data, wanted, changes, check=check, extrapolate=self.extrapolate, progress=tell,
+            **self.given,
+        ).require_all()  # fmt: skip
 
     def _evaluated(self) -> Evaluation:
         foreign, tell = self.given["other_cell"], _part(self.tell, 0.3, 0.35)

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -59,7 +59,7 @@ def demo(
     Plant logs are simulated and ingested, a model is trained, three sequences are estimated; a replay and a report
     are written. The same demo again gives the same numbers.
     """
-    settings: dict[str, Any] = {"operator_log": operator_log, "operator_yaw_deg": operator_yaw}
+    settings: dict[str, object] = {"operator_log": operator_log, "operator_yaw_deg": operator_yaw}
     if operator_xyz is not None:
         settings["operator_xyz_m"] = vector(operator_xyz)
     run = _Run(Terminal(json=json, quiet=quiet), out)
@@ -113,7 +113,7 @@ def _check(out: Path, operator_log: Path | None) -> None:
         check_output(out / name, kind, [operator_log])
 
 
-def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) -> Dataset:
+def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, object]) -> Dataset:
     from cyclekit.api.ingest import ingest_logs
     from cyclekit.api.simulate import simulate_logs
     from cyclekit.dataset.dataset import Dataset

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -98,7 +98,7 @@ def simulate(
     """
     from cyclekit.api.simulate import simulate_logs
 
-    settings: dict[str, Any] = {
+    settings: dict[str, object] = {
         "logs": logs,
         "robot_rate_hz": robot_rate,
         "log_override": not without_override,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -103,9 +103,10 @@ def train(
     from cyclekit.errors import command_line
     from cyclekit.learning.networks.spec import ModelSpec
 
-    inputs: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}
-    inputs["target"] = target
-    spec = ModelSpec.of(problem, network, horizon_s, norm=norm, seed=seed, **inputs)
+    spec = ModelSpec.of(
+        problem, network, horizon_s, norm=norm, seed=seed, features=features, optimiser=optimiser, balance=balance,
+        noise_m=noise, target=target,
+    )  # fmt: skip
     with terminal.progress("training") as progress:
         if chosen is None:
             models = {out: train_model(dataset, spec, rules=model == "auto", out=out, engine=work, progress=progress)}

@@ -83,7 +83,7 @@ def _check_robot(where: str, robot: Robot) -> None:
         raise UnknownName(where, "model", robot.model, list(MODELS))
 
 
-def _source(where: str, entry: object) -> dict[str, Any]:
+def _source(where: str, entry: object) -> dict[str, object]:
     """Return a source's keys with its start and its frame as a `Source` has them."""
     found = dict(table_at(where, entry))
     _one_clock(where, found)

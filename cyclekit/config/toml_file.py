@@ -28,7 +28,7 @@ Table = TypeVar("Table")
 _PAGE = "docs/commands.md (of a fleet: docs/fleet.md) shows the keys and their values."
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, object]:
     """Return the values of a TOML file; names in it are one line each, controls in them escaped.
 
     Raises:
@@ -74,7 +74,7 @@ def followed(where: str, raw: object, kind: type[Table], **given: object) -> Tab
     for key in table_at(where, raw):
         if key not in known:
             raise UnknownName(where, "key", str(key), known)
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     for each in keys:
         if each.name in table_at(where, raw):
             values[each.name] = _value(where, each, table_at(where, raw)[each.name], hints[each.name])

@@ -12,7 +12,7 @@ import zlib
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -52,7 +52,7 @@ class Origin:
     row_is: str
     source_row: int | None
     t_s: float
-    values: dict[str, Any]
+    values: dict[str, object]
     text: str | None = None
     among: str | None = None
 
@@ -62,7 +62,7 @@ class Trace(Result):
     """A sample and its origins; as a frame one row per row of a log, seconds of the session."""
 
     execution: str
-    sample: dict[str, Any]
+    sample: dict[str, object]
     origins: tuple[Origin, ...]
 
     def _frame_rows(self) -> list[dict[str, object]]:

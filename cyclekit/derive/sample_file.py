@@ -6,7 +6,7 @@ A file costs as much time as many samples, and there may be thousands of session
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 import polars as pl
@@ -16,7 +16,7 @@ from cyclekit.storage.atomic import write_parquet
 from cyclekit.storage.parquet import GROUP_ROWS, TableWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -101,6 +101,9 @@ class Coded:
     texts: tuple[str, ...]
 
 
+Column: TypeAlias = "NDArray[Any] | Sequence[object] | Coded"
+
+
 @dataclass(frozen=True)
 class SampleRows:
     """Consecutive samples.
@@ -111,7 +114,7 @@ class SampleRows:
     """
 
     count: int
-    columns: dict[str, Any]
+    columns: Mapping[str, Column]
 
 
 def in_frames(rows: Iterator[SampleRows], most: int) -> Iterator[pl.DataFrame]:
@@ -138,12 +141,12 @@ def _series(name: str, dtype: pl.DataType, rows: Sequence[SampleRows]) -> pl.Ser
     if dtype.is_float():
         nothing = (np.full(some.count, np.nan) for some in rows)
         values = [empty if part is None else part for part, empty in zip(parts, nothing, strict=True)]
-        return pl.Series(name, np.concatenate(values), dtype=dtype, nan_to_null=True)
+        return pl.Series(name, np.concatenate(cast("list[NDArray[Any]]", values)), dtype=dtype, nan_to_null=True)
     texts = [value for part, some in zip(parts, rows, strict=True) for value in _values(part, some.count)]
     return pl.Series(name, texts, dtype=dtype)
 
 
-def _values(part: Any, count: int) -> Sequence[Any]:  # noqa: ANN401 - of any column
+def _values(part: Column | None, count: int) -> Sequence[object]:
     if part is None:
         return [None] * count
     if isinstance(part, Coded):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cyclekit.config import Cell, Source
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.signals import Read
+    from cyclekit.derive.sample_file import Column
     from cyclekit.people.silence import Silence
     from cyclekit.schema import Points, Vector
     from cyclekit.segmentation.arrivals import Stands
@@ -222,14 +223,14 @@ def _times(name: str, start: float, end: float, cell: Cell) -> Vector:
 
 def _columns(course: _Course, seen: Seen, rows: slice) -> SampleRows:
     t = course.t_s[rows]
-    columns: dict[str, Any] = {"execution": [course.name] * len(t), "t_s": t}
+    columns: dict[str, Column] = {"execution": [course.name] * len(t), "t_s": t}
     if course.robot is not None:
         columns |= {f"robot_{axis}_m": course.robot.xyz_m[rows, k] for k, axis in enumerate("xyz")}
         columns |= _scaling_columns(course.robot, rows, inferred=course.inferred)
-    return SampleRows(len(t), columns | _task_columns(t, course) | seen.columns(rows))
+    return SampleRows(len(t), {**columns, **_task_columns(t, course), **seen.columns(rows)})
 
 
-def _scaling_columns(found: Sampled, rows: slice, *, inferred: bool) -> dict[str, Any]:
+def _scaling_columns(found: Sampled, rows: slice, *, inferred: bool) -> dict[str, Column]:
     scaling = found.scaling[rows]
     known = np.isfinite(scaling)
     return {
@@ -241,7 +242,7 @@ def _scaling_columns(found: Sampled, rows: slice, *, inferred: bool) -> dict[str
     }
 
 
-def _task_columns(t: Vector, course: _Course) -> dict[str, Any]:
+def _task_columns(t: Vector, course: _Course) -> dict[str, Column]:
     legs = course.legs
     if not legs:
         return {}

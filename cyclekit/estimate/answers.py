@@ -87,7 +87,7 @@ class CycleEstimates(Answers[CycleEstimate]):
         """Return the sequences as a time chart, mean times, as a matplotlib figure."""
         return gantt_figure(self.answers)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return everything as plain JSON values."""
         return {
             "warnings": list(self.alarms),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -58,7 +58,7 @@ class Today:
         """Share of the executions longer than the takt."""
         return None if self.within is None else 1.0 - self.within[0]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values, without the names of the executions."""
         values = {name: value for name, value in vars(self).items() if name != "names"}
         return values | {"missed_share": self.missed_share}

@@ -13,7 +13,7 @@ rolled-out cycles of all other operators.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -199,7 +199,7 @@ class Check:
             cycles_s = mean_s + self.spread * (cycles_s - mean_s)
         return conformal(cycles_s * (1.0 + self.residuals_of(len(cycles_s))), level)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the check as plain JSON values."""
         out = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
         return out | {"doubts": list(self.doubts), "operator": self.operator.to_dict() if self.operator else None}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import statistics
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclekit.text.results import Result
 
@@ -173,7 +173,7 @@ class CycleEstimate(Result):
 
         return gantt_figure([self])
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the estimate as plain JSON values, without `check`; quantile levels become keys such as "0.05"."""
         out = {
             name: list(value) if isinstance(value, tuple) else value

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate.cycles import cycles_of
@@ -104,12 +104,17 @@ def estimate(
         refuse_other_cell(model.card, dataset, other_cell=other_cell)
     if both := [each for each in sequences if chosen == "rollout" and (each.plan or waits_are_known(model, altered))]:
         ask = Question(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, check, altered, engine)
-        judged: dict[str, Any] = {"validate": validate, "other_cell": other_cell}
-        of_both = estimate_both(ask, both, **judged, refuse=refused or _raised, tell=tell)
-        asked: dict[str, Any] = {"quantiles": quantiles, "takt_s": takt_s, "seed": seed, "extrapolate": extrapolate}
-        asked |= {"check": check, "altered": altered, "engine": engine, "refused": refused, **judged}
+        of_both = estimate_both(
+            ask, both, validate=validate, other_cell=other_cell, refuse=refused or _raised, tell=tell
+        )
         others = [each for each in sequences if each not in both]
-        return [*of_both, *(estimate(model, dataset, others, **asked) if others else ())]
+        if not others:
+            return of_both
+        of_robot = estimate(
+            model, dataset, others, quantiles=quantiles, takt_s=takt_s, seed=seed, extrapolate=extrapolate,
+            validate=validate, check=check, other_cell=other_cell, altered=altered, engine=engine, refused=refused,
+        )  # fmt: skip
+        return [*of_both, *of_robot]
     dataset, left_out = in_memory(dataset)
     wanted = None if altered else {task for sequence in sequences for task in sequence.tasks}
     nominal: Mapping[str, NominalTask] = nominal_tasks(dataset, wanted)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from dataclasses import replace as dataclass_replace
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from msgspec.structs import replace
 
@@ -39,6 +39,7 @@ from cyclekit.storage.remote.folders import join
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
+    from cyclekit.api.report import Looks
     from cyclekit.dataset.guard import Kind
 
 LEDGER = "cyclekit.json"
@@ -77,10 +78,11 @@ class ProjectCell(FleetCell):
         return join(self.folder, LEDGER)
 
     @property
-    def looks(self) -> dict[str, Any]:
+    def looks(self) -> Looks:
         """What else its report is told."""
         project = self.project
-        return {"takt_s": project.takt_s, "baseline": project.baseline, "template": project.template}
+        template = None if project.template is None else Path(project.template)
+        return {"takt_s": project.takt_s, "baseline": project.baseline, "template": template}
 
 
 @dataclass(frozen=True, repr=False)
@@ -102,7 +104,7 @@ class ProjectRun(Result):
         """The stages that failed."""
         return tuple(row for row in self.rows if row.state == "failed")
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {"project": str(self.file), "failed": len(self.failed), "rows": self._frame_rows()}
 

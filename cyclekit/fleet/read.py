@@ -18,6 +18,8 @@ from cyclekit.storage.remote.folders import is_url, join
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from cyclekit.api.report import Looks
+
 LEDGER, REPORT = "cell.json", "report.html"
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
 """It names a folder: letters, digits, '.', '_' and '-', the first a letter or digit."""
@@ -74,7 +76,7 @@ class FleetCell:
         return join(self.folder, LEDGER)
 
     @property
-    def looks(self) -> dict[str, Any]:
+    def looks(self) -> Looks:
         """What else its report is told, by the names of `write_report`."""
         return {}
 

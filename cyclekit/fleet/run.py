@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.dataset.cards import plain
@@ -49,7 +49,7 @@ class FleetRun(Result):
         """Those that failed."""
         return tuple(row for row in self.rows if row.state == "failed")
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {"fleet": self.fleet, "failed": len(self.failed), "page": self.page, "rows": self._frame_rows()}
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from msgspec.structs import replace
 
@@ -202,11 +202,13 @@ def _report(work: CellAtWork) -> tuple[State, str]:
     drift = "there is no model" if model is None else since_last_month(model, dataset, days)
     # kept although the estimates may fail: what was asked for and cannot be answered is an error of this stage
     work.ledger = replace(work.ledger, figures=figures_of(dataset, drift, days, _doubt(model, judged)))
-    page: dict[str, Any] = {"model": model, "evaluation": judged, "cell_name": cell.name, **cell.looks}
-    page |= {"sequences": wanted if model is not None and wanted else None, "estimates": work.estimates()}
+    asked, estimates = wanted if model is not None and wanted else None, work.estimates()
     with Scratch() as scratch:
         file = scratch.path / REPORT if is_url(cell.report) else Path(cell.report)
-        facts = write_report(dataset, file, **page, progress=work.tell)
+        facts = write_report(
+            dataset, file, model=model, sequences=asked, evaluation=judged, estimates=estimates, cell_name=cell.name,
+            progress=work.tell, **cell.looks,
+        )  # fmt: skip
         if is_url(cell.report):
             write_text(cell.report, file.read_text(encoding="utf-8"))
     work.ledger = replace(work.ledger, reported=mark)

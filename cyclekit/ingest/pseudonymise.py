@@ -12,7 +12,7 @@ import re
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import polars as pl
 from msgspec import structs
@@ -208,11 +208,13 @@ class Names:
 
         The cell's name stays where it is not merely that of a folder or file.
         """
-        unsaid: dict[str, Any] = {
-            "body": None, "sees_as": None, "clock_offset_s": None, "sync_events": (), "start": None,
-            "same_clock_as": None, "map": {},
-        }  # fmt: skip
-        sources = [replace(one, path=f"source_{number}", **unsaid) for number, one in enumerate(self.cell.sources, 1)]
+        sources = [
+            replace(
+                one, path=f"source_{number}", body=None, sees_as=None, clock_offset_s=None, sync_events=(), start=None,
+                same_clock_as=None, map={},
+            )
+            for number, one in enumerate(self.cell.sources, 1)
+        ]  # fmt: skip
         folders = {name for root in self.roots for name in (*root.resolve().parts, root.resolve().stem)}
         name = "cell" if self.cell.name in folders else self.cell.name
         return replace(self.cell, name=name, sources=tuple(sources), ignore=(), reference=())

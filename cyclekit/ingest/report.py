@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -46,7 +46,7 @@ class IngestReport(Result):
         """What a person must know before trusting the dataset, one sentence each."""
         return tuple(f"{name}: {text}" if name else text for name, text in self.said)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the report as plain JSON values."""
         not_read = [{"path": path, "reason": reason} for path, reason in self.not_read]
         found = {name: value for name, value in vars(self).items() if name != "said"}

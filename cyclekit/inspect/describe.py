@@ -7,7 +7,7 @@ is mended here; how the facts look on a screen is the command line's business.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -150,6 +150,9 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
     share = [float((levelled == index).sum()) / max(1, len(levelled)) for index in range(len(dataset.levels))]
     rows = max(1, samples.height)
     inferred = (samples["scaling_origin"] == "inferred").sum()
+    deviation = samples.filter(pl.col("scaling_origin") == "inferred")["scaling_sd"].median()
+    reasons = samples["scaling_gap"].drop_nulls().value_counts(sort=True, name="samples")
+    moving = samples.filter("robot_moving")["scaling"]
     records, every = dataset.recordings, dataset.every_task()
     found, duration_s = every.filter(pl.col("start_place").is_not_null()), float(executions["duration_s"].sum())
     return DatasetDescription(
@@ -187,8 +190,10 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
         gaps=_recording_gaps(dataset, progress),
         warnings=tuple(_warnings(dataset)),
         clocks={record.id: _without_warnings(record.clock) for record in records},
-        operator={one.id: _without_warnings(one.operator) for one in records if one.operator is not None},
-        **_coverage(samples),
+        operator={one.id: _counts(one.operator) for one in records if one.operator is not None},
+        scaling_gaps=dict(reasons.iter_rows()),
+        motion_covered=moving.count() / max(1, len(moving)),
+        scaling_sd=deviation if isinstance(deviation, float) else None,
     )
 
 
@@ -212,18 +217,6 @@ def _safety(dataset: Dataset) -> dict[str, SafetyFacts]:
     return found
 
 
-def _coverage(samples: pl.DataFrame) -> dict[str, Any]:
-    """Return how much of the scaling is known, why the rest is not, and how sure what was inferred is."""
-    moving = samples.filter("robot_moving")["scaling"]
-    deviation = samples.filter(pl.col("scaling_origin") == "inferred")["scaling_sd"].median()
-    reasons = samples["scaling_gap"].drop_nulls().value_counts(sort=True, name="samples")
-    return {
-        "scaling_gaps": dict(reasons.iter_rows()),
-        "motion_covered": moving.count() / max(1, len(moving)),
-        "scaling_sd": deviation if isinstance(deviation, float) else None,
-    }
-
-
 def _set_aside(records: Sequence[RecordingCard]) -> dict[str, int]:
     total: dict[str, int] = {}
     for record in records:
@@ -237,12 +230,16 @@ def _warnings(dataset: Dataset) -> list[str]:
     return texts(dataset.card.warnings) + of_recordings
 
 
-def _without_warnings(card: ClockCard | OperatorCard) -> dict[str, Any]:
+def _without_warnings(card: ClockCard) -> dict[str, object]:
     """Return what a card says as JSON values; its warnings are told with all others."""
     return {name: value for name, value in plain(card).items() if name != "warnings"}
 
 
-def _task_rows(tasks: pl.DataFrame) -> list[dict[str, Any]]:
+def _counts(card: OperatorCard) -> dict[str, int]:
+    return {name: value for name, value in plain(card).items() if name != "warnings"}
+
+
+def _task_rows(tasks: pl.DataFrame) -> list[dict[str, object]]:
     means = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
     grouped = tasks.group_by("task").agg(pl.len().alias("count"), *(pl.col(name).mean() for name in means))
     return grouped.sort("count", "task", descending=[True, False]).to_dicts()

@@ -256,7 +256,7 @@ class DatasetDescription(Result):
     verified: int | None = None
     to_log: RecordingPlan | None = None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         from cyclekit.dataset.cards import plain
 
@@ -292,7 +292,7 @@ class ModelDescription(Result):
     card: TrainingCard
     kind: str = "model"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         return super().to_dict() | {"card": self.card.to_dict()}
 
@@ -316,7 +316,7 @@ class TaskTimesDescription(Result):
     model: TaskTimesModel
     kind: str = "task times"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {"path": str(self.path), "kind": self.kind, "card": self.model.to_dict()}
 

@@ -154,7 +154,7 @@ class _Columns:
         with (self._folder / name).open("ab") as file:
             np.ascontiguousarray(rows).tofile(file)
 
-    def mapped(self) -> dict[str, Any]:
+    def mapped(self) -> dict[str, NDArray[Any]]:
         return {
             name: np.memmap(self._folder / name, dtype, "r+", shape=(count, *shape))
             for name, (dtype, shape, count) in self._known.items()

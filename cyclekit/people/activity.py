@@ -102,10 +102,10 @@ class Seen:
     goals: list[str | None]
     stays: Stays
 
-    def columns(self, rows: slice) -> dict[str, Any]:
+    def columns(self, rows: slice) -> dict[str, NDArray[Any] | list[str | None]]:
         """Return the columns of table SAMPLES that tell of the operator, at some of the samples; NaN = null."""
         human_m = self.human_m[rows]
-        columns: dict[str, Any] = {name: human_m[:, k] for k, name in enumerate(_HUMAN)}
+        columns: dict[str, NDArray[Any] | list[str | None]] = {name: human_m[:, k] for k, name in enumerate(_HUMAN)}
         if self.reasons is not None:
             columns["human_gap"] = _why_unseen(human_m, self.reasons[rows])
         if self.goals:

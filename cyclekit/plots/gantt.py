@@ -11,7 +11,7 @@ import unicodedata
 import warnings
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclekit.plots import colours
 from cyclekit.plots.canvas import canvas
@@ -232,10 +232,12 @@ class _Drawing:
         return foot_in - high_in / 2
 
     def _draw_bar(self, bar: Bar) -> None:
-        hatched: dict[str, Any] = {"hatch": "////", "edgecolor": "#9aa5b1"} if bar.waits else {"edgecolor": "white"}
         at_in, long_s = self._bars_in[bar.lane] + _BAR_IN / 2, bar.end_s - bar.start_s
-        style: dict[str, Any] = {"height": _BAR_IN, "color": bar.colour, "linewidth": 0.5, "zorder": 3} | hatched
-        drawn = self._axes.barh(at_in, long_s, left=bar.start_s, **style)
+        hatch, edge = ("////", "#9aa5b1") if bar.waits else (None, "white")
+        drawn = self._axes.barh(
+            at_in, long_s, left=bar.start_s, height=_BAR_IN, color=bar.colour, hatch=hatch, edgecolor=edge,
+            linewidth=0.5, zorder=3,
+        )  # fmt: skip
         if bar.tip:
             self._tip(self._axes.figure, drawn.patches[0], bar.tip, bar.row)  # type: ignore[arg-type]
 
@@ -249,8 +251,10 @@ class _Drawing:
 
     def _write(self, at_s: float, at_in: float, text: str, size_pt: float, weight: str = "normal") -> None:
         """Write on white, so that neither the grid nor the takt goes through a letter."""
-        look: dict[str, Any] = {"fontsize": size_pt, "fontweight": weight, "color": _INK, "va": "baseline", "zorder": 6}
-        self._axes.text(at_s, at_in, text, bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.4}, **look)
+        self._axes.text(
+            at_s, at_in, text, fontsize=size_pt, fontweight=weight, color=_INK, va="baseline", zorder=6,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.4},
+        )  # fmt: skip
 
     def _draw_arrow(self, arrow: Arrow) -> None:
         below = arrow.from_lane < arrow.to_lane
@@ -265,8 +269,9 @@ class _Drawing:
             edges = [layer.end_s * number / len(layer.parts) for number in range(len(below))]
             parts = (*layer.parts, layer.parts[-1])
             above = [low - (_BAR_IN + _LABEL_IN - 0.04) * part for low, part in zip(below, parts, strict=True)]
-            look: dict[str, Any] = {"step": "post", "color": layer.colour, "linewidth": 0.0, "zorder": 3}
-            area = self._axes.fill_between(edges, below, above, **look)
+            area = self._axes.fill_between(
+                edges, below, above, step="post", color=layer.colour, linewidth=0.0, zorder=3
+            )
             self._tip(self._axes.figure, area, layer.tip, "")  # type: ignore[arg-type]  # no subfigure
             below = above
 
@@ -291,9 +296,9 @@ def _draw_key(figure: Figure, legend: Mapping[str, str], width_in: float, all_in
     for number, row in enumerate(_key_rows(legend, width_in)):
         at_in, foot_in = 0.06, all_in - _KEY_IN * (number + 1) + 0.06
         for text in row:
-            look: dict[str, Any] = {"hatch": "//////", "edgecolor": "#9aa5b1"} if legend[text] == colours.WAIT else {}
+            hatch, edge = ("//////", "#9aa5b1") if legend[text] == colours.WAIT else (None, None)
             square = (at_in / width_in, foot_in / all_in), 0.12 / width_in, 0.1 / all_in
-            figure.add_artist(Rectangle(*square, facecolor=legend[text], linewidth=0.0, **look))
+            figure.add_artist(Rectangle(*square, facecolor=legend[text], linewidth=0.0, hatch=hatch, edgecolor=edge))
             place = (at_in + 0.17) / width_in, (foot_in - 0.005) / all_in
             figure.text(*place, text, fontsize=_NAME_PT, color=_MUTED, va="baseline")
             at_in += _text_in(text, _NAME_PT) + 0.36

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import uuid
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import rerun as rr
 
@@ -68,7 +68,7 @@ class ReplayFacts(Result):
     misses: tuple[Miss, ...]
     first: Opening | None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         every = {"replay": str(self.path), **super().to_dict()}
         return {name: value for name, value in every.items() if name not in ("path", "rows", "gaps", "first")}

@@ -56,7 +56,7 @@ class Predicts(Protocol):
 class Judged(Protocol):
     """The part of an evaluation that the report uses: its numbers as JSON values."""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """`mse` (rows of name, mse, note), `accuracy`, `confusion` (logged x predicted), `levels`; all optional."""
         ...
 

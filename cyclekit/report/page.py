@@ -66,7 +66,7 @@ class ReportFacts(Result):
     sequences: int = 0
     pdf: Path | None = None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         document = {"report": str(self.path), "answer": self.headline, "sequences": self.sequences, "bytes": self.bytes}
         return {**document, "missing": list(self.missing), **({"pdf": str(self.pdf)} if self.pdf else {})}

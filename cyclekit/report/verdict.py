@@ -61,7 +61,7 @@ class TaktVerdict:
             return self.best.expected_s
         return None if self.planned is None else self.planned.expected_s
 
-    def to_dict(self, text: str) -> dict[str, Any]:
+    def to_dict(self, text: str) -> dict[str, object]:
         """Return plain JSON values; `text` is the verdict in words."""
         order, change = self.order, self.change
         best: dict[str, Any] = {

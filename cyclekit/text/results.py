@@ -7,7 +7,7 @@ are where that is not one row of its single values (`_frame_rows`); the command 
 from __future__ import annotations
 
 from html import escape
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from cyclekit.text.plain_json import plain_values
 from cyclekit.text.plain_text import one_line
@@ -24,9 +24,9 @@ SHOWN_ROWS, SHOWN_LINES = 20, 8
 class Result:
     """What a call of the library gives back."""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return everything as plain JSON values, as `--json` prints it."""
-        return cast("dict[str, Any]", plain_values(self))
+        return cast("dict[str, object]", plain_values(self))
 
     def to_frame(self) -> pl.DataFrame:
         """Return the result as a table, units in the names of its columns."""

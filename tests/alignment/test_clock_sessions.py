@@ -129,9 +129,15 @@ def length_s(dataset: Dataset) -> float:
     return float(max(entry.end_s for entry in dataset.card.executions))
 
 
-def test_events_of_the_gripper_place_the_tracker_within_two_milliseconds(logs: Path, tmp_path: Path):
+@pytest.fixture(scope="module")
+def by_gripper(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, RecordingCard]:
+    """The tracker's clock placed by the gripper."""
     cell = cell_with(logs, {"same_clock_as": "session_*/gripper.csv"}, GRIPPER)
-    dataset, operator = ingested(logs, tmp_path / "d", cell)
+    return ingested(logs, tmp_path_factory.mktemp("gripper") / "d", cell)
+
+
+def test_events_of_the_gripper_place_the_tracker_within_two_milliseconds(by_gripper: tuple[Dataset, RecordingCard]):
+    dataset, operator = by_gripper
     clock = operator.clock
     assert clock.method == "event-pairs"
     assert clock.same_as.endswith("gripper")
@@ -164,13 +170,10 @@ def test_the_flange_seen_by_the_tracker_places_it_within_half_a_millisecond_and_
     assert np.nanmin(np.linalg.norm(apart, axis=1)) > 0.1  # the body on the flange would be at 0
 
 
-def test_the_body_on_the_flange_is_named_where_the_log_holds_others_or_refused(logs: Path, tmp_path: Path):
-    known = replace(FLANGE, sees_as="Flange")
-    _, operator = ingested(logs, tmp_path / "d", cell_with(logs, {"same_clock_as": known.path}, known))
-    assert operator.clock.method == "motion"
+def test_a_body_on_the_flange_that_the_log_does_not_hold_is_refused(few: Path, tmp_path: Path):
     unknown = replace(FLANGE, sees_as="Flang")
     with pytest.raises(ConfigError, match="the nearest is 'Flange'"):
-        ingested(logs, tmp_path / "e", cell_with(logs, {"same_clock_as": known.path}, unknown))
+        ingested(few, tmp_path / "d", cell_with(few, {"same_clock_as": FLANGE.path}, unknown))
 
 
 def test_a_person_is_no_body_on_the_flange(logs: Path, tmp_path: Path):
@@ -178,10 +181,10 @@ def test_a_person_is_no_body_on_the_flange(logs: Path, tmp_path: Path):
         ingested(logs, tmp_path / "d", cell_with(logs, {"sees": "tcp"}))
 
 
-def test_pairs_of_the_cell_file_place_the_tracker(logs: Path, tmp_path: Path):
-    session_s = np.array([30.0, 400.0, 900.0])
+def test_pairs_of_the_cell_file_place_the_tracker(few: Path, tmp_path: Path):
+    session_s = np.array([10.0, 100.0, 200.0])
     pairs = tuple(zip(tracker_time(session_s).tolist(), (session_s + ROBOT_START_S).tolist(), strict=True))
-    dataset, operator = ingested(logs, tmp_path / "d", cell_with(logs, {"sync_events": pairs}))
+    dataset, operator = ingested(few, tmp_path / "d", cell_with(few, {"sync_events": pairs}))
     assert operator.clock.method == "event-pairs"
     assert operator.clock.events == 3
     assert worst_s(operator.clock, length_s(dataset)) < 1e-6
@@ -253,7 +256,7 @@ def test_a_clock_found_once_is_kept_with_what_was_read_and_its_warnings_are_not_
     assert len([text for text in operator.said if "a common start is assumed" in text]) == 1
 
 
-def test_pseudonymised_clocks_tell_no_time_and_still_find_the_flange(logs: Path, tmp_path: Path):
+def test_pseudonymised_clocks_tell_no_time_and_still_find_the_flange_that_is_named(logs: Path, tmp_path: Path):
     known = replace(FLANGE, sees_as="Flange")
     cell = cell_with(logs, {"same_clock_as": known.path, "start": "2026-03-02T14:03:05+01:00"}, known)
     dataset, operator = ingested(logs, tmp_path / "d", cell, pseudonymise=True)
@@ -261,13 +264,12 @@ def test_pseudonymised_clocks_tell_no_time_and_still_find_the_flange(logs: Path,
     assert "2026-03-02" not in json.dumps(plain(dataset.card))
 
 
-def test_the_clocks_of_a_dataset_are_told_by_inspect_and_by_the_report(logs: Path, tmp_path: Path):
+def test_the_clocks_of_a_dataset_are_told_by_inspect_and_by_the_report(by_gripper: tuple[Dataset, RecordingCard]):
     from cyclekit.cli.facts import page
     from cyclekit.inspect.describe import describe
     from cyclekit.report.provenance import provenance
 
-    cell = cell_with(logs, {"same_clock_as": "session_*/gripper.csv"}, GRIPPER)
-    dataset, operator = ingested(logs, tmp_path / "d", cell)
+    dataset, operator = by_gripper
     shown = page(describe(dataset.path))
     assert "event-pairs" in shown
     assert f"{1000 * operator.clock.residual_s:.1f}" in shown

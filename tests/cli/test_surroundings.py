@@ -56,10 +56,16 @@ def in_shell(line: str, folder: Path, **variables: str) -> subprocess.CompletedP
 
 
 @ON_POSIX
-@pytest.mark.parametrize(
-    "closed", [pytest.param(one, marks=pytest.mark.slow) for one in ("2>&-", ">&- 2>&- <&-")] + [">&-"]
-)
-def test_a_command_works_with_standard_streams_closed(small: Path, tmp_path: Path, closed: str) -> None:
+def test_a_command_works_with_standard_output_closed(small: Path, tmp_path: Path) -> None:
+    told = in_shell(f'"$0" "$@" report "{small}" --out r.csv >&-', tmp_path)
+    assert (told.returncode, told.stderr.count("Traceback")) == (0, 0)
+    assert "conveyor" in (tmp_path / "r.csv").read_text(encoding="utf-8").splitlines()[1]
+
+
+@pytest.mark.slow  # quick: above
+@ON_POSIX
+@pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&- <&-", ">&-"])
+def test_every_command_works_with_standard_streams_closed(small: Path, tmp_path: Path, closed: str) -> None:
     told = in_shell(f'"$0" "$@" replay "{small}" --execution 1 --out r.rrd {closed}', tmp_path)
     assert told.returncode == 0
     assert (tmp_path / "r.rrd").read_bytes()[:3] == b"RRF"

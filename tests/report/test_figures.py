@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from matplotlib.figure import Figure as Drawing
+from report_pages import draw_only
 
 from cyclekit.report import compose_report, figures
 from cyclekit.report.figures import Chart, Figure
@@ -42,7 +43,10 @@ def section(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     return request.param
 
 
-def test_a_figure_of_the_registry_is_on_the_page_in_its_section(section: str, dataset: Dataset, tmp_path: Path) -> None:
+def test_a_figure_of_the_registry_is_on_the_page_in_its_section(
+    section: str, dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw_only("pace", monkeypatch)
     compose_report(dataset, None, tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     part = page.partition(f'<section id="{section}">')[2].partition("</section>")[0]

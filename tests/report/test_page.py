@@ -10,6 +10,7 @@ from dataclasses import replace
 from importlib.resources import files
 
 import pytest
+from matplotlib.figure import Figure
 from msgspec import structs
 from report_pages import DistanceModel, Page, estimate
 
@@ -17,6 +18,7 @@ from cyclekit.config.cells import NamedPlace
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError
 from cyclekit.report import compose_report
+from cyclekit.report.pictures import Picture
 
 
 def test_nothing_on_the_page_asks_for_anything_outside_of_it(written):
@@ -102,13 +104,19 @@ def test_a_page_that_cannot_be_written_is_one_error_and_leaves_nothing(dataset, 
     assert [file.name for file in tmp_path.iterdir()] == ["r.html"]
 
 
-def test_the_callers_own_matplotlib_style_is_left_alone(dataset, tmp_path):
+def test_the_callers_own_matplotlib_style_is_left_alone():
     import matplotlib as mpl
 
     with mpl.rc_context({"font.size": 31.0, "svg.fonttype": "path"}):
-        compose_report(dataset, None, tmp_path / "r.html")
+        assert ">words</text>" in Picture("one", "words", _words).wide  # and text stays text
         assert mpl.rcParams["font.size"] == 31.0
         assert mpl.rcParams["svg.fonttype"] == "path"
+
+
+def _words(width_in):
+    figure = Figure(figsize=(width_in, 1.0))
+    figure.text(0.0, 0.0, "words")
+    return figure
 
 
 def test_every_text_is_asked_for_and_every_text_asked_for_exists():
@@ -150,6 +158,7 @@ def test_people_are_shown_the_labels_of_places_and_data_keep_the_names(dataset, 
     assert "conveyor->left," in (tmp_path / "r.csv").read_text("utf-8")
 
 
+@pytest.mark.usefixtures("words_only")
 def test_drawing_is_told_picture_by_picture(dataset, tmp_path):
     told = []
     compose_report(dataset, DistanceModel(), tmp_path / "r.html", progress=lambda *it: told.append(it))

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from report_pages import estimate
+from report_pages import draw_only, estimate
 
 from cyclekit.estimate.baseline import logged_cycle, logged_order
 from cyclekit.estimate.result import PARTS, PlannedShare, TaskShare
@@ -115,7 +115,8 @@ def test_no_text_covers_another_one(tasks, width_in):
         assert a.x1 <= b.x0 + 1 or b.x1 <= a.x0 + 1 or a.y1 <= b.y0 + 4 or b.y1 <= a.y0 + 4
 
 
-def test_every_sequence_is_in_one_picture_and_its_tasks_are_in_a_table(dataset, tmp_path):
+def test_every_sequence_is_in_one_picture_and_its_tasks_are_in_a_table(dataset, tmp_path, monkeypatch):
+    draw_only("timechart", monkeypatch)
     text = compose_report(dataset, None, tmp_path / "r.html", estimates=[ONE, BOTH]).path.read_text("utf-8")
     part = text.partition('<section id="where">')[2].partition("</section>")[0]
     assert part.count('id="timechart-w-figure_1"') == 1
@@ -124,7 +125,8 @@ def test_every_sequence_is_in_one_picture_and_its_tasks_are_in_a_table(dataset, 
     assert "| mount | operator | 12.0 | 30.0 | 28.0 to 33.0 | 12.0 | robot: bring |" in words
 
 
-def test_the_page_about_the_logs_draws_what_was_logged(dataset, tmp_path):
+def test_the_page_about_the_logs_draws_what_was_logged(dataset, tmp_path, monkeypatch):
+    draw_only("timechart", monkeypatch)
     names = logged_order(dataset)
     cycle = logged_cycle(dataset, names, "today")
     tasks = dataset.tasks().filter(execution=names[0]).sort("start_s")

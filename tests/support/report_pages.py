@@ -10,6 +10,13 @@ from fabricated import THRESHOLDS_M
 
 from cyclekit.dataset.cards import MetricsCard, TrainingCard
 from cyclekit.estimate.result import CycleEstimate, TaskShare
+from cyclekit.report.pictures import Picture
+
+
+def draw_only(name, monkeypatch):
+    """Let pages of the test have this picture alone, the others empty: drawing takes most of the time."""
+    drawn = Picture._drawn
+    monkeypatch.setattr(Picture, "_drawn", lambda one, *how: drawn(one, *how) if one.name == name else "<svg></svg>")
 
 
 class DistanceModel:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -212,7 +213,7 @@ class DatasetCard(Card, frozen=True, kw_only=True):
                 raise ValueError(msg)
 
 
-def dataset_card(values: dict[str, Any]) -> DatasetCard:
+def dataset_card(values: Mapping[str, object]) -> DatasetCard:
     """Return the JSON values of a dataset's card as that card; warnings may be sentences, as in an earlier version.
 
     Raises:

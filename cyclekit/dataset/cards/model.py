@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Literal
 
 from msgspec import Meta, field
 
@@ -196,7 +197,7 @@ class TrainingCard(Card, frozen=True, kw_only=True):
         """Names of the executions that served for judging; none where the card does not say."""
         return self.split.test if self.split is not None else ()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return JSON values for people: with sentences in place of the codes of warnings."""
         return {**plain(self, nulls=True), "warnings": texts(self.warnings)}
 
@@ -247,7 +248,7 @@ class ModelCard(Card, frozen=True, kw_only=True):
         ascending(self.levels)
 
 
-def model_card(values: dict[str, Any]) -> ModelCard:
+def model_card(values: Mapping[str, object]) -> ModelCard:
     """Return the JSON values of a model's card as that card; warnings may be sentences, as in an earlier version.
 
     Raises:

@@ -13,6 +13,7 @@ from cyclekit.storage.files import regular
 from cyclekit.text.expected import in_words
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 Typed = TypeVar("Typed")
@@ -25,7 +26,7 @@ class BadCard(Exception):
     """Why a file is no such card; whoever opens it tells it as an error of its own, with the file and the cure."""
 
 
-def read_json(file: Path, *, most_bytes: int = MAX_BYTES) -> dict[str, Any]:
+def read_json(file: Path, *, most_bytes: int = MAX_BYTES) -> dict[str, object]:
     """Return the JSON object in a file.
 
     Raises:
@@ -47,7 +48,7 @@ def read_content(file: Path, *, most_bytes: int = MAX_BYTES) -> bytes:
     return file.read_bytes()
 
 
-def parse_json(content: bytes) -> dict[str, Any]:
+def parse_json(content: bytes) -> dict[str, object]:
     """Return the JSON object in a text.
 
     Raises:
@@ -66,7 +67,7 @@ def parse_json(content: bytes) -> dict[str, Any]:
     return found
 
 
-def checked(values: dict[str, Any], kind: type[Typed]) -> Typed:
+def checked(values: Mapping[str, object], kind: type[Typed]) -> Typed:
     """Return JSON values as a card, or as what is part of one.
 
     Raises:

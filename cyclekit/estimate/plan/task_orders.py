@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from msgspec import Meta
@@ -105,7 +105,7 @@ class TaskOrderPlan(Result):
         """Return the plan as a time chart of both agents, as a matplotlib figure."""
         return gantt_figure([self.estimate])
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the plan as plain JSON values."""
         return {
             "order": [task.shown for task in self.tasks],

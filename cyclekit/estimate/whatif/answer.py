@@ -55,7 +55,7 @@ class WhatIf(Result):
     saves_s: tuple[float, float, float]
     safety: str = NO_PROOF
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             "change": self.change,

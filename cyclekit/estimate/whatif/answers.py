@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclekit.estimate.answers import Answers
 from cyclekit.estimate.whatif.answer import NO_PROOF, WhatIf
@@ -30,7 +30,7 @@ class WhatIfAnswers(Answers[WhatIf]):
         checks = (one.before.check for one in self)
         return tuple(dict.fromkeys(check.alarm for check in checks if check and check.alarm))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return everything as plain JSON values."""
         return {
             "safety": self.safety,

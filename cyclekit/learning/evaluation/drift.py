@@ -8,7 +8,7 @@ standard errors and LEAST in size.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -77,7 +77,7 @@ class Drift:
         """Whether the operator's habits are no longer those of the training."""
         return any(shift.changed for shift in self.habits)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             "safety_changed": self.safety_changed,

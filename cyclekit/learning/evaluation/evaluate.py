@@ -8,7 +8,7 @@ a model is trained is the business of `train`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -108,7 +108,7 @@ class Evaluation(Result):
         """Part of the rows on a level whose step is named rightly."""
         return self.metrics.accuracy
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return everything as JSON values."""
         return {
             "problem": self.problem,

@@ -80,8 +80,10 @@ def _graph(model: TrainedModel) -> Any:  # noqa: ANN401 - onnx has no types
         kind = "Softmax" if i == weights.softmax_after else "Relu" if i < len(layers) - 1 else None
         if kind:
             out = "probabilities" if kind == "Softmax" and names_levels(model.network) else f"active{i}"
-            axis: dict[str, Any] = {"axis": 1} if kind == "Softmax" else {}
-            nodes.append(helper.make_node(kind, [value], [out], **axis))
+            if kind == "Softmax":
+                nodes.append(helper.make_node(kind, [value], [out], axis=1))
+            else:
+                nodes.append(helper.make_node(kind, [value], [out]))
             value = out
     outputs = [helper.make_tensor_value_info("scaling", TensorProto.FLOAT, [None, 1])]
     if names_levels(model.network):

@@ -37,6 +37,8 @@ from cyclekit.text.plain_text import all_in_one_line
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import polars as pl
     from numpy.typing import NDArray
 
@@ -179,7 +181,7 @@ class TrainedModel(Result):
             raise ModelError(msg, cure=f"Train it again: {command_line('train', 'DATASET', '--out', 'MODEL')}")
         return out
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         card = self.card.to_dict()
         return {"metrics": card["metrics"], "card": card}
@@ -188,7 +190,7 @@ class TrainedModel(Result):
         """One row per epoch of the training: errors by which its weights were chosen."""
         import polars as pl
 
-        return pl.DataFrame(self.card.to_dict()["history"] or [], infer_schema_length=None)
+        return pl.DataFrame(plain(self.card, nulls=True)["history"] or [], infer_schema_length=None)
 
     def _said(self) -> list[str]:
         levels = ", ".join(f"{level:.2f}" for level in self.levels) or "none"
@@ -322,7 +324,7 @@ class UnseenInstead(NotAModel):
     """The model was learned from a robot's log alone."""
 
 
-def _check_versions(about: dict[str, Any]) -> None:
+def _check_versions(about: Mapping[str, object]) -> None:
     if about.get("format") == TASK_TIMES:
         msg = "a model of task times: it was learned without positions and knows no safety function"
         raise TaskTimesInstead(msg)

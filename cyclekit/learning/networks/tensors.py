@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from safetensors import SafetensorError
@@ -81,7 +81,7 @@ def to_safetensors(weights: Weights | Trees) -> bytes:
     return save({name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()})
 
 
-def sizes_of(weights: Weights | Trees) -> dict[str, Any]:
+def sizes_of(weights: Weights | Trees) -> dict[str, object]:
     """Return what `model.json` says about the sizes of the weights."""
     if isinstance(weights, Trees):
         return {"layers": [], "trees": list(weights.nodes.shape[:2]), "known": list(weights.known)}

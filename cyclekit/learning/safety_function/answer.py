@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -113,7 +113,7 @@ class SafetyFunction(Result):
         """The rule as it would be written into a safety controller; empty where none explains the logs."""
         return () if self.commanded.rule is None else tuple(sentences(self.commanded.rule))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return everything as plain JSON values."""
         out = {name: value for name, value in vars(self).items() if name != "cell"}
         out["explained"] = dict(self.explained)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class TaskTimesEvaluation(Result):
     drift: tuple[PaceShift, ...] | None
     trends: tuple[str, ...]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         drift = None if self.drift is None else [vars(shift) | {"changed": shift.changed} for shift in self.drift]
         return {**vars(self), "drift": drift, "trends": list(self.trends)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclekit.dataset.cards import plain
 from cyclekit.dataset.cards.task_model import FORMAT, TaskModelCard
@@ -25,7 +25,7 @@ class TaskTimesModel(Result):
 
     card: TaskModelCard
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the card as plain JSON values."""
         return plain(self.card, nulls=True)
 

@@ -167,7 +167,7 @@ class UnseenOperator(Result):
         until[..., -1] = 1.0
         return np.asarray(until)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {"levels": list(self.levels), "unseen": plain(self.unseen), "card": self.card.to_dict()}
 

@@ -12,6 +12,7 @@ from cyclekit.segmentation.arrivals import Stands, stands_of
 from cyclekit.segmentation.dwell import Dwell, usual_dwells
 from cyclekit.segmentation.executions import Execution, find_executions, find_visits
 from cyclekit.segmentation.places import find_places, with_turns
+from cyclekit.segmentation.standstills import find_stops
 from cyclekit.segmentation.waits import with_waits
 from cyclekit.storage.parquet import keeping
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from cyclekit.derive.over_sessions import Passes
     from cyclekit.derive.session_look import Look
     from cyclekit.parallel.engine import Engine
-    from cyclekit.schema import Progress
+    from cyclekit.schema import Ints, Progress
     from cyclekit.segmentation.standstills import Stop
     from cyclekit.segmentation.stored_run import Run
 
@@ -68,20 +69,35 @@ def robot_of(
     for look in looks:
         stops += [replace(stop, run=stop.run + len(runs)) for stop in look.stops]
         runs += look.runs
+    marks = [marks for look in looks for marks in look.marks]
+    places, executions = _divided(runs, stops, marks, cell)
+    with keeping(KEPT_BYTES):
+        overrides = [look.override for look in looks]
+        scaled, warnings = with_scaling(runs, executions, places, sessions, overrides, progress, engine)
+        known = [number for number, run in enumerate(scaled) if run.knows_scaling and not run.is_inferred]
+        new = {number for number in known if not runs[number].knows_scaling}
+        if new:  # a protective stop is no standstill of the program: look again where the scaling tells
+            stops = [stop for stop in stops if stop.run not in new]
+            stops += [stop for number in sorted(new) for stop in find_stops(scaled[number], number)]
+            places, executions = _divided(scaled, sorted(stops, key=lambda stop: stop.run), marks, cell)
+    by_run: list[list[Execution]] = [[] for _ in scaled]
+    for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
+        by_run[found.run].append(found)
+    return RobotInSessions(scaled, places, by_run, warnings)
+
+
+def _divided(
+    runs: Sequence[Run], stops: list[Stop], marks: Sequence[Ints], cell: Cell
+) -> tuple[dict[str, Place], list[Execution]]:
+    """Return the places of runs, and their executions."""
     places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
     visits = find_visits(stops, places, runs)
     if all(len({visit.place for visit in seen}) < 2 for seen in visits):  # it rests at one place at most
         stops = with_turns(runs, stops)
         places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
         visits = find_visits(stops, places, runs)
-    executions = find_executions(visits, places, cell.executions, [marks for look in looks for marks in look.marks])
-    executions = with_waits(executions, stops, runs) + _whole_runs(runs, executions)
-    with keeping(KEPT_BYTES):
-        runs, warnings = with_scaling(runs, executions, places, sessions, progress, engine)
-    by_run: list[list[Execution]] = [[] for _ in runs]
-    for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
-        by_run[found.run].append(found)
-    return RobotInSessions(runs, places, by_run, warnings)
+    executions = find_executions(visits, places, cell.executions, marks)
+    return places, with_waits(executions, stops, runs) + _whole_runs(runs, executions)
 
 
 def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Execution]:

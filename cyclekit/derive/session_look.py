@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.alignment.recording_clocks import place_in_time
 from cyclekit.dataset.sessions import LogGroup, Session
+from cyclekit.scaling.safety_override import override_of
 from cyclekit.segmentation.load_runs import load_runs
 from cyclekit.segmentation.standstills import Stop, find_stops
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Cell, Source
     from cyclekit.dataset.signals import Read, Stored
+    from cyclekit.scaling.safety_override import SafetyOverride
     from cyclekit.schema import Ints
     from cyclekit.segmentation.stored_run import StoredRun
 
@@ -31,12 +33,14 @@ class Look:
         runs: Runs of its robot.
         marks: Of each run the rows at which something logged says that a cycle begins.
         stops: Its standstills; their runs are counted from 0 here.
+        override: What its safety system logged; None = nothing, or its robot's log holds the scaling itself.
     """
 
     session: Session
     runs: list[StoredRun]
     marks: list[Ints]
     stops: list[Stop]
+    override: SafetyOverride | None
 
 
 def look_at(
@@ -62,4 +66,5 @@ def look_at(
     session = Session(group.name, recordings, group.reference, span_s=(min(starts), max(ends)))
     runs, marks = load_runs(session, read, stored, cell)
     stops = [stop for number, run in enumerate(runs) for stop in find_stops(run, number)]
-    return Look(session, runs, marks, stops)
+    override = None if all(run.knows_scaling for run in runs) else override_of(session, read)
+    return Look(session, runs, marks, stops, override)

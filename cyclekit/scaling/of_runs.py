@@ -1,4 +1,4 @@
-"""Scaling of each run: logged, else inferred from its motion."""
+"""Scaling of each run: logged, by the robot or by the safety system, else inferred from its motion."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from cyclekit.dataset.cards import Note, note
 from cyclekit.scaling.infer.override import Reference, infer_overrides
 from cyclekit.scaling.levels import find_staircase
+from cyclekit.scaling.safety_override import OverrideMatch, match_of, taken
 from cyclekit.segmentation.arrivals import Stands, stands_of
 from cyclekit.segmentation.dwell import usual_dwells
 from cyclekit.segmentation.motion import InferredScaling
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import Session
     from cyclekit.parallel.engine import Engine
+    from cyclekit.scaling.safety_override import SafetyOverride
     from cyclekit.schema import Progress
     from cyclekit.segmentation.executions import Execution
     from cyclekit.segmentation.stored_run import Run
@@ -36,6 +38,7 @@ def with_scaling(
     executions: Sequence[Execution],
     places: Mapping[str, Place],
     sessions: Sequence[Session],
+    overrides: Sequence[SafetyOverride | None],
     progress: Progress,
     engine: Engine,
 ) -> tuple[list[Run], list[Note]]:
@@ -46,6 +49,7 @@ def with_scaling(
         executions: Their executions, from `segment`.
         places: All places.
         sessions: Which runs were recorded without a person in the cell.
+        overrides: What the safety system of each session logged in a log of its own.
         progress: Told fraction and text.
         engine: Who infers.
     """
@@ -57,15 +61,48 @@ def with_scaling(
     if not references:
         return list(runs), [note("scaling-unknown", silent=len(silent), runs=len(runs))]
     done = [run if run.knows_scaling else run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
-    slowest = slowest_speed([part.scaling for n in silent for part in sorted(parts[n], key=lambda part: part.first)])
-    mine = [execution for execution in executions if execution.run in set(silent)]
+    apart, notes = _logged_apart(runs, parts, sessions, overrides)
+    left = [number for number in silent if number not in apart]
+    slowest = slowest_speed([part.scaling for n in left for part in sorted(parts[n], key=lambda part: part.first)])
+    mine = [execution for execution in executions if execution.run in set(left)]
     with_people = (session for session in sessions if any("people" in one.tables for one in session.recordings))
     watched = {number for session in with_people for number in session.runs}
     mine = [execution for execution in mine if execution.run in watched]
     halts = halts_at_places(done, mine, stands_of(done, mine, places), slowest)
-    for number in silent:
+    for number in left:
         done[number] = runs[number].with_scaling([*parts[number], *halts[number]])
-    return done, [_inferred(len(silent), len(runs), references)]
+    for number, part in apart.items():
+        done[number] = runs[number].with_scaling([part], logged_apart=True)
+    return done, [*notes, *([_inferred(len(left), len(runs), references)] if left else [])]
+
+
+def _logged_apart(
+    runs: Sequence[Run],
+    parts: Sequence[Sequence[InferredScaling]],
+    sessions: Sequence[Session],
+    overrides: Sequence[SafetyOverride | None],
+) -> tuple[dict[int, InferredScaling], list[Note]]:
+    """Return the scaling of those runs that follow the override of their session's safety system, and what to say."""
+    found: dict[int, InferredScaling] = {}
+    told: dict[str, list[tuple[str, OverrideMatch]]] = {}
+    for session, logged in zip(sessions, overrides, strict=True):
+        silent = [number for number in session.runs if not runs[number].knows_scaling]
+        if logged is None or not silent:
+            continue
+        agreed = match_of(logged, [(runs[number], parts[number]) for number in silent])
+        told.setdefault(agreed.code, []).append((logged.log, agreed))
+        if agreed.agrees:
+            found |= {number: taken(logged, agreed.later_s, runs[number]) for number in silent}
+    return found, [_told_of_logs(code, mine) for code, mine in told.items()]
+
+
+def _told_of_logs(code: str, told: Sequence[tuple[str, OverrideMatch]]) -> Note:
+    """Return one note on logs of which the same is to be said."""
+    error, later_s = (np.array([getattr(one, name) for _, one in told]) for name in ("error", "later_s"))
+    return note(
+        code, log=told[0][0], logs=len(told), error=float(error.max()),
+        earliest_s=float(later_s.min()), latest_s=float(later_s.max()),
+    )  # fmt: skip
 
 
 def _inferred(silent: int, runs: int, references: Mapping[str, Sequence[Reference]]) -> Note:

@@ -125,10 +125,15 @@ class RobotRun:
         """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
         return np.clip(np.searchsorted(self.t_s, t_s + 1e-9, side="right") - 1, 0, None)
 
-    def with_scaling(self, parts: Sequence[InferredScaling]) -> RobotRun:
-        """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
+    def with_scaling(self, parts: Sequence[InferredScaling], *, logged_apart: bool = False) -> RobotRun:
+        """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere.
+
+        Args:
+            parts: The scaling.
+            logged_apart: It was not inferred but logged, in a log of its own.
+        """
         scaling, deviation, gap = Overlay(parts).rows(0, self.rows - 1)
-        return replace(self, scaling=scaling, deviation=deviation, gap=gap, is_inferred=True)
+        return replace(self, scaling=scaling, deviation=deviation, gap=gap, is_inferred=not logged_apart)
 
 
 def moving_slider(slider: Vector | None, rows: int) -> Vector:

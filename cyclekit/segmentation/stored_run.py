@@ -55,6 +55,7 @@ class StoredRun:
         more: Joint angles and slider of the same rows, as far as they are known; None = neither is.
         halts: When the program was paused or stopped.
         inferred: Scaling in place of the logged one; None = as logged.
+        logged_apart: That scaling was not inferred but logged, in a log of its own.
         changes: When each logged signal changed, session seconds, ascending.
     """
 
@@ -69,6 +70,7 @@ class StoredRun:
     more: StoredTable | None = None
     halts: tuple[Halt, ...] = ()
     inferred: Overlay | None = None
+    logged_apart: bool = False
     changes: Mapping[str, Vector] = field(default_factory=dict)
 
     @property
@@ -106,7 +108,7 @@ class StoredRun:
     @property
     def is_inferred(self) -> bool:
         """Whether its scaling was inferred and not logged."""
-        return self.inferred is not None
+        return self.inferred is not None and not self.logged_apart
 
     def posture(self, first: int, last: int) -> tuple[Points, Vector]:
         """Return joint angles (else TCP) of rows `first` to `last`, (T, D), and the slider, (T,), 1 if not logged."""
@@ -140,10 +142,10 @@ class StoredRun:
         before = times_there.searchsorted(t_s - self.offset_s + 1e-9, side="right") - 1
         return np.asarray(first + np.maximum(before, 0))
 
-    def with_scaling(self, parts: Sequence[InferredScaling]) -> StoredRun:
+    def with_scaling(self, parts: Sequence[InferredScaling], *, logged_apart: bool = False) -> StoredRun:
         """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
         kept = Overlay(parts)
-        return replace(self, inferred=kept, knows_scaling=kept.is_known)
+        return replace(self, inferred=kept, knows_scaling=kept.is_known, logged_apart=logged_apart)
 
 
 Run: TypeAlias = RobotRun | StoredRun

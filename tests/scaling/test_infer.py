@@ -94,6 +94,28 @@ def test_edges_stay_sharp_and_a_halt_in_mid_motion_is_zero():
     assert np.abs(found.scaling[halted]).max() < 0.02
 
 
+def around_a_corner(nominal_s: Vector) -> Points:
+    """Two straight ways of 1 s, each by acceleration and braking of 1.6 m/s²: it stops in the corner for no time."""
+    u = np.clip(nominal_s, 0.0, 2.0) % 1.0
+    part = np.where(u < 0.5, 2.0 * u**2, 1.0 - 2.0 * (1.0 - u) ** 2) * 0.4
+    second = nominal_s >= 1.0
+    ends = np.where(nominal_s >= 2.0, 0.4, np.where(second, part, 0.0))
+    return np.column_stack([np.where(second, 0.4, part), ends, np.zeros_like(part)])
+
+
+def test_a_log_of_few_rows_around_a_stop_in_a_corner_tells_the_scaling_there_too(monkeypatch: pytest.MonkeyPatch):
+    # between two rows near rest the path is bent: what is read there by place alone is wrong by a row or more
+    monkeypatch.setitem(globals(), "PERIOD_S", 0.02)
+    rates = [1.0, 1.0, 1.0, 1.0, 0.7, 0.7, 0.3, 0.45]
+    slowed = [run(lambda _, s=s: s, noise=3e-6, seed=k, path=around_a_corner) for k, s in enumerate(rates)]
+    errors = []
+    for one, (_, true) in zip(inferred([one for one, _ in slowed]), slowed, strict=True):
+        known = np.isfinite(one.scaling)
+        assert known.mean() > 0.9
+        errors.append(np.abs(one.scaling - true)[known])
+    assert float(np.concatenate(errors).mean()) < 0.0022
+
+
 def test_the_stated_deviation_is_about_the_error():
     errors = []
     for seed in range(1, 9):

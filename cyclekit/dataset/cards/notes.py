@@ -98,6 +98,20 @@ def _scaling_inferred(values: Mapping[str, Value]) -> str:
     return f"{_scaling(values)}: inferred from velocity ratios against {how}{seen}"
 
 
+def _overrides(values: Mapping[str, Value]) -> str:
+    one = values["logs"] == 1
+    return (
+        f"the override of {values['log']} is"
+        if one
+        else f"the overrides of {values['logs']} logs ({values['log']}, …) are"
+    )
+
+
+def _later(values: Mapping[str, Value]) -> str:
+    first, last = (f"{values[name]:+.2f}" for name in ("earliest_s", "latest_s"))
+    return f"{first if first == last else f'{first} to {last}'} s after it was logged"
+
+
 def _events(values: Mapping[str, Value]) -> str:
     many = "one event" if values["events"] == 1 else f"{values['events']} events"
     return f"its clock is aligned on only {many}, too few to check it: record three or more"
@@ -177,6 +191,17 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     # the speed scaling
     "scaling-unknown": lambda values: f"{_scaling(values)}; it cannot be inferred either, because no motion repeats",
     "scaling-inferred": _scaling_inferred,
+    "scaling-of-safety-log": lambda values: (
+        f"{_overrides(values)} taken for the robot's speed scaling: its motion agrees to {values['error']:.3f} "
+        f"(median), {_later(values)}"
+    ),
+    "override-not-followed": lambda values: (
+        f"{_overrides(values)} not taken for the robot's speed scaling: its motion differs by {values['error']:.3f} "
+        f"(median), at best {_later(values)}; if the clocks are farther apart, give clock_offset_s or sync in cell.toml"
+    ),
+    "override-not-compared": lambda values: (
+        f"{_overrides(values)} not taken for the robot's speed scaling: its motion tells too little to compare"
+    ),
     "input-slows": "while {signal} is {state}, the robot runs at {percent} % speed at most, wherever the operator is",
     "operator-signal": (
         "{signal} = {occupied} is taken as a person's presence: the speed answers {delay_s:.2f} s later, and with it "

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 if TYPE_CHECKING:
     from cyclekit.schema import Bools, Points, Vector
@@ -27,6 +28,9 @@ VAGUE_S = 0.002
 """Where noise blurs the nominal time by more than this, the path is too slow to tell the place: nearly at rest."""
 RENEWED_S = 0.025
 """Every controller renews its positions at least as often; what stays equal for longer stands."""
+FITS = 2.0
+"""Points no farther than so many times their noise off a path follow it. Farther off, the path is known no better:
+of a stop in mid-motion few rows are logged, and it bends between them."""
 _NEWTON = 4
 
 
@@ -39,12 +43,14 @@ class Path:
         nominal_s: Nominal time there, shape (M,), never decreasing.
         points: Smoothed points, shape (M, D), in units of their noise.
         slope: Their derivatives by `own_s`, shape (M, D).
+        misfit: How far the smoothed points lie off the logged ones around each row, shape (M,), in units of the noise.
     """
 
     own_s: Vector
     nominal_s: Vector
     points: Points
     slope: Points
+    misfit: Vector
 
     @property
     def length(self) -> float:
@@ -74,8 +80,10 @@ def path_of(t_s: Vector, points: Points) -> Path:
     x = x[going]
     even = np.arange(max(round(own[-1] / period), 1) + 1) * (own[-1] / max(round(own[-1] / period), 1))
     x = np.column_stack([np.interp(even, own, column) for column in x.T])
-    smooth, slope = _smoothed(x, max(2, round(SMOOTH_S / max(period, 1e-4))), float(even[1] - even[0]))
-    return Path(even, even, smooth, slope)
+    half = max(2, round(SMOOTH_S / max(period, 1e-4)))
+    smooth, slope = _smoothed(x, half, float(even[1] - even[0]))
+    misfit = maximum_filter1d(np.linalg.norm(smooth - x, axis=1) / np.sqrt(x.shape[1]), 2 * half + 1)
+    return Path(even, even, smooth, slope, misfit)
 
 
 def _halted(t_s: Vector, points: Points, period_s: float) -> Bools:
@@ -140,7 +148,9 @@ def along(path: Path, t_s: Vector, points: Points) -> Along:
     speed2 = np.einsum("td,td->t", slope, slope)
     variance = np.divide(1.0, speed2, out=np.full(len(own), np.inf), where=speed2 > 1.0 / VAGUE_S**2)
     variance[_written_twice(t_s, points) & np.isfinite(variance)] = np.inf
-    return Along(own, variance, np.linalg.norm(points - x, axis=1))
+    off = np.linalg.norm(points - x, axis=1)
+    misfit = np.maximum(np.interp(own, path.own_s, path.misfit), off / np.sqrt(points.shape[1]))
+    return Along(own, variance * (1.0 + np.maximum(misfit**2 - FITS**2, 0.0)), off)
 
 
 def _written_twice(t_s: Vector, points: Points) -> Bools:

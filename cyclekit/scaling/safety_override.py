@@ -1,0 +1,166 @@
+"""The speed override that the safety system logged in a file of its own, taken for the robot's scaling.
+
+Whether it is the robot's at all, and how far their clocks are apart, is told by the motion: the override is held
+against the scaling that was inferred from it. Where both agree the logged one is better: it is known in standstills
+too, and its ramps are sharp.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.segmentation.motion import NOT_LOGGED, InferredScaling
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from cyclekit.dataset.sessions import Session
+    from cyclekit.dataset.signals import Read
+    from cyclekit.schema import Vector
+    from cyclekit.segmentation.stored_run import Run
+
+SILENT_S, SILENT_STEPS = 1.0, 20.0
+"""A value is held until the next row, but no longer than so, nor than so many usual steps of its log."""
+SURE = 0.02
+"""Inferred scalings of a larger standard deviation are not compared."""
+COMPARED, ROUGHLY = 20_000, 1500
+"""So many are, of one session; to find about where both fit, fewer do."""
+LEAST = 200
+"""Fewer tell nothing."""
+NEAR_S, FAR_S = (-0.5, 1.5), (-60.0, 60.0)
+"""How much later the robot may follow the log: where their clocks are known, and where they are not."""
+COARSE_S, FINE_S = 0.1, 0.01
+ALIKE, MOSTLY = 0.02, 0.1
+"""Both are the same where the median difference is within ALIKE, and nine of ten are within MOSTLY."""
+CAPPED = 0.2
+"""Larger differences count as this: a wrong offset is wrong however far."""
+APART_S, BETTER = 2.0, 1.5
+"""Offsets that far from the best one must fit so many times worse; else it is one of several."""
+_TIE = 0.002
+AGREES, DIFFERS, TOO_LITTLE = "scaling-of-safety-log", "override-not-followed", "override-not-compared"
+
+
+@dataclass(frozen=True)
+class SafetyOverride:
+    """The override of one session as its safety system logged it.
+
+    Attributes:
+        log: The log that holds it, as users know it.
+        t_s: Session time, shape (T,), ascending, by the clock of the session as far as it is known.
+        override: Shape (T,), 0 to 1.
+        clock_known: How its clock relates to the robot's is known, not assumed.
+    """
+
+    log: str
+    t_s: Vector
+    override: Vector
+    clock_known: bool
+
+    def at(self, t_s: Vector) -> Vector:
+        """Return the override held at times, shape (N,), NaN where the log is silent."""
+        row = np.searchsorted(self.t_s, t_s, side="right") - 1
+        held_s = max(SILENT_S, SILENT_STEPS * float(np.median(np.diff(self.t_s))))
+        known = (row >= 0) & (t_s - self.t_s[row] <= held_s)
+        return np.where(known, self.override[row], np.nan)
+
+
+@dataclass(frozen=True)
+class OverrideMatch:
+    """How an override agrees with the scaling inferred from the motion, at the best offset.
+
+    Attributes:
+        later_s: How much later than the log says the robot follows.
+        error: Median difference there.
+        code: The note that says what was found: AGREES, DIFFERS or TOO_LITTLE.
+    """
+
+    later_s: float
+    error: float
+    code: str
+
+    @property
+    def agrees(self) -> bool:
+        """They are the same."""
+        return self.code == AGREES
+
+
+def override_of(session: Session, read: Read) -> SafetyOverride | None:
+    """Return the override that a session's safety system logged; None where none did.
+
+    Args:
+        session: In one clock.
+        read: Returns a native table of a recording (id, table), None if it has none.
+    """
+    for recording in session.recordings:
+        table = read(recording.id, "safety") if "safety" in recording.tables else None
+        if table is None:
+            continue
+        known = table.drop_nulls("override").sort("t_s")
+        if known.height > 2:
+            clock = recording.clock
+            t_s = known["t_s"].to_numpy() * clock.rate + clock.offset_s
+            return SafetyOverride(recording.shown, t_s, known["override"].to_numpy(), "assumed" not in clock.method)
+    return None
+
+
+def match_of(logged: SafetyOverride, runs: Iterable[tuple[Run, Sequence[InferredScaling]]]) -> OverrideMatch:
+    """Hold an override against what was inferred from the motion of the same session.
+
+    Args:
+        logged: The override.
+        runs: The runs of the session that did not log their scaling, each with its inferred parts.
+    """
+    t_s, scaling = _sure(runs)
+    if len(t_s) < LEAST or np.ptp(scaling) < CAPPED:
+        return OverrideMatch(0.0, 0.0, TOO_LITTLE)
+    step = -(-len(t_s) // COMPARED)
+    t_s, scaling = t_s[::step], scaling[::step]
+
+    def misfit(later_s: Vector, every: int = 1) -> Vector:
+        return np.array([_misfit(logged, t_s[::every], scaling[::every], later) for later in later_s])
+
+    reach = NEAR_S if logged.clock_known else FAR_S
+    offsets = np.arange(reach[0], reach[1] + COARSE_S, COARSE_S)
+    coarse = misfit(offsets, max(1, len(t_s) // ROUGHLY))
+    if not np.isfinite(coarse).any():
+        return OverrideMatch(0.0, 0.0, TOO_LITTLE)
+    best = float(offsets[np.nanargmin(coarse)])
+    fine = np.arange(best - COARSE_S, best + COARSE_S + FINE_S, FINE_S)
+    found = misfit(fine)
+    later_s = float(np.median(fine[found <= np.nanmin(found) + _TIE * CAPPED]))
+    away = np.abs(offsets - later_s) > APART_S
+    alone = not away.any() or bool(np.nanmin(coarse[away]) > BETTER * float(np.nanmin(found)))
+    differ = np.abs(logged.at(t_s - later_s) - scaling)
+    differ = differ[np.isfinite(differ)]
+    error = float(np.median(differ))
+    agrees = alone and error <= ALIKE and float(np.quantile(differ, 0.9)) <= MOSTLY
+    return OverrideMatch(later_s, error, AGREES if agrees else DIFFERS)
+
+
+def taken(logged: SafetyOverride, later_s: float, run: Run) -> InferredScaling:
+    """Return the scaling of a whole run by the override, which the robot follows so much later than it was logged."""
+    scaling = logged.at(run.window(0, run.rows - 1).t_s - later_s)  # exact: whole percents lie at a level's tolerance
+    gap = np.where(np.isfinite(scaling), 0, NOT_LOGGED).astype(np.int8)
+    return InferredScaling(0, scaling, np.broadcast_to(0.0, scaling.shape), gap)
+
+
+def _sure(runs: Iterable[tuple[Run, Sequence[InferredScaling]]]) -> tuple[Vector, Vector]:
+    """Return when the inferred scaling is known well, and what it is there, shapes (N,)."""
+    times, values = [np.empty(0)], [np.empty(0)]
+    for run, parts in runs:
+        for part in parts:
+            sure = np.flatnonzero(part.deviation <= SURE)
+            if len(sure):
+                times.append(run.window(part.first, part.first + len(part.scaling) - 1).t_s[sure])
+                values.append(part.scaling[sure].astype(np.float64))
+    return np.concatenate(times), np.concatenate(values)
+
+
+def _misfit(logged: SafetyOverride, t_s: Vector, scaling: Vector, later_s: float) -> float:
+    """Return the mean difference at an offset, NaN where the log covers less than half of the times."""
+    differ = np.abs(logged.at(t_s - later_s) - scaling)
+    known = np.isfinite(differ)
+    return float(np.minimum(differ[known], CAPPED).mean()) if 2 * int(known.sum()) > len(t_s) else np.nan

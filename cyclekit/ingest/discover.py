@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import re
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -19,6 +20,7 @@ from cyclekit.adapter import ReadOptions
 from cyclekit.config import Cell, NamedPlace, Robot, Source, load_cell
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, CyclekitError, LogError
+from cyclekit.ingest.alike import as_one, kind_of
 from cyclekit.ingest.registry import Registered, adapter_named, drafted, find_logs, why_unknown
 from cyclekit.storage.files import resolved
 from cyclekit.storage.inside import fitting, leads_out, real
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
     from cyclekit.adapter import Draft
 
 CELL_FILE = "cell.toml"
-_MOST_DRAFTS, _MOST_TRIED = 50, 500
+_MOST_ALIKE, _MOST_TRIED = 5, 500
 _OF_USE = {"x", "joints", "scaling", "signal"}
 """A table in a folder in which none of these is found is no log, most likely."""
 
@@ -97,32 +99,37 @@ def suggest_cell(paths: Sequence[Path], *, follow_links: bool = False) -> Sugges
         )
         return Suggested(known)
     cell = cell_for(paths, None)
-    drafts = _drafts(paths, cell, follow_links=follow_links)
+    drafts, unread = _drafts(paths, cell, follow_links=follow_links)
     try:
         logs, _ = find_all(paths, cell, follow_links=follow_links)
     except LogError:
         if not drafts:
             raise
         logs = []
-    sources = {source.path: source for log in logs for source in [log.source or Source(log.shown, log.adapter)]}
-    sources |= {shown: Source(shown, adapter) for shown, (adapter, _) in drafts.items()}
-    return Suggested(
-        replace(cell, sources=tuple(sources.values())), {shown: draft for shown, (_, draft) in drafts.items()}
-    )
+    named = {source.path: source for log in logs for source in [log.source or Source(log.shown, log.adapter)]}
+    sources, drafts_of = as_one(list(named.values()), drafts, unread)
+    return Suggested(replace(cell, sources=tuple(sources)), drafts_of)
 
 
-def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> dict[str, tuple[str, Draft]]:
-    """Return what is proposed for files that nobody reads, with the adapter that proposes it, of the first few."""
+def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> tuple[dict[str, tuple[str, Draft]], list[str]]:
+    """Return what is proposed for files that nobody reads, with the adapter that proposes it, and the names of all.
+
+    Of files of a kind the first few are looked at.
+    """
     found: dict[str, tuple[str, Draft]] = {}
     prefixes, tried = _prefixes(roots), 0
+    kinds: Counter[str] = Counter()
+    unread: list[str] = []
     for root in roots:
         base = root if root.is_dir() else root.parent
         for path, registered in _candidates(root, base, cell, follow_links=follow_links):
             shown, is_text = _as_text(prefixes[base] + path.relative_to(base).as_posix())
             known = registered is not None or any(matches(shown, path, source.path) for source in cell.sources)
-            if known or not is_text or len(found) >= _MOST_DRAFTS or tried >= _MOST_TRIED:
+            away = not follow_links and leads_out(path, root)
+            if known or away or not is_text or not path.is_file() or not path.stat().st_size:
                 continue
-            if not path.is_file() or not path.stat().st_size or (not follow_links and leads_out(path, root)):
+            unread.append(shown)
+            if tried >= _MOST_TRIED or kinds[kind_of(shown)] >= _MOST_ALIKE:
                 continue
             tried += 1
             try:
@@ -133,7 +140,8 @@ def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> dict[st
                 continue
             if proposed is not None and (path in roots or not _OF_USE.isdisjoint(p.key for p in proposed[1].map)):
                 found[shown] = (proposed[0].name, proposed[1])
-    return found
+                kinds[kind_of(shown)] += 1
+    return found, unread
 
 
 def find_all(

@@ -95,3 +95,21 @@ def test_a_workbook_is_named_with_the_command_that_drafts_its_map(cyclekit: Shel
     assert done.code == 0, done.err
     (tmp_path / "old.xls").write_bytes(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600))
     assert "Save it as .xlsx" in cyclekit("inspect", tmp_path / "old.xls").err
+
+
+def test_files_of_a_kind_are_one_source_however_many_they_are(cyclekit: Shell, tmp_path: Path) -> None:
+    for folder in ("robot", "tracker"):
+        (tmp_path / folder).mkdir()
+    rows = "\n".join(f"{i};{i * 0.01:.2f};{1 + i * 0.003:.3f};0.5" for i in range(200))
+    for number in range(1, 71):
+        (tmp_path / "robot" / f"run_{number:02}.csv").write_text(f"t [s];X [m];Y [m];Z [m]\n{rows}\n")
+        (tmp_path / "tracker" / f"run_{number:02}.csv").write_text(f"t [s];X [m];Y [m];Z [m]\n{rows}\n")
+    (tmp_path / "tracker" / "run_x.csv").write_text("t [ms];person_x [m];person_y [m]\n1;2;3\n2;2.1;3\n3;2.2;3\n")
+    printed = cyclekit("inspect", tmp_path, "--write-cell").out
+    assert printed.index('"tracker/run_x.csv"') < printed.index('"tracker/run_*.csv"')  # the first that fits counts
+    (tmp_path / "tracker" / "run_x.csv").unlink()
+    printed = cyclekit("inspect", tmp_path, "--write-cell").out
+    assert printed.count("[[sources]]") == 2
+    assert 'path = "robot/run_*.csv"\nadapter = "csv"\nrole = "robot"  # its name says so' in printed
+    assert 'path = "tracker/run_*.csv"\nadapter = "csv"\nrole = "people"  # its name says so' in printed
+    assert printed.count("# for 70 files") == 2

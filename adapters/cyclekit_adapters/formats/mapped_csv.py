@@ -46,7 +46,7 @@ class _MappedCsv:
 
     def draft(self, path: Path) -> Draft | None:
         table = sheet_draft_table(path) if is_workbook(path) else text_draft_table(path)
-        return None if table is None else draft_of(table)
+        return None if table is None else draft_of(table, f"{path.parent.name} {path.stem}")
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         return whole(self.stream(path, options))

@@ -7,6 +7,7 @@ would be a wrong one. What names say is the business of `draft_names`, what valu
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ import numpy as np
 from cyclekit.adapter import Draft, Proposal
 from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, SECONDS
 from cyclekit_adapters.mapped.draft_columns import FoundColumns, joints, person_columns, places, scalings, states
-from cyclekit_adapters.mapped.draft_names import Name, name_of
+from cyclekit_adapters.mapped.draft_names import PERSON, ROBOT, TRACKER, Name, name_of
 from cyclekit_adapters.mapped.draft_times import FoundTime, counts_rows, found_times
 
 if TYPE_CHECKING:
@@ -48,11 +49,16 @@ class _Lines:
             self.used |= {value} if isinstance(value, str) else set(value) if isinstance(value, list) else set()
 
 
-def draft_of(table: DraftTable) -> Draft:
-    """Return the map that the first rows of a table suggest."""
+def draft_of(table: DraftTable, called: str = "") -> Draft:
+    """Return the map that the first rows of a table suggest.
+
+    Args:
+        table: Its first rows.
+        called: Names of its folder and file: they say whose it is where the columns do not.
+    """
     names = {column: name_of(table.titles.get(column, column), table.units.get(column, "")) for column in table.names}
     names = {column: replace(name, column=column) for column, name in names.items()}
-    lines, found = _Lines(), _Findings(table, names)
+    lines, found = _Lines(), _Findings(table, names, set(re.findall("[a-z]+", called.lower())))
     lines.map += [Proposal(key, value) for key, value in table.keys.items()]
     _add_time(lines, table, names, found)
     _add_role(lines, found)
@@ -69,7 +75,7 @@ def draft_of(table: DraftTable) -> Draft:
 class _Findings:
     """Possible meanings of the columns, and whether they are of the robot or of a person."""
 
-    def __init__(self, table: DraftTable, names: dict[str, Name]) -> None:
+    def __init__(self, table: DraftTable, names: dict[str, Name], called: set[str]) -> None:
         self.joints, self.scalings = joints(table, names), scalings(table, names)
         self.people = person_columns(table, names)
         every = places(table, names)
@@ -77,8 +83,12 @@ class _Findings:
         robots = [place for place in every if not place.person]
         is_robot = bool(self.scalings) or any(found.robot for found in (*robots, *self.joints))
         is_person = bool(persons or self.people)
+        self.sure, self.why = is_robot or is_person, "its columns say so"
+        if not self.sure:
+            is_robot, is_person = bool(called & ROBOT), bool(called & (PERSON | TRACKER))
+            self.sure = is_robot != is_person
+            self.why = "its name says so" if self.sure else "robot or people? Its columns do not say"
         self.role = "people" if is_person and not is_robot else "robot"
-        self.sure = is_robot or is_person
         self.places = (persons or robots) if self.role == "people" else robots
         self.others = persons if self.role == "robot" else []
 
@@ -92,8 +102,7 @@ class _Findings:
 
 
 def _add_role(lines: _Lines, found: _Findings) -> None:
-    why = "its columns say so" if found.sure else "robot or people? Its columns do not say"
-    lines.source.append(Proposal("role", found.role, why, found.sure))
+    lines.source.append(Proposal("role", found.role, found.why, found.sure))
 
 
 def _add_time(lines: _Lines, table: DraftTable, names: dict[str, Name], found: _Findings) -> None:

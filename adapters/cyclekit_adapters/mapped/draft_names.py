@@ -57,6 +57,7 @@ PERSON = {
     *("human", "humans", "person", "persons", "people", "operator", "worker", "pedestrian", "ped", "body", "skeleton"),
     *("head", "pelvis", "hip", "hips", "torso", "helmet", "vest", "subject", "visitor", "track"),
 }
+TRACKER = {"tracker", "tracking", "tracks", "mocap", "motive", "optitrack", "vicon", "qualisys", "camera"}
 IDS = {"id", "ids", "person", "ped", "pedestrian", "track", "body", "human", "subject", "people", "worker", "object"}
 OTHER_IDS = {
     "frame",

@@ -1,0 +1,105 @@
+"""Sources of a drafted cell file that are written alike, as one: `day*/people.csv` in place of a source for each day.
+
+A plant logs one file an execution or a day. Nobody corrects the same line sixty times.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
+
+from cyclekit.config import Source
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from cyclekit.adapter import Draft
+
+    _Sources = list[tuple[Source, Draft | None]]
+
+_UNIT = "_unit"
+
+
+def as_one(
+    known: Sequence[Source], drafted: Mapping[str, tuple[str, Draft]], unread: Collection[str]
+) -> tuple[list[Source], dict[str, Draft]]:
+    """Return sources and drafts, by path, with one in place of those that are written alike.
+
+    Args:
+        known: Sources that an adapter recognises, or the cell file names.
+        drafted: Of tables that nobody recognises, by path: the adapter that proposes, and what.
+        unread: All files that nobody reads.
+    """
+    sources: _Sources = [(source, None) for source in known]
+    sources += [(Source(shown, adapter), draft) for shown, (adapter, draft) in drafted.items()]
+    groups: dict[object, _Sources] = {}
+    for source, draft in sources:
+        plain = source == Source(source.path, source.adapter)
+        key = (source.adapter, draft is None, kind_of(source.path)) if plain else source.path
+        groups.setdefault(key, []).append((source, draft))
+    alone: _Sources = []
+    globs: _Sources = []
+    for group in groups.values():
+        of, first = [source.path for source, _ in group], group[0][0]
+        told = _agreed([draft for _, draft in group if draft is not None])
+        if told is not None:
+            of += [name for name in unread if kind_of(name) == kind_of(first.path) and name not in of]
+            told = replace(told, notes=(*told.notes, f"for {len(of)} files"))
+        glob = _glob(of)
+        others = set(unread) - set(of) - set(drafted)
+        if (
+            len(of) < 2
+            or glob is None
+            or any(fnmatchcase(name, glob) for name in others)
+            or (told is None and group[0][1] is not None)
+        ):
+            alone += group
+        else:
+            globs.append((replace(first, path=glob), told))
+    found = [*alone, *globs]  # the first that matches counts, so a pattern comes behind what it does not mean
+    return [source for source, _ in found], {source.path: draft for source, draft in found if draft is not None}
+
+
+def kind_of(path: str) -> str:
+    """Return what paths of one kind have in common: all but the digits."""
+    return re.sub(r"\d+", "#", path)
+
+
+def _glob(paths: Sequence[str]) -> str | None:
+    """Return a pattern for paths of one kind; None where a name has a character that patterns use."""
+    if any(character in path for path in paths for character in "*?["):
+        return None
+    parts = []
+    for each in zip(*(path.split("/") for path in paths), strict=True):
+        begin = _beginning(each)
+        left = [name[len(begin) :] for name in each]
+        end = _beginning([name[::-1] for name in left])[::-1]
+        parts.append(begin if not any(left) else f"{begin}*{end}")
+    return "/".join(parts)
+
+
+def _beginning(names: Sequence[str]) -> str:
+    """Return the characters with which all names begin."""
+    first, last = min(names), max(names)
+    same = next((at for at, (one, other) in enumerate(zip(first, last, strict=False)) if one != other), len(first))
+    return first[:same]
+
+
+def _agreed(drafts: Sequence[Draft]) -> Draft | None:
+    """Return the surest of drafts that differ in nothing but what is not sure, and in units; None where others do."""
+    if not drafts:
+        return None
+    best = min(drafts, key=lambda draft: draft.unsure)
+    mine = {proposal.key: proposal for proposal in (*best.source, *best.map)}
+    for draft in drafts:
+        for proposal in (*draft.source, *draft.map):
+            other = mine.get(proposal.key)
+            if other is None or (other.value != proposal.value and (proposal.sure or not _may_differ(proposal.key))):
+                return None
+    return best
+
+
+def _may_differ(key: str) -> bool:
+    return key.endswith(_UNIT)

@@ -219,9 +219,9 @@ def command_line(*words: object, program: str = "cyclekit") -> str:
     return subprocess.list2cmdline(every) if os.name == "nt" else shlex.join(every)
 
 
-def _printable(name: object, most: int = 120) -> str:
+def _printable(name: object) -> str:
     text = repr(name)
-    return text if len(text) <= most else f"{text[:most]}…"
+    return text if len(text) <= 120 else f"{text[:120]}…"
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

@@ -25,7 +25,7 @@ def draw_heatmap(path: Path, rows: NDArray[np.int64]) -> None:
         path: File to write.
         rows: Counts, shape (B, B), first index true, second predicted, bins of equal width over [0, 1].
     """
-    with canvas(path, 4.2, 3.8) as (axes,):
+    with canvas(path, 4.2, 3.8) as axes:
         image = axes.imshow(np.log10(rows.T + 1), origin="lower", extent=(0, 1, 0, 1), cmap="cividis", aspect="equal")
         axes.plot([0, 1], [0, 1], color="white", linewidth=0.7, linestyle="--")
         axes.set_xlabel("true")
@@ -43,7 +43,7 @@ def draw_staircase(path: Path, result: Mapping[str, Any]) -> None:
     rows = np.array(result["by_distance_rows"])[1:81]
     known = rows >= _FEW
     at = (np.arange(80) + 0.5) * 0.05
-    with canvas(path, 5.2, 3.2) as (axes,):
+    with canvas(path, 5.2, 3.2) as axes:
         for name, colour in (("true", colours.NOMINAL), ("predicted", colours.SAFETY)):
             values = np.array(result[f"by_distance_{name}"])[1:81]
             axes.plot(at[known], values[known], ".-" if name == "predicted" else "-", color=colour, label=name)
@@ -59,7 +59,7 @@ def draw_reliability(path: Path, found: Mapping[str, Any]) -> None:
         path: File to write.
         found: `confidence`, `accuracy` and `rows` of each bin, as `models.calibration.Reliability`.
     """
-    with canvas(path, 3.8, 3.6) as (axes,):
+    with canvas(path, 3.8, 3.6) as axes:
         axes.plot([0, 1], [0, 1], color=colours.DWELL, linewidth=0.8)
         size = 10 + 60 * np.sqrt(np.array(found["rows"]) / max(found["rows"]))
         axes.scatter(found["confidence"], found["accuracy"], s=size, color=colours.NOMINAL)

@@ -71,24 +71,9 @@ def estimate(
     Every command, the fleet and Python ask here, so that one question has one number. A rollout is validated on logged
     executions and corrected by its bias there; the same executions are used whoever asks.
 
-    Args:
-        model: A model of problem `now`, or of `average` for that estimator; `history` and `nominal` do not ask it.
-        dataset: Logs that hold the tasks and the operator's tracks.
-        sequences: What is asked for.
-        estimator: One of ESTIMATORS; None: what suits the model.
-        quantiles: Levels in (0, 1) of single cycles.
-        takt_s: Also tell the probability that a cycle takes no longer.
-        seed: Of the resampling behind the intervals, and of the order in which logged stands are used.
-        extrapolate: Answer although the support is below LEAST_SUPPORT; the number is marked.
-        validate: Roll out logged executions too, and correct by them (of a rollout that can be answered, in the cell
-            that was logged).
-        check: That validation, if it was made before (`CycleEstimate.check`): it is not made again.
-        other_cell: Answer by a model of another cell too, or one that is far off on these logs.
-        altered: What is different from the cell that was logged.
-        engine: Where sequences are walked; same numbers from each. An altered cell is walked in this process.
-        refused: Told each sequence that cannot be answered from these logs, and why; the others are answered as if they
-            alone were asked for. None: the first such sequence is raised.
-        progress: Told fraction and text.
+    What is asked is said at `cyclekit.estimate_cycles`. Beside it: the cell may be `altered`, and is then walked in
+    this process without a validation; `refused` is told each sequence that cannot be answered from these logs, and
+    why, and the others are answered as if they alone were asked for. Without it the first such sequence is raised.
 
     Raises:
         ModelError: The model does not predict what the estimator needs, was learned in another cell, or comes out far

@@ -58,11 +58,7 @@ def describe(
 ) -> Description:
     """Return what is at `path`: logs, a dataset or a model, told apart by content.
 
-    Args:
-        path: A file or a folder.
-        cell: Cell file that says how logs are read; by default the one beside them.
-        progress: Called with the fraction done and what is being looked at.
-        follow_links: Look at what links in a folder of logs lead to outside of it.
+    What is asked is said at `cyclekit.inspect_logs`.
 
     Raises:
         LogError: There is nothing there, or nothing that can be read.

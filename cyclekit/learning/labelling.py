@@ -122,7 +122,7 @@ def staircase_of(dataset: Dataset, frame: pl.DataFrame, method: str = "plateau")
     Args:
         dataset: Whose rows.
         frame: Table SAMPLES or a part of it, rows of one execution together and in order of time.
-        method: `plateau` or one of `steps.FINDERS`.
+        method: `plateau` or one of `scaling.levels.FINDERS`.
     """
     scaling, run = scaling_in_time(frame, dataset.rate_hz)
     return find_staircase(scaling, run=run, method=method, levels=fixed_levels(dataset), rate_hz=dataset.rate_hz)

@@ -68,7 +68,7 @@ def some_executions(dataset: Dataset, names: Sequence[str], rows: int, *, seed: 
     return tuple(name for number, name in enumerate(names) if number in chosen)
 
 
-def in_memory(dataset: Dataset, *, seed: int = 0) -> tuple[Dataset, str | None]:
+def in_memory(dataset: Dataset) -> tuple[Dataset, str | None]:
     """Return the dataset, or as much of it as memory takes and what was left out in a sentence.
 
     Of each task, at least one execution is kept, however rare it is. What is a part already stays as it is.
@@ -76,7 +76,7 @@ def in_memory(dataset: Dataset, *, seed: int = 0) -> tuple[Dataset, str | None]:
     if dataset.is_part or rows_of(dataset) <= memory_rows():
         return dataset, None
     names = dataset.executions["execution"].to_list()
-    chosen = set(some_executions(dataset, names, memory_rows(), seed=seed))
+    chosen = set(some_executions(dataset, names, memory_rows()))
     done = dataset.done_tasks()
     seen = set(done.filter(pl.col("execution").is_in(list(chosen)))["task"])
     rare = done.filter(~pl.col("task").is_in(list(seen))).sort("execution").group_by("task").first()
@@ -133,11 +133,11 @@ def in_files(parts: Iterable[Samples], folder: Path) -> Samples:
     )  # fmt: skip
 
 
-def filled(file: Path, shape: tuple[int, int], block: Callable[[slice], Singles], rows: int = PART_ROWS) -> Singles:
+def filled(file: Path, shape: tuple[int, int], block: Callable[[slice], Singles]) -> Singles:
     """Return a new array that lives in a file, made block by block of rows."""
     made = np.memmap(file, np.float32, "w+", shape=shape)
-    for first in range(0, shape[0], rows):
-        part = slice(first, min(first + rows, shape[0]))
+    for first in range(0, shape[0], PART_ROWS):
+        part = slice(first, min(first + PART_ROWS, shape[0]))
         made[part] = block(part)
     return made
 

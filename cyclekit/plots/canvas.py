@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclekit.errors import ConfigError
 from cyclekit.plots.look import plain_style
@@ -13,20 +13,20 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 KINDS = (".svg", ".png", ".pdf")
 
 
 @contextmanager
-def canvas(path: Path, width_in: float, height_in: float, columns: int = 1) -> Iterator[list[Any]]:
+def canvas(path: Path, width_in: float, height_in: float) -> Iterator[Axes]:
     """Give the axes of a new figure, and write it to `path` when the block ends without an error.
 
     Args:
         path: File to write; its suffix says what kind.
         width_in: Width of the figure, inches.
         height_in: Height, inches.
-        columns: How many axes, side by side.
 
     Raises:
         ConfigError: The suffix is of no kind that can be drawn.
@@ -36,7 +36,7 @@ def canvas(path: Path, width_in: float, height_in: float, columns: int = 1) -> I
     _check(path)
     with plain_style():
         figure = Drawing(width_in, height_in)
-        yield list(figure.subplots(1, columns, squeeze=False)[0])
+        yield figure.subplots()
         write_figure(path, figure)
 
 

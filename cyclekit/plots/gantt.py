@@ -146,7 +146,7 @@ def draw_gantt(path: Path, blocks: Sequence[Block], legend: Mapping[str, str], t
         legend: Colour by meaning.
         takt_s: A line across all of them, s.
     """
-    with canvas(path, _WIDTH_IN, height_in(blocks, legend, _WIDTH_IN)) as (axes,):
+    with canvas(path, _WIDTH_IN, height_in(blocks, legend, _WIDTH_IN)) as axes:
         draw_blocks(axes, blocks, legend, takt_s)
 
 

@@ -91,16 +91,9 @@ def write_replay(
     other_cell: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> ReplayFacts:
-    """Write the replay of one execution, or of several side by side.
+    """Write the replay of one execution, or of several side by side, as `cyclekit.write_replay` says.
 
-    Args:
-        dataset: Where the executions are.
-        execution: Name, or number counted from 1; or several of them.
-        out: The .rrd file; an existing one is replaced when the new one is complete.
-        model: Model of problem `now` whose prediction is plotted beside the log; another problem is noted, not used.
-        at: What the viewer opens at: the costliest slow-down, the worst error of the model, or a second.
-        other_cell: Show the prediction of a model of another cell too.
-        progress: Called with the part done and a short text.
+    A model of another problem than `now` is noted, and not used.
 
     Raises:
         UnknownName: The dataset has no such execution.

@@ -14,14 +14,13 @@ if TYPE_CHECKING:
 
 def in_one_line(frame: pl.DataFrame, columns: Iterable[str] | None = None) -> pl.DataFrame:
     """Return the table with every text of some columns, None = of all, as `one_line` makes it."""
-    names = [name for name, dtype in frame.schema.items() if dtype == pl.String] if columns is None else columns
-    odd = [name for name in names if _is_odd(frame, name)]
+    wanted = [name for name, dtype in frame.schema.items() if dtype == pl.String] if columns is None else columns
+    found = frame.select(_is_odd(name) for name in wanted if name in frame.columns)
+    odd = [one.name for one in found if one.any()]
     return frame.with_columns(pl.col(odd).map_elements(one_line, return_dtype=pl.String)) if odd else frame
 
 
-def _is_odd(frame: pl.DataFrame, name: str) -> bool:
-    if name not in frame.columns:
-        return False
-    texts = frame[name].cast(pl.String)
+def _is_odd(name: str) -> pl.Expr:
+    texts = pl.col(name).cast(pl.String)
     texts = texts.filter(texts.ne_missing(texts.shift(1))).unique()  # few, as a rule: looking into each takes longer
-    return bool(texts.str.contains(NOT_ONE_LINE).any())
+    return texts.str.contains(NOT_ONE_LINE).any()

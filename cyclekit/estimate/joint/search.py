@@ -88,9 +88,9 @@ def mean_times(cell: JointCell, robots: Sequence[Agenda], operators: Sequence[Ag
     return found
 
 
-def best_pairs(means_s: Floats, count: int = ROLLED) -> list[Pair]:
+def best_pairs(means_s: Floats) -> list[Pair]:
     """Return the quickest pairs, the first one first."""
-    order = np.argsort(means_s, axis=None, kind="stable")[:count]
+    order = np.argsort(means_s, axis=None, kind="stable")[:ROLLED]
     pairs = (np.unravel_index(int(n), means_s.shape) for n in order)
     return [Pair(int(r), int(o), float(means_s[r, o])) for r, o in pairs if np.isfinite(means_s[r, o])]
 

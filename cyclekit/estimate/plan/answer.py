@@ -126,16 +126,7 @@ def plan(
 ) -> OrderPlan:
     """Search the order of `jobs` with the least expected cycle time, the surer one where they are alike.
 
-    Args:
-        model: A model of problem `now`.
-        dataset: Logs that hold the tasks of at least one allowed order, and the operator's tracks. Orders that need
-            a task that was never logged are left out.
-        jobs: What is to be visited.
-        seed: Of random orders, stands and resampling.
-        validate: As of `estimate`.
-        check: As of `estimate`.
-        other_cell: As of `estimate`.
-        progress: Told fraction and text.
+    What is asked is said at `cyclekit.plan_order`. Orders that need a task that was never logged are left out.
 
     Raises:
         ModelError: The model predicts something else than the present scaling; or as of `estimate`.

@@ -99,19 +99,8 @@ def what_if(
 ) -> list[WhatIf]:
     """Estimate every sequence as it is and under every change.
 
-    Args:
-        model: A model of problem `now`.
-        dataset: The logs.
-        sequences: What is asked for.
-        changes: Each by itself.
-        seed: As of `estimate`.
-        extrapolate: As of `estimate`.
-        validate: As of `estimate`; what it finds corrects all that rests on the learned safety function.
-        check: As of `estimate`.
-        refused: Told each change that cannot be answered from these logs, and why; the others are answered. None: the
-            first such change is raised.
-        other_cell: As of `estimate`.
-        progress: Told fraction and text.
+    What is asked is said at `cyclekit.what_if`. `refused` is told each change that cannot be answered from these logs,
+    and why, and the others are answered; without it the first such change is raised.
 
     Raises:
         UnknownName: A place does not exist; a change that names it is named.

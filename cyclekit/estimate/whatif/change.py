@@ -68,6 +68,13 @@ _EXAMPLE = """Add one:
 _CURE = "docs/commands.md shows every key of a change."
 
 
+def _refuse_edges(what: str, x_m: tuple[float, float] | None, y_m: tuple[float, float] | None) -> None:
+    for name, edges in (("x_m", x_m), ("y_m", y_m)):
+        if edges is not None and edges[0] >= edges[1]:
+            msg = f"{what}: {name} {edges}: the first must be less than the second"
+            raise ValueError(msg)
+
+
 @dataclass(frozen=True)
 class Zone:
     """A rectangle on the floor, base frame, m, border included; an operator in it allows at most `level`."""
@@ -82,9 +89,7 @@ class Zone:
         Raises:
             ValueError: It has none.
         """
-        if self.x_m[0] >= self.x_m[1] or self.y_m[0] >= self.y_m[1]:
-            msg = f"zone x_m {self.x_m}, y_m {self.y_m}: the first of each must be less than the second"
-            raise ValueError(msg)
+        _refuse_edges("zone", self.x_m, self.y_m)
 
 
 @dataclass(frozen=True)
@@ -112,10 +117,7 @@ class LimitChange:
         if self.threshold_m is not None and self.threshold_m < 0:
             msg = f"limit of level {self.level:g}: threshold_m {self.threshold_m} must be 0 or more"
             raise ValueError(msg)
-        for name, edges in (("x_m", self.x_m), ("y_m", self.y_m)):
-            if edges is not None and edges[0] >= edges[1]:
-                msg = f"limit of level {self.level:g}: {name} {edges}: the first must be less than the second"
-                raise ValueError(msg)
+        _refuse_edges(f"limit of level {self.level:g}", self.x_m, self.y_m)
 
 
 @dataclass(frozen=True)
@@ -142,10 +144,7 @@ class SignalChange:
         if self.level is not None and not 0 <= self.level <= 1:
             msg = f"signal {self.signal!r}: level {self.level} must be between 0 and 1"
             raise ValueError(msg)
-        for name, edges in (("x_m", self.x_m), ("y_m", self.y_m)):
-            if edges is not None and edges[0] >= edges[1]:
-                msg = f"signal {self.signal!r}: {name} {edges}: the first must be less than the second"
-                raise ValueError(msg)
+        _refuse_edges(f"signal {self.signal!r}", self.x_m, self.y_m)
 
 
 @dataclass(frozen=True)

@@ -136,15 +136,7 @@ def costs_of(
 ) -> SafetyCosts:
     """Roll every sequence out with each number of the rule moved to either side.
 
-    Args:
-        safety: The rule.
-        dataset: The logs.
-        sequences: What is produced.
-        separation: Also compare the thresholds with the protective separation distance computed from this.
-        seed: As of `estimate`; so are `extrapolate` and `other_cell`.
-        extrapolate: As of `estimate`.
-        other_cell: As of `estimate`.
-        progress: Told fraction and text.
+    What is asked is said at `cyclekit.cost_of_safety_function`.
 
     Raises:
         ConfigError: The separation distance does not fit the rule.

@@ -37,15 +37,9 @@ def fit_trees(
     *,
     known: Sequence[str] = (),
 ) -> Fitted:
-    """Grow trees, as `fitting.fit` trains a network.
+    """Grow trees, asked as `fitting.fit` trains a network; `levels` are not used, as trees answer with a value.
 
-    Args:
-        spec: What to train.
-        rows: Rows to learn from, with a history; of very many, some drawn at random.
-        validation: Rows that decide how many trees are kept.
-        levels: Not used: trees answer with a value.
-        progress: Told the fraction done and the validation error.
-        known: Groups of inputs that may be unknown.
+    Rows come with a history; of very many, some are drawn at random. Validation decides how many trees are kept.
     """
     del levels
     grown = grow(rows, seed=spec.seed)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.scaling.agreement import LATENCIES_S, Agreement, PlacesBefore, agreement_of
+from cyclekit.scaling.agreement import LATENCIES_S, PlacesBefore, agreement_of
 from cyclekit.scaling.ways import RampRates, begin_of, fresh, holds_of, repeats, tolerance_of, ways_of
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ _ALIKE = 2e-4
 """Scalings that differ by no more are the same, as logged."""
 SHORT_S = 1.0
 """Ways without a slope are no longer."""
+GROUPS = 10
+"""A rate's standard error is told by leaving out one of so many parts of the changes after the other."""
 MOST = 20_000
 """More changes say no more."""
 
@@ -81,6 +83,7 @@ class SafetyResponse:
         changes: How many changes of level were seen.
         spread_m: Median deviation of the places at which levels change, at that reaction time.
         hold_s: How much later than it slows down the robot speeds up again; None: not later.
+        ramp_down_se_per_s, ramp_up_se_per_s: Standard errors of the rates.
     """
 
     latency_s: float | None
@@ -90,6 +93,8 @@ class SafetyResponse:
     changes: int
     spread_m: float | None
     hold_s: float | None = None
+    ramp_down_se_per_s: float | None = None
+    ramp_up_se_per_s: float | None = None
 
 
 def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[LevelChange]:
@@ -208,6 +213,16 @@ def rate_of(changes: Sequence[LevelChange]) -> float | None:
     return mean if limited else min(mean, most)
 
 
+def error_of(changes: Sequence[LevelChange]) -> float | None:
+    """Return the standard error of the rate of one direction, by the jackknife (Efron 1982); None: too few changes."""
+    groups = min(GROUPS, len(changes) // LEAST_RAMPS)
+    left_out = [[one for i, one in enumerate(changes) if i % groups != k] for k in range(groups)]
+    rates = [rate for some in left_out if (rate := rate_of(some)) is not None]
+    if groups < 3 or len(rates) < groups:
+        return None
+    return float(np.sqrt((groups - 1) * np.var(rates)))
+
+
 def _stride(gone: Vector) -> float | None:
     """Return by how much the scaling changes at once on its way, of distances from the level left, ascending.
 
@@ -264,16 +279,16 @@ class Changes:
 def read_response(seen: Sequence[Changes]) -> SafetyResponse:
     """Return what the changes of level of all sessions tell."""
     changes = [change for mine in seen for change in mine.changes]
-    down, up = (rate_of([change for change in changes if change.rises is rises]) for rises in (False, True))
+    sorts = [[change for change in changes if change.rises is rises] for rises in (False, True)]
+    (down, down_se), (up, up_se) = ((rate_of(mine), error_of(mine)) for mine in sorts)
     found = agreement_of([mine.seen for mine in seen])
+    spread_m = None if found is None else found.spread_m
     if found is None or found.latency_s is None:
-        return SafetyResponse(None, down, up, None, len(changes), None if found is None else found.spread_m)
-    return _with_hold(found, down, up, len(changes))
-
-
-def _with_hold(found: Agreement, down: float | None, up: float | None, changes: int) -> SafetyResponse:
-    hold_s = (found.rising_s or 0.0) - (found.falling_s or 0.0) if found.held else None
-    return SafetyResponse(found.latency_s, down, up, found.hysteresis_m, changes, found.spread_m, hold_s)
+        latency_s, hysteresis_m, hold_s = None, None, None
+    else:
+        latency_s, hysteresis_m = found.latency_s, found.hysteresis_m
+        hold_s = (found.rising_s or 0.0) - (found.falling_s or 0.0) if found.held else None
+    return SafetyResponse(latency_s, down, up, hysteresis_m, len(changes), spread_m, hold_s, down_se, up_se)
 
 
 __all__ = ["LATENCIES_S", "Changes", "LevelChange", "SafetyResponse", "changes_of", "rate_of", "read_response"]

@@ -30,6 +30,8 @@ JUMP_ROWS = 0.1
 """With fewer rows between two levels on average the scaling jumps."""
 LEAST_RAMPS = 5
 """Fewer ramps do not tell a rate."""
+LEAST_ALIKE, ALIKE = 3, 0.05
+"""So few slopes tell one where they differ by no more than this part."""
 _WHOLE = 0.85
 """Changes from row to row of so much of a step are limited by the step and not by the rate."""
 _AGREE = 0.3
@@ -180,6 +182,12 @@ def _usual(slopes: Sequence[tuple[float | None, float]]) -> float | None:
     return _weighted_median(rate[near], weight[near])
 
 
+def _alike(rates: Sequence[float]) -> float | None:
+    """Return what a few slopes agree on, None where they do not."""
+    middle = float(np.median(rates)) if len(rates) >= LEAST_ALIKE else np.inf
+    return middle if np.abs(np.array(rates) / middle - 1.0).max(initial=0.0) <= ALIKE and middle < np.inf else None
+
+
 def _weighted_median(values: Vector, weight: Vector) -> float:
     order = np.argsort(values)
     total = np.cumsum(weight[order])
@@ -195,16 +203,18 @@ def rate_of(changes: Sequence[LevelChange]) -> float | None:
     """
     whole = [change for change in changes if change.way_s is not None]
     sloped = [(change.rate_per_s, change.change) for change in changes if change.rate_per_s is not None]
-    short = [change for change in whole if change.rate_per_s is None and (change.way_s or 0.0) <= SHORT_S]
+    timed = [change for change in whole if (change.way_s or 0.0) <= SHORT_S]  # also those that happen to have a slope
+    short = [change for change in timed if change.rate_per_s is None]
     slope = _usual(sloped)
     if sum(weight for _, weight in sloped) > 0.5 * sum(change.change for change in short):
         return slope
-    spent_s = sum(change.way_s or 0.0 for change in short)
+    spent_s = sum(change.way_s or 0.0 for change in timed)
     fastest = [change.most_per_s for change in short if change.most_per_s is not None]
     if len(fastest) < max(LEAST_RAMPS, JUMP_ROWS * len(short)):
         return None
     stride = _stride(np.sort([gone for change in short for gone in change.gone]))
-    mean = sum(_off_levels(change, stride) for change in short) / spent_s
+    mean = sum(_off_levels(change, stride) for change in timed) / spent_s
+    slope = slope or _alike([rate for rate, _ in sloped])
     if slope is not None and abs(slope / mean - 1.0) <= _AGREE:
         return slope
     row_s = float(np.median([change.way_s for change in short if change.most_per_s is not None]))

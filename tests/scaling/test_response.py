@@ -222,3 +222,16 @@ def test_the_standard_error_of_a_rate_is_what_rates_differ_by() -> None:
 
 def test_few_changes_tell_no_standard_error() -> None:
     assert error_of([LevelChange(1.0, 0, True, 1.0, 0.5)] * 9) is None
+
+
+def test_ways_that_happen_to_have_two_rows_count_where_ramps_are_timed() -> None:
+    """Left out, the rest would be too short: 10 per second."""
+    single = [LevelChange(float(i), 0, True, None, 1.0, 0.1, 10.0) for i in range(12)]
+    double = [LevelChange(20.0 + i, 0, True, rate, 1.0, 0.2, 9.0) for i, rate in enumerate((7.0, 8.0, 9.5, 8.3))]
+    assert rate_of([*single, *double]) == pytest.approx(8.0)
+
+
+def test_three_slopes_that_agree_tell_the_rate() -> None:
+    single = [LevelChange(float(i), 0, True, None, 1.0, 0.1, 10.0) for i in range(12)]
+    double = [LevelChange(20.0 + i, 0, True, 8.4, 1.0, 0.2, 9.0) for i in range(3)]
+    assert rate_of([*single, *double]) == pytest.approx(8.4)

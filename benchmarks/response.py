@@ -3,8 +3,10 @@
 Each cell is simulated with a recovery (rise) of 5, 10, 25, 100 or 500 % a second, braking at 100 % a second and a
 reaction time of 0, 0.1 or 0.3 s. Nothing of it is told. Levels are found in 10 Hz samples; rates and reaction time are
 read at the log's own rate, of which `--rates` keeps so many rows a second, or with `--percent` in whole percents.
+With `--inferred` the scaling is not logged, and all is read by `ingest`, from joint angles with the noise of a UR5.
 
     python benchmarks/response.py [--executions 30] [--scenes box-picking,...] [--recovery 0.1,...] [--rates 10,30]
+    python benchmarks/response.py --inferred [--rates 0,30]
     python benchmarks/response.py --cycles --recovery 0.1 --latency 0.3 --executions 100
 
 With `--cycles` the expected cycle times of sequences that were never logged are compared with fresh executions: by the
@@ -15,7 +17,9 @@ knows only the mean of as many cycles as were logged. `--rule-alone` trains no n
 from __future__ import annotations
 
 import argparse
+import shutil
 import tempfile
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +29,9 @@ import polars as pl
 from cells import dataset_of, durations_of, fresh, logged, unseen_sequences
 
 from cyclekit.dataset.cards import TrainingCard
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.rollout import estimate
+from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.labelling import staircase_of, with_commands
 from cyclekit.learning.rules.of_dataset import rule_of
 from cyclekit.learning.rules.safety import RuleSafety, answering
@@ -35,7 +41,7 @@ from cyclekit.scaling.response import Changes, SafetyResponse, changes_of, read_
 from cyclekit_sim import SimulationOptions, simulate
 
 if TYPE_CHECKING:
-    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.dataset.cards import DynamicsCard
     from cyclekit.estimate.safety import SafetyModel
 
 BRAKING = 1.0
@@ -91,9 +97,23 @@ def read(logs: Path, rate_hz: float | None, *, percent: bool) -> tuple[np.ndarra
     return levels, read_response(seen)
 
 
-def shown(value: float | None, digits: int) -> str:
-    """Return a number of the table."""
-    return "not read" if value is None else f"{value:.{digits}f}"
+def inferred(logs: Path, rate_hz: float | None) -> tuple[np.ndarray, DynamicsCard]:
+    """Return the levels and the response that `ingest` reads in logs without a scaling."""
+    with tempfile.TemporaryDirectory() as folder:
+        thin = shutil.copytree(logs, Path(folder) / "logs")
+        for file in thin.glob("session_*/robot.csv") if rate_hz else ():
+            log = pl.read_csv(file, separator=" ")
+            period_s = float(log["timestamp"].diff().median() or 0.0)  # type: ignore[arg-type]
+            log.gather_every(max(1, round(1.0 / (rate_hz * period_s)))).write_csv(file, separator=" ")
+        ingest([thin], Path(folder) / "dataset")
+        dataset = Dataset.open(Path(folder) / "dataset")
+        return np.array(dataset.levels), dataset.card.dynamics
+
+
+def shown(value: float | None, digits: int, error: float | None = None) -> str:
+    """Return a number of the table, with its standard error."""
+    told = "" if error is None or error < 0.5 * 10.0**-digits else f" ± {error:.{digits}f}"
+    return "not read" if value is None else f"{value:.{digits}f}{told}"
 
 
 def responses(asked: argparse.Namespace, work: Path) -> None:
@@ -106,17 +126,26 @@ def responses(asked: argparse.Namespace, work: Path) -> None:
         for recovery in asked.recovery:
             for latency_s in asked.latency:
                 logs = work / f"{scene}-{recovery}-{BRAKING}-{latency_s}-{asked.executions}-{asked.seed}"
+                given = options(recovery, latency_s)
+                if asked.inferred:
+                    given = replace(given, log_override=False, encoder_noise_rad=2e-5, delta_m=0.01)
+                given = replace(given, robot_rate_hz=asked.log_rate)
                 if not logs.is_dir():
-                    given = options(recovery, latency_s)
                     simulate(scene, logs, executions=asked.executions, seed=asked.seed, options=given)
                 for rate_hz in asked.rates:
-                    levels, response = read(logs, rate_hz or None, percent=asked.percent)
+                    if asked.inferred:
+                        levels, response = inferred(logs, rate_hz or None)
+                    else:
+                        levels, response = read(logs, rate_hz or None, percent=asked.percent)
                     print(
-                        f"| {scene} | {rate_hz or 'own'} | {recovery} | {latency_s} | {len(levels)} | "
-                        f"{shown(response.ramp_up_per_s, 4)} | {shown(response.ramp_down_per_s, 3)} | "
+                        f"| {scene} | {rate_hz or asked.log_rate} | {recovery} | {latency_s} | {len(levels)} | "
+                        f"{shown(response.ramp_up_per_s, 4, response.ramp_up_se_per_s)} | "
+                        f"{shown(response.ramp_down_per_s, 3, response.ramp_down_se_per_s)} | "
                         f"{shown(response.latency_s, 2)} |",
                         flush=True,
                     )
+                if asked.work is None:
+                    shutil.rmtree(logs)
 
 
 def models_of(
@@ -184,6 +213,8 @@ def main() -> None:
     parser.add_argument("--recovery", type=numbers, default=[0.05, 0.1, 0.25, 1.0, 5.0])
     parser.add_argument("--latency", type=numbers, default=[0.0, 0.1, 0.3])
     parser.add_argument("--rates", type=numbers, default=[0.0], help="rows a second; 0: all of the log")
+    parser.add_argument("--log-rate", type=int, default=125, choices=(125, 500), help="rows a second of the log")
+    parser.add_argument("--inferred", action="store_true", help="the scaling is not logged")
     parser.add_argument("--percent", action="store_true", help="the scaling in whole percents")
     parser.add_argument("--executions", type=int, default=30)
     parser.add_argument("--fresh", type=int, default=200)

@@ -21,6 +21,7 @@ _FEW_ROWS = (
     "the log has fewer than 3 rows in a ramp between levels; simulated ramps of 500 % per second, logged at 10 Hz, "
     "were read 3 to 27 % too steep. Log at a higher rate."
 )
+Z95 = 1.96
 SHOWN_AGENTS, SHOWN_TASKS, SHOWN_VALUES = 12, 24, 6
 
 
@@ -68,23 +69,30 @@ def response_lines(found: ResponseFacts | None) -> str:
         return ""
     read = found.read
     values = (
-        ("reaction time", read.latency_s, 1.0, "s"),
-        ("slows by", read.ramp_down_per_s, 100.0, "% per second"),
-        ("recovers by", read.ramp_up_per_s, 100.0, "% per second"),
-        ("hysteresis", read.hysteresis_m, 1.0, "m"),
-        ("hold time", read.hold_s, 1.0, "s"),
+        ("reaction time", _value(read.latency_s, "s")),
+        ("slows by", _rate(read.ramp_down_per_s, read.ramp_down_se_per_s)),
+        ("recovers by", _rate(read.ramp_up_per_s, read.ramp_up_se_per_s)),
+        ("hysteresis", _value(read.hysteresis_m, "m")),
+        ("hold time", _value(read.hold_s, "s")),
     )
     lines = [f"response of the safety system, read from {read.changes} changes of level"]
-    lines += [f"  {name:<13} {_value(value, factor, unit)}" for name, value, factor, unit in values]
+    lines += [f"  {name:<13} {value}" for name, value in values]
     if found.few_rows:
         lines.append(bullet([_FEW_ROWS], mark="  ! "))
     return "\n".join(lines)
 
 
-def _value(value: float | None, factor: float, unit: str) -> str:
-    if value is None:
-        return "at once" if "%" in unit else "not seen"
-    return f"{factor * value:.3g} {unit}"
+def _value(value: float | None, unit: str) -> str:
+    return "not seen" if value is None else f"{value:.3g} {unit}"
+
+
+def _rate(per_s: float | None, error: float | None) -> str:
+    """Return a rate in percent per second, with its interval where that is wider than what is shown of it."""
+    if per_s is None:
+        return "at once"
+    low, high = (f"{max(0.0, 100.0 * (per_s + sign * Z95 * (error or 0.0))):.3g}" for sign in (-1, 1))
+    interval = f" (95 % CI {low} to {high})" if low != high else ""
+    return f"{100.0 * per_s:.3g} % per second{interval}"
 
 
 def _seconds(value: float | None) -> str:

@@ -33,6 +33,8 @@ BACK, AHEAD = 5, 2
 """Samples before and after in which an operator must have been where people slow the robot."""
 STAYS = 10
 """Samples that a level may be held after its cause is gone, before the scaling rises."""
+BRIEF = 20
+"""A dip of so many samples between slower motion for a person is the person's."""
 EDGE_M = 0.02
 """A robot that stops at a threshold stands just inside it; where the threshold lies is known no better than this."""
 SELDOM = 0.35
@@ -170,27 +172,46 @@ PERSON, INPUT, LIMITS, STOP, UNKNOWN = range(len(SCALING_CAUSES))
 def _whose(rows: Rows, s: Vector, slow: Bools, same: Vector, evidence: Evidence) -> Ints:
     """Return the cause of what neither inputs nor limits explain, shape (N,)."""
     lowest = _around(_lowest(rows, evidence))
-    known = np.isfinite(lowest)
-    person = slow & known & (lowest <= s + same) & (lowest < evidence.top - same)
-    stopped = slow & known & ~person & (s <= HALTED)
+    told = np.isfinite(lowest)
+    person = slow & told & (lowest <= s + same) & (lowest < evidence.top - same)
+    stopped = slow & told & ~person & (s <= HALTED)
     which = np.full(len(s), UNKNOWN)
     which[person], which[stopped] = PERSON, STOP
     open_ = slow & ~person & ~stopped
     capped = _active(rows, evidence.inputs)
     after = np.where(capped, INPUT, np.where(_limit_at(rows, evidence) < 1.0, LIMITS, UNKNOWN))
     held, base = 0, 0.0
+    known = np.isfinite(rows.scaling)
+    last = np.maximum.accumulate(np.where(known | rows.breaks, np.arange(len(s)), 0))  # nothing is told in a pause
     for i in np.flatnonzero(open_).tolist():  # a level ends late, and slowly
-        if i == 0 or rows.breaks[i] or s[i] < s[i - 1] - same[i]:
+        j = int(last[i - 1])
+        if i == 0 or rows.breaks[i] or s[i] < s[j] - same[i]:
             continue
-        before = which[i - 1] if slow[i - 1] else after[i - 1]
-        held = held + 1 if open_[i - 1] and s[i] <= base + HELD else 0
+        before = which[j] if slow[j] else after[j]
+        held = held + 1 if open_[j] and s[i] <= base + HELD else 0
         base = base if held else s[i]  # a slow ramp rises by less from sample to sample
         if before != UNKNOWN and held < STAYS:
             which[i] = before
     for i in np.flatnonzero(open_)[::-1].tolist():  # and falls before it is at the next one
         if which[i] == UNKNOWN and i + 1 < len(s) and not rows.breaks[i + 1] and slow[i + 1] and s[i] >= s[i + 1]:
             which[i] = which[i + 1]
+    _between(which, slow, s <= HALTED, rows.breaks)
     return which
+
+
+def _between(which: Ints, slow: Bools, halted: Bools, breaks: Bools) -> None:
+    """Give the person what lies between two parts of one slow-down that are the person's.
+
+    That is the rest of one standstill, which nothing else ends there, and what of a brief dip is of unknown cause.
+    """
+    mine = np.flatnonzero(slow & (which == PERSON))
+    for before, after in zip(mine[:-1].tolist(), mine[1:].tolist(), strict=True):
+        part = slice(before + 1, after)
+        if after == before + 1 or breaks[before + 1 : after + 1].any() or not slow[part].all():
+            continue
+        brief = after - before <= BRIEF and (which[part] == UNKNOWN).all()
+        if brief or halted[before : after + 1].all():
+            which[part] = PERSON
 
 
 def _lowest(rows: Rows, evidence: Evidence) -> Vector:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -23,10 +23,18 @@ if TYPE_CHECKING:
     from cyclekit.dataset.sessions import Session
     from cyclekit.parallel.engine import Engine
     from cyclekit.scaling.safety_override import SafetyOverride
-    from cyclekit.schema import Progress
+    from cyclekit.schema import Progress, Vector
     from cyclekit.segmentation.executions import Execution
     from cyclekit.segmentation.stored_run import Run
 
+HALTED, HALTED_S = 0.02, 0.3
+"""Scaling at or below this is a halt; a robot that has left and is not seen to move for longer is halted."""
+AFTER = 3
+"""So many rows after a halt the scaling is that of the next level."""
+SAME, FULL = 0.05, 0.97
+"""Scalings that differ by less are alike; above FULL nothing slows the robot."""
+COMMONER = 2.0
+"""A speed tells of a halt where it is so many times as common after halts as after standstills of the usual time."""
 LEAVING_S = 2.0
 """How soon after a departure the scaling must be known to say whether the robot left slowed."""
 SPARSE = 10
@@ -63,12 +71,14 @@ def with_scaling(
     done = [run if run.knows_scaling else run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
     apart, notes = _logged_apart(runs, parts, sessions, overrides)
     left = [number for number in silent if number not in apart]
-    slowest = slowest_speed([part.scaling for n in left for part in sorted(parts[n], key=lambda part: part.first)])
+    after_halt = scalings_after_halts(
+        [part.scaling for n in left for part in sorted(parts[n], key=lambda part: part.first)]
+    )
     mine = [execution for execution in executions if execution.run in set(left)]
     with_people = (session for session in sessions if any("people" in one.tables for one in session.recordings))
     watched = {number for session in with_people for number in session.runs}
     mine = [execution for execution in mine if execution.run in watched]
-    halts = halts_at_places(done, mine, stands_of(done, mine, places), slowest)
+    halts = halts_at_places(done, mine, stands_of(done, mine, places), after_halt)
     for number in left:
         done[number] = runs[number].with_scaling([*parts[number], *halts[number]])
     for number, part in apart.items():
@@ -116,51 +126,93 @@ def _inferred(silent: int, runs: int, references: Mapping[str, Sequence[Referenc
     )  # fmt: skip
 
 
+class _Left(NamedTuple):
+    """A departure after a long standstill, rows `begin` to `left` of a run, and the scaling that is first seen."""
+
+    run: int
+    begin: int
+    left: int
+    scaling: float
+
+
 def halts_at_places(
-    runs: Sequence[Run], executions: Sequence[Execution], stands: Stands, slowest: float
+    runs: Sequence[Run], executions: Sequence[Execution], stands: Stands, after_halts: AfterHalts
 ) -> list[list[InferredScaling]]:
     """Return where the inferred scaling of each run is 0, since a stand was prolonged by a halt and not by waiting.
 
-    Both look alike. But who halted the robot is still near when it may leave, so it leaves at the
-    lowest speed there is; a robot that waited for a part leaves at whatever speed is allowed. A cell that knows only
-    halt and full speed cannot be told apart so: there the excess stays waiting. Ask only where people were logged: a
-    standstill alone tells no scaling.
+    A robot that was halted a hair after it left shows so itself. Else both look alike. But who halted the robot is
+    still near when it may leave, so it leaves as it goes on after the halts that are seen; a robot that waited for a
+    part leaves at whatever speed is allowed. Where both are alike (a cell that knows only halt and full speed) they
+    cannot be told apart: there the excess stays waiting. Ask only where people were logged: a standstill alone tells no
+    scaling.
 
     Args:
         runs: Runs of inferred scaling.
         executions: Their executions.
         stands: Their stands.
-        slowest: Speeds below this are the lowest there is, from `slowest_speed`.
+        after_halts: How the robot goes on after halts.
 
     Returns:
         Of each run, the rows at which it was halted so.
     """
     usual = usual_dwells(executions, stands)
     halts: list[list[InferredScaling]] = [[] for _ in runs]
+    overdue, others = list[_Left](), list[float]()
     for execution in executions:
         run = runs[execution.run]
         for visit in execution.visits[1:-1]:
-            stand = stands[execution.run, visit.first, visit.last]
-            since_s = usual[visit.place].overdue_s(stand)
-            if since_s is None:
-                continue
+            stand, dwell = stands[execution.run, visit.first, visit.last], usual[visit.place]
+            since_s = dwell.overdue_s(stand)
             last_s = run.time_at(visit.last)  # it may leave before it is seen to: what is seen to move was not halted
-            times = [since_s, min(stand.left_s, last_s), last_s + LEAVING_S]
+            if max(stand.left_s, last_s) - stand.free_s > HALTED_S:  # seen to be halted as it left
+                left_s = stand.process(dwell.usual_s, dwell.ready_s(stand))[1]
+                begin, left = run.row_at(np.array([left_s, max(stand.left_s, last_s)])).tolist()
+                halts[execution.run] += [_halt(begin, left)] if begin <= left else []
+                continue
+            times = [last_s if since_s is None else since_s, min(stand.left_s, last_s), last_s + LEAVING_S]
             begin, left, end = run.row_at(np.array(times)).tolist()
             leaving = run.window(visit.last, end).scaling
             known = leaving[np.isfinite(leaving)]
-            if len(known) and float(known[0]) < slowest and begin <= left:
-                none = np.zeros(left + 1 - begin)
-                halts[execution.run].append(InferredScaling(begin, none, none, none.astype(np.int8)))
+            if len(known) and since_s is None:
+                others.append(float(known[0]))
+            elif len(known) and begin <= left:
+                overdue.append(_Left(execution.run, begin, left, float(known[0])))
+    for one in overdue:
+        if after_halts.tells(one.scaling, others):
+            halts[one.run].append(_halt(one.begin, one.left))
     return halts
 
 
-def slowest_speed(scaling: Sequence[NDArray[np.floating[Any]]]) -> float:
-    """Return a bound between the lowest and the next level above halt; 0 where there are not two of them.
+def _halt(first: int, last: int) -> InferredScaling:
+    none = np.zeros(last + 1 - first)
+    return InferredScaling(first, none, none, none.astype(np.int8))
+
+
+class AfterHalts(NamedTuple):
+    """At which scaling the robot goes on after halts in mid-motion, shape (N,); `lowest`: the lowest it moves at."""
+
+    scaling: Vector
+    lowest: float
+
+    def tells(self, scaling: float, others: Sequence[float]) -> bool:
+        """Tell whether a robot that leaves at a scaling was halted: after halts that is commoner than at `others`."""
+        seen = np.append(self.scaling, self.lowest)  # where no halt is seen: who stopped it is still near
+        after = float((np.abs(seen - scaling) < SAME).mean())
+        usual = (np.count_nonzero(np.abs(np.array(others) - scaling) < SAME) + 1.0) / (len(others) + 1.0)
+        return scaling < FULL and after > COMMONER * usual
+
+
+def scalings_after_halts(scaling: Sequence[NDArray[np.floating[Any]]]) -> AfterHalts:
+    """Return at which scaling the robot goes on after a halt.
 
     Args:
         scaling: Scaling of stretches of motion, in the order of time.
     """
     levels = find_staircase(np.concatenate([values[::SPARSE] for values in scaling] or [np.empty(0)])).levels
-    moving = [float(level) for level in levels if level > 0.02]
-    return 0.5 * (moving[0] + moving[1]) if len(moving) > 1 else 0.0
+    moving = [float(level) for level in levels if level > HALTED]
+    found = [np.empty(0)]
+    for values in scaling:
+        ends = np.flatnonzero((values[:-AFTER] <= HALTED) & (values[1 : 1 - AFTER or None] > HALTED)) + AFTER
+        found.append(values[ends])
+    after = np.concatenate(found)
+    return AfterHalts(after[after > HALTED], moving[0] if len(moving) > 1 else 1.0)

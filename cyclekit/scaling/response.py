@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.scaling.agreement import LATENCIES_S, Agreement, PlacesBefore, agreement_of
+from cyclekit.scaling.agreement import LATENCIES_S, PlacesBefore, agreement_of
 from cyclekit.scaling.ways import RampRates, begin_of, fresh, holds_of, repeats, tolerance_of, ways_of
 
 if TYPE_CHECKING:
@@ -30,6 +30,8 @@ JUMP_ROWS = 0.1
 """With fewer rows between two levels on average the scaling jumps."""
 LEAST_RAMPS = 5
 """Fewer ramps do not tell a rate."""
+LEAST_ALIKE, ALIKE = 3, 0.05
+"""So few slopes tell one where they differ by no more than this part."""
 _WHOLE = 0.85
 """Changes from row to row of so much of a step are limited by the step and not by the rate."""
 _AGREE = 0.3
@@ -40,6 +42,8 @@ _ALIKE = 2e-4
 """Scalings that differ by no more are the same, as logged."""
 SHORT_S = 1.0
 """Ways without a slope are no longer."""
+GROUPS = 10
+"""A rate's standard error is told by leaving out one of so many parts of the changes after the other."""
 MOST = 20_000
 """More changes say no more."""
 
@@ -81,6 +85,7 @@ class SafetyResponse:
         changes: How many changes of level were seen.
         spread_m: Median deviation of the places at which levels change, at that reaction time.
         hold_s: How much later than it slows down the robot speeds up again; None: not later.
+        ramp_down_se_per_s, ramp_up_se_per_s: Standard errors of the rates.
     """
 
     latency_s: float | None
@@ -90,6 +95,8 @@ class SafetyResponse:
     changes: int
     spread_m: float | None
     hold_s: float | None = None
+    ramp_down_se_per_s: float | None = None
+    ramp_up_se_per_s: float | None = None
 
 
 def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[LevelChange]:
@@ -175,6 +182,12 @@ def _usual(slopes: Sequence[tuple[float | None, float]]) -> float | None:
     return _weighted_median(rate[near], weight[near])
 
 
+def _alike(rates: Sequence[float]) -> float | None:
+    """Return what a few slopes agree on, None where they do not."""
+    middle = float(np.median(rates)) if len(rates) >= LEAST_ALIKE else np.inf
+    return middle if np.abs(np.array(rates) / middle - 1.0).max(initial=0.0) <= ALIKE and middle < np.inf else None
+
+
 def _weighted_median(values: Vector, weight: Vector) -> float:
     order = np.argsort(values)
     total = np.cumsum(weight[order])
@@ -190,22 +203,34 @@ def rate_of(changes: Sequence[LevelChange]) -> float | None:
     """
     whole = [change for change in changes if change.way_s is not None]
     sloped = [(change.rate_per_s, change.change) for change in changes if change.rate_per_s is not None]
-    short = [change for change in whole if change.rate_per_s is None and (change.way_s or 0.0) <= SHORT_S]
+    timed = [change for change in whole if (change.way_s or 0.0) <= SHORT_S]  # also those that happen to have a slope
+    short = [change for change in timed if change.rate_per_s is None]
     slope = _usual(sloped)
     if sum(weight for _, weight in sloped) > 0.5 * sum(change.change for change in short):
         return slope
-    spent_s = sum(change.way_s or 0.0 for change in short)
+    spent_s = sum(change.way_s or 0.0 for change in timed)
     fastest = [change.most_per_s for change in short if change.most_per_s is not None]
     if len(fastest) < max(LEAST_RAMPS, JUMP_ROWS * len(short)):
         return None
     stride = _stride(np.sort([gone for change in short for gone in change.gone]))
-    mean = sum(_off_levels(change, stride) for change in short) / spent_s
+    mean = sum(_off_levels(change, stride) for change in timed) / spent_s
+    slope = slope or _alike([rate for rate, _ in sloped])
     if slope is not None and abs(slope / mean - 1.0) <= _AGREE:
         return slope
     row_s = float(np.median([change.way_s for change in short if change.most_per_s is not None]))
     most = float(np.quantile(fastest, 0.95))
     limited = most * row_s > _WHOLE * float(np.median([change.change for change in short]))
     return mean if limited else min(mean, most)
+
+
+def error_of(changes: Sequence[LevelChange]) -> float | None:
+    """Return the standard error of the rate of one direction, by the jackknife (Efron 1982); None: too few changes."""
+    groups = min(GROUPS, len(changes) // LEAST_RAMPS)
+    left_out = [[one for i, one in enumerate(changes) if i % groups != k] for k in range(groups)]
+    rates = [rate for some in left_out if (rate := rate_of(some)) is not None]
+    if groups < 3 or len(rates) < groups:
+        return None
+    return float(np.sqrt((groups - 1) * np.var(rates)))
 
 
 def _stride(gone: Vector) -> float | None:
@@ -264,16 +289,16 @@ class Changes:
 def read_response(seen: Sequence[Changes]) -> SafetyResponse:
     """Return what the changes of level of all sessions tell."""
     changes = [change for mine in seen for change in mine.changes]
-    down, up = (rate_of([change for change in changes if change.rises is rises]) for rises in (False, True))
+    sorts = [[change for change in changes if change.rises is rises] for rises in (False, True)]
+    (down, down_se), (up, up_se) = ((rate_of(mine), error_of(mine)) for mine in sorts)
     found = agreement_of([mine.seen for mine in seen])
+    spread_m = None if found is None else found.spread_m
     if found is None or found.latency_s is None:
-        return SafetyResponse(None, down, up, None, len(changes), None if found is None else found.spread_m)
-    return _with_hold(found, down, up, len(changes))
-
-
-def _with_hold(found: Agreement, down: float | None, up: float | None, changes: int) -> SafetyResponse:
-    hold_s = (found.rising_s or 0.0) - (found.falling_s or 0.0) if found.held else None
-    return SafetyResponse(found.latency_s, down, up, found.hysteresis_m, changes, found.spread_m, hold_s)
+        latency_s, hysteresis_m, hold_s = None, None, None
+    else:
+        latency_s, hysteresis_m = found.latency_s, found.hysteresis_m
+        hold_s = (found.rising_s or 0.0) - (found.falling_s or 0.0) if found.held else None
+    return SafetyResponse(latency_s, down, up, hysteresis_m, len(changes), spread_m, hold_s, down_se, up_se)
 
 
 __all__ = ["LATENCIES_S", "Changes", "LevelChange", "SafetyResponse", "changes_of", "rate_of", "read_response"]

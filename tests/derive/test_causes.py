@@ -160,6 +160,37 @@ def test_a_zone_that_people_only_walk_through_is_learned_from_ramps_too():
     assert lost["person"] > 0.95 * (1.0 - logged.scaling).sum() / 10.0
 
 
+def test_a_standstill_that_begins_and_ends_as_the_persons_is_all_theirs():
+    """In the middle the operator stood where nobody was seen to stop the robot."""
+    distance, execution = walked()
+    seen = rows(np.where(distance < 1.0, 0.0, 1.0), distance, execution=execution)
+    evidence = find_evidence(seen, (0.0, 1.0))
+    where = np.repeat([0.7, 2.4, 0.7], [20, 40, 20])
+    assert by_cause(rows(np.zeros(80), where), evidence)["person"] == pytest.approx(8.0)
+    went_on = np.where(np.arange(80) == 30, 1.0, 0.0)
+    assert by_cause(rows(went_on, where), evidence)["stop"] > 2.0
+
+
+def test_a_brief_dip_between_slower_motion_for_a_person_is_the_persons():
+    distance, execution = walked()
+    evidence = find_evidence(rows(halves(distance), distance, execution=execution), LEVELS)
+    dip = np.concatenate([np.full(10, 0.5), np.linspace(0.45, 0.3, 5), np.linspace(0.3, 0.45, 5), np.full(10, 0.5)])
+    assert by_cause(rows(dip, np.full(30, 0.7)), evidence)["unknown"] == 0.0
+    long = np.concatenate([np.full(10, 0.5), np.full(60, 0.3), np.full(10, 0.5)])
+    assert by_cause(rows(long, np.full(80, 0.7)), evidence)["unknown"] > 3.0
+
+
+def test_a_ramp_goes_on_after_a_pause_with_the_cause_it_had_before():
+    distance, execution = walked()
+    evidence = find_evidence(rows(halves(distance), distance, execution=execution), LEVELS)
+    ramp = np.linspace(0.55, 0.95, 8)
+    paused = np.concatenate([np.full(20, 0.5), np.full(15, np.nan), ramp, np.ones(10)])
+    gone = np.concatenate([np.full(20, 0.7), np.full(33, 2.4)])
+    lost = by_cause(rows(paused, gone), evidence)
+    assert lost["unknown"] == 0.0
+    assert lost["person"] == pytest.approx((10.0 + (1.0 - ramp).sum()) / 10.0)
+
+
 def test_slow_where_nothing_tells_why_stays_unknown():
     distance, execution = walked()
     scaling = halves(distance)

@@ -36,6 +36,7 @@ def test_reaction_time_and_both_ramps_are_shown(tmp_path: Path):
     assert "slows by      100 % per second" in shown
     assert "recovers by   10 % per second" in shown
     assert "3 rows" not in shown
+    assert "CI" not in shown
     assert found.to_dict()["response"]["down_per_s"] == pytest.approx(1.0, abs=0.02)
 
 
@@ -44,6 +45,8 @@ def test_a_ramp_with_few_rows_is_told(tmp_path: Path):
     assert found.response is not None
     assert found.response.few_rows
     assert "fewer than 3 rows in a ramp" in page(found)
+    assert "% per second (95 % CI" in page(found)
+    assert found.to_dict()["response"]["up_se_per_s"] > 0.0
 
 
 def test_a_robot_that_changes_its_speed_at_once_has_no_ramp(tmp_path: Path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,11 +15,12 @@ from numpy.testing import assert_allclose
 from tcp_speed import tcp_speed
 
 from cyclekit.scaling.infer.advance import advance
+from cyclekit.scaling.infer.limits import limits_along
 from cyclekit.scaling.infer.override import infer_overrides
 from cyclekit.scaling.infer.path import along, path_of
 from cyclekit.scaling.infer.reference import _tcp_peak as tcp_peak
 from cyclekit.segmentation.executions import Execution, Visit
-from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, RobotRun
+from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, PAUSED, Halt, RobotRun
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -136,6 +138,48 @@ def test_without_an_empty_run_the_fastest_pace_at_each_place_is_the_reference():
         known = np.isfinite(one.scaling)
         assert known.mean() > 0.85
         assert np.abs(one.scaling - true)[known].mean() < 0.01
+
+
+def half_midway(t_s: float) -> float:
+    return 0.5 if 0.8 <= t_s < 1.6 else 1.0
+
+
+@pytest.mark.parametrize("slowed_at_first", [False, True])
+def test_a_limit_that_every_repetition_has_at_the_same_place_is_no_full_speed(slowed_at_first: bool):
+    """Half of full speed on a fifth of the path; the repetitions may also be slowed elsewhere."""
+    first = [(lambda t: 0.25 if t < 0.4 else half_midway(t - 0.3)) if slowed_at_first else half_midway] * 2
+    slowed = [run(scaling, seed=seed) for seed, scaling in enumerate([*first, *[half_midway] * 4])]
+    for found, (_, true) in zip(inferred([one for one, _ in slowed]), slowed, strict=True):
+        known = np.isfinite(found.scaling)
+        assert known.mean() > 0.85
+        error = np.abs(found.scaling - true)[known]
+        assert error.mean() < 0.02
+        assert (error < 0.03).mean() > 0.93
+
+
+def test_a_program_that_slows_down_gently_midway_is_at_full_speed_there():
+    def gentle(nominal_s: Vector) -> Points:
+        return arc(nominal_s + 0.12 * np.sin(np.pi * nominal_s))
+
+    for found in inferred([run(lambda _: 1.0, seed=seed, path=gentle)[0] for seed in range(5)]):
+        assert np.nanmin(found.scaling[20:-20]) > 0.97
+
+
+def test_no_edge_is_seen_in_a_log_of_few_rows_a_second():
+    nominal_s = np.arange(20) / 10.0
+    place = np.where(nominal_s < 1.0, nominal_s, 1.0 + 0.5 * (nominal_s - 1.0))
+    assert_allclose(limits_along(nominal_s, place[:, None]), 1.0)
+
+
+def test_while_the_program_is_paused_the_scaling_is_unknown():
+    runs = [run(lambda _: 1.0, seed=seed)[0] for seed in range(3)]
+    held, _ = run(lambda t: 0.0 if 0.8 <= t < 1.6 else 1.0, seed=4)
+    pause = Halt(100, 199, PAUSED)
+    found = inferred([*runs, replace(held, halts=(pause,))])[3]
+    assert np.isnan(found.scaling[100:200]).all()
+    assert found.gap is not None
+    assert set(found.gap[100:200].tolist()) == {PAUSED}
+    assert np.isfinite(inferred([*runs, held])[3].scaling[110:190]).all()
 
 
 def test_a_pace_that_one_repetition_alone_has_reached_is_not_believed():

@@ -18,6 +18,7 @@ from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.scaling.infer.override import _goes as goes
+from cyclekit.scaling.of_runs import AfterHalts, scalings_after_halts
 
 if TYPE_CHECKING:
     from simulated_cells import Cells, SimulatedCell
@@ -122,3 +123,19 @@ def test_a_motion_that_never_repeats_has_no_reference_and_that_is_said(tmp_path:
     assert found.samples()["scaling"].null_count() == found.samples().height
     assert found.card.scaling_origin is None
     assert any("cannot be inferred" in text for text in texts(found.card.warnings))
+
+
+def test_a_speed_that_is_common_after_halts_and_seldom_else_tells_of_a_halt():
+    after = AfterHalts(np.array([0.5] * 8 + [0.75] * 2 + [1.0] * 3), lowest=0.25)
+    others = [1.0] * 60 + [0.75] * 20 + [0.5] * 5
+    assert after.tells(0.5, others)
+    assert not after.tells(0.75, others)
+    assert not after.tells(1.0, [0.5] * 20)
+    assert AfterHalts(np.empty(0), lowest=0.25).tells(0.25, others)
+
+
+def test_what_follows_halts_in_mid_motion_is_looked_up_past_their_edge():
+    motion = np.concatenate([np.ones(400), np.zeros(400), [0.1, 0.3], np.full(400, 0.5)])
+    found = scalings_after_halts([motion, np.ones(400), np.zeros(3)])
+    assert found.scaling.tolist() == [0.5]
+    assert found.lowest == pytest.approx(0.5, abs=0.01)

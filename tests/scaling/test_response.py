@@ -15,7 +15,7 @@ from staircases import LEVELS, commanded, followed
 
 from cyclekit.scaling.agreement import LATENCIES_S
 from cyclekit.scaling.levels import find_staircase
-from cyclekit.scaling.response import Changes, LevelChange, changes_of, rate_of, read_response
+from cyclekit.scaling.response import Changes, LevelChange, changes_of, error_of, rate_of, read_response
 
 if TYPE_CHECKING:
     from simulated_cells import Cells
@@ -175,9 +175,12 @@ def test_the_override_of_a_research_cell_has_three_levels_and_two_rates():
     assert (down, up) == pytest.approx((1.0, 0.1), rel=0.01)
 
 
-def stepped(up: float, down: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def stepped(
+    up: float, down: float = 1.0, begins: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return times and scaling of a controller of 8 ms cycles, logged at 10 Hz, and when it began to change."""
-    begins = np.arange(1, 500) * 1.508  # at every phase of the rows as often
+    if begins is None:
+        begins = np.arange(1, 500) * 1.508  # at every phase of the rows as often
     cycles = np.arange(0.0, begins[-1] + 1.0, 0.008)
     wanted = np.where(np.searchsorted(begins, cycles, side="right") % 2 == 0, 0.75, 0.5)
     scaling, now = np.empty(len(cycles)), 0.75
@@ -201,3 +204,34 @@ def test_two_rows_in_a_ramp_tell_its_rate_and_one_row_when_it_began() -> None:
         mine = [one for one in changes if one.rises is rises]
         assert rate_of(mine) == pytest.approx(1.0, rel=0.01)
         assert np.median([np.abs(begins - one.t_s).min() for one in mine]) < 0.01
+
+
+def test_the_standard_error_of_a_rate_is_what_rates_differ_by() -> None:
+    found, errors = [], []
+    for seed in range(20):
+        begins = np.cumsum(np.random.default_rng(seed).uniform(1.0, 2.0, 200))
+        t_s, scaling, _ = stepped(up=5.0, begins=begins)
+        rising = [one for one in changes_of(t_s, scaling, (0.5, 0.75, 1.0)) if one.rises]
+        found.append(rate_of(rising) or 0.0)
+        errors.append(error_of(rising) or 0.0)
+    assert 0.6 < float(np.mean(errors)) / float(np.std(found)) < 1.6
+    assert np.mean(np.abs(np.array(found) - 5.0) < 2.0 * np.array(errors)) >= 0.75
+    t_s, scaling, _ = stepped(up=1.0)
+    assert (error_of([one for one in changes_of(t_s, scaling, (0.5, 0.75, 1.0)) if one.rises]) or 1.0) < 0.01
+
+
+def test_few_changes_tell_no_standard_error() -> None:
+    assert error_of([LevelChange(1.0, 0, True, 1.0, 0.5)] * 9) is None
+
+
+def test_ways_that_happen_to_have_two_rows_count_where_ramps_are_timed() -> None:
+    """Left out, the rest would be too short: 10 per second."""
+    single = [LevelChange(float(i), 0, True, None, 1.0, 0.1, 10.0) for i in range(12)]
+    double = [LevelChange(20.0 + i, 0, True, rate, 1.0, 0.2, 9.0) for i, rate in enumerate((7.0, 8.0, 9.5, 8.3))]
+    assert rate_of([*single, *double]) == pytest.approx(8.0)
+
+
+def test_three_slopes_that_agree_tell_the_rate() -> None:
+    single = [LevelChange(float(i), 0, True, None, 1.0, 0.1, 10.0) for i in range(12)]
+    double = [LevelChange(20.0 + i, 0, True, 8.4, 1.0, 0.2, 9.0) for i in range(3)]
+    assert rate_of([*single, *double]) == pytest.approx(8.4)

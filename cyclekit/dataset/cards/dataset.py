@@ -94,6 +94,7 @@ class DynamicsCard(Card, frozen=True, kw_only=True):
         changes: Changes of level that were seen.
         spread_m: Median deviation of the places at which levels change, at that latency.
         hold_s: How much later than it slows down the robot speeds up again; None: not later.
+        ramp_down_se_per_s, ramp_up_se_per_s: Standard errors of the rates.
     """
 
     latency_s: Seconds | None = None
@@ -103,6 +104,8 @@ class DynamicsCard(Card, frozen=True, kw_only=True):
     changes: Count = 0
     spread_m: Length | None = None
     hold_s: Seconds | None = None
+    ramp_down_se_per_s: float | None = None
+    ramp_up_se_per_s: float | None = None
 
 
 class OperatorSignalCard(Card, frozen=True, kw_only=True):

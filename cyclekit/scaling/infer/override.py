@@ -242,6 +242,8 @@ def _inferred(run: Run, leg: _Leg, reference: Reference, noise: Mapping[int, Vec
     gap[deviation > UNSURE] = TOO_SLOW
     gap[~reference.confirmed[row] | is_common_stop(reference, repetition.t_s, rate, place.own_s)] = NO_REFERENCE
     gap[(rate < HALTED) & _goes(run.window(leg.first, leg.last).speed_m_s)] = NO_REFERENCE
+    for halt in run.halts:
+        gap[max(halt.first - leg.first, 0) : max(halt.last + 1 - leg.first, 0)] = halt.gap
     known = np.where(gap == 0, np.array([np.clip(rate, 0.0, 1.0), deviation]), np.nan).astype(np.float32)
     return InferredScaling(leg.first, known[0], known[1], gap)
 

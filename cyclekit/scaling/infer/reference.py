@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.scaling.infer.advance import advance
+from cyclekit.scaling.infer.limits import limits_along
 from cyclekit.scaling.infer.path import SMOOTH_S, Path, along, path_of
 
 if TYPE_CHECKING:
@@ -117,6 +118,7 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
     if len(rates) < 2 and not alone:
         return None
     pace, agreeing = _top(np.array(rates), np.array(deviations), 0.5 if alone else TOP)
+    pace = pace / limits_along(_integral(1.0 / pace, path.own_s), path.points)
     return Reference(
         path.retimed(_integral(1.0 / pace, path.own_s)),
         np.full(len(pace), True) if alone else agreeing >= WITNESSES,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -132,8 +133,13 @@ def write_report(
     page["what_if"] = tried
     looks: dict[str, Any] = {"takt_s": takt_s, "baseline": baseline, "template": folder, "cell_name": cell_name}
     times = times_of(model)
-    if times is not None:
-        facts = _of_tasks(times, data, file, sequences, changes, jobs, {"kind": chosen, **looks})
+    if times is not None or (model is None and data.holds_task_lists_alone):
+        parts = {} if times is None else _of_tasks(times, data, sequences, changes, jobs, takt_s)
+        card = None if times is None else times.card
+        if chosen == "xlsx":
+            write = partial(report_tasks, card, data, kind="json", **parts, **looks)
+            return _as_workbook(data, times, file, parts.get("estimates"), write)
+        facts = report_tasks(card, data, file, kind=chosen, play=play, **parts, **looks)
         if printed is not None:
             write_pdf(file, printed)
         return replace(facts, pdf=printed)
@@ -143,7 +149,8 @@ def write_report(
         asked.takt_s = takt_s
         page = asked.found(sequences, changes, tried, jobs, estimates, evaluation)
     if chosen == "xlsx":
-        return _as_workbook(data, trained, file, page, looks)
+        write = partial(compose_report, data, trained, kind="json", **page, **looks)
+        return _as_workbook(data, trained, file, page["estimates"], write)
     written = {"kind": chosen, "play": play, "progress": _part(tell, 0.35, 1.0), **looks}
     facts = compose_report(data, trained, file, **page, **written)
     if printed is not None:
@@ -155,31 +162,28 @@ def write_report(
 def _of_tasks(
     model: TaskTimesModel,
     data: Dataset,
-    file: Path,
     sequences: Sequences | None,
     changes: list[Change],
     jobs: Jobs | Place | None,
-    looks: dict[str, Any],
-) -> ReportFacts:
-    """Write the report of a model of task times."""
+    takt_s: float | None,
+) -> dict[str, Any]:
+    """Return what the report of a model of task times shows, by the names of `report_tasks`."""
     wanted = [] if sequences is None else sequences_of(sequences)
     planned = None if jobs is None else cast("TaskOrderPlan", plan_order(model, data, jobs))
     asked = [*wanted, *([TaskSequence.of_plan(ORDER, planned.tasks)] if planned else [])]
     if changes and not asked:
         raise ConfigError("changes are tried on sequences, and none are given", cure="Give sequences or jobs.")
-    found = estimate_cycles(model, data, asked, takt_s=looks["takt_s"]).require_all() if asked else None
+    found = estimate_cycles(model, data, asked, takt_s=takt_s).require_all() if asked else None
     changed = try_changes(model, data, asked, changes).require_all() if changes else ()
-    parts: dict[str, Any] = {"estimates": found, "planned": planned, "changed": list(changed)}
-    return report_tasks(model.card, data, file, **parts, **looks)
+    return {"estimates": found, "planned": planned, "changed": list(changed)}
 
 
 def _as_workbook(
-    data: Dataset, model: TrainedModel | None, file: Path, page: dict[str, Any], looks: dict[str, Any]
+    data: Dataset, model: object, file: Path, found: CycleEstimates | None, write: Callable[[Path], ReportFacts]
 ) -> ReportFacts:
-    """Write the numbers of the page as a workbook, and return the facts of the page about it."""
+    """Write the numbers of the page as a workbook, and return the facts of the page, which `write` writes, about it."""
     with Scratch() as scratch:
-        facts = compose_report(data, model, scratch.path / "report.json", kind="json", **page, **looks)
-    found = page["estimates"]
+        facts = write(scratch.path / "report.json")
     write_workbook(file, sheets_of_estimates(found, data, model) if found else sheets_of_logs(data))
     return replace(facts, path=file, bytes=file.stat().st_size)
 

@@ -157,9 +157,9 @@ def test_task_lists_go_from_logs_to_the_cycle_time_of_a_plan(cyclekit, tmp_path:
 
 def test_logs_of_one_name_are_told_apart_by_their_folders(cyclekit, tasks: Path, tmp_path: Path) -> None:
     for number in range(4):
-        (tmp_path / "logs" / f"day_{number}").mkdir(parents=True)
-        (tmp_path / "logs" / f"day_{number}" / "tasks.csv").write_bytes(tasks.read_bytes())
-    shown = cyclekit("inspect", tmp_path / "logs").out
+        (tmp_path / "days" / f"day_{number}").mkdir(parents=True)
+        (tmp_path / "days" / f"day_{number}" / "tasks.csv").write_bytes(tasks.read_bytes())
+    shown = cyclekit("inspect", tmp_path / "days").out
     assert [line.split()[0] for line in shown.splitlines() if " task-list " in line] == [
         f"day_{number}/tasks.csv" for number in range(4)
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict, cast
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan.answer import OrderPlan
     from cyclekit.estimate.plan.task_orders import TaskOrderPlan
+    from cyclekit.estimate.whatif.answer import WhatIf
     from cyclekit.estimate.whatif.answers import WhatIfAnswers
 
 Format = Literal["html", "json", "csv", "md", "xlsx"]
@@ -81,6 +83,14 @@ class _Page(TypedDict, total=False):
     what_if: Sequence[Tried]
     planned: OrderPlan | None
     missing: Sequence[str]
+
+
+class _TaskPage(TypedDict, total=False):
+    """What the page of task lists shows beside the logs, by the names of `report_tasks`."""
+
+    estimates: CycleEstimates | None
+    planned: TaskOrderPlan | None
+    changed: Sequence[WhatIf]
 
 
 class _Given(TypedDict):
@@ -163,8 +173,13 @@ def write_report(
     page: _Page = {"estimates": estimates or (), "check": estimates.check if estimates else None, "what_if": tried}
     looks: _Looks = {"takt_s": takt_s, "baseline": baseline, "template": folder, "cell_name": cell_name}
     times = times_of(model)
-    if times is not None:
-        facts = _of_tasks(times, data, file, sequences, changes, jobs, chosen, looks)
+    if times is not None or (model is None and data.holds_task_lists_alone):
+        parts: _TaskPage = {} if times is None else _of_tasks(times, data, sequences, changes, jobs, takt_s)
+        card = None if times is None else times.card
+        if chosen == "xlsx":
+            write = partial(report_tasks, card, data, kind="json", **parts, **looks)
+            return _as_workbook(data, times, file, parts.get("estimates"), write)
+        facts = report_tasks(card, data, file, kind=chosen, play=play, **parts, **looks)
         if printed is not None:
             write_pdf(file, printed)
         return replace(facts, pdf=printed)
@@ -174,7 +189,8 @@ def write_report(
         asked.takt_s = takt_s
         page = asked.found(sequences, changes, tried, jobs, estimates, evaluation)
     if chosen == "xlsx":
-        return _as_workbook(data, trained, file, page, looks)
+        write = partial(compose_report, data, trained, kind="json", **page, **looks)
+        return _as_workbook(data, trained, file, page.get("estimates") or None, write)
     drawing = _part(tell, 0.35, 1.0)
     facts = compose_report(data, trained, file, kind=chosen, play=play, progress=drawing, **page, **looks)
     if printed is not None:
@@ -186,31 +202,28 @@ def write_report(
 def _of_tasks(
     model: TaskTimesModel,
     data: Dataset,
-    file: Path,
     sequences: Sequences | None,
     changes: list[Change],
     jobs: Jobs | Place | None,
-    kind: Format,
-    looks: _Looks,
-) -> ReportFacts:
-    """Write the report of a model of task times."""
+    takt_s: float | None,
+) -> _TaskPage:
+    """Return what the report of a model of task times shows, by the names of `report_tasks`."""
     wanted = [] if sequences is None else sequences_of(sequences)
     planned = None if jobs is None else cast("TaskOrderPlan", plan_order(model, data, jobs))
     asked = [*wanted, *([TaskSequence.of_plan(ORDER, planned.tasks)] if planned else [])]
     if changes and not asked:
         raise ConfigError("changes are tried on sequences, and none are given", cure="Give sequences or jobs.")
-    found = estimate_cycles(model, data, asked, takt_s=looks.get("takt_s")).require_all() if asked else None
+    found = estimate_cycles(model, data, asked, takt_s=takt_s).require_all() if asked else None
     changed = try_changes(model, data, asked, changes).require_all() if changes else ()
-    return report_tasks(
-        model.card, data, file, estimates=found, planned=planned, changed=list(changed), kind=kind, **looks
-    )
+    return {"estimates": found, "planned": planned, "changed": list(changed)}
 
 
-def _as_workbook(data: Dataset, model: TrainedModel | None, file: Path, page: _Page, looks: _Looks) -> ReportFacts:
-    """Write the numbers of the page as a workbook, and return the facts of the page about it."""
+def _as_workbook(
+    data: Dataset, model: object, file: Path, found: CycleEstimates | None, write: Callable[[Path], ReportFacts]
+) -> ReportFacts:
+    """Write the numbers of the page as a workbook, and return the facts of the page, which `write` writes, about it."""
     with Scratch() as scratch:
-        facts = compose_report(data, model, scratch.path / "report.json", kind="json", **page, **looks)
-    found = page["estimates"]
+        facts = write(scratch.path / "report.json")
     write_workbook(file, sheets_of_estimates(found, data, model) if found else sheets_of_logs(data))
     return replace(facts, path=file, bytes=file.stat().st_size)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from cyclekit.text.plain_text import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from cyclekit.estimate.what_to_log import RecordingPlan
     from cyclekit.inspect.facts import (
@@ -53,20 +55,29 @@ def page(found: Description) -> str:
 def _logs(found: LogsDescription) -> str:
     parts = [_log(log) for log in found.logs] if len(found.logs) <= 3 else [_log_rows(found.logs)]
     if len(found.logs) > 3:
-        warned = grouped((log.path.name, text) for log in found.logs for text in log.warnings)
+        named = _names([log.path for log in found.logs])
+        warned = grouped((named[log.path], text) for log in found.logs for text in log.warnings)
         parts.append(bullet(warned, mark="! "))
     if found.not_read:
         parts.append("not read:\n" + bullet(grouped((str(path), reason) for path, reason in found.not_read)))
     return "\n\n".join(part for part in parts if part)
 
 
+def _names(paths: Sequence[Path]) -> dict[Path, str]:
+    """Return the names of files, with their folders where two files have one name."""
+    if len({path.name for path in paths}) == len(paths):
+        return {path: path.name for path in paths}
+    above = os.path.commonpath([path.parent for path in paths])
+    return {path: path.relative_to(above).as_posix() for path in paths}
+
+
 def _log_rows(logs: Sequence[LogFacts]) -> str:
-    rows = []
+    rows, named = [], _names([log.path for log in logs])
     for log in logs[:SHOWN_FILES]:
         longest = max(log.tables.values(), key=lambda facts: facts.rows, default=None)
         rows.append(
             [
-                log.path.name,
+                named[log.path],
                 log.adapter,
                 ", ".join(log.tables),
                 f"{longest.rows}" if longest else "0",

@@ -58,7 +58,7 @@ class Terminal:
     def remark(self, text: str) -> None:
         """Say something beside the result, on standard error; nothing with --quiet."""
         if not self.quiet:
-            _print(text, err=True)
+            _say(text, err=True)
 
     def warnings(self, texts: Sequence[str]) -> None:
         """Say what a person must know before trusting the result."""
@@ -70,14 +70,33 @@ class Terminal:
         if self.json:
             write_json(document)
         elif not self.quiet:
-            _print(text)
+            _say(text)
 
     def answer(self, document: Mapping[str, Any], *parts: str) -> None:
         """Give what a command was asked for: the document for programs, or the parts, --quiet or not."""
         if self.json:
             write_json(document)
         else:
-            _print("\n\n".join(part for part in parts if part))
+            _say("\n\n".join(part for part in parts if part))
+
+
+def _say(text: str, *, err: bool = False) -> None:
+    """Write sentences: where a person reads them in a terminal, no word is cut at its edge."""
+    stream = sys.stderr if err else sys.stdout
+    width = shutil.get_terminal_size().columns
+    _print("\n".join(_fitted(line, width) for line in text.split("\n")) if stream.isatty() else text, err=err)
+
+
+def _fitted(line: str, width: int) -> str:
+    """Return a line, broken between words where it is too long; a command to copy stays in one piece."""
+    import textwrap
+
+    if len(line) <= width or line.startswith("next: "):
+        return line
+    indent = " " * (len(line) - len(line.lstrip(" ")) + 2 * line.lstrip(" ").startswith("- "))
+    lines = textwrap.TextWrapper(max(width, 40), subsequent_indent=indent, replace_whitespace=False)
+    lines.break_long_words = lines.break_on_hyphens = False
+    return lines.fill(line)
 
 
 def _print(text: str, *, err: bool = False) -> None:
@@ -94,7 +113,7 @@ def say_failure(message: str, *, kind: str, as_json: bool, code: int = 1) -> int
     """Say in one message why the command failed, and return the exit code."""
     if as_json:
         write_json({"error": {"kind": kind, "message": message}})
-    _print(message if code == 130 else f"error: {message}", err=True)
+    _say(message if code == 130 else f"error: {message}", err=True)
     return code
 
 
@@ -107,7 +126,7 @@ def say_usage(error: typer.TyperException, *, as_json: bool) -> int:
     if context is not None:
         _print(context.get_usage(), err=True)
         _print(f"Try '{context.command_path} --help'.", err=True)
-    _print(f"error: {message}", err=True)
+    _say(f"error: {message}", err=True)
     return 2
 
 

@@ -11,14 +11,16 @@ import polars as pl
 
 from cyclekit.config.sequences import PLAN
 from cyclekit.estimate.resample import TOGETHER, resampled, wilson
-from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, CycleEstimate, TaskShare
+from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.estimate.same_work import work_of
+from cyclekit.learning.task_times.runs import logged_runs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.same_work import Work
+    from cyclekit.learning.task_times.runs import Run
     from cyclekit.schema import Floats, Vector
 
 LEAST_RUNS = 5
@@ -188,6 +190,63 @@ def logged_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEst
         durations_s=tuple(cycles_s.tolist()), estimator="logged", why="logged executions", executions=len(each),
         operator_at=_operator_at(dataset, names, begins_s, float(cycles_s.mean())),
     )  # fmt: skip
+
+
+def listed_cycles(dataset: Dataset) -> dict[str, CycleEstimate]:
+    """Return what the executions of task lists were like, by which they are: `most`, the mean of the order run most.
+
+    Where every order was run once: `shortest`, `middle` and `longest` execution. Empty where no task list was logged.
+    """
+    runs, _ = logged_runs(dataset)
+    if not runs:
+        return {}
+    names = Counter(run.order for run in runs)
+    order, times = names.most_common(1)[0]
+    if times > 1:
+        same = [run.name for run in runs if run.order == order]
+        found = listed_cycle(dataset, same, f"{times} logged executions of one order")
+        return {} if found is None else {"most": found}
+    by_length = sorted(runs, key=lambda run: run.duration_s)
+    chosen = {"middle": by_length[len(runs) // 2], "shortest": by_length[0], "longest": by_length[-1]}
+    one_by_one = {run.name: which for which, run in reversed(chosen.items())}  # of one execution: the middle
+    drawn = {which: listed_cycle(dataset, [name], name) for name, which in one_by_one.items()}
+    return {which: found for which in ("shortest", "middle", "longest") if (found := drawn.get(which)) is not None}
+
+
+def listed_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEstimate | None:
+    """Return what executions of task lists in one order were like, as an estimate; None where their orders differ."""
+    runs, kinds = logged_runs(dataset)
+    runs = [run for run in runs if run.name in set(names)]
+    if len({run.order for run in runs}) != 1:
+        return None
+    plan = [share for agent in runs[0].tasks for share in _listed(runs, agent, kinds[agent])]
+    robot = [share for share in plan if share.kind == "robot"]
+    work_s, wait_s = sum(share.end_s - share.start_s for share in robot), sum(share.wait_s for share in robot)
+    cycles_s = np.array([run.duration_s for run in runs])
+    mean_s, (low_s, high_s) = float(cycles_s.mean()), _interval(tuple(run.name for run in runs), cycles_s)
+    quantiles = {level: float(np.quantile(cycles_s, level)) for level in LEVELS} if len(runs) > 1 else {}
+    return CycleEstimate(
+        title, (), mean_s, low_s, high_s, quantiles, work_s, 0.0, 0.0, wait_s,
+        support=1.0, tracks=0, warnings=(), tasks=(), safety_by_activity_s={}, durations_s=tuple(cycles_s.tolist()),
+        estimator="logged", why="logged executions", executions=len(runs),
+        plan=tuple(sorted(plan, key=lambda share: share.start_s)),
+    )  # fmt: skip
+
+
+def _listed(runs: Sequence[Run], agent: str, kind: str) -> list[PlannedShare]:
+    """Return the tasks of an agent: means over executions of one order."""
+    times_s = np.array([[(done.start_s, done.end_s) for done in run.tasks[agent]] for run in runs])
+    wait_s = times_s[:, :, 0] - np.concatenate([np.zeros((len(runs), 1)), times_s[:, :-1, 1]], axis=1)
+    start_s, end_s = times_s.mean(axis=0).T.tolist()
+    waits_s = np.maximum(wait_s, 0.0).mean(axis=0).tolist()
+    band: list[list[float | None]] = [[None, None]] * len(end_s)
+    if len(runs) > 1:
+        band = np.quantile(times_s[:, :, 1], (LEVELS[0], LEVELS[-1]), axis=0).T.tolist()
+    tasks = [done.task for done in runs[0].tasks[agent]]
+    return [
+        PlannedShare(agent, kind, task, begin, end, wait, {}, low, high)
+        for task, begin, end, wait, (low, high) in zip(tasks, start_s, end_s, waits_s, band, strict=True)
+    ]
 
 
 def _parts_s(rows: pl.DataFrame) -> Floats:

@@ -167,7 +167,7 @@ def _shares_of(each: CycleEstimate) -> dict[int, TaskShare]:
 
 def _ended_by(task: PlannedShare, plan: Sequence[PlannedShare]) -> PlannedShare | None:
     """Return the task of another one that ended a wait: the last of its name that had ended, or had begun."""
-    cause = max(task.decided, key=lambda name: task.decided[name])
+    cause = max(task.decided, key=lambda name: task.decided[name], default="")
     able = [one for one in plan if f"{one.agent}: {one.task}" == cause and one.agent != task.agent]
     ended = [one for one in able if one.end_s <= task.start_s + SHOWN_S]
     begun = [one for one in able if one.start_s < task.start_s]

@@ -32,7 +32,7 @@ _TITLE_IN, _COURSE_IN, _LABEL_IN, _BAR_IN, _GAP_IN = 0.27, 0.5, 0.17, 0.24, 0.09
 _TITLE_PT, _LABEL_PT, _NAME_PT = 9.0, 8.0, 8.5
 _HINTED = 1.05
 """Letters that are drawn on whole pixels are wider by up to this factor."""
-_INK, _MUTED, _RULE, _BAND = "#1c232b", "#55606c", "#d9dee4", "#b9c8db"
+_INK, _MUTED, _RULE, _BAND, _HATCH = "#1c232b", "#55606c", "#d9dee4", "#b9c8db", "#9aa5b1"
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,8 @@ def draw_blocks(
     figure.set_layout_engine("none")
     width_in, all_in = figure.get_size_inches().tolist()
     body_in = sum(block.height_in for block in blocks)
-    axes.set_position((_LEFT_IN / width_in, _FOOT_IN / all_in, 1 - (_LEFT_IN + _RIGHT_IN) / width_in, body_in / all_in))
+    left_in = _left_in(blocks, width_in)
+    axes.set_position((left_in / width_in, _FOOT_IN / all_in, 1 - (left_in + _RIGHT_IN) / width_in, body_in / all_in))
     end_s = 1.01 * max(max((block.end_s for block in blocks), default=1.0), takt_s or 0.0)
     axes.set(xlim=(0.0, end_s), ylim=(body_in, 0.0))
     axes.set_xlabel("time, s")
@@ -178,17 +179,23 @@ def draw_blocks(
         axes.spines[side].set_visible(False)
     axes.grid(visible=True, axis="x", color=_RULE, linewidth=0.6)
     axes.set_axisbelow(True)
-    s_per_in = end_s / (width_in - _LEFT_IN - _RIGHT_IN)
+    s_per_in = end_s / (width_in - left_in - _RIGHT_IN)
     top_in, names = 0.0, dict[float, str]()
     for block in blocks:
         names |= _Drawing(axes, block, top_in, s_per_in, tip).draw()
         top_in += block.height_in
-    axes.set_yticks(list(names), [_fitting((text,), _LEFT_IN - 0.1, _NAME_PT, cut=True) for text in names.values()])
+    axes.set_yticks(list(names), [_fitting((text,), left_in - 0.1, _NAME_PT, cut=True) for text in names.values()])
     axes.tick_params(axis="y", length=0, labelsize=_NAME_PT)
     if takt_s is not None:
         line = axes.axvline(takt_s, color=colours.SCALING_ANCHORS[0][1], linewidth=1.3, linestyle=(0, (5, 2)), zorder=4)
         tip(figure, line, f"takt {takt_s:g} s", "")
     _draw_key(figure, legend, width_in, all_in)
+
+
+def _left_in(blocks: Sequence[Block], width_in: float) -> float:
+    """Return the room for the names of the lanes, inches: a sixth of the chart at most."""
+    longest_in = max((_text_in(name, _NAME_PT) for block in blocks for name in block.lanes), default=0.0)
+    return min(max(_LEFT_IN, longest_in + 0.12), max(_LEFT_IN, width_in / 6))
 
 
 class _Drawing:
@@ -233,11 +240,15 @@ class _Drawing:
 
     def _draw_bar(self, bar: Bar) -> None:
         at_in, long_s = self._bars_in[bar.lane] + _BAR_IN / 2, bar.end_s - bar.start_s
-        hatch, edge = ("////", "#9aa5b1") if bar.waits else (None, "white")
+        edge = _HATCH if bar.waits else "white"
         drawn = self._axes.barh(
-            at_in, long_s, left=bar.start_s, height=_BAR_IN, color=bar.colour, hatch=hatch, edgecolor=edge,
-            linewidth=0.5, zorder=3,
-        )  # fmt: skip
+            at_in, long_s, left=bar.start_s, height=_BAR_IN, color=bar.colour, edgecolor=edge, linewidth=0.5, zorder=3
+        )
+        if bar.waits:
+            across_in, down_in = _hatching(long_s / self._s_per_in, _BAR_IN)
+            at_s = [bar.start_s + x_in * self._s_per_in for x_in in across_in]
+            at_y = [self._bars_in[bar.lane] + y_in for y_in in down_in]
+            self._axes.plot(at_s, at_y, color=_HATCH, linewidth=0.8, zorder=3.5)
         if bar.tip:
             self._tip(self._axes.figure, drawn.patches[0], bar.tip, bar.row)  # type: ignore[arg-type]
 
@@ -291,14 +302,21 @@ def _key_rows(legend: Mapping[str, str], width_in: float) -> list[list[str]]:
 
 
 def _draw_key(figure: Figure, legend: Mapping[str, str], width_in: float, all_in: float) -> None:
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Rectangle
 
     for number, row in enumerate(_key_rows(legend, width_in)):
         at_in, foot_in = 0.06, all_in - _KEY_IN * (number + 1) + 0.06
         for text in row:
-            hatch, edge = ("//////", "#9aa5b1") if legend[text] == colours.WAIT else (None, None)
             square = (at_in / width_in, foot_in / all_in), 0.12 / width_in, 0.1 / all_in
-            figure.add_artist(Rectangle(*square, facecolor=legend[text], linewidth=0.0, hatch=hatch, edgecolor=edge))
+            figure.add_artist(Rectangle(*square, facecolor=legend[text], linewidth=0.0))
+            if legend[text] == colours.WAIT:
+                across_in, down_in = _hatching(0.12, 0.1, 0.04)
+                lines_in = (
+                    [(at_in + x_in) / width_in for x_in in across_in],
+                    [(foot_in + 0.1 - y_in) / all_in for y_in in down_in],
+                )
+                figure.add_artist(Line2D(*lines_in, color=_HATCH, linewidth=0.8))
             place = (at_in + 0.17) / width_in, (foot_in - 0.005) / all_in
             figure.text(*place, text, fontsize=_NAME_PT, color=_MUTED, va="baseline")
             at_in += _text_in(text, _NAME_PT) + 0.36
@@ -313,6 +331,21 @@ def _fitting(texts: Sequence[str], room_in: float, size_pt: float, *, cut: bool 
     while short and _text_in(f"{short}…", size_pt, weight) > room_in:
         short = short[:-1]
     return f"{short.rstrip()}…" if short else ""
+
+
+def _hatching(wide_in: float, high_in: float, apart_in: float = 0.07) -> tuple[list[float], list[float]]:
+    """Return slanting lines in a rectangle, x and y from its top left, inches; NaN between two lines.
+
+    Lines, since browsers print the hatches of matplotlib as pixels: 0.1 MB for each bar.
+    """
+    across, down = list[float](), list[float]()
+    foot = -high_in + apart_in / 2
+    while foot < wide_in:  # each rises from (foot, bottom) to the right
+        left, right = max(foot, 0.0), min(foot + high_in, wide_in)
+        across += [left, right, float("nan")]
+        down += [high_in - (left - foot), high_in - (right - foot), float("nan")]
+        foot += apart_in
+    return across, down
 
 
 @cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cyclekit.replay.phase import common_order, repetitions
-from cyclekit.text.plain_text import markdown, spelt
+from cyclekit.text.plain_text import markdown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,7 +56,7 @@ def comparison(runs: Sequence[ReplayedExecution]) -> str:
     for task, repetition in keys:
         cells = [_cell(*each[task, repetition]) for each in times]
         again = f" ({repetition}.)" if repetition > 1 else ""
-        lines.append(f"| {markdown(spelt(task))}{again} | " + " | ".join(cells) + " |")
+        lines.append(f"| {markdown(runs[0].shown(task))}{again} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 

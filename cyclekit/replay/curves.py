@@ -17,7 +17,6 @@ from cyclekit.replay.ledger import ACCOUNTS, ledger
 from cyclekit.replay.phase import TASK
 from cyclekit.replay.words import LogLine, lanes, log_lines, miss_lines, summary
 from cyclekit.text.numbers import whole_percent
-from cyclekit.text.plain_text import spelt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,11 +141,11 @@ def _lanes(sink: Sink) -> None:
     }
     _lane(sink, "lanes/1_robot_speed", _with_gaps(run, speed), {**shades, GAP: "#3a4048"})
     doing = list(zip(run.robot_task, run.moving, strict=True))
-    robot = [_doing(task, moving) for task, moving in doing]
+    robot = [_doing(run, task, moving) for task, moving in doing]
     ways = zip(robot, doing, strict=True)
     shades = {text: "#5b6673" if task and moving is False else "#8f9cab" for text, (task, moving) in ways if text}
     _lane(sink, "lanes/2_robot", robot, shades)
-    human = [None if task is None else spelt(task) for task in run.human_task]
+    human = [None if task is None else run.shown(task) for task in run.human_task]
     if not any(human):
         human = ["seen" if seen else None for seen in np.isfinite(run.human_m[:, 0])]
     names = sorted({text for text in human if text})
@@ -190,7 +189,7 @@ def _text(sink: Sink, path: str, lines: Sequence[LogLine]) -> None:
     sink.columns(path, np.array([line.t_s for line in lines]), columns)
 
 
-def _doing(task: str | None, moving: bool | None) -> str | None:
+def _doing(run: ReplayedExecution, task: str | None, moving: bool | None) -> str | None:
     if task is None:
         return None if moving is None else ("moving" if moving else "standstill")
-    return spelt(task) if moving is not False else f"at {task.rpartition('->')[2]}"
+    return run.shown(task) if moving is not False else f"at {run.shown(task.rpartition('->')[2])}"

@@ -120,6 +120,11 @@ class ReplayedExecution:
         """Distance between tool and operator, shape (T,), NaN where one is unknown."""
         return np.asarray(np.linalg.norm(self.robot_m - in_plane(self.robot_m, self.human_m), axis=1))
 
+    def shown(self, task: str) -> str:
+        """Return how people are shown a task or a place: by the labels of the cell file."""
+        places = {**self.human_places, **self.places}
+        return " → ".join(places[name].shown if name in places else name for name in task.split("->"))
+
 
 def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None) -> ReplayedExecution:
     """Read one execution and let the model say what it would expect.

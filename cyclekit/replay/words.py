@@ -15,7 +15,7 @@ import numpy as np
 from cyclekit.plots import colours
 from cyclekit.replay.misses import misses
 from cyclekit.text.numbers import whole_percent
-from cyclekit.text.plain_text import markdown, spelt
+from cyclekit.text.plain_text import markdown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -103,7 +103,7 @@ def miss_lines(run: ReplayedExecution) -> list[LogLine]:
     """Return where prediction and log differ most, in order of time; a click on the time jumps there."""
     lines = []
     for rank, miss in enumerate(misses(run), start=1):
-        doing = f" on {spelt(miss.robot_task)}" if miss.robot_task else ""
+        doing = f" on {run.shown(miss.robot_task)}" if miss.robot_task else ""
         text = (
             f"#{rank}: logged {whole_percent(miss.logged)}, predicted {whole_percent(miss.predicted)}{doing}, "
             f"operator {miss.distance_m:.2f} m away; off by {miss.seconds:.1f} s in {miss.end_s - miss.start_s:.1f} s"
@@ -123,7 +123,7 @@ def summary(run: ReplayedExecution) -> str:
     if found:
         worst = sorted(found, key=lambda each: -each.lost_s)[:4]
         head.append("**Where the time went**")
-        head.extend(f"- **{each.lost_s:.1f} s** at {_clock(each.start_s)}: {markdown(_why(each))}" for each in worst)
+        head += [f"- **{each.lost_s:.1f} s** at {_clock(each.start_s)}: {markdown(_why(run, each))}" for each in worst]
     head.extend(f"- *{markdown(note)}*" for note in run.notes)
     if run.gaps:
         head.append(f"- *{len(run.gaps)} gap(s) in the log, left empty here.*")
@@ -144,35 +144,35 @@ def lanes(labels: Sequence[str | None], t_s: NDArray[np.float64]) -> list[tuple[
     return changes
 
 
-def _why(slow: Slowdown) -> str:
+def _why(run: ReplayedExecution, slow: Slowdown) -> str:
     speed = f"robot at {whole_percent(slow.lowest)} speed"
-    where = f" on {spelt(slow.robot_task)}" if slow.robot_task else ""
+    where = f" on {run.shown(slow.robot_task)}" if slow.robot_task else ""
     near = "" if np.isnan(slow.nearest_m) else f", operator {slow.nearest_m:.2f} m away"
-    doing = f" ({slow.human_task})" if slow.human_task else ""
+    doing = f" ({run.shown(slow.human_task)})" if slow.human_task else ""
     return f"{speed}{where}{near}{doing}"
 
 
 def _slow_lines(run: ReplayedExecution) -> Iterator[LogLine]:
     for slow in slowdowns(run):
-        text = f"SLOWED for {slow.end_s - slow.start_s:.1f} s, {slow.lost_s:.1f} s lost: {_why(slow)}"
+        text = f"SLOWED for {slow.end_s - slow.start_s:.1f} s, {slow.lost_s:.1f} s lost: {_why(run, slow)}"
         yield LogLine(slow.start_s, text, "WARN", colours.scaling_hex(max(slow.lowest, 0.25)))
         yield LogLine(slow.end_s, "Full speed again", "INFO", "#5b97d8")
 
 
 def _task_lines(run: ReplayedExecution) -> Iterator[LogLine]:
     for row in run.tasks.iter_rows(named=True):
-        yield LogLine(row["start_s"], f"Robot starts {spelt(row['task'])}")
+        yield LogLine(row["start_s"], f"Robot starts {run.shown(row['task'])}")
         took = row["arrival_s"] - row["start_s"]
         loss = row["safety_loss_s"]
         lost = "" if loss is None else f", {loss:.1f} s of it slow-down" if loss >= 0.05 else ", no slow-down"
-        yield LogLine(row["arrival_s"], f"Robot arrives at {row['goal_place']} after {took:.1f} s{lost}")
+        yield LogLine(row["arrival_s"], f"Robot arrives at {run.shown(row['goal_place'])} after {took:.1f} s{lost}")
 
 
 def _operator_lines(run: ReplayedExecution) -> Iterator[LogLine]:
     changes = lanes(run.human_task, run.t_s)[:-1]
     for time_s, task in changes:
         if task is not None:
-            yield LogLine(time_s, f"Operator: {spelt(task)}", colour="#2ba08d")
+            yield LogLine(time_s, f"Operator: {run.shown(task)}", colour="#2ba08d")
     unseen = np.isnan(run.human_m[:, 0])
     if unseen.all():
         return

@@ -1,17 +1,20 @@
-"""The report of a model of task times: plans as time charts, who waits for what, and what task lists cannot tell."""
+"""The report of task lists: logged executions and plans as time charts, who waits for what, and what is not known."""
 
 from __future__ import annotations
 
 import datetime as dt
+import re
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version as installed
 from typing import TYPE_CHECKING
 
 from cyclekit.dataset.cards.task_model import DETAIL
+from cyclekit.estimate.baseline import listed_cycle, listed_cycles
 from cyclekit.report.document import MARK
 from cyclekit.report.figures.time_chart import MOST_SEQUENCES, alt_of, draw
-from cyclekit.report.numbers import fixed, given, percent
+from cyclekit.report.numbers import UNKNOWN, count, fixed, given, percent
 from cyclekit.report.page import ReportFacts
 from cyclekit.report.pictures import Picture
 from cyclekit.report.template import Template
@@ -27,9 +30,11 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.task_model import TaskModelCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.answers import CycleEstimates
+    from cyclekit.estimate.baseline import Today
     from cyclekit.estimate.plan.task_orders import TaskOrderPlan
-    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.result import CycleEstimate, PlannedShare
     from cyclekit.estimate.whatif.answer import WhatIf
+    from cyclekit.report.texts import ReportTexts
 
 PAGE = "tasks.html.jinja"
 NOT_KNOWN = (
@@ -40,19 +45,38 @@ NOT_KNOWN = (
 )
 
 
+NO_MODEL = (
+    "No model was given: other plans are not estimated here, and who waits for what is not told. "
+    "Train one: cyclekit train DATASET --out MODEL"
+)
+_WHICH = {
+    "most": "Mean times of the order that was run most.",
+    "middle": "Every order was run once: the shortest execution, that of middle length, and the longest.",
+}
+_NUMBER = re.compile(rf"[-−]?\d|-$|{UNKNOWN}$")
+
+
 @dataclass(frozen=True)
 class Part:
-    """One part of the page: sentences, a picture, and a table."""
+    """One part of the page: sentences, a picture, and a table, `folded` under the picture."""
 
     title: str
     sentences: Sequence[str] = ()
     heads: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
     chart: Picture | None = None
+    folded: bool = False
+
+    @property
+    def numeric(self) -> frozenset[int]:
+        """Columns of numbers."""
+        return frozenset(
+            at for at in range(len(self.heads)) if all(_NUMBER.match(row[at]) for row in self.rows)
+        )  # fmt: skip
 
 
 def report_tasks(
-    card: TaskModelCard,
+    card: TaskModelCard | None,
     dataset: Dataset,
     out: Path,
     *,
@@ -64,11 +88,12 @@ def report_tasks(
     kind: str = "html",
     template: Path | None = None,
     cell_name: str | None = None,
+    play: bool = True,
 ) -> ReportFacts:
-    """Write the report of a model of task times.
+    """Write the report of task lists.
 
     Args:
-        card: What was learned.
+        card: What a model of task times has learned; None for the logs alone.
         dataset: The logs that today's cycle is read from.
         out: File to write.
         estimates: Of plans, the order found among them.
@@ -79,6 +104,7 @@ def report_tasks(
         kind: `html`, `json`, `md`, or `csv` for the estimates alone.
         template: Folder whose style and words replace the page's own.
         cell_name: Title of the page; the dataset's name where not given.
+        play: Say on the HTML page why it cannot be played with.
 
     Raises:
         UnknownName: There is no plan of that name.
@@ -87,20 +113,25 @@ def report_tasks(
     look, found = Template(template), sorted(estimates or (), key=lambda one: one.expected_s)
     texts, tried = look.texts, [Tried.of(one, takt_s) for one in changed]
     held = verdict(dataset, found, tried, None, takt_s, baseline)
-    parts = [*_ranking(found, takt_s), *_order(planned), *_changes(changed), _learned(card), _trust(card)]
-    parts[1:1] = [_plan(one) for one in found]
+    today = _today(dataset, held.today, look.texts("time_chart.today")) if held else None
+    missing = [NOT_KNOWN[0], *([] if card else [NO_MODEL])]
+    if play and card and kind == "html":
+        missing.append(texts("play.waits"))
+    parts = [*_ranking(found, takt_s), *(_plan(one) for one in found), *_order(planned), *_changes(changed)]
     if found:
-        drawn = found[:MOST_SEQUENCES]
-        chart = Picture("timechart", alt_of(texts, drawn), partial(draw, drawn, takt_s))
-        parts[0] = replace(parts[0], chart=chart)
-    headline = in_words(texts, held) if held else f"{len(card.tasks)} tasks of {len(card.agents)} agents."
+        drawn = [*([today] if today else []), *found[:MOST_SEQUENCES]]
+        parts[0] = replace(parts[0], chart=_chart(texts, drawn, takt_s))
+    parts += [] if found and today else _logged(texts, dataset, takt_s)
+    parts += [*([_learned(card)] if card else []), _trust(card, missing)]
+    headline = in_words(texts, held) if held else _logged_in_words(dataset, takt_s)
     said = [basis(texts, held)] if held else []
-    name, today = cell_name or dataset.card.name or dataset.path.name, dt.datetime.now(tz=dt.UTC).date().isoformat()
-    made = f"{today}, cyclekit {installed('cyclekit')}, {card.executions} executions"
+    name, date = cell_name or dataset.card.name or dataset.path.name, dt.datetime.now(tz=dt.UTC).date().isoformat()
+    executions = card.executions if card else len(dataset.executions)
+    made = f"{date}, cyclekit {installed('cyclekit')}, {executions} executions"
     if kind == "csv":
         content = estimates.to_csv() if estimates else ""
     elif kind == "json":
-        shown = [{key: value for key, value in vars(part).items() if key != "chart"} for part in parts]
+        shown = [{key: getattr(part, key) for key in ("title", "sentences", "heads", "rows")} for part in parts]
         data = {"name": name, "headline": headline, "verdict": held.to_dict(headline) if held else None, "parts": shown}
         content = json_text(data | {"estimates": [one.to_dict() for one in found]}) + "\n"
     elif kind == "md":
@@ -109,7 +140,53 @@ def report_tasks(
         texts_of = {"cell": name, "made": made, "headline": headline, "version": installed("cyclekit")}
         content = look.render(page=PAGE, said=said, parts=parts, **texts_of) + f"\n{MARK}\n"
     write_text(out, content)
-    return ReportFacts(out, out.stat().st_size, headline, content.count("<figure>"), (NOT_KNOWN[0],), len(found))
+    return ReportFacts(out, out.stat().st_size, headline, content.count("<figure>"), tuple(missing), len(found))
+
+
+def _today(dataset: Dataset, today: Today | None, title: str) -> CycleEstimate | None:
+    """Return the logged cycle that the plans are held against, where its executions ran one order."""
+    return listed_cycle(dataset, today.names, title) if today and today.order and today.executions else None
+
+
+def _chart(texts: ReportTexts, drawn: Sequence[CycleEstimate], takt_s: float | None) -> Picture:
+    return Picture("timechart", alt_of(texts, drawn), partial(draw, drawn, takt_s))
+
+
+def _logged(texts: ReportTexts, dataset: Dataset, takt_s: float | None) -> list[Part]:
+    """Return the logged executions as a time chart, with its numbers."""
+    found = listed_cycles(dataset)
+    rows = []
+    for one in found.values():
+        turn = Counter[str]()
+        for task in one.plan:
+            turn[task.agent] += 1
+            times = [fixed(task.start_s, 1), fixed(task.end_s, 1), _ends(task), fixed(task.wait_s, 1)]
+            rows.append([one.name, task.agent, str(turn[task.agent]), task.task, *times])
+    heads = ["cycle", "agent", "no.", "task", "start, s", "end, s", "end in 90 % of cycles, s", "wait, s"]
+    said = next(text for which, text in _WHICH.items() if which in found) if found else ""
+    chart = _chart(texts, list(found.values()), takt_s) if found else None
+    return [Part("Logged executions", [said], heads, rows, chart, folded=True)] if found else []
+
+
+def _ends(task: PlannedShare) -> str:
+    known = task.end_low_s is not None and task.end_high_s is not None
+    return f"{fixed(task.end_low_s, 1)} to {fixed(task.end_high_s, 1)}" if known else UNKNOWN
+
+
+def _logged_in_words(dataset: Dataset, takt_s: float | None) -> str:
+    cycles_s = dataset.executions.filter("complete")["duration_s"].to_list()
+    tasks = dataset.every_task().select("agent", "agent_name", "task").unique()
+    agents = count(tasks.select("agent", "agent_name").n_unique())
+    listed = f"{count(tasks.height)} tasks of {agents} agents"
+    if not cycles_s:
+        return f"{listed}; no complete execution."
+    times = sum(cycles_s) / len(cycles_s), min(cycles_s), max(cycles_s)
+    mean, low, high = (f"{fixed(value, 1)}\N{NO-BREAK SPACE}s" for value in times)
+    said = f"{count(len(cycles_s))} logged executions take {mean} on average ({low} to {high})"
+    if takt_s is not None:
+        within = sum(cycle_s <= takt_s for cycle_s in cycles_s) / len(cycles_s)
+        said += f", {percent(within)} of them within the takt of {given(takt_s)}\N{NO-BREAK SPACE}s"
+    return f"{said}: {listed}."
 
 
 def _ranking(found: Sequence[CycleEstimate], takt_s: float | None) -> list[Part]:
@@ -130,12 +207,16 @@ def _ranking(found: Sequence[CycleEstimate], takt_s: float | None) -> list[Part]
 
 
 def _plan(one: CycleEstimate) -> Part:
-    rows = []
+    rows, turn = [], Counter[str]()
     for task in sorted(one.plan, key=lambda task: task.start_s):
+        turn[task.agent] += 1
         cause = max(task.decided, key=lambda name: task.decided[name])
         waits = [fixed(task.wait_s, 1), f"{cause} ({percent(task.decided[cause])})"]
-        rows.append([task.agent, task.task, fixed(task.start_s, 1), fixed(task.end_s, 1), *waits])
-    return Part(one.name, heads=["agent", "task", "start, s", "end, s", "wait, s", "start decided by"], rows=rows)
+        named = [task.agent, str(turn[task.agent]), task.task]
+        rows.append([*named, fixed(task.start_s, 1), fixed(task.end_s, 1), *waits])
+    return Part(
+        one.name, heads=["agent", "no.", "task", "start, s", "end, s", "wait, s", "start decided by"], rows=rows
+    )
 
 
 def _order(planned: TaskOrderPlan | None) -> list[Part]:
@@ -174,15 +255,16 @@ def _learned(card: TaskModelCard) -> Part:
     return Part("Who waits for what", drift, heads, rows)
 
 
-def _trust(card: TaskModelCard) -> Part:
-    judged = card.held_out
+def _trust(card: TaskModelCard | None, missing: Sequence[str]) -> Part:
+    judged = card.held_out if card else None
     said = "Too few executions to validate the model on orders that were held out."
     if judged is not None:
         said = (
             f"Validated on {judged.orders} orders that were held out: mean cycle time {judged.bias:+.1%} off "
             f"(standard error {judged.within:.1%}), error of single orders beyond chance {judged.order_error:.1%}."
         )
-    return Part("How reliable are these numbers?", [said, *NOT_KNOWN])
+    known = [said, *missing[:1], NOT_KNOWN[1], *missing[1:]] if card else missing
+    return Part("How reliable are these numbers?", known)
 
 
 def _markdown(name: str, made: str, said: Sequence[str], parts: Sequence[Part]) -> str:

@@ -80,13 +80,12 @@ def test_a_dataset_of_them_is_shown_as_what_it_is(cyclekit, tasks: Path, overrid
     assert "operator seen in" not in shown
 
 
-@pytest.mark.parametrize("command", ["report", "levels", "replay", "trace"])
+@pytest.mark.parametrize("command", ["levels", "replay", "trace"])
 def test_commands_that_need_positions_end_with_one_sentence(
     cyclekit, tasks: Path, tmp_path: Path, command: str
 ) -> None:
     cyclekit("ingest", tasks.parent, "--out", tmp_path / "dataset", "--quiet")
     more = {
-        "report": ["--out", tmp_path / "page.html"],
         "levels": [],
         "replay": ["--execution", "1", "--out", tmp_path / "a.rrd"],
         "trace": ["--execution", "1", "--at", "1s"],
@@ -154,3 +153,13 @@ def test_task_lists_go_from_logs_to_the_cycle_time_of_a_plan(cyclekit, tmp_path:
     assert cyclekit("train", dataset, "--out", model, "--seeds", "1,2").code == 2
     file.write_text('[[sequence]]\n[[sequence.task]]\nagent = "robt"\nname = "bring"\n', encoding="utf-8")
     assert "the nearest is 'robot'" in cyclekit("estimate", model, file, "--dataset", dataset).err
+
+
+def test_logs_of_one_name_are_told_apart_by_their_folders(cyclekit, tasks: Path, tmp_path: Path) -> None:
+    for number in range(4):
+        (tmp_path / "days" / f"day_{number}").mkdir(parents=True)
+        (tmp_path / "days" / f"day_{number}" / "tasks.csv").write_bytes(tasks.read_bytes())
+    shown = cyclekit("inspect", tmp_path / "days").out
+    assert [line.split()[0] for line in shown.splitlines() if " task-list " in line] == [
+        f"day_{number}/tasks.csv" for number in range(4)
+    ]

@@ -70,6 +70,26 @@ def test_a_remark_keeps_to_80_columns() -> None:
     assert max(map(len, bullet(["word " * 60]).splitlines())) <= 80
 
 
+def test_no_word_is_cut_at_the_edge_of_a_terminal(capsys, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    command = "next: cyclekit estimate a_long_name_of_a_model s.toml --dataset data"
+    text = f"a table  1  2\n  - one sentence that is longer than the terminal has columns\n{command}"
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    Terminal(json=False, quiet=False).answer({}, text)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["a table  1  2", "  - one sentence that is longer than the", "    terminal has columns", command]
+
+
+def test_what_a_program_reads_is_not_broken_into_lines(capsys, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    Terminal(json=True, quiet=False).answer({"text": "long words " * 9}, "")
+    assert json.loads(capsys.readouterr().out)["text"] == "long words " * 9
+    monkeypatch.setattr("sys.stdout.isatty", lambda: False)
+    Terminal(json=False, quiet=False).answer({}, "long words " * 9)
+    assert len(capsys.readouterr().out.splitlines()) == 1
+
+
 @given(st.floats(min_value=0.001, max_value=1e5))
 def test_a_duration_typed_with_any_unit_means_the_same(value: float) -> None:
     assert seconds(f"{value!r}s") == seconds(f"{value!r}") == value

@@ -347,7 +347,7 @@ def test_the_report_has_a_time_chart_and_who_waits_for_what_and_what_is_not_know
     asked = {"model": folder / "model", "sequences": plan_of(order, "plan 3"), "what_if": [CHANGES[0]]}
     facts = write_report(folder / "dataset", tmp_path / "page.html", **asked)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert facts.pictures == 1
+    assert facts.pictures == 2  # the plan, and logged executions, none of which does its work
     assert "<title>robot: 2 weld: " in page
     assert "“plan 3” takes " in facts.headline
     write_report(folder / "dataset", tmp_path / "page.md", **asked)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,7 @@ from fabricated import PLACES, THRESHOLDS_M, fabricate_dataset
 from msgspec import structs
 from rerun.chunk import RrdReader
 
-from cyclekit.config import Cell, Furniture
+from cyclekit.config import Cell, Furniture, NamedPlace
 from cyclekit.config.arms import ARMS, joint_points, recognise_arm
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError, UnknownName
@@ -85,6 +86,20 @@ def test_both_timelines_differ_by_the_start_of_the_execution_in_its_session(tmp_
     shown = entity(facts.path, "/plots/scaling/logged")
     apart = np.array(seconds(shown["session"])) - np.array(seconds(shown["execution"]))
     assert apart == pytest.approx(np.full(len(apart), start_s), abs=3e-6)  # microseconds, rounded twice
+
+
+def test_lanes_and_words_show_the_labels_of_places(dataset, tmp_path):
+    named = {name: NamedPlace(xyz_m, label=f"Slot of {name}") for name, xyz_m in PLACES.items()}
+    settings = replace(dataset.card.settings, places=named)
+    labelled = Dataset(dataset.path, structs.replace(dataset.card, settings=settings))
+    run = load_execution(labelled, "1")
+    assert run.robot_task[0] in dataset.tasks()["task"].to_list()  # the names stay what they are
+    facts = write_replay(labelled, "1", tmp_path / "x.rrd")
+    lane = {text for states in entity(facts.path, "/lanes/2_robot")["StateChange:state"] for text in states or ()}
+    assert {text for text in lane if "→" in text}
+    assert all("Slot of" in text for text in lane)
+    words = [line.text for line in log_lines(run) if line.text.startswith("Robot")]
+    assert all("Slot of" in text for text in words)
 
 
 def test_a_time_after_the_end_is_refused(dataset, tmp_path):

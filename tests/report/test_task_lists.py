@@ -1,0 +1,116 @@
+"""The page of a dataset of task lists: logged executions as a time chart, with a model and without."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cyclekit import train_task_times, write_report
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.baseline import listed_cycle, listed_cycles
+from cyclekit.ingest.ingest import ingest
+
+ROBOT, OPERATOR = ("robot", "arm"), ("operator", "worker")
+
+
+def _lists(folder: Path, orders: list[list[tuple[tuple[str, str], str, float, float]]]) -> Dataset:
+    """Write executions of (agent, task, start, end) and ingest them."""
+    rows = ["execution,agent,kind,task,start,end"]
+    for number, tasks in enumerate(orders):
+        for (agent, name), task, start_s, end_s in tasks:
+            rows.append(f"e{number:02},{name},{agent},{task},{1000 * number + start_s},{1000 * number + end_s}")
+    folder.mkdir(exist_ok=True)
+    (folder / "tasks.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    ingest([folder / "tasks.csv"], folder / "dataset")
+    return Dataset.open(folder / "dataset")
+
+
+def _usual(longer_s: float) -> list[tuple[tuple[str, str], str, float, float]]:
+    """The robot brings, waits 4 s for the operator's mount, and welds."""
+    return [
+        (ROBOT, "bring", 0.0, 5.0),
+        (OPERATOR, "mount", 5.5, 8.5 + longer_s),
+        (ROBOT, "weld", 9.0 + longer_s, 15.0 + longer_s),
+    ]
+
+
+def _other(at_s: float) -> list[tuple[tuple[str, str], str, float, float]]:
+    return [(OPERATOR, "mount", 0.0, at_s), (ROBOT, "weld", at_s, at_s + 6.0), (ROBOT, "bring", at_s + 7.0, at_s + 12)]
+
+
+@pytest.fixture(scope="module")
+def logged(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Five executions of one order, one of another."""
+    return _lists(tmp_path_factory.mktemp("lists"), [*(_usual(0.5 * turn) for turn in range(5)), _other(3.0)])
+
+
+def test_the_order_run_most_is_drawn_with_its_mean_times_and_waits(logged: Dataset) -> None:
+    (cycle,) = listed_cycles(logged).values()
+    assert cycle.expected_s == pytest.approx(16.0)  # 15 to 17 s; the other order is not in it
+    by_task = {share.task: share for share in cycle.plan}
+    assert by_task["weld"].wait_s == pytest.approx(5.0)
+    assert (by_task["mount"].start_s, by_task["mount"].end_s) == pytest.approx((5.5, 9.5))
+    assert (by_task["mount"].kind, by_task["mount"].agent) == ("operator", "worker")
+    assert by_task["mount"].end_low_s < 9.0 < 10.0 < by_task["mount"].end_high_s
+    assert (cycle.nominal_s, cycle.wait_s) == pytest.approx((11.0, 5.0))
+
+
+def test_of_orders_run_once_the_shortest_the_middle_and_the_longest_execution_are_drawn(tmp_path: Path) -> None:
+    more = [[*_usual(2.0 * turn), *((OPERATOR, "pack", 40.0 + n, 40.5 + n) for n in range(turn))] for turn in range(4)]
+    found = listed_cycles(_lists(tmp_path, more))
+    assert list(found) == ["shortest", "middle", "longest"]
+    assert [round(each.expected_s, 1) for each in found.values()] == [15.0, 41.5, 42.5]
+    assert not any(each.quantiles_s for each in found.values())
+    one = listed_cycles(_lists(tmp_path / "one", [_usual(0.0)]))
+    assert list(one) == ["middle"]
+
+
+def test_executions_of_several_orders_have_no_mean_course(logged: Dataset) -> None:
+    names = [one.execution for one in logged.card.executions]
+    assert listed_cycle(logged, names, "all") is None
+    assert listed_cycle(logged, names[:2], "two").executions == 2
+
+
+def test_the_page_of_logs_alone_shows_the_logged_executions_and_how_to_learn_more(logged: Dataset, tmp_path) -> None:
+    facts = write_report(logged, tmp_path / "page.html", takt_s=15.6)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert facts.headline.replace("\N{NO-BREAK SPACE}", " ") == (
+        "6 logged executions take 15.8 s on average (15.0 s to 17.0 s), 50 % of them within the takt of 15.6 s: "
+        "3 tasks of 2 agents."
+    )
+    assert facts.pictures == 1
+    assert "5 logged executions of one order: 16.0 s" in page
+    assert "arm waits 5.0 s before weld" in page
+    assert "<pattern" not in page  # browsers print a pattern as pixels, 0.1 MB for each bar
+    assert "cyclekit train DATASET --out MODEL" in page
+    write_report(logged, tmp_path / "page.json")
+    (part, _) = json.loads((tmp_path / "page.json").read_text(encoding="utf-8"))["parts"]
+    assert part["rows"][0][1:6] == ["arm", "1", "bring", "0.0", "5.0"]
+
+
+def test_with_a_model_today_stands_above_the_plans_and_the_page_says_why_nothing_is_played(tmp_path: Path) -> None:
+    logged = _lists(tmp_path, [_usual(0.3 * (turn % 7)) for turn in range(20)])
+    train_task_times(logged, out=tmp_path / "model")
+    tasks = [("arm", "bring"), ("arm", "weld"), ("worker", "mount")]
+    (tmp_path / "plan.toml").write_text(
+        "[[sequence]]\nname = 'same'\n"
+        + "".join(f"[[sequence.task]]\nagent = '{agent}'\nname = '{task}'\n" for agent, task in tasks),
+        encoding="utf-8",
+    )
+    asked = {"model": tmp_path / "model", "sequences": tmp_path / "plan.toml"}
+    facts = write_report(logged, tmp_path / "page.html", **asked)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "today, as logged: 15.9 s" in page
+    assert any("cannot be played with: robot and operator wait for each other" in text for text in facts.missing)
+    assert "cannot be played with" in page
+    assert not any("played" in text for text in write_report(logged, tmp_path / "p.html", **asked, play=False).missing)
+    write_report(logged, tmp_path / "other.html", model=tmp_path / "model")
+    assert "Logged executions" in (tmp_path / "other.html").read_text(encoding="utf-8")
+
+
+def test_a_workbook_of_task_lists_is_a_workbook(logged: Dataset, tmp_path: Path) -> None:
+    pytest.importorskip("xlsxwriter")
+    write_report(logged, tmp_path / "page.xlsx")
+    assert (tmp_path / "page.xlsx").read_bytes()[:2] == b"PK"

@@ -110,8 +110,8 @@ def courses_of(
         events = {Event("signal", *key): at for key, at in changes.items()}
         visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
         found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events))
-    events = {Event("signal", *key) for some in told.values() for key in some}
-    return _with_givers(found, {Event("signal", *key) for some in inputs.values() for key in some} - events)
+    doubtful = {key for some in inputs.values() for key in some} - {key for some in told.values() for key in some}
+    return _with_givers(found, {Event("signal", *key) for key in doubtful})
 
 
 def _of_robot(rows: pl.DataFrame) -> list[PlaceVisit]:

@@ -31,7 +31,7 @@ def test_a_bias_beyond_chance_is_in_the_interval_though_it_is_taken_out() -> Non
 
 
 def test_cycles_that_vary_much_are_no_bias(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rollouts have the true mean; of logged cycles that vary by a fifth, the mean of rolled / logged is 4 % above 1."""
+    """Rollouts have the true mean; where logged cycles vary by a fifth, the mean of rolled / logged is 4 % above 1."""
     rng = np.random.default_rng(3)
     names, count = [str(number) for number in range(400)], 400
     logged = 50.0 * (1.0 + 0.2 * rng.standard_normal(count).clip(-2.5, 2.5))

@@ -163,12 +163,7 @@ def task_times_summary(found: TaskTimesModel) -> str:
             f"mean cycle time {judged.bias:+.1%} off (+-{judged.within:.1%}), "
             f"spread over orders {judged.order_error:.1%}"
         )
-    fine = ["rates differ by turn and by where an agent waits: held-out orders are told better so"]
-    lines = [
-        held,
-        *(fine if found.card.detailed else []),
-        *(pace.said(agent) for agent, pace in found.card.pace.items()),
-    ]
+    lines = [held, *(pace.said(agent) for agent, pace in found.card.pace.items())]
     told = "\n".join(f"  {line}" for line in lines)
     return f"task times from {found.card.executions} executions\n{table(heads, rows)}\n{told}"
 

@@ -24,6 +24,7 @@ from cyclekit import schema
 from cyclekit.dataset.files import DatasetFiles
 from cyclekit.dataset.opening import opened_card
 from cyclekit.dataset.recorded_tables import RecordedTables
+from cyclekit.dataset.signals import logged_bits
 from cyclekit.errors import DatasetError, UnknownName, command_line
 from cyclekit.storage.mistaken import DATASET_CARD
 from cyclekit.storage.remote.folders import local
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Furniture
     from cyclekit.dataset.cards import DatasetCard, ExecutionCard, PlaceCard, RecordingCard
+    from cyclekit.dataset.signals import SignalChanges
     from cyclekit.plots.drawing import Drawing
 
 CARD, TASKS, QUARANTINE = DATASET_CARD, "tasks.parquet", "quarantine.parquet"
@@ -272,6 +274,10 @@ class Dataset:
     def recorded_between(self, recording: str, table: str, first_s: float, last_s: float) -> pl.DataFrame | None:
         """Return the rows of one native-rate table from `first_s` to `last_s` of the log's clock, None without it."""
         return self._recorded.between(recording, table, first_s, last_s)
+
+    def bits(self, recording: RecordingCard) -> dict[str, SignalChanges]:
+        """Return the values over time of a recording's digital inputs and outputs by name, in its own clock."""
+        return logged_bits(recording, self._recorded.stored)
 
     def times(self, recording: str, table: str) -> Iterator[pl.DataFrame]:
         """Yield the times of one native-rate table (`t_s`), in parts: it may be larger than memory."""

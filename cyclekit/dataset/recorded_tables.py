@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.dataset import checksums
+from cyclekit.dataset.shared_index import shared_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards import ExecutionCard, RecordingCard
     from cyclekit.dataset.files import DatasetFiles
+    from cyclekit.storage.parquet import StoredTable
 
 _NEAR_S = 1e-3
 """Rows so far outside of a span are read too, since its ends in a log's own clock are rounded."""
@@ -67,6 +69,18 @@ class RecordedTables:
             stored = StoredTable(file, ("t_s",))
             for begin, end in stored.groups:
                 yield pl.DataFrame({"t_s": stored.column("t_s", begin, end)})
+
+    def stored(self, recording: str, columns: Sequence[str]) -> StoredTable:
+        """Open the robot table of a recording, to be read by ranges of rows; other columns must not be read."""
+        from cyclekit.dataset.shared_tables import SharedTable
+        from cyclekit.storage.parquet import StoredTable
+
+        if self._shared(recording, "robot") is not None and (rows := shared_rows(self._path, recording, "robot")):
+            return SharedTable(self._path, rows, columns)
+        name = self._native(recording, "robot") or _recorded(recording, "robot")
+        file = self._files.of_columns(name, columns)
+        with checksums.reading(file, self._path):
+            return StoredTable(file, columns)
 
     def robot_of(self, entry: ExecutionCard, columns: Sequence[str] | None = None) -> pl.DataFrame | None:
         """Return the robot's rows of one execution, `t_s` in session time; None without a robot log.

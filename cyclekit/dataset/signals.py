@@ -127,9 +127,22 @@ def values_of(entry: LogCard, read: Read, stored: Stored) -> dict[str, SignalCha
         By name: each bit that changes, the register, and events of up to MOST_VALUES values, words of on and off as 1
         and 0; not those that change more than MOST_CHANGES times.
     """
+    found = logged_bits(entry, stored, (*_BITS, REGISTER))
+    events = read(entry.id, "events") if "events" in entry.tables else None
+    known = pl.DataFrame() if events is None else events.drop_nulls(["t_s", "value"]).sort("t_s")
+    for (name,), mine in known.group_by("signal", maintain_order=True) if known.height else ():
+        if mine["value"].n_unique() <= MOST_VALUES and mine.height <= MOST_CHANGES:
+            words = {value: state_of(value) for value in mine["value"].unique().to_list()}
+            values = mine["value"].replace_strict(words, return_dtype=pl.String).to_numpy().astype(str)
+            found[str(name)] = SignalChanges(mine["t_s"].to_numpy(), values)
+    return found
+
+
+def logged_bits(entry: LogCard, stored: Stored, columns: Sequence[str] = tuple(_BITS)) -> dict[str, SignalChanges]:
+    """Return the values over time of inputs and outputs, and of the register if asked for; see `values_of`."""
     found: dict[str, SignalChanges] = {}
     first_s = stored(entry.id, ["t_s"]).column("t_s", 0, 1) if entry.rows.get("robot") else np.empty(0)
-    for column, (_, at, old, new) in _columns(entry, (*_BITS, REGISTER), stored):
+    for column, (_, at, old, new) in _columns(entry, columns, stored):
         if column == REGISTER:
             found[REGISTER] = SignalChanges(np.append(first_s, at), np.append(old[:1], new).astype(str))
             continue
@@ -139,13 +152,6 @@ def values_of(entry: LogCard, read: Read, stored: Stored) -> dict[str, SignalCha
                 values = np.append(old[flips][:1], new[flips])
                 told = ((values >> bit) & 1).astype(str)
                 found[f"{_BITS[column]}{bit}"] = SignalChanges(np.append(first_s, at[flips]), told)
-    events = read(entry.id, "events") if "events" in entry.tables else None
-    known = pl.DataFrame() if events is None else events.drop_nulls(["t_s", "value"]).sort("t_s")
-    for (name,), mine in known.group_by("signal", maintain_order=True) if known.height else ():
-        if mine["value"].n_unique() <= MOST_VALUES and mine.height <= MOST_CHANGES:
-            words = {value: state_of(value) for value in mine["value"].unique().to_list()}
-            values = mine["value"].replace_strict(words, return_dtype=pl.String).to_numpy().astype(str)
-            found[str(name)] = SignalChanges(mine["t_s"].to_numpy(), values)
     return found
 
 

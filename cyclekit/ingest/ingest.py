@@ -34,6 +34,7 @@ from cyclekit.dataset.guard import check_output
 from cyclekit.dataset.sessions import WITHOUT_PLACES, group_sessions, unpaired
 from cyclekit.dataset.shared_index import shared_rows
 from cyclekit.dataset.shared_tables import SharedTable, shared_frame
+from cyclekit.dataset.signals import logged_bits
 from cyclekit.derive.passes import Derived, derive
 from cyclekit.errors import ConfigError, DatasetError, LogError
 from cyclekit.ingest.card import card_of
@@ -57,7 +58,7 @@ from cyclekit.text.plain_json import finite
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import CouplingCard, LogCard, Note
-    from cyclekit.dataset.signals import Read
+    from cyclekit.dataset.signals import Read, Stored
 
 Progress = Callable[[float, str], None]
 
@@ -233,7 +234,7 @@ def _build(
         recordings = take_out(recordings, names, staging, shared.copies)
         warnings = names.notes(warnings)
         cell, not_read = names.settings(), names.not_read(not_read)
-    tasks, coupling = _with_waits(derived, native, cell)
+    tasks, coupling = _with_waits(derived, native, stored, cell)
     write_parquet(tasks, staging / TASKS)
     derived = replace(derived, tasks=tasks, recordings=recordings, warnings=warnings)
     card = structs.replace(
@@ -244,18 +245,18 @@ def _build(
     return card, intake.kept
 
 
-def _with_waits(derived: Derived, read: Read, cell: Cell) -> tuple[pl.DataFrame, CouplingCard | None]:
+def _with_waits(derived: Derived, read: Read, stored: Stored, cell: Cell) -> tuple[pl.DataFrame, CouplingCard | None]:
     """Return table TASKS with its waits, and who waits for whom.
 
     Where anybody waits, an execution is over when both agents are done: the operator's tasks after the robot's last
     one count too.
     """
-    tasks = derived.tasks
-    courses = courses_of(derived.executions, tasks, derived.recordings, read)
+    tasks, bits = derived.tasks, partial(logged_bits, stored=stored)
+    courses = courses_of(derived.executions, tasks, derived.recordings, read, bits)
     coupling = learn_executions(courses, tasks, cell.waits)
     if coupling is not None and coupling.coupled:
         tasks = derived.tasks_to_next
-        courses = courses_of(derived.executions, tasks, derived.recordings, read)
+        courses = courses_of(derived.executions, tasks, derived.recordings, read, bits)
         coupling = learn_executions(courses, tasks, cell.waits)
     return (tasks if coupling is None else with_waits_named(tasks, courses, coupling)), coupling
 

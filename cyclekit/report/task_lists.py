@@ -10,7 +10,6 @@ from functools import partial
 from importlib.metadata import version as installed
 from typing import TYPE_CHECKING
 
-from cyclekit.dataset.cards.task_model import DETAIL
 from cyclekit.estimate.baseline import listed_cycle, listed_cycles
 from cyclekit.report.document import MARK
 from cyclekit.report.figures.time_chart import MOST_SEQUENCES, alt_of, draw
@@ -244,8 +243,7 @@ def _changes(changed: Sequence[WhatIf]) -> list[Part]:
 def _learned(card: TaskModelCard) -> Part:
     rows = []
     for task in card.tasks:
-        rates = {name: rate for name, rate in task.rates.items() if name and not (card.detailed and DETAIL in name)}
-        beside = [f"{name} x{rate:.2f}" for name, rate in rates.items() if abs(rate - 1.0) > 0.1]
+        beside = [f"{name} x{rate:.2f}" for name, rate in task.rates.items() if name and abs(rate - 1.0) > 0.1]
         waits = ", ".join(task.waits_for[1:]) or "-"
         rows.append(
             [task.agent, task.task, str(len(task.work_s)), fixed(task.usual_s, 1), waits, ", ".join(beside) or "-"]

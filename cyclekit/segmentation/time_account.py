@@ -4,7 +4,8 @@ A task is the motion from one place to the next and the stand at its goal. While
 advances at the scaling s, so nominal = integral of s, safety loss = integral of (1 - s); an operator's speed slider
 takes its own share, and a paused program waits. A robot that has done its work at a place and is not allowed to leave
 stands there at s = 0: that tail of the stand is safety loss of the next motion, as far as the stand exceeds the place's
-usual dwell. When it arrived and left is the business of `stand`; which executions there are, of `segment`.
+usual dwell; unless it was waiting already when it was halted: then it waits on. When it arrived and left is the
+business of `stand`; which executions there are, of `segment`.
 """
 
 from __future__ import annotations
@@ -65,6 +66,8 @@ def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str,
         process = dwells.get(visit.place, Dwell(lasts_s, lasts_s))
         usual, most = process.usual_s, process.most_s
         arrival, left = stand.process(0.0) if final else stand.process(usual, process.ready_s(stand))
+        if process.overdue_s(stand._replace(left_s=stand.free_s)) is not None:
+            left = stand.left_s  # it waited when it was halted, and nothing says that the wait was over by then
         arrival = max(departure, arrival)
         stood = max(left - arrival, 0.0)
         dwell, wait = (stood, 0.0) if stood <= most else (usual, stood - usual)

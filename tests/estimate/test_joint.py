@@ -85,6 +85,41 @@ def test_an_event_that_half_of_the_passages_need_holds_half_of_them_up(logged: D
     assert np.mean(waits_s == 0.0) == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize(("needed", "cycles"), [(0.02, 98), (0.5, 100)])
+def test_a_few_cycles_that_do_not_end_are_left_out_and_many_stay(logged: Dataset, needed: float, cycles: int) -> None:
+    need = msgspec.structs.replace(AFTER_INBOUND, needed=needed)
+    gate = GateCard(agent="robot", at="leave", place="conveyor", own_s=(OWN_S,), conditions=(need,))
+    plan = both(("inbound", "out_left_1", "rest"), inbound=PlannedTask("operator", "inbound", not_before_s=290.0))
+    found = rolled(logged, gates(gate), plan, cycles=100)
+    assert len(found.duration_s) == len(found.robot.rows) == len(found.operators[0].rows) == cycles
+    assert found.left_out == pytest.approx(1.0 - cycles / 100)
+    assert np.isfinite(found.duration_s).all() == (cycles < 100)
+
+
+def test_an_estimate_says_which_part_of_the_cycles_it_leaves_out(logged: Dataset) -> None:
+    after = ConditionCard(agent="robot", place="left_5", event="leaves", lag_s=(0.0,), needed=0.02)
+    gate = GateCard(agent="operator", at="leave", place="inbound", own_s=(OWN_S,), conditions=(after,))
+    mine = GateCard(agent="robot", at="leave", place="conveyor", own_s=(OWN_S,), conditions=(AFTER_INBOUND,))
+    asked = {"validate": False, "extrapolate": True}
+    (found,) = estimate(Coupled(gates(gate, mine)), logged, [both(("inbound", "rest"))], **asked)
+    assert any("2.0% of the cycles are left out: nobody can go on in them" in said for said in found.doubts)
+    (whole,) = estimate(Coupled(gates(mine)), logged, [both(("inbound", "rest"))], **asked)
+    assert not any("left out" in said for said in whole.doubts)
+
+
+@pytest.mark.parametrize("state", ["set", "cleared"])
+def test_a_signal_that_neither_agent_gives_is_not_left_out_in_silence(logged: Dataset, state: str) -> None:
+    need = ConditionCard(agent="signal", place="press", event=state, lag_s=(0.1,))  # type: ignore[arg-type]  # of two
+    gate = GateCard(agent="operator", at="approach", place="out_left_1", conditions=(need,))
+    press = SourceCard(signal="press", gap_s=(4.0,), first_s=(1.0,), taken_by="conveyor")
+    asked = {"validate": False, "extrapolate": True}
+    said = f"waits of the operator before out_left_1 for 'press {state}' are left out"
+    for sources, told in (((), True), ((press,), state == "cleared")):
+        card = msgspec.structs.replace(gates(gate), sources=sources)
+        (found,) = estimate(Coupled(card), logged, [both(("inbound", "out_left_1", "rest"))], **asked)
+        assert any(doubt.startswith(said) for doubt in found.doubts) is told
+
+
 def test_the_operator_waits_where_he_is_until_the_robot_has_left(logged: Dataset) -> None:
     need = ConditionCard(agent="robot", place="left_2", event="leaves", lag_s=(0.5,))
     gate = GateCard(agent="operator", at="approach", place="out_left_1", conditions=(need,))

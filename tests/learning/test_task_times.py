@@ -216,33 +216,6 @@ def test_the_bias_on_one_order_has_the_standard_error_of_its_executions() -> Non
     assert abs(held_out.bias) < 2.0 * held_out.within
 
 
-def _slowed(number: int, rate: float, more: float) -> Run:
-    """Return a weld at `rate` while the operator waits between two packs, then at `more` beside the second one."""
-    rng = np.random.default_rng(number)
-    packs = [DoneTask("pack", 0.0, 4.0, 0.0), DoneTask("pack", 10.0, 14.0, 10.0)][: 2 - number % 2]
-    at, left, speed = rng.uniform(0.0, 12.0), 5.0 * np.exp(0.02 * rng.standard_normal()), {4.0: rate, 10.0: more}
-    done = [DoneTask("weld", at, at, at)]
-    for since, until in ((0.0, 4.0), (4.0, 10.0), (10.0, 14.0), (14.0, 99.0)):
-        now = speed.get(since, 1.0) if len(packs) == 2 else 1.0
-        part = min(left / now, max(until - max(at, since), 0.0))
-        at, left = at + part, left - part * now
-    done = [DoneTask("weld", done[0].start_s, at, done[0].start_s)]
-    for task in rng.permutation(["drill", "glue", "clean"]):
-        done.append(DoneTask(str(task), done[-1].end_s, done[-1].end_s + 1.0))
-    return Run(str(number), {"arm": tuple(done), "worker": tuple(packs)}, number)
-
-
-@pytest.mark.parametrize(("rates", "took"), [((0.5, 1.0), (7.75, 5.0)), ((1.0, 0.5), (5.0, 6.75)), ((1.0, 1.0), None)])
-def test_who_waits_or_packs_again_slows_a_task_only_where_held_out_orders_say_so(rates, took) -> None:
-    agents = {"arm": "robot", "worker": "operator"}
-    model = learn_runs([_slowed(number, *rates) for number in range(60)], agents, folds=3)
-    assert model.detailed == (took is not None)
-    for at, expected in zip((4.5, 10.5), took or (5.0, 5.0), strict=True):
-        packs = [PlannedTask("worker", "pack"), PlannedTask("worker", "pack", 10.0)]
-        rolled = roll_plan(model, [PlannedTask("arm", "weld", at), *packs], cycles=200)
-        assert float((rolled.end_s - rolled.start_s)[:, 0].mean()) == pytest.approx(expected, rel=0.1)
-
-
 def _end(work: float, since: float, until: float, rate: float) -> float:
     """Return when work that begins at 0 is done, at `rate` from `since` to `until` and at 1 else."""
     t, left = 0.0, work

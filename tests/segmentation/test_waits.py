@@ -20,12 +20,17 @@ WAITS_S = (2.5, 0.0, 0.6, 0.0, 1.4, 4.0, 0.0, 0.9)
 SPOT_M, END_M = 0.5, 1.0
 
 
-def _run(halted_s: float = 0.0) -> RobotRun:
-    """Return a robot that goes to and fro; on its way there it waits, and is then halted by safety for `halted_s`."""
+def _run(halted_s: float = 0.0, at_end: tuple[tuple[float, float], ...] = ()) -> RobotRun:
+    """Return a robot that goes to and fro; on its way there it waits, and is then halted by safety for `halted_s`.
+
+    At the far end it waits, and is then halted, for as long as `at_end` tells of each time.
+    """
     parts: list[tuple[float, float, float]] = [(0.0, 0.0, DWELL_S)]
-    for wait_s in WAITS_S:
+    for number, wait_s in enumerate(WAITS_S):
+        waits_s, held_s = at_end[number] if at_end else (0.0, 0.0)
         parts += [(0.0, SPOT_M, WAY_S), (SPOT_M, SPOT_M, wait_s), (SPOT_M, SPOT_M, -halted_s if wait_s else 0.0)]
-        parts += [(SPOT_M, END_M, WAY_S), (END_M, END_M, DWELL_S), (END_M, 0.0, 2 * WAY_S), (0.0, 0.0, DWELL_S)]
+        parts += [(SPOT_M, END_M, WAY_S), (END_M, END_M, DWELL_S + waits_s), (END_M, END_M, -held_s)]
+        parts += [(END_M, 0.0, 2 * WAY_S), (0.0, 0.0, DWELL_S)]
     x, scaling = [], []
     for begin, end, lasts_s in parts:
         u = np.arange(round(abs(lasts_s) / STEP_S)) / max(1, round(abs(lasts_s) / STEP_S))
@@ -68,3 +73,13 @@ def test_what_safety_holds_there_afterwards_is_safety_loss() -> None:
     assert [leg.wait_s for leg in waited] == pytest.approx([w for w in WAITS_S if w], abs=0.15)
     assert [leg.safety_loss_s for leg in waited] == pytest.approx([halted_s] * len(waited), abs=0.15)
     assert all(leg.went_on_s is None for leg in waited)  # it would have gone on before, and nobody knows when
+
+
+def test_who_waits_at_a_place_when_safety_halts_it_waits_on() -> None:
+    """A robot that was ready to leave when it was halted loses the halt; one that was waiting began no motion in it."""
+    at_end = ((0.0, 0.0), (3.0, 2.0), (0.0, 2.0), (3.0, 0.0)) * 2
+    legs = _legs(_run(at_end=at_end))
+    for (wait_s, held_s), there, back in zip(at_end, legs[::2], legs[1::2], strict=True):
+        assert there.dwell_s == pytest.approx(DWELL_S, abs=0.1)
+        assert there.end_s - there.arrival_s - there.dwell_s == pytest.approx(wait_s + held_s * (wait_s > 0), abs=0.2)
+        assert back.safety_loss_s == pytest.approx(held_s if wait_s == 0.0 else 0.0, abs=0.1)

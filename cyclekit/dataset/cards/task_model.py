@@ -21,8 +21,6 @@ Error = Annotated[float, Meta(ge=-1e3, le=1e3)]
 """An error as part of something."""
 FORMAT = "cyclekit-task-times"
 """How the file says that it is one."""
-DETAIL = " | "
-"""In the name of a rate, before what makes it a factor of another."""
 PAST = 10_000
 """Repetitions kept of a task; of more, so many spread over all."""
 
@@ -51,8 +49,7 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         agent, task: Its names in the logs.
         usual_s: Mean logged duration.
         work_s: Of each logged repetition, s at rate 1, the task before it and the turn being as usual.
-        rates: By the other agent's task beside it, `agent: task`; "" = alone. Multiplied by the factors that apply,
-            named `agent: task | turn 2`, ` | waiting` (the other agent has tasks left), `agent: task | ended`.
+        rates: By the other agent's task beside it, `agent: task`; "" = alone.
         after: Factor of the work by the agent's own task before it; "" = it is the first.
         needs: What it waits for beside the agent's own task before it and its planned start.
         planned: It waits for its planned start.
@@ -141,7 +138,6 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
         tasks: Of all agents.
         pace: Of agents whose pace drifts; `work_s` is at the pace of the last execution.
         executions: It was learned from.
-        detailed: Rates have factors by turn and by where an agent waits: errors on held-out orders are smaller by them.
         held_out: None where too few orders were logged to judge by.
     """
 
@@ -152,6 +148,5 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
     tasks: Annotated[tuple[TaskTimesCard, ...], Meta(min_length=1)]
     pace: dict[str, PaceCard] = field(default_factory=dict)
     executions: Count
-    detailed: bool = False
     held_out: HeldOutCard | None = None
     warnings: tuple[Note, ...] = ()

@@ -11,7 +11,7 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.entry import LEAST_SUPPORT
 from cyclekit.estimate.joint.judged import JointCheck, judge_joint
 from cyclekit.estimate.joint.plans import Planner
-from cyclekit.estimate.joint.roll import JointCell, longest_s
+from cyclekit.estimate.joint.roll import JointCell, longest_s, unbrought
 from cyclekit.estimate.joint.shares import operator_shares, planned_shares, task_shares
 from cyclekit.estimate.limits import (
     FEW_EXECUTIONS,
@@ -92,7 +92,7 @@ def estimate_both(
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, ask.model)]
     told = []
     for entry, _ in found:
-        doubts = (*extrapolation_of(entry), *(judged.doubts if judged else ()), *unknown)
+        doubts = (*entry.doubts, *extrapolation_of(entry), *(judged.doubts if judged else ()), *unknown)
         few = [few_tracks(entry)] if entry.executions < FEW_EXECUTIONS else []
         told.append(replace(entry, doubts=doubts, warnings=(*doubts, *few, *limits)))
     tell(1.0, "done")
@@ -212,8 +212,18 @@ class JointAnswers:
             plan=tuple(planned_shares(cycles, factor, band)),
             operator_at={} if len(cycles.operators) == 1 else operator_shares(cycles, expected / factor),
             idle_s=max(expected - sum(split.values()), 0.0),
+            doubts=tuple(_left_out(cycles, self._cell)),
         )
         return entry, means
+
+
+def _left_out(cycles: RolledBoth, cell: JointCell) -> list[str]:
+    """Return what the cycles of a plan leave out, one sentence each."""
+    until_s, part = longest_s(cycles.plan), cycles.left_out
+    ended = (
+        f"{part:.1%} of the cycles are left out: nobody can go on in them, or they do not end within {until_s:.0f} s"
+    )
+    return [*([ended] if part else []), *unbrought(cycles.plan, cell.coupling)]
 
 
 def _slowed(shares: Sequence[TaskShare], factor: float) -> list[TaskShare]:

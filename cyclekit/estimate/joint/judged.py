@@ -12,6 +12,7 @@ from cyclekit.estimate.check import FEW_EXECUTIONS, LEAST, MOST, OWN_BIAS, Check
 from cyclekit.estimate.conformal import conformal
 from cyclekit.estimate.joint.roll import longest_s
 from cyclekit.estimate.joint.unexplained import unexplained_waits
+from cyclekit.estimate.judges import judge
 from cyclekit.estimate.logged import logged_durations, logged_sequences
 
 if TYPE_CHECKING:
@@ -91,6 +92,9 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
     held_out = np.array([each.name in unseen for each in sequences])
     means = crossed.mean(axis=1)
     found = compare(logged, means, crossed, held_out, levels)
+    off = logged / means - 1.0  # the luck of a cycle is in what was logged, so that belongs above the fraction
+    bias = judge(-off / (1.0 + off.mean()), held_out)
+    found = replace(found, own_bias=bias.bias, own_error=bias.error)
     scores = _scores(logged, crossed * found.factor) if len(ended) >= FEW_EXECUTIONS else ()
     mean_s = float(logged.mean())
     waits = unexplained_waits(cell.dataset, [each.name for each in sequences], mean_s)

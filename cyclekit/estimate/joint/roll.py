@@ -29,6 +29,8 @@ ROWS = 8192
 """Cycles walked at once."""
 REST_S, TIMES = 60.0, 4.0
 """A cycle is given up after so many times the undisturbed work of both, and this."""
+ENDLESS_PART = 0.05
+"""Up to this part of the cycles that are given up are left out; of more, the plan has no answer."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,7 @@ class RolledBoth:
         events: The events by column.
         activity_s: Mean safety loss by what the operator was at.
         support: Part of the time in logged positions.
+        left_out: Part of the cycles that do not end: nobody can go on, or they were given up.
     """
 
     plan: Plan
@@ -78,6 +81,7 @@ class RolledBoth:
     events: Sequence[Event]
     activity_s: dict[str, float]
     support: float
+    left_out: float = 0.0
 
 
 class JointCell:
@@ -189,17 +193,12 @@ def _of_one(
             f"{plan.name}: {_stuck(plan, walked, rows[0], columns)}",
             cure="Change the order of one of them, or what is told by 'after'.",
         )
-    rows = rows[~walked.stuck[rows]]
-    robot = OneAgent(plan.robot, np.arange(len(rows)), _cut(walked.robot, rows, len(plan.robot.legs)))
-    mine = []
-    for agenda in dict.fromkeys(plan.operators):
-        some = np.flatnonzero(does[rows] == number[agenda])
-        mine.append(OneAgent(agenda, some, _cut(walked.operator, rows[some], len(agenda.legs))))
-    duration = robot.times.passes_s[:, -1].copy()
-    if plan.both:
-        for each in mine:
-            duration[each.rows] = np.maximum(duration[each.rows], each.times.passes_s[:, -1])
-        duration -= begins_s(len(rows), (robot, *mine))
+    asked, rows = len(rows), rows[~walked.stuck[rows]]
+    robot, mine, duration = _agents_of(plan, walked, rows, number, does)
+    ended = np.isfinite(duration)
+    if 1.0 - ENDLESS_PART <= ended.mean() < 1.0:
+        rows = rows[ended]
+        robot, mine, duration = _agents_of(plan, walked, rows, number, does)
     lost = walked.activity_s[rows].mean(axis=0).tolist()
     looked = float(walked.looked[rows].sum())
     return RolledBoth(
@@ -210,7 +209,25 @@ def _of_one(
         columns.events,
         dict(zip((*walked.activities, "unknown"), lost, strict=True)),
         float(walked.known[rows].sum()) / looked if looked else float("nan"),
+        1.0 - len(rows) / asked,
     )
+
+
+def _agents_of(
+    plan: Plan, walked: JointCycles, rows: Ints, number: dict[Agenda, int], does: Ints
+) -> tuple[OneAgent, list[OneAgent], Vector]:
+    """Return the robot and the operator, by what he did, in some cycles, and how long these take, s."""
+    robot = OneAgent(plan.robot, np.arange(len(rows)), _cut(walked.robot, rows, len(plan.robot.legs)))
+    mine = []
+    for agenda in dict.fromkeys(plan.operators):
+        some = np.flatnonzero(does[rows] == number[agenda])
+        mine.append(OneAgent(agenda, some, _cut(walked.operator, rows[some], len(agenda.legs))))
+    duration = robot.times.passes_s[:, -1].copy()
+    if plan.both:
+        for each in mine:
+            duration[each.rows] = np.maximum(duration[each.rows], each.times.passes_s[:, -1])
+        duration -= begins_s(len(rows), (robot, *mine))
+    return robot, mine, duration
 
 
 def longest_s(plan: Plan) -> float:
@@ -249,6 +266,22 @@ def _stuck(plan: Plan, walked: JointCycles, row: int, columns: EventColumns) -> 
             where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
             told.append(f"{agenda.agent} waits {where} until {' and '.join(shown(event) for event in missing)}")
     return "nobody can go on: " + "; ".join(told)
+
+
+def unbrought(plan: Plan, coupling: CouplingCard | None) -> list[str]:
+    """Return what a plan leaves out, one sentence each: waits for a signal that nobody in it gives."""
+    brought = {source.signal for source in (coupling.sources if coupling else ())}
+    found: dict[str, None] = {}
+    for agenda in (plan.robot, *plan.operators):
+        for leg in agenda.legs:
+            where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
+            for who, signal, state, _ in (need.event for need in leg.needs):
+                if who == "signal" and not (signal in brought and state == "set"):
+                    found[
+                        f"waits of the {agenda.agent} {where} for '{signal} {state}' are left out: neither agent gives "
+                        "that signal, and when it comes was not learned"
+                    ] = None
+    return list(found)
 
 
 def shown(event: Event) -> str:

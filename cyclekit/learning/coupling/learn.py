@@ -51,7 +51,7 @@ def learn_coupling(dataset: Dataset) -> CouplingCard | None:
         every, mine = dataset.every_task(), dataset.tasks()
     except DatasetError:  # without tasks the safety function can still be learned
         return None
-    courses = courses_of(dataset.card.executions, every, dataset.recordings, dataset.recorded)
+    courses = courses_of(dataset.card.executions, every, dataset.recordings, dataset.recorded, dataset.bits)
     return learn_executions(courses, mine, dataset.card.settings.waits)
 
 

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import polars as pl
 
-from cyclekit.dataset.signals import switches
+from cyclekit.dataset.signals import INPUT, OUTPUT, switches
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from cyclekit.dataset.cards.coupling import Agent
     from cyclekit.dataset.cards.dataset import ExecutionCard
     from cyclekit.dataset.cards.recording import RecordingCard
-    from cyclekit.dataset.signals import Read
+    from cyclekit.dataset.signals import Read, SignalChanges
     from cyclekit.schema import Bools, Vector
+
+    Bits = Callable[[RecordingCard], Mapping[str, SignalChanges]]
 
 NOT_WAITED_FOR = ("goal",)
 """Signals whose names hold these words are no conditions: they tell what the operator is about to do."""
@@ -25,6 +27,9 @@ WITHIN_S = 0.5
 """A signal that an agent gives at a place may change so long after he is seen to leave."""
 GIVEN = 0.9
 """Part of a signal's changes that must be made during visits of one place, if the agent gives it there."""
+ANSWER_S, ANSWERS, RARE = 0.5, 0.9, 0.3
+"""An input answers an output (a gripper that tells it is closed) if this part of its changes comes so soon after one of
+that output, and these times make up no more than that part of the log."""
 
 
 class Event(NamedTuple):
@@ -68,19 +73,30 @@ class ExecutionVisits:
 
 
 def courses_of(
-    executions: Sequence[ExecutionCard], tasks: pl.DataFrame, recordings: Sequence[RecordingCard], read: Read
+    executions: Sequence[ExecutionCard],
+    tasks: pl.DataFrame,
+    recordings: Sequence[RecordingCard],
+    read: Read,
+    bits: Bits,
 ) -> list[ExecutionVisits]:
     """Return the complete executions in which both agents were seen.
+
+    An input of the robot counts where the operator gives it: most inputs tell of grippers, conveyors and doors.
 
     Args:
         executions: Which.
         tasks: Table TASKS.
         recordings: Of their sessions.
         read: Returns a native table of a recording (id, table), None if it has none.
+        bits: Returns the inputs and outputs of a recording, its own clock.
     """
     cards = {card.execution: card for card in executions if card.complete}
     mine = tasks.filter(pl.col("agent_name").is_null(), pl.col("execution").is_in(list(cards)))
-    signals = {session: _signals(recordings, session, read) for session in {card.session for card in cards.values()}}
+    if "operator" not in mine["agent"]:
+        return []
+    sessions = {card.session for card in cards.values()}
+    told = {session: _signals(recordings, session, read) for session in sessions}
+    inputs = {session: _inputs(recordings, session, bits) for session in sessions}
     found = []
     for (name,), rows in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
         card = cards[str(name)]
@@ -89,11 +105,13 @@ def courses_of(
         if not robot or not operator:
             continue
         end_s = float(np.nanmax([card.end_s, *(s for one in operator for s in (one.arrived_s, one.left_s))]))
-        changes = {key: at[(at >= card.start_s) & (at <= end_s)] for key, at in signals[card.session].items()}
+        every = inputs[card.session] | told[card.session]
+        changes = {key: at[(at >= card.start_s) & (at <= end_s)] for key, at in every.items()}
         events = {Event("signal", *key): at for key, at in changes.items()}
         visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
         found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events))
-    return _with_givers(found)
+    doubtful = {key for some in inputs.values() for key in some} - {key for some in told.values() for key in some}
+    return _with_givers(found, {Event("signal", *key) for key in doubtful})
 
 
 def _of_robot(rows: pl.DataFrame) -> list[PlaceVisit]:
@@ -145,29 +163,70 @@ def _edges(on: Bools) -> tuple[Bools, Bools]:
     return on & ~before, ~on & before
 
 
-def _with_givers(courses: Sequence[ExecutionVisits]) -> list[ExecutionVisits]:
-    """Return the courses; a signal that the operator gives at one place is an event of his leaving it."""
-    given = {}
+def _inputs(recordings: Sequence[RecordingCard], session: str, bits: Bits) -> dict[tuple[str, str], Vector]:
+    """Return when each digital input was `set` and `cleared`, session seconds, without those that answer an output."""
+    found: dict[tuple[str, str], Vector] = {}
+    for record in recordings:
+        if record.session != session or not record.rows.get("robot"):
+            continue
+        values = bits(record)
+        outputs = [each.t_s[1:] for name, each in values.items() if name.startswith(OUTPUT)]
+        for name, each in values.items():
+            for state, value in (("set", "1"), ("cleared", "0")):
+                at = each.to(value) if name.startswith(INPUT) else np.empty(0)
+                if len(at) and not any(_answers(at, output) for output in outputs):
+                    found[name, state] = at * record.clock.rate + record.clock.offset_s
+    return found
+
+
+def _answers(at: Vector, output: Vector) -> bool:
+    """Tell whether changes of an input come just after those of an output, which are rare enough for that to tell."""
+    if not len(output) or len(output) * ANSWER_S > RARE * max(np.ptp(np.concatenate([at, output])), ANSWER_S):
+        return False
+    last = np.searchsorted(output, at, side="right") - 1
+    since = np.where(last >= 0, at - output[np.maximum(last, 0)], np.inf)
+    return bool(np.mean(since <= ANSWER_S) >= ANSWERS)
+
+
+def _with_givers(courses: Sequence[ExecutionVisits], doubtful: Collection[Event]) -> list[ExecutionVisits]:
+    """Return the courses; a signal that the operator gives at one place is an event of his arriving or leaving there.
+
+    Args:
+        courses: The executions.
+        doubtful: Signals that are left out where he does not give them.
+    """
+    given: dict[Event, Event] = {}
     for kind in sorted({key for course in courses for key in course.events if key.agent == "signal"}):
         places = sorted({visit.place for course in courses for visit in course.visits["operator"]})
-        shares = {place: _share(courses, kind, place) for place in places}
-        place = max(shares, key=lambda name: shares[name], default=None)
-        if place is not None and shares[place] >= GIVEN:
-            given[kind] = Event("operator", place, "leaves", f"{kind.place} {kind.event}")
+        shares = {place: _shares(courses, kind, place) for place in places}
+        place = max(shares, key=lambda name: sum(shares[name]), default=None)
+        if place is not None and sum(shares[place]) >= GIVEN:
+            event = "arrives" if shares[place][0] > shares[place][1] else "leaves"
+            given[kind] = Event("operator", place, event, f"{kind.place} {kind.event}")
     return [
-        ExecutionVisits(one.name, one.visits, {given.get(key, key): times for key, times in one.events.items()})
+        replace(
+            one,
+            events={
+                given.get(key, key): times for key, times in one.events.items() if key in given or key not in doubtful
+            },
+        )
         for one in courses
     ]
 
 
-def _share(courses: Sequence[ExecutionVisits], kind: Event, place: str) -> float:
-    """Return which part of a signal's changes the operator's visits of a place account for, each for one."""
-    within, total = 0, 0
+def _shares(courses: Sequence[ExecutionVisits], kind: Event, place: str) -> tuple[float, float]:
+    """Return which part of a signal's changes the operator's visits of a place account for, each for one.
+
+    Those nearer to his arrival come first, those nearer to his leaving second.
+    """
+    early, late, total = 0, 0, 0
     for course in courses:
         at = course.events.get(kind, np.empty(0))
         mine = [visit for visit in course.visits["operator"] if visit.place == place]
-        ends = [np.inf if np.isnan(visit.left_s) else visit.left_s + WITHIN_S for visit in mine]
-        counts = [int(((at >= visit.arrived_s) & (at <= end)).sum()) for visit, end in zip(mine, ends, strict=True)]
-        within += sum(min(count, 1) for count in counts)
+        for visit in mine:
+            end = np.inf if np.isnan(visit.left_s) else visit.left_s
+            if len(within := at[(at >= visit.arrived_s) & (at <= end + WITHIN_S)]):
+                first = within[0] - visit.arrived_s < end - within[0] and np.isfinite(end)
+                early, late = early + first, late + (not first)
         total += max(len(at), len(mine))
-    return within / total if total else 0.0
+    return (early / total, late / total) if total else (0.0, 0.0)

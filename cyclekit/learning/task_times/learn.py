@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.schema import Ints, Progress, Vector
+    from cyclekit.schema import Progress, Vector
 
 LEAST_EXECUTIONS = 5
 LEAST_ORDERS = 5
@@ -32,8 +32,6 @@ CYCLES = 200
 """Rolled out for each execution that is held out."""
 MANY, ASKED = 1000, 5
 """Rolled out by each model for so many plans, to learn how far finite logs move an estimate."""
-CLEARLY = 0.95
-"""Details of the rates are taken where a one-sided t test over held-out orders is as sure that the error falls."""
 
 
 def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | None = None) -> TaskModelCard:
@@ -72,21 +70,10 @@ def learn_runs(
         progress: Told the fraction done.
     """
     tell = progress or (lambda _fraction, _text: None)
-    rng = np.random.default_rng(seed)
-    fold_of = _folds(runs, rng, folds)
-    steps = 2 * folds + 1
-
-    def tried(begun: int, *, detailed: bool) -> _Tried:
-        return _tried(
-            runs, agents, fold_of, seed, lambda done: tell((begun + done) / steps, "held-out orders"), detailed=detailed
-        )
-
-    plain = tried(0, detailed=False)
-    fine = tried(folds, detailed=True) if len(_by_order(plain.found)) >= LEAST_ORDERS else plain
-    detailed = _wins(fine, plain)
-    model = _learned(runs, agents, detailed=detailed)
-    tell(1.0, "task times")
-    return structs.replace(model, detailed=detailed, held_out=_judged(fine if detailed else plain, runs, rng, seed))
+    model = _learned(runs, agents)
+    tell(1.0 / (folds + 1), "task times")
+    judged = _judged(runs, agents, seed, folds, lambda done: tell((1.0 + done) / (folds + 1), "held-out orders"))
+    return structs.replace(model, held_out=judged)
 
 
 def plan_of(run: Run) -> list[PlannedTask]:
@@ -109,9 +96,9 @@ def rolled_run(model: TaskModelCard, run: Run, *, cycles: int = CYCLES, seed: in
     return roll_plan(model, plan_of(run), cycles=cycles, seed=seed, pace=pace).duration_s
 
 
-def _learned(runs: Sequence[Run], agents: Mapping[str, str], *, detailed: bool) -> TaskModelCard:
+def _learned(runs: Sequence[Run], agents: Mapping[str, str]) -> TaskModelCard:
     pairs = sorted({(agent, done.task) for run in runs for agent, some in run.tasks.items() for done in some})
-    rates = {pair: fit_rates(runs, *pair, detailed=detailed) for pair in pairs}
+    rates = {pair: fit_rates(runs, *pair) for pair in pairs}
     kinds = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
     paces = {agent: _pace(rates, agent) for agent, kind in kinds.items() if kind == "operator"}
     pace = {agent: found for agent, found in paces.items() if found}
@@ -159,62 +146,34 @@ class _HeldOut:
     true_s: float
 
 
-@dataclass(frozen=True)
-class _Tried:
-    """Models that lack one part of the executions each, and what they say of those that they lack."""
-
-    models: list[TaskModelCard]
-    found: list[_HeldOut]
-
-
-def _folds(runs: Sequence[Run], rng: np.random.Generator, folds: int) -> Ints:
-    """Return the part that each execution is in, shape (runs,): those of one order are in the same."""
+def _judged(
+    runs: Sequence[Run], agents: Mapping[str, str], seed: int, folds: int, tell: Callable[[float], None]
+) -> HeldOutCard | None:
     orders = sorted({run.order for run in runs})
-    if len(orders) < LEAST_ORDERS:
-        return np.asarray(rng.permutation(len(runs)) % folds)
-    number = dict(zip(orders, rng.permutation(len(orders)) % folds, strict=True))
-    return np.array([number[run.order] for run in runs])
-
-
-def _tried(
-    runs: Sequence[Run],
-    agents: Mapping[str, str],
-    fold_of: Ints,
-    seed: int,
-    tell: Callable[[int], None],
-    *,
-    detailed: bool,
-) -> _Tried:
-    done = _Tried([], [])
-    for fold in np.unique(fold_of):
+    rng = np.random.default_rng(seed)
+    if len(orders) >= LEAST_ORDERS:
+        number = dict(zip(orders, rng.permutation(len(orders)) % folds, strict=True))
+        fold_of = np.array([number[run.order] for run in runs])
+    else:
+        fold_of = rng.permutation(len(runs)) % folds
+    found: list[_HeldOut] = []
+    models = []
+    for fold in range(folds):
         held = [run for run, of in zip(runs, fold_of, strict=True) if of == fold]
         rest = [run for run, of in zip(runs, fold_of, strict=True) if of != fold]
-        model = _learned(rest, agents, detailed=detailed)
-        done.models.append(model)
+        model = _learned(rest, agents)
+        models.append(model)
         for run in held:
             try:
                 took_s = rolled_run(model, run, seed=seed)
             except (UnknownName, EstimateError):  # a task of it is in no other order
                 continue
-            done.found.append(_HeldOut(run.order, float(took_s.mean()), float(took_s.std(ddof=1)), run.duration_s))
-        tell(len(done.models))
-    return done
-
-
-def _wins(fine: _Tried, plain: _Tried) -> bool:
-    """Tell whether details make the errors on held-out orders smaller, by more than chance among orders explains."""
-    fewer = np.abs(_order_errors(plain.found)) - np.abs(_order_errors(fine.found))
-    if len(fewer) < LEAST_ORDERS:
-        return False
-    least = float(stdtrit(len(fewer) - 1, CLEARLY)) * float(fewer.std(ddof=1)) / np.sqrt(len(fewer))
-    return bool(fewer.mean() > least)
-
-
-def _judged(tried: _Tried, runs: Sequence[Run], rng: np.random.Generator, seed: int) -> HeldOutCard | None:
-    if len(tried.found) < LEAST_EXECUTIONS:
+            found.append(_HeldOut(run.order, float(took_s.mean()), float(took_s.std(ddof=1)), run.duration_s))
+        tell(float(fold + 1))
+    if len(found) < LEAST_EXECUTIONS:
         return None
     asked = [runs[number] for number in rng.permutation(len(runs))[:ASKED]]
-    return structs.replace(_summed_up(tried.found), learning_error=_learning_error(tried.models, asked, seed))
+    return structs.replace(_summed_up(found), learning_error=_learning_error(models, asked, seed))
 
 
 def _learning_error(models: Sequence[TaskModelCard], asked: Sequence[Run], seed: int) -> float:
@@ -230,26 +189,16 @@ def _learning_error(models: Sequence[TaskModelCard], asked: Sequence[Run], seed:
     return few * float(np.sqrt(np.mean(found))) if found else 0.0
 
 
-def _by_order(found: Sequence[_HeldOut]) -> list[list[_HeldOut]]:
+def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:
+    """Return the errors by order, and the deviations of single executions."""
     by_order: dict[tuple[tuple[str, ...], ...], list[_HeldOut]] = {}
     for each in found:
         by_order.setdefault(each.order, []).append(each)
-    return list(by_order.values())
-
-
-def _order_errors(found: Sequence[_HeldOut]) -> Vector:
-    """Return estimate / true - 1 of each order, shape (orders,)."""
-    return np.array(
-        [sum(each.mean_s for each in some) / sum(each.true_s for each in some) - 1.0 for some in _by_order(found)]
+    errors = np.array(
+        [sum(each.mean_s for each in some) / sum(each.true_s for each in some) - 1.0 for some in by_order.values()]
     )
-
-
-def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:
-    """Return the errors by order, and the deviations of single executions."""
-    counts = [len(some) for some in _by_order(found)]
-    errors = _order_errors(found)
     spread = np.array([each.sd_s / each.mean_s for each in found])
-    chance = float(np.mean(spread**2) * np.mean([1.0 / count for count in counts]))
+    chance = float(np.mean(spread**2) * np.mean([1.0 / len(some) for some in by_order.values()]))
     chance *= 1.0 + np.sqrt(2.0 / len(errors))  # the mean of their squares scatters by so much
     error = float(np.sqrt(max(np.mean(errors**2) - chance, 0.0)))
     each_off = errors if len(errors) > 1 else np.array([each.mean_s / each.true_s - 1.0 for each in found])
@@ -257,7 +206,7 @@ def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:
     deviations = [(each.true_s - each.mean_s) / max(each.sd_s, 1e-3 * each.mean_s) for each in found]
     kept = _kept(np.clip(deviations, -1e3, 1e3))
     return HeldOutCard(
-        orders=len(counts),
+        orders=len(by_order),
         bias=float(errors.mean()),
         within=within,
         order_error=error,

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.learning.task_times.rates import beside, idle
+from cyclekit.learning.task_times.rates import ALONE, beside
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.config.sequences import PlannedTask
     from cyclekit.dataset.cards.task_model import TaskModelCard, TaskTimesCard
-    from cyclekit.schema import Bools, Floats, Ints, Vector
+    from cyclekit.schema import Bools, Floats, Vector
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,7 @@ class _Plan:
         turn: How often the agent has done the same task before.
         needs: Numbers of the other tasks that must have ended.
         not_before_s: Earliest start, s.
-        others: Which tasks are another agent's, shape (tasks, tasks).
-        able: What may have ended last for each agent, shape (agents, tasks + 1), and the agent's number of each task.
-        log_rate: Logarithm of the rate of a task beside another, shape (tasks, tasks); 0 beside its agent's own.
-        idle: The same while no other agent is at work, by what has ended last; the last column: nothing has.
+        log_rate: Logarithm of the rate of a task beside another, shape (tasks, tasks); `alone` beside none.
     """
 
     cards: list[TaskTimesCard]
@@ -75,10 +72,8 @@ class _Plan:
     turn: list[int]
     needs: list[list[int]]
     not_before_s: Vector
-    others: Bools
-    able: tuple[Bools, Ints]
     log_rate: Floats
-    idle: Floats
+    alone: Vector
 
 
 def roll_plan(
@@ -111,7 +106,7 @@ def roll_plan(
     t = np.zeros(cycles)
     for _ in range(2 * len(tasks) + 2):
         running = np.isfinite(start) & (start <= t[:, None]) & np.isinf(end)
-        rate = np.exp(_rates(plan, running, end))
+        rate = np.exp(_rates(plan, running))
         ready = _ready(plan, end)
         due = np.where(np.isinf(start), ready + lag, start) - t[:, None]
         due = np.where(running, work / rate, np.where(np.isinf(end), np.maximum(due, 0.0), np.inf))
@@ -140,18 +135,12 @@ def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) ->
             there = sorted(each for agent, each in known if agent == name)
             raise UnknownName(where, f"task of {name}", task.name, there)
     cards = [known[name, task.name] for name, task in zip(names, tasks, strict=True)]
+    rate = np.array([[_log(card.rates, beside(other.agent, other.task)) for other in cards] for card in cards])
+    alone = np.array([_log(card.rates, ALONE) for card in cards])
     not_before = np.array([task.not_before_s or 0.0 for task in tasks])
     pairs = list(zip(names, (task.name for task in tasks), strict=True))
     turn = [pairs[:number].count(pair) for number, pair in enumerate(pairs)]
-    before = _before(tasks)
-    others = np.array(names)[:, None] != np.array(names)
-    done = [(*pair, nth) for pair, nth in zip(pairs, turn, strict=True)]
-    rate = np.array([[_log(card.rates, beside(*other)) for other in done] for card in cards]) * others
-    states = [idle(each, number in before) for number, each in enumerate(done)] + [idle(None, bool(others.any()))]
-    alone = np.array([[_log(card.rates, state) for state in states] for card in cards])
-    able, agent = np.unique(np.column_stack([others, np.ones(len(others), bool)]), axis=0, return_inverse=True)
-    sides = able, agent.reshape(-1)
-    return _Plan(cards, before, turn, _needs(cards, tasks, names, where), not_before, others, sides, rate, alone)
+    return _Plan(cards, _before(tasks), turn, _needs(cards, tasks, names, where), not_before, rate, alone)
 
 
 def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
@@ -168,8 +157,8 @@ def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
     return able[0]
 
 
-def _log(rates: Mapping[str, float], names: Sequence[str]) -> float:
-    return float(sum(np.log(rates.get(name, 1.0)) for name in names))
+def _log(rates: Mapping[str, float], name: str) -> float:
+    return float(np.log(rates.get(name, 1.0)))
 
 
 def _before(tasks: Sequence[PlannedTask]) -> list[int]:
@@ -218,15 +207,12 @@ def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, 
     return work, lag
 
 
-def _rates(plan: _Plan, running: Bools, end: Floats) -> Floats:
-    """Return the logarithm of the rate of each task, shape (cycles, tasks), with what goes on beside it."""
-    idle_rate = plan.idle[:, -1]
-    if np.ptp(plan.idle, axis=1).any():
-        ended = np.concatenate([np.where(np.isfinite(end), end, -np.inf), np.full((len(end), 1), -1.0)], axis=1)
-        able, agent = plan.able
-        last = np.array([np.where(others, ended, -np.inf).argmax(axis=1) for others in able])[agent].T
-        idle_rate = plan.idle[np.arange(len(plan.others)), last]
-    return np.asarray(np.where(running @ plan.others.T, running @ plan.log_rate.T, idle_rate))
+def _rates(plan: _Plan, running: Bools) -> Floats:
+    """Return the logarithm of the rate of each task, shape (cycles, tasks), with those that are running beside it."""
+    others = running @ plan.log_rate.T
+    own = running * np.diag(plan.log_rate)
+    beside_any = running.sum(axis=1, keepdims=True) > running
+    return np.asarray(np.where(beside_any, others - own, plan.alone))
 
 
 def _ready(plan: _Plan, end: Floats) -> Floats:

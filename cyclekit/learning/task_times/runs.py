@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -43,15 +42,6 @@ class Run:
     def order(self) -> tuple[tuple[str, ...], ...]:
         """The tasks of each agent in order, agents by name: what an order of both agents is."""
         return tuple((agent, *(done.task for done in self.tasks[agent])) for agent in sorted(self.tasks))
-
-    def turns(self, agent: str) -> list[tuple[DoneTask, int]]:
-        """Return the tasks of an agent, each with how often the agent has done the same task before."""
-        seen: Counter[str] = Counter()
-        found = []
-        for done in self.tasks[agent]:
-            found.append((done, seen[done.task]))
-            seen[done.task] += 1
-        return found
 
     @property
     def duration_s(self) -> float:

@@ -135,6 +135,30 @@ def test_who_leaves_just_after_the_robot_that_waited_for_him_does_not_wait_for_i
     assert ("operator", "robot", "leaves", "handover") not in found
 
 
+def test_who_goes_just_before_the_robot_does_not_wait_for_it() -> None:
+    """Of every second part the robot waits until the operator has it, and goes just after him."""
+    rng = np.random.default_rng(12)
+    courses = []
+    for number in range(60):
+        at, robot, operator = 0.0, [PlaceVisit("home", 0.0, 0.0)], [PlaceVisit("bench", 0.0, 1.0)]
+        for _ in range(3):
+            arrives, waits = at + 4.6, rng.random() < 0.5
+            came = arrives + rng.uniform(-1.0, 6.0)
+            gone = came + rng.uniform(1.0, 2.0)
+            left = gone + rng.uniform(0.1, 0.2) if waits else arrives + 0.4
+            robot += [PlaceVisit("bin", at + 2.0, at + 2.6), PlaceVisit("handover", arrives, left)]
+            operator += [PlaceVisit("handover", came, gone), PlaceVisit("bench", gone + 2.0, gone + 3.0)]
+            at = max(left, gone + 3.0)
+        visits: dict[Agent, list[PlaceVisit]] = {
+            "robot": [*robot, PlaceVisit("home", at + 2.0, np.nan)],
+            "operator": operator,
+        }
+        courses.append(ExecutionVisits(str(number), visits, events_of(visits)))
+    card = learn_courses(courses)
+    found = {(gate.agent, one.agent, one.event, one.place) for gate in card.gates for one in gate.conditions}
+    assert ("operator", "robot", "leaves", "handover") not in found
+
+
 def test_own_work_where_the_robot_always_waits_is_that_of_its_other_places() -> None:
     rng = np.random.default_rng(7)
     card = learn_courses([_handed_over(rng, str(number)) for number in range(40)])

@@ -1,0 +1,87 @@
+"""Inputs of the robot are events of the operator where he gives them, and nothing where grippers or conveyors do."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from cyclekit import schema
+from cyclekit.dataset.cards.dataset import ExecutionCard
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.signals import SignalChanges
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.coupling.visits import courses_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from simulated_cells import Cells
+
+EXECUTIONS, LONG_S = 8, 60.0
+OPERATOR = (("shelf", 2.0, 9.0), ("handover", 12.0, 20.0), ("shelf", 25.0, 32.0), ("handover", 35.0, 44.0))
+
+
+def _rows() -> pl.DataFrame:
+    """Return the tasks of a robot that goes to and fro, and of an operator who is at two places twice each."""
+    rows: list[dict[str, Any]] = []
+    for number in range(EXECUTIONS):
+        begin_s, name = number * LONG_S, str(number)
+        for index, (start, goal, at_s) in enumerate((("bin", "handover", 8.0), ("handover", "bin", 48.0))):
+            times = {"start_s": begin_s + at_s - 2.0, "arrival_s": begin_s + at_s}
+            rows.append({"agent": "robot", "start_place": start, "goal_place": goal, "index": index, **times})
+            rows[-1]["execution"] = name
+        for index, (place, came_s, left_s) in enumerate(OPERATOR):
+            times = {"start_s": begin_s + came_s, "arrival_s": begin_s + came_s, "end_s": begin_s + left_s}
+            rows.append({"agent": "operator", "goal_place": place, "index": index, "execution": name, **times})
+    return schema.conform(pl.DataFrame(rows, infer_schema_length=None), schema.TASKS)
+
+
+def _changes(seconds: list[float]) -> SignalChanges:
+    """Return a bit that is off at first and changes at these times of every execution."""
+    t_s = np.array([number * LONG_S + s for number in range(EXECUTIONS) for s in seconds])
+    return SignalChanges(np.append(-1.0, t_s), (np.arange(len(t_s) + 1) % 2).astype(str))
+
+
+def test_inputs_that_the_operator_gives_are_events_of_his_and_others_are_left_out() -> None:
+    bits = {
+        "digital-input 2": _changes([19.7, 19.9, 43.7, 43.9]),  # a button, just before he goes
+        "digital-input 4": _changes([12.2, 20.1, 35.3, 44.2]),  # a field that sees him
+        "digital-output 0": _changes([15.0, 30.0, 39.0, 50.0]),
+        "digital-input 7": _changes([15.1, 30.1, 39.1, 50.1]),  # the gripper tells that it has opened and closed
+        "digital-input 8": _changes([10.5, 14.0, 27.0, 47.0]),  # a conveyor
+        "digital-input 9": _changes([1.0, 40.0]),  # the program
+    }
+    records: Any = [
+        SimpleNamespace(id="r", session="s", rows={"robot": 9}, clock=SimpleNamespace(rate=1.0, offset_s=0))
+    ]
+    cards = [
+        ExecutionCard(execution=str(n), session="s", start_s=n * LONG_S, end_s=(n + 1) * LONG_S - 1.0, complete=True)
+        for n in range(EXECUTIONS)
+    ]
+    courses = courses_of(cards, _rows(), records, lambda *_: None, lambda _: bits)
+    assert len(courses) == EXECUTIONS
+    found = {event for course in courses for event in course.events if event.signal or event.agent == "signal"}
+    assert {(event.agent, event.place, event.event, event.signal) for event in found} == {
+        ("operator", "handover", "leaves", "digital-input 2 set"),
+        ("operator", "handover", "leaves", "digital-input 2 cleared"),
+        ("operator", "handover", "arrives", "digital-input 4 set"),
+        ("operator", "handover", "leaves", "digital-input 4 cleared"),
+    }
+
+
+@pytest.mark.slow
+def test_a_button_wired_to_the_robot_serves_without_being_told(cells: Cells, tmp_path: Path) -> None:
+    logs = cells.logs("handover", 8, seed=31)
+    told = (logs / "cell.toml").read_text(encoding="utf-8")
+    cell = tmp_path / "cell.toml"
+    cell.write_text(told.replace('map = { inputs = "events" }\n', ""), encoding="utf-8")
+    assert cell.read_text(encoding="utf-8") != told
+    ingest([logs], tmp_path / "dataset", cell=cell)
+    card = Dataset.open(tmp_path / "dataset").card.coupling
+    assert card is not None
+    found = {(gate.agent, gate.place, one.signal) for gate in card.gates for one in gate.conditions}
+    assert found == {("robot", "handover", "digital-input 2 set"), ("operator", "handover", None)}

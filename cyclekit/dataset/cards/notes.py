@@ -189,7 +189,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     ),
     "people-learned": (
         "learned from {what} of people in {used} executions; {left} executions hold {other} alone and are left out: "
-        "to learn from those, ingest their logs alone"
+        "train --people {other} learns from those"
     ),
     "operator-unseen": (
         "in {samples} samples of {sessions} sessions a signal shows a person whom the tracker does not see: the "

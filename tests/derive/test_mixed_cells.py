@@ -6,7 +6,7 @@ import polars as pl
 import pytest
 from made_once import simulated
 
-from cyclekit import estimate_cycles, evaluate_model
+from cyclekit import estimate_cycles, evaluate_model, train_model
 from cyclekit.config import load_cell
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard, texts
@@ -129,6 +129,16 @@ def test_somebody_in_a_field_whom_the_tracker_does_not_see_is_there_and_hidden(t
     assert gaps == {0: {"absent"}, 1: {"occluded"}}
     said = next(one for one in dataset.card.warnings if one.code == "operator-unseen")
     assert said.values["samples"] == (samples["human_signals"] == 1).sum()
+
+
+def test_a_tracker_without_a_robot_log_is_told_what_is_missing(tmp_path):
+    made = logs(tmp_path / "logs", 1, people="tracker")
+    (made / "session_000" / "robot.csv").unlink()
+    report = ingest(made, tmp_path / "dataset")
+    assert any(text.startswith("no log is of the robot") for text in report.warnings)
+    with pytest.raises(DatasetError, match="no log of the robot was ingested") as refused:
+        train_model(tmp_path / "dataset")
+    assert "log of the robot's controller beside the tracker's" in refused.value.cure
 
 
 def test_an_unknown_signal_hides_nobody():

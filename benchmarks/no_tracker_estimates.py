@@ -26,6 +26,8 @@ from cyclekit.api.train import train_model
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.rollout import estimate
 from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.rules.safety import RuleSafety
 from cyclekit_sim import SimulationOptions
 
 if TYPE_CHECKING:
@@ -85,7 +87,10 @@ def compared(asked: argparse.Namespace, work: Path, scene: str, executions: int,
     runs = {one.name: fresh(work, scene, one.places, asked.fresh, options=options, kind=kind) for one in wanted}
     took = {name: durations_of(run) for name, run in runs.items()}
     chance = 100 * MEAN_OF_SIZE * np.mean([x.std(ddof=1) / x.mean() for x in took.values()]) / executions**0.5
-    models = {"signals" if signals else "robot log alone": (model_of(train_model(blind)), blind)}
+    spec = ModelSpec.of(epochs=asked.epochs)
+    asked_of = model_of(train_model(blind, spec))
+    told = "signals" if isinstance(asked_of, RuleSafety) else "signals, by the network"
+    models = {told if signals else "robot log alone": (asked_of, blind)}
     if not signals and not asked.no_tracker:
         models["tracker"] = (model_of(logged(work, scene, executions, seed=seed, rules=True).model), dataset)
     cell = f"| {scene} | {executions} | {seed} |"
@@ -108,6 +113,7 @@ def main() -> None:
     parser.add_argument("--fresh", type=int, default=500, help="fresh executions of each")
     parser.add_argument("--no-tracker", action="store_true", help="leave the same cell with its tracker out")
     parser.add_argument("--signals", action="store_true", help="the bits of fields in place of the tracker")
+    parser.add_argument("--epochs", type=int, help="of the network; where a rule answers in its place, 1 will do")
     parser.add_argument("--work", type=Path, help="folder in which cells are kept")
     asked = parser.parse_args()
     print("| cell | executions | seed | estimate | error, % | bias, % | worst, % | in the 90 % intervals, % "

@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset, People
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import CyclekitError
 from cyclekit.learning.networks.saved import TrainedModel, check_model_output, load_model
@@ -31,6 +31,7 @@ def train_model(
     spec: ModelSpec | None = None,
     *,
     rules: bool = True,
+    people: People = "auto",
     out: Place | None = None,
     engine: Engine = LOCAL,
     progress: Progress | None = None,
@@ -43,6 +44,7 @@ def train_model(
         spec: What to train; None: `ModelSpec.of()`.
         rules: Also look for the simplest rule that explains the commanded level, for the problem now; where there is
             one, estimates ask it in place of the network.
+        people: What tells of people: positions, signals, or what more executions have.
         out: Also put it there: a folder or a URL.
         engine: Where it is trained, if `out` is given; else in this process.
         progress: Told the fraction done and the validation error after every epoch.
@@ -55,11 +57,11 @@ def train_model(
     """
     wanted = spec or ModelSpec.of()
     if out is None:
-        opened = Dataset.of(dataset)
+        opened = Dataset.of(dataset).by_people(people)
         if learns_unseen(opened, wanted):
             return learn_unseen(opened, seed=wanted.seed, progress=progress)
         return train(opened, wanted, rules=rules, progress=progress)
-    (model,) = _put([Training(_place(dataset), wanted, str(out), rules)], engine, progress)
+    (model,) = _put([Training(_place(dataset), wanted, str(out), rules, people)], engine, progress)
     return model
 
 
@@ -71,6 +73,7 @@ def train_seeds(
     spec: ModelSpec | None = None,
     *,
     rules: bool = True,
+    people: People = "auto",
     engine: Engine = LOCAL,
     progress: Progress | None = None,
 ) -> dict[str, TrainedModel | UnseenOperator]:
@@ -82,6 +85,7 @@ def train_seeds(
         out: A folder or a URL for all of them.
         spec: What to train; its seed does not count.
         rules: As of `train_model`.
+        people: As of `train_model`.
         engine: Where they are trained, and how many at the same time.
         progress: Told the fraction done.
 
@@ -90,7 +94,8 @@ def train_seeds(
     """
     wanted = spec or ModelSpec.of()
     todo = [
-        Training(_place(dataset), replace(wanted, seed=seed), join(str(out), f"seed-{seed}"), rules) for seed in seeds
+        Training(_place(dataset), replace(wanted, seed=seed), join(str(out), f"seed-{seed}"), rules, people)
+        for seed in seeds
     ]
     return dict(zip([each.out for each in todo], _put(todo, engine, progress), strict=True))
 

@@ -47,6 +47,10 @@ def train(
         Literal["auto", "network"],
         typer.Option(help="auto: a rule answers where a simple one explains the commanded level; else the network."),
     ] = "auto",
+    people: Annotated[
+        Literal["auto", "positions", "signals"],
+        typer.Option(help="What tells of people; auto: what more executions have."),
+    ] = "auto",
     horizon: Annotated[str | None, typer.Option(help="How far ahead, such as 14s (ahead and average).")] = None,
     norm: Annotated[
         Literal["batch", "none"], typer.Option(help="Batch normalisation as in the literature, or none.")
@@ -108,10 +112,11 @@ def train(
         noise_m=noise, target=target,
     )  # fmt: skip
     with terminal.progress("training") as progress:
+        how: dict[str, Any] = {"rules": model == "auto", "people": people, "engine": work, "progress": progress}
         if chosen is None:
-            models = {out: train_model(dataset, spec, rules=model == "auto", out=out, engine=work, progress=progress)}
+            models = {out: train_model(dataset, spec, out=out, **how)}
         else:
-            models = train_seeds(dataset, chosen, out, spec, rules=model == "auto", engine=work, progress=progress)
+            models = train_seeds(dataset, chosen, out, spec, **how)
     cards = {place: model.card for place, model in models.items()}
     terminal.warnings(list(dict.fromkeys(text for card in cards.values() for text in texts(card.warnings))))
     shown = {place: card.to_dict() for place, card in cards.items()}

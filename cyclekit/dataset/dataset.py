@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 import polars as pl
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from cyclekit.dataset.signals import SignalChanges
     from cyclekit.plots.drawing import Drawing
 
+People = Literal["auto", "positions", "signals"]
+"""What tells of people."""
 CARD, TASKS, QUARANTINE = DATASET_CARD, "tasks.parquet", "quarantine.parquet"
 
 
@@ -75,12 +77,13 @@ class Dataset:
             card: What its `dataset.json` says.
             place: Where it can be opened from any machine; the folder where nothing else is given.
 
-        `is_part` is true of what `only` returns.
+        `is_part` is true of what `only` returns; `people` is what `by_people` was told.
         """
         self.path = path
         self.card = card
         self.place = place or str(path)
         self.is_part = False
+        self.people: People = "auto"
         self._files = DatasetFiles(path, card.files)
         self._recorded = RecordedTables(path, self._files, card.recordings)
 
@@ -126,8 +129,24 @@ class Dataset:
         """
         card = msgspec.structs.replace(self.card, executions=tuple(self._execution(name) for name in executions))
         part = Dataset(self.path, card, self.place)
-        part.is_part = True
+        part.is_part, part.people = True, self.people
         return part
+
+    def by_people(self, people: People) -> Dataset:
+        """Return the dataset as if it told of people by positions, or by signals, alone; auto: by what it has more of.
+
+        Raises:
+            DatasetError: No execution tells of them so.
+        """
+        missing = {"positions": "people" not in self.positions, "signals": not self.card.operator_signals}
+        if missing.get(people, False):
+            msg = f"{self.place}: no log holds {people} of people"
+            raise DatasetError(msg, cure="Leave --people out (from Python people), or ingest logs that hold them.")
+        if people == self.people:
+            return self
+        alike = Dataset(self.path, self.card, self.place)
+        alike.is_part, alike.people = self.is_part, people
+        return alike
 
     @cached_property
     def executions(self) -> pl.DataFrame:

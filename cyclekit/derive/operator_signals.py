@@ -34,6 +34,8 @@ SAME_S = 0.04
 """Delays within this are the same."""
 AT_ONCE_S = 0.012
 """A signal that changes with the level to within this may be its cause or its effect; believed after all others."""
+LATE_S = 0.5
+"""What follows the speed so soon may be a field that is logged late."""
 GAIN = 0.02
 """A signal must explain this share of the lost time more."""
 MIRRORS = 0.9
@@ -90,11 +92,15 @@ class _Answers(NamedTuple):
 
 
 class FoundSignals(NamedTuple):
-    """Signals that tell of people; reaction time to the first, and how much later the level rises; None: not seen."""
+    """Signals that tell of people; reaction time to the first, and how much later the level rises; None: not seen.
+
+    `follow`: where there are none, the inputs that change after the speed, and how much later, s.
+    """
 
     cards: tuple[OperatorSignalCard, ...] = ()
     latency_s: float | None = None
     hold_s: float | None = None
+    follow: tuple[tuple[str, float], ...] = ()
 
 
 def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) -> FoundSignals:
@@ -138,7 +144,7 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
         )
     first = leads[order[0][1]] if order else None
     if first is None:
-        return FoundSignals()
+        return FoundSignals(follow=_following(evidence))
     hold_s = None if first.rise_s is None else first.rise_s - first.delay_s
     return FoundSignals(tuple(cards), max(first.delay_s, 0.0), hold_s if hold_s and hold_s > SAME_S else None)
 
@@ -157,6 +163,23 @@ def _leading(evidence: SignalEvidence) -> dict[str, _Lead]:
         if lead is not None and not _of_program(evidence, changes.at(evidence.t_s) == value):
             found[name] = lead
     return found
+
+
+def _following(evidence: SignalEvidence) -> tuple[tuple[str, float], ...]:
+    """Return the inputs that change after the speed, always as much later, and by how much, s."""
+    found = []
+    for name, changes in evidence.signals.items():
+        if name != REGISTER and not name.startswith(OUTPUT):
+            tried = [_delays(evidence, name, value) for value in np.unique(changes.value).tolist()]
+            falls, rises = max(tried, key=lambda one: one[0].many + one[1].many)
+            late = [one.delay_s for one in (falls, rises) if one.delay_s is not None]
+            if (
+                len(late) == 2
+                and -LATE_S <= min(late) <= max(late) <= -AT_ONCE_S
+                and falls.many + rises.many >= LEAST_ANSWERS
+            ):
+                found.append((name, -min(late)))
+    return tuple(found)
 
 
 def _lead(occupied: str, falls: _Answers, rises: _Answers) -> _Lead | None:

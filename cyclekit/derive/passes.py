@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import LogGroup
     from cyclekit.dataset.signals import Read, Stored
+    from cyclekit.derive.operator_signals import FoundSignals
     from cyclekit.derive.robot import RobotInSessions
     from cyclekit.schema import Floats, Progress
     from cyclekit.segmentation.stored_run import Run
@@ -175,7 +176,7 @@ def _finished(
             *robot.warnings,
             *(staircase.warnings if some or not made else []),
             *_inputs(evidence),
-            *_signals(watched.found.cards),
+            *_signals(watched.found),
             *mixed(made, watched),
             *_unseen(finished),
         ],
@@ -217,8 +218,11 @@ def _inputs(evidence: Evidence) -> list[Note]:
     ]
 
 
-def _signals(cards: Sequence[OperatorSignalCard]) -> list[Note]:
-    """Say which signals were found to tell of people."""
+def _signals(found: FoundSignals) -> list[Note]:
+    """Say which signals were found to tell of people, or which only seem to."""
+    if found.follow:
+        names, late_s = zip(*found.follow, strict=True)
+        return [note("signals-follow", signals=", ".join(names), late_s=max(late_s))]
     return [
         note(
             "operator-signal",
@@ -227,7 +231,7 @@ def _signals(cards: Sequence[OperatorSignalCard]) -> list[Note]:
             delay_s=one.delay_s,
             explained=one.explained,
         )
-        for one in cards
+        for one in found.cards
         if not one.told
     ]
 

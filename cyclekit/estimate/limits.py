@@ -17,6 +17,7 @@ from cyclekit.estimate.check import Check, check_rollout
 from cyclekit.estimate.entry import LEAST_SUPPORT
 from cyclekit.estimate.nominal import slider_losses
 from cyclekit.estimate.safety import OnStates
+from cyclekit.learning.signal_inputs import left_out
 from cyclekit.learning.windows import nobody_there
 
 if TYPE_CHECKING:
@@ -97,6 +98,8 @@ def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
 def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     """Return what limits every number from these logs, one sentence each."""
     found = list(model.limits) if isinstance(model, OnStates) else []
+    if model.card.operator_signals or not isinstance(model, OnStates):
+        found += left_out(model.card, dataset)
     samples = dataset.samples(columns=["execution", "human_x_m", "human_z_m", "human_gap", "scaling_origin"])
     found += said_of_height(samples)
     absent = samples.filter(nobody_there()).height / max(samples.height, 1)

@@ -15,7 +15,7 @@ import numpy as np
 from cyclekit.errors import ModelError
 from cyclekit.estimate.safety import BLOCK, OnStates, SafetyModel, asked_often
 from cyclekit.estimate.support import Support
-from cyclekit.learning.signal_inputs import as_inputs, by_signals
+from cyclekit.learning.signal_inputs import as_inputs
 from cyclekit.segmentation.arrivals import fill_nearest
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def on_states_of(model: SafetyModel, dataset: Dataset) -> SafetyModel:
     if isinstance(model, OnStates) or model.problem != "now" or not model.card.operator_signals:
         return model
     learned, here = ([one.name for one in card.operator_signals] for card in (model.card, dataset.card))
-    if learned != here or not by_signals(dataset):
+    if learned != here:
         seen = f"{dataset.path}: signals of people: {', '.join(here) or 'none'}; the model knows {', '.join(learned)}"
         raise ModelError(seen, cure="Train it on these logs: cyclekit train DATASET --out MODEL")
     frame = dataset.samples(columns=[*ROBOT, "human_signals"]).drop_nulls("human_signals")

@@ -21,8 +21,8 @@ import polars as pl
 
 from cyclekit.errors import DatasetError, EstimateError
 from cyclekit.estimate.continuation import Continuation, Stretch
+from cyclekit.estimate.courses import continued
 from cyclekit.estimate.safety import OnStates
-from cyclekit.estimate.spells import Spells
 from cyclekit.people.tracks import OCCLUDED_S
 
 if TYPE_CHECKING:
@@ -116,8 +116,7 @@ def operator_tracks(
         dataset: Where they were logged.
         horizon_s: Longest cycle that will be asked for.
         operator: Only executions in which the operator's tasks begin in this order.
-        phases: Entries per execution; None: PHASES where `phase_is_free`, no order is asked for, and positions are
-            known, else 1: of states later entries only lengthen the part that is put together of others. The first
+        phases: Entries per execution; None: PHASES where `phase_is_free` and no order is asked for, else 1. The first
             entry of each execution is its beginning, and those come first, in the order of the executions.
         goals: Also return g_h.
         model: Whom the tracks are for; one of states gets these in place of positions.
@@ -144,7 +143,7 @@ def operator_tracks(
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
     free = _is_free(tracks)
     if phases is None:
-        phases = PHASES if operator is None and free and not on_states else 1
+        phases = PHASES if operator is None and free else 1
     after = _after(dataset)
     ran_on = {name: _run_on(tracks, [name, *after[name]], step) for name in begins}
     length = int(np.ceil(horizon_s / step)) + 2
@@ -154,7 +153,7 @@ def operator_tracks(
     followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
     pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
     if on_states and free:
-        where, activity = Spells(pool).extend(streams, length)
+        where, activity = continued(streams, pool, length)
     else:
         where, activity = Continuation(pool, step, phase_free=free).extend(
             streams, [followed.get(ran_on[name][1], -1) for name, _ in entries], length

@@ -310,4 +310,7 @@ def _unmatched(cell: Cell, logs: Sequence[Log]) -> list[Note]:
 
 def _without_places(logs: Sequence[LogCard]) -> list[Note]:
     """Say so where nothing tells where the robot and the people were."""
-    return [note("no-positions")] if all(set(log.tables) <= WITHOUT_PLACES for log in logs) else []
+    if all(set(log.tables) <= WITHOUT_PLACES for log in logs):
+        return [note("no-positions")]
+    tables = {table for log in logs for table in log.tables}
+    return [note("no-robot-log")] if "people" in tables and tables.isdisjoint(("robot", "safety", "task_list")) else []

@@ -16,7 +16,14 @@ import numpy as np
 from cyclekit.dataset.cards import Note, SplitCard, note, texts
 from cyclekit.dataset.time_grid import samples_in
 from cyclekit.errors import DatasetError, command_line
-from cyclekit.learning.labelling import follows_late, scaling_in_time, staircase_of, with_commands, without_slider
+from cyclekit.learning.labelling import (
+    follows_late,
+    need_scaling,
+    scaling_in_time,
+    staircase_of,
+    with_commands,
+    without_slider,
+)
 from cyclekit.learning.out_of_core import PART_ROWS, frames, in_files, memory_rows, rows_of, some_executions
 from cyclekit.learning.signal_inputs import learned_rows
 from cyclekit.learning.windows import GROUPS, Samples, build_samples, groups_seen_both_ways, split_executions
@@ -149,10 +156,7 @@ def _rounded(staircase: Staircase) -> tuple[float, ...]:
 
 def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
     """Return the rows, or refuse if they are too few to learn from."""
-    if frame["scaling"].is_null().all():
-        cure = "Log the scaling, or give a reference run without the operator in cell.toml so that it can be inferred."
-        msg = f"{dataset.path}: the speed scaling is unknown in all {frame.height} samples, so nothing can be learned"
-        raise DatasetError(msg, cure=cure)
+    need_scaling(dataset, frame)
     if len(rows) < (least := samples_in(LEAST_S, dataset.rate_hz)):
         why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "the log is that short"
         msg = f"{dataset.path}: only {len(rows)} of {frame.height} samples can be learned from ({why})"

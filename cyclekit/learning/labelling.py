@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.dataset.time_grid import stretches
+from cyclekit.errors import DatasetError, command_line
 from cyclekit.scaling.commanded import UNKNOWN, Response, commanded_levels
 from cyclekit.scaling.levels import Staircase, find_staircase
 
@@ -29,6 +30,23 @@ LEAST_LATENCY_S = 0.03
 def scaling_in_time(frame: pl.DataFrame, rate_hz: float) -> tuple[Floats, Ints]:
     """Return the scaling of every row of SAMPLES (NaN = unknown) and its stretch, shape (N,) each."""
     return frame["scaling"].fill_null(np.nan).to_numpy(), stretches(frame, rate_hz)
+
+
+def need_scaling(dataset: Dataset, frame: pl.DataFrame) -> None:
+    """Refuse rows without any scaling.
+
+    Raises:
+        DatasetError: There is none; it says if that is because no log is of the robot.
+    """
+    if not frame["scaling"].is_null().all():
+        return
+    if "robot" in dataset.positions:
+        msg = f"{dataset.path}: the speed scaling is unknown in all {frame.height} samples, so nothing can be learned"
+        cure = "Log the scaling (the speed override that is in force), or give a reference run without the operator in "
+        raise DatasetError(msg, cure=f"{cure}cell.toml so that it can be inferred.")
+    msg = f"{dataset.path}: no log of the robot was ingested, and its speed scaling is what is to be learned"
+    cure = "Put the log of the robot's controller beside the tracker's, in the folder of its session, and ingest both:"
+    raise DatasetError(msg, cure=f"{cure} {command_line('ingest', 'LOGS', '--out', 'DATASET')}")
 
 
 def fixed_levels(dataset: Dataset) -> tuple[float, ...] | None:

@@ -16,7 +16,7 @@ from cyclekit.dataset.cards import note
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cyclekit.dataset.cards import Note
+    from cyclekit.dataset.cards import Note, TrainingCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Floats, Ints
 
@@ -24,7 +24,9 @@ _AXES = 3
 
 
 def by_signals(dataset: Dataset) -> bool:
-    """Tell whether signals tell of people in a dataset, and positions in fewer executions or in none."""
+    """Tell whether people are known by signals: as `Dataset.by_people` was told, else by what more executions have."""
+    if dataset.people != "auto":
+        return dataset.people == "signals"
     if not dataset.card.operator_signals or "people" not in dataset.positions:
         return bool(dataset.card.operator_signals)
     known = _known(dataset)
@@ -40,6 +42,22 @@ def mixed(dataset: Dataset) -> list[Note]:
     used, left = (known.signals, known.positions) if by_signals(dataset) else (known.positions, known.signals)
     left -= known.both
     return [note("people-learned", what=what, used=used, left=left, other=other)] if left else []
+
+
+def left_out(model: TrainingCard, dataset: Dataset) -> list[str]:
+    """Say of how many executions the operators are met by estimates, and of how many not; nothing where all are."""
+    return [
+        f"operators of the {one.values['used']} executions whose logs hold {one.values['what']} of people; the model "
+        f"knows nothing of {one.values['other']}, which {one.values['left']} executions hold alone"
+        for one in mixed(as_learned_by(model, dataset))
+    ]
+
+
+def as_learned_by(model: TrainingCard, dataset: Dataset) -> Dataset:
+    """Return a dataset with people known by what a model was learned from, positions or signals."""
+    if not dataset.card.operator_signals or "people" not in dataset.positions:
+        return dataset
+    return dataset.by_people("signals" if model.operator_signals else "positions")
 
 
 class _Known(NamedTuple):

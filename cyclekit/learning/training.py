@@ -14,7 +14,7 @@ from msgspec import structs
 
 from cyclekit import schema
 from cyclekit.dataset.cards import LevelShare, MetricsCard, Note, RowsCard, StandardisationCard, TrainingCard, note
-from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset, People
 from cyclekit.dataset.guard import check_output
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import ModelError
@@ -183,12 +183,20 @@ def _card(
 
 @dataclass(frozen=True)
 class Training:
-    """One model to train, as a task of an engine: the places of dataset and model, what to train, and if with rules."""
+    """One model to train, as a task of an engine.
+
+    Attributes:
+        dataset, out: The places of dataset and model.
+        spec: What to train.
+        rules: If with rules.
+        people: What tells of people (`Dataset.by_people`).
+    """
 
     dataset: str
     spec: ModelSpec
     out: str
     rules: bool = False
+    people: People = "auto"
 
 
 def train_at(what: Training, *, progress: Progress | None = None) -> TrainingCard:
@@ -200,7 +208,7 @@ def train_at(what: Training, *, progress: Progress | None = None) -> TrainingCar
     """
     check_output(what.out, "model", [what.dataset])
     check_model_output(what.out)
-    dataset = Dataset.open(what.dataset)
+    dataset = Dataset.open(what.dataset).by_people(what.people)
     if learns_unseen(dataset, what.spec):
         unseen = learn_unseen(dataset, seed=what.spec.seed, progress=progress)
         save_unseen(what.out, unseen)

@@ -6,16 +6,17 @@ import polars as pl
 import pytest
 from made_once import simulated
 
-from cyclekit import estimate_cycles
+from cyclekit import estimate_cycles, evaluate_model, train_model
 from cyclekit.config import load_cell
 from cyclekit.config.sequences import TaskSequence
-from cyclekit.dataset.cards import texts
+from cyclekit.dataset.cards import TrainingCard, texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.derive.seen_slow import Switches
 from cyclekit.derive.session_end import _with_unseen
+from cyclekit.errors import DatasetError
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.networks.spec import ModelSpec
-from cyclekit.learning.signal_inputs import by_signals, mixed
+from cyclekit.learning.signal_inputs import as_learned_by, by_signals, left_out, mixed
 from cyclekit.learning.training import Training, train_at
 from cyclekit_sim import SimulationOptions, simulate
 
@@ -78,6 +79,40 @@ def test_a_model_learns_from_what_more_executions_have_and_says_what_it_leaves_o
     assert mixed(partly_tracked.only(few)) == []
 
 
+def test_the_other_kind_is_chosen_by_name_and_a_model_keeps_to_its_own(partly_tracked):
+    learned = partly_tracked.by_people("positions")
+    assert not by_signals(learned)
+    assert not by_signals(learned.only(["session_a.001", "session_b.001"]))
+    assert texts(mixed(learned))[0].endswith("8 executions hold signals alone and are left out: train --people signals "
+                                             "learns from those")  # fmt: skip
+    of_positions, of_signals = TrainingCard(), TrainingCard(operator_signals=partly_tracked.card.operator_signals)
+    assert not by_signals(as_learned_by(of_positions, partly_tracked))
+    assert by_signals(as_learned_by(of_signals, partly_tracked))
+    assert "operators of the 3 executions whose logs hold positions" in left_out(of_positions, partly_tracked)[0]
+    assert "of positions, which 3 executions hold alone" in left_out(of_signals, partly_tracked)[0]
+
+
+def test_a_kind_that_no_log_holds_is_refused(traced):
+    with pytest.raises(DatasetError, match="no log holds positions of people") as refused:
+        traced.by_people("positions")
+    assert "--people" in refused.value.cure
+    assert traced.by_people("signals") is not traced
+    assert left_out(TrainingCard(), traced) == []
+
+
+@pytest.mark.slow  # trains a model
+def test_a_model_of_the_rarer_kind_is_learned_judged_and_asked(partly_tracked, tmp_path):
+    card = train_at(Training(str(partly_tracked.path), ModelSpec.of(epochs=2), str(tmp_path / "m"), people="positions"))
+    assert not card.operator_signals
+    assert len(card.held_out) == 1
+    assert "learned from positions of people in 3 executions" in texts(card.warnings)[0]
+    assert evaluate_model(tmp_path / "m", partly_tracked, boosting=False).metrics.rows > 0
+    order = TaskSequence("logged", partly_tracked.card.executions[0].places)
+    (found,) = estimate_cycles(tmp_path / "m", partly_tracked, order, other_cell=True)
+    assert found.executions == 3
+    assert any("3 executions whose logs hold positions" in text for text in found.warnings)
+
+
 def test_somebody_in_a_field_whom_the_tracker_does_not_see_is_there_and_hidden(tmp_path):
     made = logs(tmp_path / "logs", 3, people="both")
     log = made / "session_000" / "operator.csv"
@@ -94,6 +129,16 @@ def test_somebody_in_a_field_whom_the_tracker_does_not_see_is_there_and_hidden(t
     assert gaps == {0: {"absent"}, 1: {"occluded"}}
     said = next(one for one in dataset.card.warnings if one.code == "operator-unseen")
     assert said.values["samples"] == (samples["human_signals"] == 1).sum()
+
+
+def test_a_tracker_without_a_robot_log_is_told_what_is_missing(tmp_path):
+    made = logs(tmp_path / "logs", 1, people="tracker")
+    (made / "session_000" / "robot.csv").unlink()
+    report = ingest(made, tmp_path / "dataset")
+    assert any(text.startswith("no log is of the robot") for text in report.warnings)
+    with pytest.raises(DatasetError, match="no log of the robot was ingested") as refused:
+        train_model(tmp_path / "dataset")
+    assert "log of the robot's controller beside the tracker's" in refused.value.cure
 
 
 def test_an_unknown_signal_hides_nobody():

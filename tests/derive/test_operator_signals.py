@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -91,6 +92,20 @@ def test_what_the_cell_file_names_is_taken_and_nothing_else_is_looked_for() -> N
     (card,) = find_signals(evidence(3), told).cards
     assert (card.name, card.signal, card.occupied, card.told) == ("protective field", "digital-input 3", "0", True)
     assert card.delay_s == pytest.approx(DELAY_S, abs=0.01)
+
+
+def test_where_none_is_found_those_that_follow_the_speed_are_told() -> None:
+    known = evidence(3)
+    assert not find_signals(known).follow
+    late = {
+        name: one._replace(t_s=one.t_s + 0.2) if name in ("digital-input 2", "digital-input 3") else one
+        for name, one in known.signals.items()
+    }
+    found = find_signals(dataclasses.replace(known, signals=late))
+    assert not found.cards
+    assert dict(found.follow) == pytest.approx(
+        {"digital-input 2": 0.08, "digital-input 3": 0.08, "digital-input 4": 0.1}, abs=0.015
+    )
 
 
 def test_a_signal_that_no_log_holds_is_refused_with_those_that_there_are() -> None:

@@ -183,6 +183,10 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "repaired": "made again, because files had changed since they were written: {files}",
     "source-without-log": "source {path!r} of the cell file matches no log",
     "no-positions": ("no positions of robot and people, so no motion or safety can be learned"),
+    "no-robot-log": (
+        "no log is of the robot, whose motion and speed scaling are what is learned and estimated: put the log of its "
+        "controller beside the tracker's, in the folder of its session, and ingest both"
+    ),
     "logs-unpaired": (
         "{robots} robot logs ({robot}, …) are without people, {others} logs ({other}, …) without a "
         "robot: unclear which belong together. Put each session into a folder of its own, or give its logs the "
@@ -208,13 +212,17 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "{explained:.0%} of the lost time is explained; if it tells of nobody, name the right ones: "
         "[[operator_signals]] in cell.toml"
     ),
+    "signals-follow": (
+        "no signal was found that tells of people; {signals} change with the speed, but {late_s:.2f} s after it, as a "
+        "lamp does: a field that is logged so late is taken where [[operator_signals]] in cell.toml names it"
+    ),
     "people-mixed": (
         "positions of people are known in {positions} executions, signals of them in {signals}, neither in {neither}: "
         "`train` learns from what more executions have, and says so"
     ),
     "people-learned": (
         "learned from {what} of people in {used} executions; {left} executions hold {other} alone and are left out: "
-        "to learn from those, ingest their logs alone"
+        "train --people {other} learns from those"
     ),
     "operator-unseen": (
         "in {samples} samples of {sessions} sessions a signal shows a person whom the tracker does not see: the "

@@ -15,7 +15,7 @@ import polars as pl
 
 from cyclekit.errors import ModelError, command_line
 from cyclekit.learning.labelling import as_learned
-from cyclekit.learning.signal_inputs import learned_rows
+from cyclekit.learning.signal_inputs import as_learned_by, learned_rows
 from cyclekit.learning.windows import build_samples
 from cyclekit.parallel.one_thread import one_thread
 
@@ -125,6 +125,7 @@ def drift_between(
         judged_before: Those of `older` by which the model's errors are judged: none that it learned from.
         judged_after: Those of `newer`, likewise.
     """
+    older, newer = (as_learned_by(model.card, whose) for whose in (older, newer))
     before, after = (learned_rows(whose, whose.samples()) for whose in (older, newer))
     judged = [
         as_learned(model.card, whose, frame.filter(pl.col("execution").is_in(list(names))), model.levels)

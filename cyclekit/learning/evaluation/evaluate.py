@@ -27,7 +27,7 @@ from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.out_of_core import memory_rows, some_executions
 from cyclekit.learning.rules.safety import RuleSafety, asks_signals
-from cyclekit.learning.signal_inputs import learned_rows
+from cyclekit.learning.signal_inputs import as_learned_by, learned_rows
 from cyclekit.learning.windows import Samples, build_samples
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.results import Result
@@ -166,6 +166,7 @@ def evaluate(
     """
     tell = progress or (lambda fraction, text: None)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)
+    dataset = as_learned_by(model.card, dataset)
     same = model.card.dataset_sha256 == fingerprint(dataset)
     executions = _held_out(model) if same else tuple(dataset.executions["execution"].to_list())
     every = len(executions)

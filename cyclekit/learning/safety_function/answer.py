@@ -30,7 +30,7 @@ from cyclekit.learning.safety_function.fit import (
     thresholds,
 )
 from cyclekit.learning.safety_function.path import PATH_M, speeds_on_path
-from cyclekit.learning.signal_inputs import by_signals
+from cyclekit.learning.signal_inputs import as_learned_by, by_signals
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.plots.labels import CellOnFloor
 from cyclekit.text.results import Result
@@ -171,6 +171,7 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
     """
     refuse_without_levels(model, dataset)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)
+    dataset = as_learned_by(model.card, dataset)
     if by_signals(dataset):
         return _by_signals(model, dataset, seed)
     rows, told = _rows(dataset)

@@ -10,8 +10,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.dataset.cards import TrainingCard, plain
-from cyclekit.errors import DatasetError
-from cyclekit.learning.labelling import commanded_in_time, follows_late, staircase_of, without_slider
+from cyclekit.learning.labelling import commanded_in_time, follows_late, need_scaling, staircase_of, without_slider
 from cyclekit.learning.unseen.hidden import Chain, LevelCourses, draw_states
 from cyclekit.text.results import Result
 
@@ -208,9 +207,7 @@ def levels_of(dataset: Dataset, levels: Sequence[float] | None = None) -> tuple[
         DatasetError: The scaling is unknown.
     """
     frame, _ = without_slider(dataset, dataset.samples())
-    if frame["scaling"].is_null().all():
-        msg = f"{dataset.path}: the speed scaling is unknown in all {frame.height} samples, so nothing can be learned"
-        raise DatasetError(msg, cure="Log the scaling (the speed override that is in force) with the robot.")
+    need_scaling(dataset, frame)
     found = staircase_of(dataset, frame)
     if levels is None:
         levels = tuple(round(float(level), 6) for level in found.levels)

@@ -1,7 +1,8 @@
-"""Logged courses of states continued by others: how long a state lasts is neither shortened nor drawn out."""
+"""Logged courses of states go on with other logged courses: people are there as often as in the logs."""
 
 from __future__ import annotations
 
+from collections import Counter
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -13,8 +14,8 @@ from hypothesis import strategies as st
 
 from cyclekit.estimate import tracks
 from cyclekit.estimate.continuation import Stretch
+from cyclekit.estimate.courses import continued
 from cyclekit.estimate.safety import OnStates
-from cyclekit.estimate.spells import LONGEST, Spells
 
 
 def course(*spells: tuple[int, int]) -> Stretch:
@@ -23,27 +24,24 @@ def course(*spells: tuple[int, int]) -> Stretch:
     return Stretch(np.column_stack([np.zeros((len(state), 3)), state]), state)
 
 
-def test_a_state_goes_on_as_long_as_in_logs_in_which_it_lasted_so_long() -> None:
-    """Spells of 10 and of 30 samples; one that has lasted 15 is one of the longer: the shorter are no rivals."""
-    logs = [course((1, 5), (0, length), (1, 20)) for length in (10, 30) for _ in range(LONGEST)]
-    begun = [course((1, 5), (0, 16))] * 50
-    _, state = Spells(logs).extend(begun, 60)
-    assert ((state[:, 5:] == 1).argmax(axis=1) == 30).all()
-    early = [course((1, 5), (0, 4))] * 400
-    _, state = Spells(logs).extend(early, 60)
-    left = (state[:, 5:] == 1).argmax(axis=1)
-    assert set(left.tolist()) == {10, 30}
-    assert 0.4 < (left == 10).mean() < 0.6
+def test_a_course_goes_on_in_the_state_it_ended_in_with_each_log_as_often_as_any_other() -> None:
+    logs = [course((0, 10), (number, 5), (0, 1)) for number in range(2, 7)] + [course((1, 16))] * 5
+    _, state = continued([course((0, 4))] * 10, logs, 64)
+    assert 1 not in state
+    for at in (16, 32, 48):
+        assert Counter(state[:, at].tolist()) == dict.fromkeys(range(2, 7), 2)
+    _, state = continued([course((9, 4))] * 10, logs, 10)  # no log begins so
+    assert set(state[:, 5].tolist()) == {0, 1}
 
 
 def test_people_come_as_often_in_continued_courses_as_in_logs_that_end_when_nobody_came() -> None:
     """Spells without memory; a log ends as soon as 40 of its samples were without anybody, as a robot's cycle does."""
     rng = np.random.default_rng(0)
-    whole = [np.repeat(np.arange(60) % 2, rng.geometric(0.05, 60)) for _ in range(60)]
+    whole = [np.repeat((np.arange(60) + rng.integers(0, 2)) % 2, rng.geometric(0.05, 60)) for _ in range(200)]
     logs = [state[: 1 + np.flatnonzero(np.cumsum(state == 0) == 40)[0]] for state in whole]
     stretches = [course(*((int(number), 1) for number in state)) for state in logs]
-    _, state = Spells(stretches).extend(stretches, 200)
-    assert (state[:, 120:] == 0).mean() == pytest.approx(0.5, abs=0.06)
+    _, state = continued(stretches, stretches, 400)
+    assert (state == 0).mean() == pytest.approx(0.5, abs=0.03)
 
 
 @given(
@@ -54,15 +52,16 @@ def test_people_come_as_often_in_continued_courses_as_in_logs_that_end_when_nobo
 )
 def test_every_course_begins_as_logged_and_is_as_long_as_asked(logs: list[list[tuple[int, int]]], length: int) -> None:
     stretches = [course(*spells) for spells in logs]
-    where, state = Spells(stretches).extend(stretches, length)
+    where, state = continued(stretches, stretches, length)
     assert state.shape == (len(logs), length) == where.shape[:2]
     np.testing.assert_array_equal(where[..., 3], state)
+    np.testing.assert_array_equal(continued(stretches, stretches, length + 7)[1][:, :length], state)
     for stretch, mine in zip(stretches, state, strict=True):
         kept = min(length, len(stretch.activity))
         np.testing.assert_array_equal(mine[:kept], stretch.activity[:kept])
 
 
-def test_courses_of_states_are_used_from_the_beginning_of_their_logs_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_courses_of_states_are_entered_at_several_instants(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(1)
     names = [f"execution {number}" for number in range(30)]
     logs = {name: course(*((int(number), 1) for number in rng.integers(0, 2, 50))) for name in names}
@@ -77,5 +76,7 @@ def test_courses_of_states_are_used_from_the_beginning_of_their_logs_alone(monke
     assert isinstance(model, OnStates)
     found = tracks.operator_tracks(dataset, horizon_s=8.0, model=model)  # type: ignore[arg-type]
     assert found.phase_free
-    assert found.executions == tuple(names)
+    assert found.executions == tuple(names) * tracks.PHASES
+    later = len(names) * 2
     np.testing.assert_array_equal(found.activity[0, :50], logs[names[0]].activity)
+    np.testing.assert_array_equal(found.activity[later, :25], logs[names[0]].activity[25:])

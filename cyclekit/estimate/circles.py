@@ -54,7 +54,8 @@ def enter(
         after: Which log really followed which, by number: these stay together.
     """
     really = dict(after or {})
-    circles = _circles(_followers(logs, step_s, really), [k for k in range(len(logs)) if k not in really.values()])
+    preceded = set(really.values())
+    circles = _circles(_followers(logs, step_s, really), [k for k in range(len(logs)) if k not in preceded])
     order = np.array([k for circle in circles for k in circle])
     sizes = np.array([len(logs[k].where) for k in order])
     last = np.cumsum(sizes)  # one behind each log
@@ -62,7 +63,7 @@ def enter(
     of = np.repeat(np.arange(len(circles)), [len(circle) for circle in circles])
     begin, count = first[np.unique(of, return_index=True)[1]], np.bincount(of, sizes).astype(np.int64)
     where, activity = (np.concatenate([getattr(logs[k], part) for k in order]) for part in ("where", "activity"))
-    joined = np.array([k not in really.values() for k in order])
+    joined = np.array([k not in preceded for k in order])
     before = np.where(first == begin[of], begin[of] + count[of], first) - 1
     _smooth(where, before[joined], first[joined], sizes[joined], step_s)
     ends = last.copy()  # of what the operator really did

@@ -134,7 +134,8 @@ def beside_others(
     apart = np.unique(np.linspace(1, count - 1, min(OTHERS, count - 1)).astype(np.int64))
     programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
     track = (own[:, None] + apart) % count
-    stands = [draw_stands(program, count, seed)[mine] for program, mine in zip(programs, track, strict=True)]
+    drawn: dict[tuple[str, int], Floats] = {}
+    stands = [draw_stands(program, count, seed, drawn)[mine] for program, mine in zip(programs, track, strict=True)]
     which = np.repeat(np.arange(len(programs)), len(apart))
     walked = walk(model, programs, which, track.ravel(), stands, tracks, dynamics=dynamics)
     crossed = np.full((len(programs), count), np.nan)

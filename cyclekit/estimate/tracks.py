@@ -38,7 +38,7 @@ RUN_ON_S = 5.0
 """The next execution of a session goes on with the same operator if it begins within this time."""
 ENTRIES, LEAST_ENTRIES = 8, 4
 """Tracks for each execution in the mean, where the operator's habits do not begin with it and logs form circles; and"""
-MANY = 400
+MANY = 320
 """... no fewer than the latter where these are more than MANY."""
 SAME_SPREAD = 1.65
 """Where starts are like any other instant, the operator's spread at them is within this ratio of that at all times,"""

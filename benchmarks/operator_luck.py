@@ -5,9 +5,9 @@
 No logs are read and nothing is learned: the simulator's own safety function of `scanner-visits` and its response are
 known exactly, and so are the operators, as long as their executions lasted. Each set of operators is asked for orders
 half as long, as long and twice as long as those executions. `beginning`: each track from its beginning. `estimate`:
-entered at four instants and continued, as `estimate` does. `circle`: each log as a circle, entered at 8 instants, so
-that every part of it meets every part of the program. Truth is the mean beside all operators, entered at four instants
-of tracks that really go on. Chance is the standard error of a mean of so many cycles of the logged length.
+all logs joined to circles, entered at even steps, as `estimate` does. `itself`: each log a circle of its own, entered
+at 8 instants. Truth is the mean beside all operators, entered at four instants of tracks that really go on. Chance is
+the standard error of a mean of so many cycles of the logged length.
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ from any_length import HARD, OUT, SCENE, orders, true_function
 from cells import FRESH_SEED, dataset_of
 from rich.table import Table
 
+from cyclekit.estimate.circles import enter
 from cyclekit.estimate.continuation import Continuation, Stretch
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.resample import interval_of_mean, resampled
 from cyclekit.estimate.safety import Dynamics
-from cyclekit.estimate.tracks import PHASES, OperatorTracks, _instants
+from cyclekit.estimate.tracks import OperatorTracks, entries_of
 from cyclekit.estimate.walk import Rolled, roll_all
 from cyclekit_sim.choices import FRESH, OPERATOR, operator_legs, stream
 from cyclekit_sim.scenes import BUILT_IN
@@ -72,18 +73,18 @@ def of_set(programs: Sequence[Program], logs: Sequence[Stretch]) -> dict[str, tu
     """Return the cycles of programs beside these operators, entered in each way, and their weights in resamples."""
     lengths, own = [len(log.where) for log in logs], list(range(len(logs)))
     found = {}
-    for name, phases in (("beginning", 1), ("estimate", PHASES)):
-        owner = own * phases
-        begun = [Stretch(logs[k].where[at:], logs[k].activity[at:]) for at in (_instants(lengths, phases)) for k in own]
-        where, doing = Continuation(logs, STEP_S, phase_free=True).extend(begun, owner, LENGTH - 1)
-        tracks = [Stretch(*pair) for pair in zip(where, doing, strict=True)]
-        logged = np.array([len(each.where) for each in begun])
-        found[name] = rolled(programs, tracks, owner, logged), resampled([f"{k:05}" for k in owner], 0)
+    where, doing = Continuation(logs, STEP_S, phase_free=True).extend(logs, own, LENGTH - 1)
+    tracks = [Stretch(*pair) for pair in zip(where, doing, strict=True)]
+    found["beginning"] = rolled(programs, tracks, own, np.array(lengths)), resampled([f"{k:05}" for k in own], 0)
+    entered = enter(logs, STEP_S, entries=entries_of(len(logs)), length=LENGTH - 1)
+    tracks = [Stretch(*pair) for pair in zip(entered.where, entered.activity, strict=True)]
+    owner = entered.owner.tolist()
+    found["estimate"] = rolled(programs, tracks, owner, entered.logged), resampled([f"{k:05}" for k in owner], 0)
     at = np.arange(LENGTH - 1)
     turned = [(at + turn * lengths[k] // TURNS) % lengths[k] for turn in range(TURNS) for k in own]
     tracks = [Stretch(logs[k].where[at], logs[k].activity[at]) for at, k in zip(turned, own * TURNS, strict=True)]
     cycles = rolled(programs, tracks, own * TURNS, np.full(len(tracks), LENGTH))
-    found["circle"] = cycles, resampled([f"{k:05}" for k in own * TURNS], 0)
+    found["itself"] = cycles, resampled([f"{k:05}" for k in own * TURNS], 0)
     return found
 
 

@@ -47,8 +47,8 @@ def durations(work: Path, scene: str, slots: slice, executions: int) -> np.ndarr
     with threadpool_limits(limits=1, user_api="blas"):
         tracks = operator_tracks(cell.dataset, horizon_s=2.5 * length)
         found = transit_table(cell.model, tasks, tracks).durations(orders)
-    count = len(set(tracks.executions))
-    return found.reshape(len(orders), -1, count).mean(axis=1)  # entries of one execution come phase by phase
+    _, owner = np.unique(tracks.executions, return_inverse=True)
+    return np.array([np.bincount(owner, takes) for takes in found]) / np.bincount(owner)
 
 
 def lost(durations_s: np.ndarray, drawn: int, draws: int) -> dict[str, np.ndarray]:

@@ -106,7 +106,7 @@ def entered(logs: Sequence[np.ndarray], phases: int) -> np.ndarray:
     pool = [Stretch(np.zeros((len(log), 3)), log) for log in logs]
     begun = [
         Stretch(log.where[at:], log.activity[at:])
-        for at in _instants([len(log) for log in logs], phases)
+        for at in _instants([len(log) for log in logs])[:phases]
         for log in pool
     ]
     return continued(begun, pool, LENGTH)[1]

@@ -112,11 +112,12 @@ def train(
         noise_m=noise, target=target,
     )  # fmt: skip
     with terminal.progress("training") as progress:
-        how: dict[str, Any] = {"rules": model == "auto", "people": people, "engine": work, "progress": progress}
+        rules = model == "auto"
         if chosen is None:
-            models = {out: train_model(dataset, spec, out=out, **how)}
+            one = train_model(dataset, spec, out=out, rules=rules, people=people, engine=work, progress=progress)
+            models = {out: one}
         else:
-            models = train_seeds(dataset, chosen, out, spec, **how)
+            models = train_seeds(dataset, chosen, out, spec, rules=rules, people=people, engine=work, progress=progress)
     cards = {place: model.card for place, model in models.items()}
     terminal.warnings(list(dict.fromkeys(text for card in cards.values() for text in texts(card.warnings))))
     shown = {place: card.to_dict() for place, card in cards.items()}

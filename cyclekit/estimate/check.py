@@ -235,14 +235,12 @@ def check_rollout(
     longest_s = 3.0 * max(sum(nominal[task].nominal_s + nominal[task].dwell_s for task in s.tasks) for s in sequences)
     usual_s = min(ENOUGH * float(logged_durations(dataset, sequences).max()), longest_s)
     for until_s in (usual_s, longest_s):
-        entries = operator_tracks(dataset, horizon_s=until_s, model=model)
+        entries = operator_tracks(dataset, horizon_s=until_s, beginnings=True, model=model)
         sequences = _some([sequence for sequence in sequences if sequence.name in entries.executions], most)
         _enough(dataset, len(sequences))
         entries = only_tracks(entries, {sequence.name for sequence in sequences})
         tracks = beginnings(entries)
-        phases = range(len(entries.executions) // len(tracks.executions))
-        beside = beside_own(model, dataset, sequences, nominal, entries, phases=phases)
-        own = beside[0]
+        own, beginning, later = beside_own(model, dataset, sequences, nominal, entries)
         crossed = beside_others(model, dataset, sequences, nominal, tracks, seed=seed)
         if np.isfinite(own).all() and not np.isinf(crossed).any():
             break
@@ -264,7 +262,7 @@ def check_rollout(
     return replace(
         found,
         order_error=order_error(times, sequences, means, chance),
-        operator=operator_model([sequence.name for sequence in sequences], beside, entries),
+        operator=operator_model([sequence.name for sequence in sequences], beginning, later, entries),
         unseen_error=unseen_error,
         spread=spread,
     )

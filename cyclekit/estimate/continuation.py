@@ -19,7 +19,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.schema import Ints, Points, Vector
+    from cyclekit.schema import Floats, Ints, Points, Vector
 
 
 NEAR_M = 0.4
@@ -94,7 +94,7 @@ class Continuation:
             phase_free: The operator's habits do not begin with the cycle.
         """
         self._step_s = step_s
-        self._logs = logs = _Logs(tracks, step_s)
+        self._logs = logs = LoggedStates(tracks, step_s)
         self._kinds = 1 + int(logs.activity.max(initial=-1))
         lengths = logs.last + 1 - logs.first
         self._latest_s = 0.0 if phase_free or not len(lengths) else float(np.quantile(lengths, 0.5)) * step_s
@@ -170,7 +170,7 @@ class Continuation:
         """Return what is appended, splice by splice: each time to all tracks that are too short."""
         logs, rng, pieces = self._logs, np.random.default_rng(seed), []
         back = round(LONG_S / self._step_s)
-        ends = _Logs([Stretch(track.where[-back:], track.activity[-back:]) for track in begun], self._step_s)
+        ends = LoggedStates([Stretch(track.where[-back:], track.activity[-back:]) for track in begun], self._step_s)
         choices = _Choices(self, np.vstack([logs.states(logs.last, self._kinds), ends.states(ends.last, self._kinds)]))
         filled, spell, kind = (
             np.array([len(track.where) for track in begun]),
@@ -284,7 +284,7 @@ class _Choices:
         return np.asarray(instants[np.arange(len(instants)), which])
 
 
-class _Logs:
+class LoggedStates:
     """Tracks one behind the other.
 
     Attributes:
@@ -319,3 +319,12 @@ class _Logs:
         doing = (self.activity[at, None] == np.arange(kinds)) * (OTHER_TASK / np.sqrt(2.0))
         position = np.where(away[:, None], 0.0, xy)
         return np.hstack([position / NEAR_M, speed / NEAR_M_S, AWAY * away[:, None], doing])
+
+    def differences(self, ends: Ints, begins: Ints) -> Floats:
+        """Return how differently some tracks end and others begin, in units, shape (ends, begins)."""
+        kinds, soon = 1 + int(self.activity.max(initial=-1)), max(1, round(0.5 / self._step_s))
+        last, first = self.states(self.last[ends], kinds), self.states(self.first[begins], kinds)
+        later = self.states(np.minimum(self.first + soon, self.last)[begins], kinds)
+        first[:, 2:4] = later[:, 2:4]  # how fast he moves is known from there on
+        squares = (last**2).sum(axis=1)[:, None] + (first**2).sum(axis=1) - 2.0 * last @ first.T
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0)))

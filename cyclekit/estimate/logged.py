@@ -74,24 +74,35 @@ def beside_own(
     sequences: Sequence[TaskSequence],
     nominal: Mapping[str, NominalTask],
     tracks: OperatorTracks,
-    *,
-    phases: Sequence[int] = (0,),
-) -> Vector:
-    """Roll out each execution beside its own operator and with its own stands, shape (phases, E), s.
+) -> tuple[Vector, Vector, Vector]:
+    """Roll out each execution beside its own operator and with its own stands, from the beginning of his track.
 
-    `phases`: at which of its entries each operator is met; 0 is where the execution began.
+    Each track behind those (`beginnings`) is met by one of these executions, in turns: whose operator it is does not
+    matter.
+
+    Returns:
+        Durations from the beginnings, (E,), s; those as parts of the executions without safety loss, (E,); and so
+        those in turns, (K - beginnings,). One that does not end within the track has inf, its part the track's length.
     """
     programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
     by_execution = dataset.tasks().sort("execution", "index").group_by(["execution"], maintain_order=True)
     stands = {str(name): (rows["dwell_s"] + rows["wait_s"]).to_numpy() for (name,), rows in by_execution}
     own = [np.maximum(stands[sequence.name][: len(sequence.tasks)], 1e-3) for sequence in sequences]
-    own = [np.tile(stand, (len(phases), 1)) for stand in own]
-    begins, entries = np.array([tracks.executions.index(sequence.name) for sequence in sequences]), np.array(phases)
-    track = (begins[:, None] + len(set(tracks.executions)) * entries).ravel()
-    which = np.repeat(np.arange(len(programs)), len(phases))
+    begins = [tracks.executions.index(sequence.name) for sequence in sequences]
+    later = np.arange(len(set(tracks.executions)), len(tracks.executions))
+    which = np.append(np.arange(len(programs)), np.arange(len(later)) % len(programs))
+    order = np.argsort(which, kind="stable")
+    counts, track = np.bincount(which), np.append(begins, later).astype(np.int64)
+    drawn = [np.tile(stand, (count, 1)) for stand, count in zip(own, counts.tolist(), strict=True)]
     dynamics = Dynamics.of(dataset.card.dynamics, model)
-    walked = walk(model, programs, which, track, own, tracks, dynamics=dynamics, fine=True)
-    return walked.duration_s.reshape(len(programs), len(phases)).T
+    walked = walk(model, programs, which[order], track[order], drawn, tracks, dynamics=dynamics, fine=True)
+    free_s = [
+        sum(t.nominal_s for t in program.tasks) + stand.sum() for program, stand in zip(programs, own, strict=True)
+    ]
+    took_s = np.empty(len(which))
+    took_s[order] = walked.duration_s
+    part = np.minimum(took_s, tracks.step_s * tracks.xyz_m.shape[1]) / np.array(free_s)[which]
+    return took_s[: len(programs)], part[: len(programs)], part[len(programs) :]
 
 
 def beside_others(
@@ -121,7 +132,8 @@ def beside_others(
     apart = np.unique(np.linspace(1, count - 1, min(OTHERS, count - 1)).astype(np.int64))
     programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
     track = (own[:, None] + apart) % count
-    stands = [draw_stands(program, count, seed)[mine] for program, mine in zip(programs, track, strict=True)]
+    drawn: dict[tuple[str, int], Floats] = {}
+    stands = [draw_stands(program, count, seed, drawn)[mine] for program, mine in zip(programs, track, strict=True)]
     which = np.repeat(np.arange(len(programs)), len(apart))
     walked = walk(model, programs, which, track.ravel(), stands, tracks, dynamics=dynamics)
     crossed = np.full((len(programs), count), np.nan)

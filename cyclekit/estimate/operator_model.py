@@ -1,10 +1,10 @@
 """Does the operator model hinder the robot as much as the logged operators did? Logged executions tell.
 
-Where the operator may begin at any instant (`tracks.phase_is_free`), a cycle is rolled out beside operators who are
-entered later than at the beginning of their logs, and continued by others. That test looks at where operators are, and
-few executions tell little. What counts is the cycle time: each logged execution is rolled out beside its own operator
-from the beginning, and again from the later instants. An operator who starts with the cycle, or keeps time with it,
-gives other cycles then; his tracks are used as they were logged.
+Where the operator may begin at any instant (`tracks.phase_is_free`), a cycle is rolled out beside operators who enter
+the circles of their logs anywhere. That test looks at where operators are, and few executions tell little. What counts
+is the cycle time: logged executions are rolled out beside their own operators from the beginning, and in turns beside
+the tracks that enter anywhere. An operator who starts with the cycle, or keeps time with it, gives other cycles then;
+his tracks are used as they were logged.
 """
 
 from __future__ import annotations
@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.estimate.resample import TOGETHER, resampled
+from cyclekit.estimate.resample import TOGETHER, resampled, resampled_alike
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.schema import Vector
 
 CHANCE_Z = 2.6
 """So many standard errors between model and logged tracks are no chance (one in a hundred)."""
@@ -59,21 +58,21 @@ class OperatorModel:
         return {"bias": self.bias, "z": self.z, "as_logged": self.as_logged}
 
 
-def operator_model(names: Sequence[str], beside_s: NDArray[np.float64], tracks: OperatorTracks) -> OperatorModel | None:
+def operator_model(names: Sequence[str], own: Vector, later: Vector, tracks: OperatorTracks) -> OperatorModel | None:
     """Compare; None where the model enters tracks at their beginning alone.
 
     Args:
         names: The logged executions.
-        beside_s: How long each takes beside its own operator from the beginning and from each later entry, shape
-            (entries, E), s; inf: not within the track.
-        tracks: Of these executions.
+        own: How long each takes beside its own operator from the beginning, as part of it without safety loss, shape
+            (E,).
+        later: How long they take in turns beside the later tracks, so too, shape (K - beginnings,).
+        tracks: Of these executions, the beginnings first.
     """
-    if len(beside_s) == 1:
+    if not len(later):
         return None
-    longest_s = tracks.step_s * tracks.xyz_m.shape[1]  # a cycle that does not end takes at least so long
-    own_s, later_s = beside_s[0], np.minimum(beside_s[1:], longest_s).mean(axis=0)
-    known = np.isfinite(own_s)
-    off_s = later_s[known] - own_s[known]
-    weights = resampled([str(name) for name in np.array(names)[known]], 0, together=TOGETHER if tracks.runs_on else 1)
-    error_s = float((weights @ off_s).std())
-    return OperatorModel(float(off_s.mean() / own_s[known].mean()), float(off_s.mean()) / max(error_s, 1e-9))
+    entered, together = tracks.executions[-len(later) :], TOGETHER if tracks.runs_on else 1
+    weights = resampled_alike(entered, names, 0, together=together)
+    means = weights @ own / np.maximum(weights.sum(axis=1), 1e-9)
+    error = float((resampled(entered, 0, together=together) @ later - means).std())
+    off = float(later.mean() - own.mean())
+    return OperatorModel(off / float(own.mean()), off / max(error, 1e-9))

@@ -85,16 +85,20 @@ def _tasks_from(task: str, nominal: Mapping[str, NominalTask]) -> str:
     return ", ".join(known[:8]) + (" …" if len(known) > 8 else "")
 
 
-def draw_stands(program: Program, count: int, seed: int) -> Floats:
+def draw_stands(program: Program, count: int, seed: int, known: dict[tuple[str, int], Floats] | None = None) -> Floats:
     """Return a stand per cycle and task, shape (count, tasks), seconds: the logged stands, spread evenly and shuffled.
 
     A robot that is starved of parts now and then has cycles that differ by that alone; mean stands would hide it. A
     task draws the same stands in every program, the second time in a program others than the first: programs that are
-    compared meet the same luck.
+    compared meet the same luck. `known`: where programs of the same tasks keep what was drawn for each other.
     """
+    known = {} if known is None else known
     drawn, times = [], Counter[str]()
     for task in program.tasks:
-        drawn.append(stands_of(task, count, seed, times[task.task]))
+        key = task.task, times[task.task]
+        if key not in known:
+            known[key] = stands_of(task, count, seed, key[1])
+        drawn.append(known[key])
         times[task.task] += 1
     return np.column_stack(drawn)
 

@@ -1,11 +1,11 @@
 """Logged operator tracks, long enough for any cycle that is rolled out against them.
 
-A track begins where its execution began. An operator who comes and goes as he likes, whatever the robot does, is
-entered at more phases of each execution as well, so long after its beginning each: a cycle may begin at any of them.
+A track begins where its execution began. Of an operator who comes and goes as he likes, whatever the robot does, all
+logs are joined to `circles` and entered at even steps: a cycle may begin at any instant of them.
 
 Where a cycle takes longer than the logged one, the track goes on: with what the operator really did next, if the log
-runs on; else with a stretch of another track that begins in the same state (`continuation`), again and again, so that
-a cycle may be of any length.
+runs on; else with the log that its circle goes on with, or where the operator starts with the cycle with a stretch of
+another track that begins in the same state (`continuation`), again and again, so that a cycle may be of any length.
 
 Where the operator was hidden for a moment he was still there: his way is drawn straight from where he was last seen to
 where he was seen again. Only where he was away is nobody there.
@@ -20,6 +20,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import DatasetError, EstimateError
+from cyclekit.estimate.circles import Entered, enter
 from cyclekit.estimate.continuation import Continuation, Stretch
 from cyclekit.estimate.courses import continued
 from cyclekit.estimate.safety import OnStates
@@ -35,10 +36,14 @@ if TYPE_CHECKING:
 
 RUN_ON_S = 5.0
 """The next execution of a session goes on with the same operator if it begins within this time."""
+ENTRIES, LEAST_ENTRIES = 8, 4
+"""Tracks for each execution in the mean, where the operator's habits do not begin with it and logs form circles; and"""
+MANY = 320
+"""... no fewer than the latter where these are more than MANY."""
 PHASES = 4
-"""Phases of each execution at which a track is entered, where the operator's habits do not begin with it,"""
+"""Instants of each execution at which a course of states is entered then,"""
 SHORTEST = 0.1
-"""... spread over the length of the shortest tracks: no more than this part of them are shorter."""
+"""... spread over the length of the shortest ones: no more than this part of them are shorter."""
 SAME_SPREAD = 1.65
 """Where starts are like any other instant, the operator's spread at them is within this ratio of that at all times,"""
 SURE_Z = 3.5
@@ -78,6 +83,11 @@ class OperatorTracks:
     runs_on: bool = False
     state: NDArray[np.float64] | None = None
 
+    @property
+    def on_circles(self) -> bool:
+        """Whether the tracks enter circles: at each time of a cycle every second of the logs is then met alike."""
+        return len(self.executions) > len(set(self.executions))
+
 
 @dataclass(frozen=True)
 class LoggedTrack:
@@ -104,6 +114,7 @@ def operator_tracks(
     horizon_s: float,
     operator: Sequence[str] | None = None,
     phases: int | None = None,
+    beginnings: bool = False,
     goals: bool = False,
     model: SafetyModel | None = None,
 ) -> OperatorTracks:
@@ -116,8 +127,10 @@ def operator_tracks(
         dataset: Where they were logged.
         horizon_s: Longest cycle that will be asked for.
         operator: Only executions in which the operator's tasks begin in this order.
-        phases: Entries per execution; None: PHASES where `phase_is_free` and no order is asked for, else 1. The first
-            entry of each execution is its beginning, and those come first, in the order of the executions.
+        phases: 1: each execution from its beginning. None: so too, but where `phase_is_free` and no order is asked for
+            tracks enter the logs as circles, and courses of states at PHASES instants of each log.
+        beginnings: Put the executions from their beginnings before the tracks that enter circles. Of states they come
+            first anyway, in the order of the executions.
         goals: Also return g_h.
         model: Whom the tracks are for; one of states gets these in place of positions.
 
@@ -141,39 +154,74 @@ def operator_tracks(
         raise EstimateError(seen, cure="Ingest the tracker's log together with the robot's.")
     if operator is not None:
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
-    free = _is_free(tracks)
-    if phases is None:
-        phases = PHASES if operator is None and free else 1
-    after = _after(dataset)
-    ran_on = {name: _run_on(tracks, [name, *after[name]], step) for name in begins}
-    length = int(np.ceil(horizon_s / step)) + 2
-    instants = _instants([len(tracks[name].where) for name in begins], phases)
-    entries = [(name, min(at, len(tracks[name].where) - 1)) for at in instants for name in begins]
-    streams = [Stretch(ran_on[name][0].where[at:], ran_on[name][0].activity[at:]) for name, at in entries]
-    followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
-    pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
-    if on_states and free:
-        where, activity = continued(streams, pool, length)
-    else:
-        where, activity = Continuation(pool, step, phase_free=free).extend(
-            streams, [followed.get(ran_on[name][1], -1) for name, _ in entries], length
-        )
-    logged = np.array([len(stream.where) for stream in streams])
-    executions = tuple(name for name, _ in entries)
+    free, length = _is_free(tracks), int(np.ceil(horizon_s / step)) + 2
+    after, wanted = _after(dataset), {name: tracks[name] for name in begins}
+    anywhere = operator is None and free and phases is None
+    parts = [_on_circles(wanted, after, step, length)] if anywhere and not on_states else []
+    if beginnings or not parts:
+        instants = _instants([len(track.where) for track in wanted.values()]) if anywhere and on_states else [0]
+        parts.insert(0, _continued(tracks, begins, after, step, length, instants, states=on_states and free, free=free))
+    entered = parts[0] if len(parts) == 1 else Entered(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    where, activity, owner, logged = entered
+    executions = tuple(begins[k] for k in owner.tolist())
     goal_m, state = (where[..., 3:] if wanted else None for wanted in (goals, on_states))
     return OperatorTracks(
         where[..., :3], activity, tuple(names), logged, executions, step, goal_m, free, _runs_on(dataset), state
     )
 
 
-def _instants(lengths: Sequence[int], phases: int) -> list[int]:
-    """Return the samples at which tracks of these lengths are entered, the same for all.
+def _on_circles(tracks: dict[str, LoggedTrack], after: dict[str, list[str]], step: float, length: int) -> Entered:
+    """Return these tracks, joined to circles and entered at even steps; who went on is not joined to another."""
+    number = {name: k for k, name in enumerate(tracks)}
+    logs, really = [], {}
+    for name, track in tracks.items():
+        log, following = Stretch(track.where, track.activity), next(iter(after[name]), "")
+        if following in tracks and tracks[following].begin_s - track.end_s <= RUN_ON_S:
+            really[number[name]] = number[following]
+            log = _until(log, track.end_s, tracks[following], step)
+        logs.append(log)
+    return enter(logs, step, entries=entries_of(len(logs)), length=length, after=really)
 
-    At a part of its own length each track would be entered as often as any other. But an execution is long where the
+
+def entries_of(executions: int) -> int:
+    """Return how many tracks enter the circles of so many logs."""
+    return max(LEAST_ENTRIES * executions, min(ENTRIES * executions, MANY))
+
+
+def _continued(
+    tracks: dict[str, LoggedTrack],
+    begins: list[str],
+    after: dict[str, list[str]],
+    step: float,
+    length: int,
+    instants: Sequence[int],
+    *,
+    states: bool,
+    free: bool,
+) -> Entered:
+    """Return executions from these samples on, continued with stretches of others."""
+    ran_on = [_run_on(tracks, [name, *after[name]], step) for name in begins]
+    entries = [(number, min(at, len(tracks[name].where) - 1)) for at in instants for number, name in enumerate(begins)]
+    streams = [Stretch(ran_on[k][0].where[at:], ran_on[k][0].activity[at:]) for k, at in entries]
+    followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
+    pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
+    if states:
+        where, activity = continued(streams, pool, length)
+    else:
+        owners = [followed.get(ran_on[k][1], -1) for k, _ in entries]
+        where, activity = Continuation(pool, step, phase_free=free).extend(streams, owners, length)
+    owner, logged = np.array([k for k, _ in entries]), np.array([len(stream.where) for stream in streams])
+    return Entered(where, activity, owner, logged)
+
+
+def _instants(lengths: Sequence[int]) -> list[int]:
+    """Return the samples at which courses of these lengths are entered, the same for all.
+
+    At a part of its own length each would be entered as often as any other. But an execution is long where the
     operator was in the way: such times would be entered more seldom than they come.
     """
     within = int(np.quantile(lengths, SHORTEST, method="lower"))
-    return [within * phase // phases for phase in range(phases)]
+    return [within * phase // PHASES for phase in range(PHASES)]
 
 
 def _runs_on(dataset: Dataset) -> bool:
@@ -332,14 +380,19 @@ def _after(dataset: Dataset) -> dict[str, list[str]]:
 def _run_on(tracks: dict[str, LoggedTrack], names: list[str], step: float) -> tuple[Stretch, str]:
     """The track of the first of these executions, and of those that follow it without a longer pause; the last one."""
     name, *others = names
-    end, parts, doing = tracks[name].end_s, [tracks[name].where], [tracks[name].activity]
+    end_s, parts = tracks[name].end_s, [Stretch(tracks[name].where, tracks[name].activity)]
     for following in others:
-        if following not in tracks or tracks[following].begin_s - end > RUN_ON_S:
+        if following not in tracks or tracks[following].begin_s - end_s > RUN_ON_S:
             break
         after = tracks[following]
-        pause = max(0, round((after.begin_s - end) / step) - 1)
-        weight = (np.arange(1, pause + 1) / (pause + 1))[:, None]
-        parts += [parts[-1][-1] * (1 - weight) + after.where[0] * weight, after.where]
-        doing += [np.full(pause, doing[-1][-1]), after.activity]
-        end, name = after.end_s, following
-    return Stretch(np.concatenate(parts), np.concatenate(doing)), name
+        parts = [*parts[:-1], _until(parts[-1], end_s, after, step), Stretch(after.where, after.activity)]
+        end_s, name = after.end_s, following
+    return Stretch(*(np.concatenate([getattr(part, of) for part in parts]) for of in ("where", "activity"))), name
+
+
+def _until(log: Stretch, end_s: float, following: LoggedTrack, step: float) -> Stretch:
+    """Return a log that ends then, and the pause until the next one begins: straight there, at the same task."""
+    pause = max(0, round((following.begin_s - end_s) / step) - 1)
+    weight = (np.arange(1, pause + 1) / (pause + 1))[:, None]
+    way = log.where[-1] * (1 - weight) + following.where[0] * weight
+    return Stretch(np.concatenate([log.where, way]), np.append(log.activity, np.full(pause, log.activity[-1])))

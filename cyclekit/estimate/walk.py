@@ -101,10 +101,11 @@ def roll_all(
 ) -> Iterator[Rolled]:
     """Walk every track beside every program, as many programs at once as `ROWS` allows; yield them in order."""
     count = len(tracks.executions)
+    drawn: dict[tuple[str, int], Floats] = {}
     at_once = max(1, ROWS // count)
     for first in range(0, len(programs), at_once):
         some = programs[first : first + at_once]
-        stands = [draw_stands(program, count, seed) for program in some]
+        stands = [draw_stands(program, count, seed, drawn) for program in some]
         track = np.tile(np.arange(count), len(some))
         walked = walk(model, some, np.repeat(np.arange(len(some)), count), track, stands, tracks, support, dynamics)
         for number, (program, stand) in enumerate(zip(some, stands, strict=True)):

@@ -18,7 +18,7 @@ from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.ranked import ranked
 from cyclekit.estimate.rollout import estimate as estimate_validated
-from cyclekit.estimate.tracks import operator_tracks, phase_is_free
+from cyclekit.estimate.tracks import ENTRIES, operator_tracks, phase_is_free
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import Rolled, roll_all, roll_out
 
@@ -147,12 +147,14 @@ def test_an_operator_who_roams_is_entered_at_any_phase_and_one_who_begins_with_t
     found = hand_made({"a": ([0.0] * 13, way)})
     assert phase_is_free(found)
     tracks = operator_tracks(found, horizon_s=6.0)
-    count = len(set(tracks.executions))
-    assert len(tracks.executions) == 4 * count
-    assert tracks.executions[:count] == tuple(found.executions["execution"])
-    samples = found.samples([tracks.executions[0]])
-    later = samples["human_x_m"].to_numpy()[len(samples) // 4 :]
-    np.testing.assert_allclose(tracks.xyz_m[count, : len(later), 0], later[: tracks.xyz_m.shape[1]])
+    count = found.executions.height
+    assert len(tracks.executions) == ENTRIES * count
+    assert set(tracks.executions) == set(found.executions["execution"])
+    at_s = found.executions["start_s"][0] + np.arange(60) / 10  # the log runs on, and so does he
+    x_m = np.interp(at_s, list(way), [x for x, _ in way.values()])
+    # behind the second that leads there from where the last log ended
+    np.testing.assert_allclose(tracks.xyz_m[0, 10:60, 0], x_m[10:], atol=0.02)
+    assert (tracks.logged > 60).sum() > count
     assert replace(tracks, logged=tracks.logged).step_s == pytest.approx(0.1)
 
 

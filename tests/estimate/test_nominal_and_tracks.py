@@ -122,17 +122,6 @@ def test_a_short_track_goes_on_as_another_that_was_near_did_and_not_by_standing_
     assert x[-1] == pytest.approx(4.0)  # as the one beside him did, and not the one far away
 
 
-def test_tracks_are_entered_at_the_same_instants_however_long_their_executions_were(hand_made: Any):
-    """An operator in the way makes an execution long: at a part of its length he would be met too seldom."""
-    walk = {0.0: (2.0, 0.0), 40.0: (6.0, 0.0)}
-    found = hand_made({"free": ([0.0], walk), "held": ([20.0], walk)})
-    tracks = operator_tracks(found, horizon_s=3.0, phases=4)
-    assert len(tracks.executions) == 8
-    begins = tracks.xyz_m[:, 0, 0].reshape(4, 2)
-    assert (np.diff(begins, axis=0) > 0.05).all()
-    np.testing.assert_allclose(begins[:, 0], begins[:, 1], atol=0.02)
-
-
 def test_where_the_log_runs_on_the_track_is_what_the_operator_really_did_next(hand_made: Any):
     found = hand_made({"a": ([0.0] * 4, {0.0: (2.0, 0.0), 25.0: (7.0, 0.0)})})
     assert found.executions.height == 4

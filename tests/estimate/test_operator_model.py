@@ -12,7 +12,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.rollout import estimate
-from cyclekit.estimate.tracks import PHASES, LoggedTrack, _is_free, phase_is_free
+from cyclekit.estimate.tracks import ENTRIES, LoggedTrack, _is_free, phase_is_free
 from cyclekit.estimate.whatif import Change, what_if
 
 AND_BACK = TaskSequence("and back", ("place_1", "place_2", "place_1"))
@@ -52,7 +52,7 @@ def test_where_the_model_gives_other_cycles_than_the_logged_tracks_these_are_use
     assert "logged tracks are used from their beginning" in "".join(found.warnings)
     unchecked = replace(found.check, operator=replace(found.check.operator, z=0.0))
     (model,) = estimate(staircase, following, [AND_BACK], check=unchecked)
-    assert model.tracks == PHASES * EXECUTIONS
+    assert model.tracks == ENTRIES * EXECUTIONS
     assert model.safety_loss_s > 0.2
     assert "logged tracks" not in "".join(model.warnings)
 
@@ -77,7 +77,7 @@ def test_an_operator_who_keeps_no_time_with_the_cycle_is_entered_at_any_instant(
     assert found.check is not None
     assert found.check.operator is not None
     assert not found.check.operator.as_logged
-    assert found.tracks == PHASES * EXECUTIONS
+    assert found.tracks == ENTRIES * EXECUTIONS
     assert "logged tracks" not in "".join(found.warnings)
 
 

@@ -90,7 +90,12 @@ def tables_of(page: PageInputs, model: SafetyModel) -> tuple[dict[str, Any], Arr
         "sequences": [{"name": each.name, "places": list(each.places)} for each in shown],
         "labels": {name: dataset.label(name) for name in dataset.places},
         "takt_s": page.takt_s,
-        "tracks": {"count": len(tracks.executions), "step_s": tracks.step_s, "logged": tracks.logged.tolist()},
+        "tracks": {
+            "count": len(tracks.executions),
+            "step_s": tracks.step_s,
+            "logged": tracks.logged.tolist(),
+            "circles": tracks.on_circles,
+        },
         "dynamics": vars(dynamics),
         "step": {"coarse_s": TIME_STEP_S, "fine_s": FINE_STEP_S, "support_s": SUPPORT_EVERY_S, "nominal_s": STEP_S},
         "follows": not at_once(model, dynamics),

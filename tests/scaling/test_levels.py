@@ -140,3 +140,15 @@ def test_a_labelled_value_has_no_nearer_level_and_an_unlabelled_one_none_within_
             assert min(distances) > 0.1 - 1e-12
         else:
             assert distances[found] <= min(distances) + 1e-12
+
+
+def test_pieces_of_slow_ramps_that_stand_for_a_moment_are_no_levels_and_a_level_held_once_is():
+    unseen = np.full(6, np.nan)  # near a standstill an inferred scaling is unknown, and coarse before and behind it
+    turns = []
+    for turn in range(12):
+        value = (0.06, 0.13, 0.095)[turn % 3]
+        seen = np.concatenate([unseen, np.full(5, value), np.arange(value + 0.01, 0.3, 0.01)])
+        turns += [np.full(20, 0.0), seen, np.full(25, 0.3), np.arange(0.3, 1.0, 0.01), np.full(30, 1.0)]
+    once = [np.arange(0.0, 0.5, 0.01), np.full(25, 0.5), np.arange(0.5, 1.0, 0.01), np.full(30, 1.0)]
+    scaling = np.concatenate([*turns, *once])
+    assert_array_equal(np.round(find_staircase(scaling).levels, 2), [0.0, 0.3, 0.5, 1.0])

@@ -14,6 +14,8 @@ from sklearn.cluster import DBSCAN
 from cyclekit.dataset.cards import texts
 from cyclekit.errors import ShapeError
 from cyclekit.scaling.levels import dbscan_1d, find_staircase, label
+from cyclekit.scaling.levels.clusters import of_plateaus
+from cyclekit.scaling.levels.plateaus import Plateaus
 
 LEVELS = [0.0, 0.25, 0.5, 0.75, 1.0]
 
@@ -140,3 +142,22 @@ def test_a_labelled_value_has_no_nearer_level_and_an_unlabelled_one_none_within_
             assert min(distances) > 0.1 - 1e-12
         else:
             assert distances[found] <= min(distances) + 1e-12
+
+
+@pytest.mark.parametrize(("on_ramp", "levels"), [(200, [0.0, 0.3, 0.5, 1.0]), (0, [0.0, 0.13, 0.3, 0.5, 1.0])])
+def test_beside_slow_ramps_a_level_is_what_is_held_for_a_second_at_once(on_ramp: int, levels: list[float]):
+    held = [
+        (0.0, 5),
+        (0.0, 6),
+        (0.13, 4),
+        (0.3, 40),
+        (0.13, 5),
+        (1.0, 6),
+        (0.13, 4),
+        (0.5, 12),
+        (1.0, 8),
+    ]  # value, samples
+    value, count = np.array([one for one, _ in held]), np.array([many for _, many in held])
+    end = np.cumsum(count + 5)
+    found = of_plateaus(Plateaus(end - count, end, value, 0.001, on_ramp), value, 0.01, 10)
+    assert_array_equal(np.round(found.value, 2), levels)

@@ -50,6 +50,8 @@ def by_kmeans(values: Vector, eps: float, min_samples: int) -> Ints:
 
 FINDERS: dict[str, Callable[[Vector, float, int], Ints]] = {"dbscan": by_density, "kmeans-silhouette": by_kmeans}
 """Ways to find levels in values without their order in time, by name: a line each makes one known to `--method`."""
+RAMPS = 0.1
+"""Slow ramps count where they last for so much of the time on plateaus."""
 
 
 @dataclass(frozen=True)
@@ -85,11 +87,27 @@ def of_plateaus(plateaus: Plateaus, value: Vector, eps: float, min_samples: int)
         plateaus: K of them.
         value: Their values, shape (K,): `plateaus.value`, or that without the operator's slider.
         eps: Values this near to each other are one level; see `usual_eps`.
-        min_samples: Samples that make a level.
+        min_samples: Samples that make a level; beside slow ramps at once, else all plateaus together.
     """
     weight = plateaus.samples.astype(np.float64)
     cluster = dbscan_1d(value, eps=eps, min_samples=min_samples, weight=weight)
+    if plateaus.on_ramp > RAMPS * weight.sum():
+        cluster = _held_at_once(value, cluster, weight, min_samples)
     return _clusters(value, cluster, weight, eps, plateaus.noise)
+
+
+def _held_at_once(value: Vector, cluster: Ints, weight: Vector, least: int) -> Ints:
+    """Return clusters of plateaus, shape (K,), without those between others that no plateau holds for long enough.
+
+    Beside slow ramps these are pieces of ramps: an inferred scaling may stand still for a moment on its way.
+    """
+    ends = value[cluster >= 0].min(initial=np.inf), value[cluster >= 0].max(initial=-np.inf)
+    kept = cluster.copy()
+    for one in np.unique(cluster[cluster >= 0]):
+        mine = cluster == one
+        if weight[mine].max() < least and not np.isin(ends, value[mine]).any():
+            kept[mine] = -1
+    return kept
 
 
 def cluster_values(values: Vector, method: str, eps: float | None, min_samples: int, noise: float) -> Cluster:

@@ -6,7 +6,7 @@ any logs. A second is named rightly where the table of tasks gives it to its cau
 it gives it to another cause, and else it is not known. With inferred scaling some motions are never seen at full speed:
 their lost seconds stay unknown.
 
-The method was chosen on box-picking with seed 3, laser-zones with seeds 5 and 6 and scanner-visits with seed 4.
+The method was chosen on box-picking with seed 3, laser-zones with seeds 5 to 7 and scanner-visits with seed 4.
 
     python benchmarks/causes.py --work DIR --executions 40 --seeds 11 12
 """

@@ -132,6 +132,7 @@ def responses(asked: argparse.Namespace, work: Path) -> None:
                 given = replace(given, robot_rate_hz=asked.log_rate)
                 if not logs.is_dir():
                     simulate(scene, logs, executions=asked.executions, seed=asked.seed, options=given)
+                response: SafetyResponse | DynamicsCard
                 for rate_hz in asked.rates:
                     if asked.inferred:
                         levels, response = inferred(logs, rate_hz or None)

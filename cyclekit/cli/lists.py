@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _AT = {"leave": "at", "approach": "before"}
 _FEW_ROWS = (
     "the log has fewer than 3 rows in a ramp between levels; simulated ramps of 500 % per second, logged at 10 Hz, "
-    "were read 3 to 27 % too steep. Log at a higher rate."
+    "were read 24 % too slow to 15 % too steep. Log at a higher rate."
 )
 Z95 = 1.96
 SHOWN_AGENTS, SHOWN_TASKS, SHOWN_VALUES = 12, 24, 6

@@ -210,9 +210,9 @@ def scalings_after_halts(scaling: Sequence[NDArray[np.floating[Any]]]) -> AfterH
     """
     levels = find_staircase(np.concatenate([values[::SPARSE] for values in scaling] or [np.empty(0)])).levels
     moving = [float(level) for level in levels if level > HALTED]
-    found: list[NDArray[np.floating[Any]]] = [np.empty(0)]
+    found: list[Vector] = [np.empty(0)]
     for values in scaling:
         ends = np.flatnonzero((values[:-AFTER] <= HALTED) & (values[1 : 1 - AFTER or None] > HALTED)) + AFTER
-        found.append(values[ends])
+        found.append(values[ends].astype(np.float64))
     after = np.concatenate(found)
     return AfterHalts(after[after > HALTED], moving[0] if len(moving) > 1 else 1.0)

@@ -18,7 +18,10 @@ from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.scaling.infer.override import _goes as goes
-from cyclekit.scaling.of_runs import AfterHalts, scalings_after_halts
+from cyclekit.scaling.of_runs import AfterHalts, halts_at_places, scalings_after_halts
+from cyclekit.segmentation.arrivals import Stand
+from cyclekit.segmentation.executions import Execution, Visit
+from cyclekit.segmentation.motion import RobotRun
 
 if TYPE_CHECKING:
     from simulated_cells import Cells, SimulatedCell
@@ -139,3 +142,15 @@ def test_what_follows_halts_in_mid_motion_is_looked_up_past_their_edge():
     found = scalings_after_halts([motion, np.ones(400), np.zeros(3)])
     assert found.scaling.tolist() == [0.5]
     assert found.lowest == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize(("left_s", "halted_s"), [(5.5, 5.5), (10.9, 0.0)])
+def test_a_robot_that_left_and_is_not_seen_to_move_is_halted(left_s: float, halted_s: float):
+    """It stands from 5 s, and is seen to move at 11 s."""
+    t_s = np.arange(200) / 10.0
+    run = RobotRun(t_s, np.zeros((200, 3)), np.zeros(200), np.full(200, np.nan), is_inferred=True)
+    visits = tuple(Visit(place, row, last) for place, row, last in (("a", 0, 20), ("b", 50, 110), ("c", 180, 199)))
+    stands = {(0, visit.first, visit.last): Stand(5.0, 5.0, left_s, left_s) for visit in visits}
+    (found,) = halts_at_places([run], [Execution(0, visits, complete=True)], stands, AfterHalts(np.empty(0), 1.0))
+    assert sum(len(part.scaling) for part in found) == pytest.approx(10.0 * halted_s + bool(halted_s))
+    assert all((part.scaling == 0.0).all() for part in found)

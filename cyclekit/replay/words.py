@@ -123,8 +123,8 @@ def summary(run: ReplayedExecution) -> str:
     if found:
         worst = sorted(found, key=lambda each: -each.lost_s)[:4]
         head.append("**Where the time went**")
-        for each in worst:
-            head.append(f"- **{each.lost_s:.1f} s** at {_clock(each.start_s)}: {markdown(_why(run, each))}")
+        lines = ((each, markdown(_why(run, each))) for each in worst)
+        head.extend(f"- **{each.lost_s:.1f} s** at {_clock(each.start_s)}: {text}" for each, text in lines)
     head.extend(f"- *{markdown(note)}*" for note in run.notes)
     if run.gaps:
         head.append(f"- *{len(run.gaps)} gap(s) in the log, left empty here.*")

@@ -86,6 +86,8 @@ def load_sequences(path: Path) -> list[TaskSequence]:
     Raises:
         ConfigError: The file cannot be read, holds no sequence, or a sequence is not one.
     """
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file", cure=_EXAMPLE)
     raw = read_toml(path)
     entries = list_at(str(path), raw, "sequence")
     if not entries and not set(raw) - {"sequence"}:

@@ -41,8 +41,6 @@ IDLE = "seconds: motion at full speed + slow-down for safety + dwell + wait"
 UNTIL_DONE = " + idle until the operator is done = expected"
 DOUBTED = "* "
 SPLIT_HEADS = ["motion", "safety", "dwell", "wait"]
-OF_STATES = ("signals ", "hidden state ")
-"""How states that stand in place of the operator's activity begin."""
 LEAST_WAIT_S = 0.2
 """A shorter wait between two tasks has no cause worth a word."""
 _SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
@@ -241,6 +239,8 @@ def judged(check: Check) -> str:
 
 def loses_most(found: Sequence[CycleEstimate]) -> str:
     """Return where each sequence loses most to safety: at which task, and while the operator does what."""
+    from cyclekit.estimate.result import OF_STATES
+
     lines = []
     for entry in found:
         if entry.costliest_task is None:

@@ -86,7 +86,12 @@ def load_sequences(path: Path) -> list[TaskSequence]:
     Raises:
         ConfigError: The file cannot be read, holds no sequence, or a sequence is not one.
     """
-    raw = read_toml(path)
+    try:
+        raw = read_toml(path)
+    except ConfigError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            raise ConfigError(f"{path}: no such file", cure=_EXAMPLE) from error
+        raise
     entries = list_at(str(path), raw, "sequence")
     if not entries and not set(raw) - {"sequence"}:
         raise ConfigError(f"{path}: no [[sequence]] in it", cure=_EXAMPLE)

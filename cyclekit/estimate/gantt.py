@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
-from cyclekit.estimate.result import AWAY, ELSEWHERE, CycleEstimate, PlannedShare, TaskShare
+from cyclekit.estimate.result import AWAY, ELSEWHERE, OF_STATES, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.plots import colours
 from cyclekit.plots.gantt import Arrow, Bar, BarLabel, Block, Layer, TaskEnds, draw_gantt
 from cyclekit.text.numbers import whole_percent
@@ -69,7 +69,8 @@ def legend_of(found: Sequence[CycleEstimate], takt_s: float | None = None) -> di
         legend |= {whole_percent(speed): colours.scaling_hex(speed) for speed in others}
     known = {_DWELL: colours.DWELL, _WAIT: colours.WAIT, _OPERATOR: colours.OPERATOR}
     legend |= {text: colour for text, colour in known.items() if colour in drawn}
-    legend |= {f"operator at {name}": colour for name, colour in _operator_colours(found).items() if name != AWAY}
+    known = {name: colour for name, colour in _operator_colours(found).items() if name != AWAY}
+    legend |= {name if name.startswith(OF_STATES) else f"operator at {name}": known[name] for name in known}
     return legend | ({f"{_TAKT} {takt_s:g} s": colours.SCALING_ANCHORS[0][1]} if takt_s is not None else {})
 
 
@@ -233,9 +234,10 @@ def _layers(each: CycleEstimate, tints: Mapping[str, str]) -> tuple[Layer, ...]:
     merged = {name: parts for name, parts in families.items() if name in tints}
     if rest:
         merged[_REST] = tuple(map(sum, zip(*rest, strict=True)))
-    said = "operator at or on the way to"
+    said = {name: "" if name.startswith(OF_STATES) else "operator at or on the way to " for name in merged}
+    part = {name: f"{whole_percent(_mean(parts))} of the time" for name, parts in merged.items()}
     return tuple(
-        Layer(merged[name], each.expected_s, tint, f"{said} {name}: {whole_percent(_mean(merged[name]))} of the time")
+        Layer(merged[name], each.expected_s, tint, f"{said[name]}{name}: {part[name]}")
         for name, tint in tints.items()
         if name in merged
     )

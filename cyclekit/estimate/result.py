@@ -24,6 +24,8 @@ PARTS = 50
 """In so many parts of the cycle it is told what the operator does."""
 AWAY, ELSEWHERE = "away", "elsewhere"
 """What he does where he is not there, and where it is not known at which of his tasks he is."""
+OF_STATES = ("signals ", "no signal of people", "hidden state ")
+"""What he does begins with one of these where he is known by states: then it is no place."""
 MOST = 0.5
 """A share is called most of something only above this part of it; the largest of several may be far less."""
 

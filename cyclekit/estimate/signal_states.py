@@ -73,7 +73,7 @@ class SignalStates:
     def limits(self) -> tuple[str, ...]:
         """What limits every number from it."""
         names = ", ".join(one.name for one in self.card.operator_signals)
-        return (f"people are known by signals alone ({names}), and positions of people are not",)
+        return (f"people are known by signals alone ({names}), positions of people are not known",)
 
     @property
     def states(self) -> tuple[str, ...]:

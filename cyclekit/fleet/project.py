@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.estimate import estimate_cycles
 from cyclekit.api.init import first_sequences
+from cyclekit.api.report import write_report
 from cyclekit.api.train import train_task_times
 from cyclekit.config.project import PROJECT_FILE, Project, load_project
 from cyclekit.config.sequences import load_sequences
@@ -35,12 +36,15 @@ from cyclekit.fleet.stages import (
 )
 from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.task_times.saved import TaskTimesModel, holds_task_times, load_task_times
-from cyclekit.storage.remote.folders import join
+from cyclekit.learning.unseen.saved import holds_unseen, load_unseen
+from cyclekit.storage.remote.folders import is_url, join
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from cyclekit.api.report import Looks
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.dataset.guard import Kind
+    from cyclekit.learning.unseen.model import UnseenOperator
 
 LEDGER = "cyclekit.json"
 _SHOWN = 3
@@ -163,14 +167,20 @@ def _project(work: CellAtWork) -> Project:
 def _train(work: CellAtWork) -> tuple[State, str]:
     """Learn the safety function, or of task lists alone the times of tasks."""
     cell, dataset = work.cell, dataset_of(work.cell)
-    if dataset is None or not dataset.holds_task_lists_alone:
+    if dataset is None:
         return STAGES["train"](work)
-    mark = mark_of(dataset)
-    if work.ledger.marks.get("train") == mark and _model(cell) is not None:
-        return "unchanged", "learned from these task lists"
-    found = train_task_times(dataset, out=cell.model, progress=work.tell)
+    lists, mark = dataset.holds_task_lists_alone, mark_of(dataset)
+    known = holds_task_times(cell.model) if lists else holds_unseen(cell.model)
+    if known and work.ledger.marks.get("train") == mark and _model(cell) is not None:
+        return "unchanged", f"learned from these {'task lists' if lists else 'logs'}"
+    if lists:
+        found = train_task_times(dataset, out=cell.model, progress=work.tell)
+        done: tuple[State, str]
+        done = "done", f"times of {len(found.card.tasks)} tasks from {found.card.executions} executions"
+    else:
+        done = STAGES["train"](work)
     work.ledger = replace(work.ledger, marks={**work.ledger.marks, "train": mark})
-    return "done", f"times of {len(found.card.tasks)} tasks from {found.card.executions} executions"
+    return done
 
 
 def _estimate(work: CellAtWork) -> tuple[State, str]:
@@ -198,11 +208,29 @@ def _report(work: CellAtWork) -> tuple[State, str]:
     done = work.ledger.stages.get("estimate")
     if done is None or done.state in ("failed", "skipped"):
         work.cell, work.estimates = dataclass_replace(work.cell, sequences=None), lambda: None
+    model, dataset = _model(work.cell), dataset_of(work.cell)
+    if isinstance(model, TaskTimesModel) and dataset is not None and not is_url(work.cell.report):
+        return _report_lists(work, model, dataset)
     return STAGES["report"](work)
 
 
-def _model(cell: FleetCell) -> TrainedModel | TaskTimesModel | None:
+def _report_lists(work: CellAtWork, model: TaskTimesModel, dataset: Dataset) -> tuple[State, str]:
+    """Write the page of task lists."""
+    cell = work.cell
+    wanted = [] if cell.sequences is None else load_sequences(Path(cell.sequences))
+    mark = mark_of(dataset, plain(model.card), asked_for(wanted), cell.looks)
+    if work.ledger.reported == mark and is_there(cell.report):
+        return "unchanged", "nothing is new"
+    page: dict[str, Any] = {"cell_name": cell.name, **cell.looks}
+    facts = write_report(dataset, cell.report, model=model, sequences=wanted or None, progress=work.tell, **page)
+    work.ledger = replace(work.ledger, reported=mark)
+    return "done", facts.headline
+
+
+def _model(cell: FleetCell) -> TrainedModel | TaskTimesModel | UnseenOperator | None:
     try:
+        if holds_unseen(cell.model):
+            return load_unseen(cell.model)
         return load_task_times(cell.model) if holds_task_times(cell.model) else load_model(cell.model)
     except (ModelError, NothingPublished):
         return None

@@ -57,9 +57,7 @@ def section(page: PageInputs) -> dict[str, Any]:
         "charts": charts_of("answer", page),
         "table": _table(texts, works, takt_s),
         "interval_note": texts("answer.interval_checked" if page.check is not None else "answer.interval_tracks"),
-        "warnings": [
-            texts("answer.warning", name=each.name, text=warning) for each in ranked for warning in each.warnings
-        ],
+        "warnings": _warnings(texts, ranked),
         "missing": missing,
     }
 
@@ -90,6 +88,15 @@ def _best(texts: ReportTexts, best: CycleEstimate, mean: str, interval: str) -> 
         loss = fixed(worst[0].safety_loss_s, 1)
         parts.append(texts(key, task=texts.task(worst[0].task), loss=loss, share=percent(worst[1])))
     return parts
+
+
+def _warnings(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> list[str]:
+    """Return what limits the sequences, each sentence once with the names of those it holds for."""
+    names: dict[str, list[str]] = {}
+    for each in ranked:
+        for text in each.warnings:
+            names.setdefault(text, []).append(each.name)
+    return [texts("answer.warning", name=", ".join(those), text=text) for text, those in names.items()]
 
 
 def _logged(texts: ReportTexts, seen: Overview, takt_s: float | None, missing: Sequence[str]) -> dict[str, Any]:

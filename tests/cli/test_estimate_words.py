@@ -8,6 +8,7 @@ import pytest
 from report_pages import estimate
 
 from cyclekit.cli.estimate import estimates_table, loses_most, ranking, rests_on
+from cyclekit.estimate.gantt import blocks_of, legend_of
 from cyclekit.estimate.result import TaskShare
 
 TWO = ("home", "conveyor", "left_1")
@@ -54,10 +55,14 @@ def test_most_is_said_of_more_than_half_only(lost: float, said: str) -> None:
     assert "4.0 s with the operator at or on the way to shelf, the largest share (12%)" in told
 
 
-def test_a_signal_is_no_place_that_the_operator_walks_to() -> None:
+@pytest.mark.parametrize("state", ["signals mat on", "no signal of people"])
+def test_a_signal_is_no_place_that_the_operator_walks_to(state: str) -> None:
     tasks = (TaskShare("home->left_1", 9.0, 5.0, 4.0, 0.0, 0.0),)
-    told = loses_most([estimate(tasks=tasks, safety_loss_s=4.0, safety_by_activity_s={"signals mat on": 4.0})])
-    assert "4.0 s with signals mat on, most of it (100%)" in " ".join(told.split())
+    one = estimate(tasks=tasks, safety_loss_s=4.0, safety_by_activity_s={state: 4.0}, operator_at={state: (1.0,)})
+    assert f"4.0 s with {state}, most of it (100%)" in " ".join(loses_most([one]).split())
+    assert state in legend_of([one])
+    (layer,) = blocks_of([one])[0].layers
+    assert layer.tip == f"{state}: 100 % of the time"
 
 
 def test_support_that_was_not_counted_is_said_to_be_so() -> None:

@@ -15,7 +15,10 @@ from cyclekit.config.project import Project, load_project, project_to_toml
 from cyclekit.config.sequences import load_sequences
 from cyclekit.estimate.answers import CycleEstimates
 from cyclekit.estimate.result import CycleEstimate
+from cyclekit.learning.unseen.saved import holds_unseen
 from cyclekit.text.durations import seconds_in
+from cyclekit_sim import simulate
+from cyclekit_sim.task_lists import simulate_task_lists
 
 if TYPE_CHECKING:
     from .conftest import Shell
@@ -258,3 +261,35 @@ def test_inspect_and_a_refused_estimate_say_what_to_log_next(begun: Path, cyclek
     looked = cyclekit("inspect", "--sequences", "far.toml", "--quiet")
     assert "What to log next\n- missing: left_1->left_2" in looked.out
     assert cyclekit("inspect", "--json", "--quiet").document["to_log"]["executions"] == 6
+
+
+def test_a_project_of_task_lists_reports_its_plans(tmp_path: Path, monkeypatch, cyclekit: Shell) -> None:
+    simulate_task_lists(tmp_path / "all", executions=8, seed=4)
+    (tmp_path / "logs").mkdir()
+    shutil.move(tmp_path / "all" / "tasks.csv", tmp_path / "logs" / "tasks.csv")
+    monkeypatch.chdir(tmp_path)
+    assert cyclekit("init", "logs", "--takt", "70s", "--yes").code == 0
+    done = cyclekit("run")
+    assert done.code == 0, done.out
+    assert "Who waits for what" in Path("report.html").read_text(encoding="utf-8")
+    assert "as logged most often" in Path("report.html").read_text(encoding="utf-8")
+    assert " ".join(cyclekit("run").out.split()).count("unchanged") == 4
+
+
+def test_a_project_whose_logs_show_nobody_is_estimated(tmp_path: Path, monkeypatch, cyclekit: Shell) -> None:
+    simulate("light-curtain", tmp_path / "all", executions=4, seed=2)
+    shutil.copytree(tmp_path / "all" / "session_000", tmp_path / "logs", ignore=shutil.ignore_patterns("plc.csv"))
+    monkeypatch.chdir(tmp_path)
+    assert cyclekit("init", "logs", "--yes").code == 0
+    states = {row["stage"]: row["state"] for row in cyclekit("run", "--json").document["rows"]}
+    assert holds_unseen("model")
+    assert states == {"ingest": "done", "train": "done", "estimate": "done", "report": "done"}
+    assert {row["state"] for row in cyclekit("run", "--json").document["rows"]} == {"unchanged"}
+
+
+def test_a_sequence_file_that_is_not_there_is_shown_by_example(begun: Path, cyclekit: Shell) -> None:
+    (begun / "sequences.toml").unlink()
+    said = cyclekit("gate", "--takt", "60s")
+    assert said.code == 2
+    assert "sequences.toml: no such file" in said.err
+    assert "[[sequence]]" in said.err

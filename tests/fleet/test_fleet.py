@@ -154,7 +154,7 @@ def test_a_sequence_file_that_is_not_there_fails_the_report_and_nothing_else(one
     file = fleet_of(tmp_path, one_day, "press-1", more='sequences = "asked.toml"')
     rows = fleets.run_fleet(fleets.load_fleet(file), ["ingest", "report"]).rows
     assert states(rows) == {"press-1 ingest": "done", "press-1 report": "failed"}
-    assert "asked.toml: cannot be read" in rows[1].text
+    assert "asked.toml: no such file" in rows[1].text
 
 
 def test_a_sequence_that_cannot_be_estimated_fails_the_report_and_keeps_the_figures(

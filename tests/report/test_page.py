@@ -168,3 +168,13 @@ def test_drawing_is_told_picture_by_picture(dataset, tmp_path):
     assert drawn[0].startswith("picture 1 of ")
     assert len(drawn) == int(drawn[0].rsplit(" ", 1)[1]) > 2
     assert told[-1][1] == "writing the page"
+
+
+def test_what_limits_several_sequences_is_said_once(dataset, tmp_path):
+    ranked = [
+        estimate("A first", warnings=("Thin logs.",)),
+        estimate("B first", 33.0, warnings=("Thin logs.", "Bent.")),
+    ]
+    compose_report(dataset, None, tmp_path / "r.html", estimates=ranked)
+    page = (tmp_path / "r.html").read_text("utf-8")
+    assert "<li>A first, B first: Thin logs.</li><li>B first: Bent.</li>" in page

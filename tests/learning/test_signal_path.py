@@ -31,6 +31,7 @@ class Cell:
     """A dataset whose robot goes along y from -1 to 1 m, at z 0.2 m."""
 
     card = SimpleNamespace(operator_signals=SIGNALS, executions=())
+    positions, people = ("robot",), "auto"
     places: ClassVar[dict[str, object]] = {}
     human_places = furniture = places
 
@@ -45,7 +46,6 @@ class Cell:
 def by_network(monkeypatch: pytest.MonkeyPatch):
     """Return a network that allows 30 % whenever a signal is on; the rule search finds what `rule` holds."""
     found = {"rule": RULE}
-    monkeypatch.setattr(answer, "by_signals", lambda dataset: True)
     monkeypatch.setattr(answer, "refuse_other_cell", lambda *given, **named: None)
     monkeypatch.setattr(answer, "rule_of", lambda *given, **named: RuleSearch(found["rule"]))
     network = SimpleNamespace(

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from scipy.special import chdtri, ndtr
 
 from cyclekit.errors import DatasetError, EstimateError
 from cyclekit.estimate.circles import Entered, enter
@@ -44,7 +45,7 @@ SAME_SPREAD = 1.65
 """Where starts are like any other instant, the operator's spread at them is within this ratio of that at all times,"""
 SURE_Z = 3.5
 """... or within this many standard errors, as is the mean of his position."""
-CHANCE = 4.0
+CHANCE = 8.0
 """... and how often he is away and at each task differs by no more standard deviations of chi squared."""
 LEAST_FREE = 8
 """Fewer tracks do not tell."""
@@ -248,8 +249,8 @@ def _is_alike(tracks: Sequence[LoggedTrack], every: Stretch, at: int) -> bool:
         return True
     off = np.abs(here.mean(axis=0) - everywhere.mean(axis=0)) / np.maximum(spread / np.sqrt(len(here)), 1e-9)
     ratio = np.maximum(there / np.maximum(spread, 1e-9), 1e-9)
-    chance = np.exp(SURE_Z / np.sqrt(2 * len(here)))  # of the spread of so few
-    return bool((off < SURE_Z).all() and (np.abs(np.log(ratio)) < np.log(max(SAME_SPREAD, chance))).all())
+    few = np.sqrt((len(here) - 1) / chdtri(len(here) - 1, ndtr(SURE_Z)))  # so far off by chance is the spread of so few
+    return bool((off < SURE_Z).all() and (np.abs(np.log(ratio)) < np.log(max(SAME_SPREAD, few))).all())
 
 
 def _kinds(where: NDArray[np.float64], activity: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

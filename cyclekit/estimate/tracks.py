@@ -152,9 +152,9 @@ def operator_tracks(
     if operator is not None:
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
     free, length = _is_free(tracks), int(np.ceil(horizon_s / step)) + 2
-    after, wanted = _after(dataset), {name: tracks[name] for name in begins}
+    after, mine = _after(dataset), {name: tracks[name] for name in begins}
     on_circles = operator is None and free and not on_states and phases is None
-    parts = [_on_circles(wanted, after, step, length)] if on_circles else []
+    parts = [_on_circles(mine, after, step, length)] if on_circles else []
     if beginnings or not parts:
         parts.insert(0, _continued(tracks, begins, after, step, length, spells=on_states and free, free=free))
     entered = parts[0] if len(parts) == 1 else Entered(*(np.concatenate(part) for part in zip(*parts, strict=True)))

@@ -240,7 +240,7 @@ def check_rollout(
         _enough(dataset, len(sequences))
         entries = only_tracks(entries, {sequence.name for sequence in sequences})
         tracks = beginnings(entries)
-        own, beginning, later = beside_own(model, dataset, sequences, nominal, entries)
+        own, began, entered = beside_own(model, dataset, sequences, nominal, entries)
         crossed = beside_others(model, dataset, sequences, nominal, tracks, seed=seed)
         if np.isfinite(own).all() and not np.isinf(crossed).any():
             break
@@ -262,7 +262,7 @@ def check_rollout(
     return replace(
         found,
         order_error=order_error(times, sequences, means, chance),
-        operator=operator_model([sequence.name for sequence in sequences], beginning, later, entries),
+        operator=operator_model([sequence.name for sequence in sequences], began, entered, entries),
         unseen_error=unseen_error,
         spread=spread,
     )

@@ -96,13 +96,11 @@ def beside_own(
     drawn = [np.tile(stand, (count, 1)) for stand, count in zip(own, counts.tolist(), strict=True)]
     dynamics = Dynamics.of(dataset.card.dynamics, model)
     walked = walk(model, programs, which[order], track[order], drawn, tracks, dynamics=dynamics, fine=True)
-    free_s = [
-        sum(t.nominal_s for t in program.tasks) + stand.sum() for program, stand in zip(programs, own, strict=True)
-    ]
+    free_s = np.array([sum(t.nominal_s for t in p.tasks) + stand.sum() for p, stand in zip(programs, own, strict=True)])
     took_s = np.empty(len(which))
     took_s[order] = walked.duration_s
-    part = np.minimum(took_s, tracks.step_s * tracks.xyz_m.shape[1]) / np.array(free_s)[which]
-    return took_s[: len(programs)], part[: len(programs)], part[len(programs) :]
+    parts = np.minimum(took_s, tracks.step_s * tracks.xyz_m.shape[1]) / free_s[which]
+    return took_s[: len(programs)], parts[: len(programs)], parts[len(programs) :]
 
 
 def beside_others(

@@ -95,7 +95,7 @@ class CycleEstimate(Result):
         durations_s: Cycle time on each track, seconds, in the order of the executions they were logged in.
         estimator: What made the number: `rollout`, `average`, `history` or `nominal`.
         why: Why that one, one sentence.
-        executions: Number of logged executions it rests on; `tracks` can be more, entered at several phases of each.
+        executions: Number of logged executions it rests on; `tracks` can be more, entered at several instants of each.
         calibrated: Whether `quantiles_s` and the interval of the mean were corrected by logged executions.
         takt_s: Takt time that was asked about, seconds.
         takt_probability: Part of the cycles that meet it, and its 95 % interval from resampling executions.

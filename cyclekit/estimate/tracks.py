@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from scipy.special import chdtri, ndtr
 
 from cyclekit.errors import DatasetError, EstimateError
 from cyclekit.estimate.circles import Entered, enter
@@ -48,7 +49,7 @@ SAME_SPREAD = 1.65
 """Where starts are like any other instant, the operator's spread at them is within this ratio of that at all times,"""
 SURE_Z = 3.5
 """... or within this many standard errors, as is the mean of his position."""
-CHANCE = 4.0
+CHANCE = 8.0
 """... and how often he is away and at each task differs by no more standard deviations of chi squared."""
 LEAST_FREE = 8
 """Fewer tracks do not tell."""
@@ -155,11 +156,11 @@ def operator_tracks(
     if operator is not None:
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
     free, length = _is_free(tracks), int(np.ceil(horizon_s / step)) + 2
-    after, wanted = _after(dataset), {name: tracks[name] for name in begins}
+    after, mine = _after(dataset), {name: tracks[name] for name in begins}
     anywhere = operator is None and free and phases is None
-    parts = [_on_circles(wanted, after, step, length)] if anywhere and not on_states else []
+    parts = [_on_circles(mine, after, step, length)] if anywhere and not on_states else []
     if beginnings or not parts:
-        instants = _instants([len(track.where) for track in wanted.values()]) if anywhere and on_states else [0]
+        instants = _instants([len(track.where) for track in mine.values()]) if anywhere and on_states else [0]
         parts.insert(0, _continued(tracks, begins, after, step, length, instants, states=on_states and free, free=free))
     entered = parts[0] if len(parts) == 1 else Entered(*(np.concatenate(part) for part in zip(*parts, strict=True)))
     where, activity, owner, logged = entered
@@ -266,8 +267,8 @@ def _is_alike(tracks: Sequence[LoggedTrack], every: Stretch, at: int) -> bool:
         return True
     off = np.abs(here.mean(axis=0) - everywhere.mean(axis=0)) / np.maximum(spread / np.sqrt(len(here)), 1e-9)
     ratio = np.maximum(there / np.maximum(spread, 1e-9), 1e-9)
-    chance = np.exp(SURE_Z / np.sqrt(2 * len(here)))  # of the spread of so few
-    return bool((off < SURE_Z).all() and (np.abs(np.log(ratio)) < np.log(max(SAME_SPREAD, chance))).all())
+    few = np.sqrt((len(here) - 1) / chdtri(len(here) - 1, ndtr(SURE_Z)))  # so far off by chance is the spread of so few
+    return bool((off < SURE_Z).all() and (np.abs(np.log(ratio)) < np.log(max(SAME_SPREAD, few))).all())
 
 
 def _kinds(where: NDArray[np.float64], activity: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from report_pages import estimate as made
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import UnknownName
-from cyclekit.estimate.limits import doubts_of
+from cyclekit.estimate.limits import doubts_of, limits_of_cycles
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.ranked import ranked
@@ -156,6 +157,15 @@ def test_an_operator_who_roams_is_entered_at_any_phase_and_one_who_begins_with_t
     np.testing.assert_allclose(tracks.xyz_m[0, 10:60, 0], x_m[10:], atol=0.02)
     assert (tracks.logged > 60).sum() > count
     assert replace(tracks, logged=tracks.logged).step_s == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("tracks", "spliced", "said"), [(10, 0.4, 0), (10, 0.6, 1), (80, 0.6, 0), (80, 0.8, 1)])
+def test_a_cycle_of_more_than_two_logs_is_said_to_go_on_with_others(tracks: int, spliced: float, said: int):
+    """On circles half of a cycle as long as the logs is beside the next one; from their beginnings nothing of it."""
+    cycles = Rolled(np.ones(1), np.ones((1, 1)), np.zeros((1, 1)), np.zeros(0), 1.0, spliced)
+    entry: Any = SimpleNamespace(tracks=tracks, executions=10)
+    found = limits_of_cycles(cycles, entry)
+    assert sum("continued with parts of other executions" in text for text in found) == said
 
 
 def test_what_was_never_logged_is_a_doubt_that_says_what_the_interval_leaves_out(logged: Dataset, staircase: Any):

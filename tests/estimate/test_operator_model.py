@@ -101,3 +101,19 @@ def who_comes_and_goes(count: int) -> dict[str, LoggedTrack]:
 
 def test_long_executions_do_not_make_an_operator_seem_to_start_with_the_cycle() -> None:
     assert _is_free(who_comes_and_goes(200))
+
+
+def who_roams(count: int, seed: int) -> dict[str, LoggedTrack]:
+    """Operators who stay at one of four places, or are away, for 2 to 20 s each, begun at any time."""
+    rng, tracks = np.random.default_rng(seed), {}
+    places = np.array([(0.5, 1.5, 0.2), (3.4, 1.6, 0.2), (2.2, -1.7, 0.2), (0.3, -1.5, 0.2), (np.nan,) * 3])
+    for number in range(count):
+        stays = rng.integers(20, 200, 40)
+        doing = np.repeat(rng.integers(0, 5, 40), stays)[rng.integers(0, 1000) :][: rng.integers(350, 600)]
+        activity = np.where(doing == 4, -1, doing)
+        tracks[str(number)] = LoggedTrack(places[doing], activity, 0.0, 1.0, seen=True, away=False, followed=True)
+    return tracks
+
+
+def test_chance_seldom_makes_an_operator_who_roams_seem_to_start_with_the_cycle() -> None:
+    assert all(_is_free(who_roams(20, seed)) for seed in range(100))

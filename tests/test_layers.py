@@ -68,10 +68,14 @@ class Import:
         return self.module.partition(".")[0]
 
 
+@cache
+def parsed(package: Path) -> dict[Path, ast.Module]:
+    return {file: ast.parse(file.read_text(encoding="utf-8")) for file in sorted(package.rglob("*.py"))}
+
+
 def imports_of(package: Path) -> list[Import]:
     found = []
-    for file in sorted(package.rglob("*.py")):
-        tree = ast.parse(file.read_text(encoding="utf-8"))
+    for file, tree in parsed(package).items():
         for_types = {inner for node in ast.walk(tree) if _is_typing_block(node) for inner in ast.walk(node)}
         for node in ast.walk(tree):
             names = []
@@ -179,10 +183,9 @@ def test_the_folders_around_the_packages_are_no_packages() -> None:
 @pytest.mark.parametrize("package", ["cyclekit", "adapters/cyclekit_adapters", "sim_fixtures/cyclekit_sim"])
 def test_nothing_rests_on_an_assert(package: str) -> None:
     """With `python -O` there is none, so whatever input it guarded against would come in."""
-    files = {file: ast.parse(file.read_text(encoding="utf-8")) for file in sorted((ROOT / package).rglob("*.py"))}
     asserts = [
         f"{file.relative_to(ROOT)}:{node.lineno}"
-        for file, tree in files.items()
+        for file, tree in parsed(ROOT / package).items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Assert)
     ]

@@ -19,10 +19,8 @@ UNTYPED = {
     "report/inputs.py": "the evaluation as `evaluate --json` prints it, which the page and its JSON show",
     "report/page.py": "the sections of the page, given to the template and to the JSON",
     "report/trust.py": "a section of the page",
-    "report/verdict.py": "the verdict in the JSON of the page",
     "report/where.py": "a section of the page",
     "report/why.py": "a section of the page",
-    "report/texts.py": "the texts of the page as its TOML file has them",
     "report/play/scaling_table.py": "facts for the script in the page, as JSON",
     "report/play/tables.py": "facts for the script in the page, as JSON",
 }

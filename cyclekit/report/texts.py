@@ -80,6 +80,6 @@ def _values(text: str) -> set[str]:
 @cache
 def load_texts() -> ReportTexts:
     """Return the English texts."""
-    content: dict[str, Any] = tomllib.loads(files("cyclekit.report").joinpath("texts.toml").read_text("utf-8"))
+    content = tomllib.loads(files("cyclekit.report").joinpath("texts.toml").read_text("utf-8"))
     language = str(content.pop("language"))
     return ReportTexts(content, language)

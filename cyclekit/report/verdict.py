@@ -7,7 +7,7 @@ that was never logged, its estimate.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclekit.errors import UnknownName
 from cyclekit.estimate.baseline import today_of
@@ -64,12 +64,12 @@ class TaktVerdict:
     def to_dict(self, text: str) -> dict[str, object]:
         """Return plain JSON values; `text` is the verdict in words."""
         order, change = self.order, self.change
-        best: dict[str, Any] = {
+        best: dict[str, object] = {
             "sequence": None if order or not self.best else self.best.name,
             "expected_s": self.expected_s,
         }
         best |= {"within": self.within, "saves_s": self.saves_s(self.expected_s)}
-        tried: dict[str, Any] = {} if change is None else {"label": change.label, "sequence": change.sequence}
+        tried: dict[str, object] = {} if change is None else {"label": change.label, "sequence": change.sequence}
         return {
             "text": text,
             "work": vars(self.work),
@@ -94,7 +94,7 @@ class TaktVerdict:
         return None if self.today is None or expected_s is None else self.today.mean_s - expected_s
 
 
-def _saving(found: TaktVerdict, expected_s: float) -> dict[str, Any]:
+def _saving(found: TaktVerdict, expected_s: float) -> dict[str, object]:
     return {"expected_s": expected_s, "saves_s": found.saves_s(expected_s)}
 
 

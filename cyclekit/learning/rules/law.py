@@ -14,7 +14,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares, minimize_scalar
 
 from cyclekit.dataset.cards.rule import LawCard, MetresCard
 from cyclekit.learning.rules.law_rows import limited, resting, resting_rates
@@ -96,6 +95,8 @@ def fit_law(rows: LawRows) -> FittedLaw | None:
         return None
     _, shape, name, lag = min(told, key=lambda each: each[0])
 
+    from scipy.optimize import minimize_scalar  # slow to import, and an estimate asks the law that was found
+
     def cost(latency_s: float) -> float:
         return _best(rows.scaling[few], rows.earlier(rows.apart_m[name], latency_s)[few], lowest, shape)[0]
 
@@ -147,6 +148,8 @@ def _best(scaling: Vector, apart_m: Vector, lowest: float, start: LawShape | Non
     def shape(x: Vector) -> LawShape:
         """Return the law of the distance at which it stops, the way to full speed, and the bent part of that."""
         return LawShape(float(x[0]), float(x[1] * (1 - x[2])), float(x[1] * x[2]), lowest)
+
+    from scipy.optimize import least_squares
 
     bounds = ([-5.0, 0.01, 0.0], [20.0, 20.0, 1.0])
     begin = list(np.clip(begin, np.array(bounds[0]) + 1e-3, np.array(bounds[1]) - 1e-3))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cyclekit.config.arms import joint_points, recognise_arm
 from cyclekit.dataset.cards.rule import PoseCard
@@ -32,6 +31,8 @@ class ArmPoses:
 
     def __init__(self, poses: Sequence[PoseCard]) -> None:
         """Keep logged poses; at least one."""
+        from scipy.spatial import cKDTree  # slow to import
+
         self._tree = cKDTree([pose.tcp_m for pose in poses])
         self._joints_m = np.array([pose.joints_m for pose in poses])
 

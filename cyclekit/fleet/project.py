@@ -221,8 +221,10 @@ def _report_lists(work: CellAtWork, model: TaskTimesModel, dataset: Dataset) -> 
     mark = mark_of(dataset, plain(model.card), asked_for(wanted), cell.looks)
     if work.ledger.reported == mark and is_there(cell.report):
         return "unchanged", "nothing is new"
-    page: dict[str, Any] = {"cell_name": cell.name, **cell.looks}
-    facts = write_report(dataset, cell.report, model=model, sequences=wanted or None, progress=work.tell, **page)
+    told = work.tell
+    facts = write_report(
+        dataset, cell.report, model=model, sequences=wanted or None, progress=told, cell_name=cell.name, **cell.looks
+    )
     work.ledger = replace(work.ledger, reported=mark)
     return "done", facts.headline
 

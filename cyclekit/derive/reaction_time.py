@@ -14,6 +14,7 @@ import polars as pl
 
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.session_signals import some_executions
+from cyclekit.derive.usual_levels import usual_levels
 from cyclekit.scaling.commanded import commanded_levels
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ NEAR_S = 1.5
 """So near: far from a change any reaction time explains the level."""
 BETTER, SIGMAS = 0.8, 4.0
 """Errors must be down to this part of those without a reaction time, and by so many standard errors of a count."""
-LEAVES, LEAST_ROWS = 128, 5
 AWAY_M = 99.0
 _APART_S = 1e4
 _AXES = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
@@ -123,8 +123,6 @@ def _near_changes(t_s: Vector, level: Ints) -> Ints:
 
 def _wrong(t_s: Vector, level: Ints, places: Floats, execution: Ints, rows: Ints, late_s: float) -> float:
     """Return how many levels of the other half of the executions the positions of so long ago do not tell."""
-    from sklearn.tree import DecisionTreeClassifier
-
     seen_s = t_s[rows] - late_s
     after = np.clip(np.searchsorted(t_s, seen_s), 1, len(t_s) - 1)
     share = np.clip((seen_s - t_s[after - 1]) / (t_s[after] - t_s[after - 1]), 0.0, 1.0)[:, None]
@@ -132,15 +130,10 @@ def _wrong(t_s: Vector, level: Ints, places: Floats, execution: Ints, rows: Ints
     jumps = np.abs(places[after] - places[after - 1]).max(axis=1) > AWAY_M / 2  # he comes or goes just then
     told = np.isfinite(there).all(axis=1) & ~jumps & (t_s[after] - t_s[after - 1] < 1.0)
     apart = there[:, 3:5] - there[:, :2]
-    features = np.column_stack([there, np.hypot(*apart.T)]).astype(np.float32)
-    odd = execution[rows] % 2 == 1
-    wrong = 0.0
-    for half in (odd, ~odd):
-        learn, judge = told & half, told & ~half
-        if not learn.any() or not judge.any():
-            return float(len(rows))
-        tree = DecisionTreeClassifier(max_leaf_nodes=LEAVES, min_samples_leaf=LEAST_ROWS, random_state=0)
-        tree.fit(features[learn], level[rows][learn])
-        off = np.asarray(tree.predict(features[judge]) != level[rows][judge])
-        wrong += float(off.mean()) * float(np.count_nonzero(~half))
-    return wrong
+    features = np.column_stack([there, np.hypot(*apart.T)])
+    if not told.any():
+        return float(len(rows))
+    classes, kind = np.unique(level[rows][told], return_inverse=True)
+    tree = usual_levels(features[told], kind, len(classes), execution[rows][told])
+    off = tree.shares[tree.leaf(features[told])].argmax(axis=1) != kind
+    return float(off.mean()) * len(rows)

@@ -1,8 +1,8 @@
 """The reaction time that explains the commanded level best, where the places of its changes do not tell it.
 
 At the right reaction time the positions of that long ago decide the level, whatever the rule is; at any other one the
-same positions have one level when people come and another one when they go. So a decision tree is fitted to the
-positions of so long ago for each candidate, in half of the executions, and asked about the other half.
+same positions have one level when people come and another one when they go. So a small decision tree is fitted to the
+positions of so long ago for each candidate (`usual_levels`), and the one that errs least counts.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def _near_changes(t_s: Vector, level: Ints) -> Ints:
 
 
 def _wrong(t_s: Vector, level: Ints, places: Floats, execution: Ints, rows: Ints, late_s: float) -> float:
-    """Return how many levels of the other half of the executions the positions of so long ago do not tell."""
+    """Return how many of the levels the positions of so long ago do not tell."""
     seen_s = t_s[rows] - late_s
     after = np.clip(np.searchsorted(t_s, seen_s), 1, len(t_s) - 1)
     share = np.clip((seen_s - t_s[after - 1]) / (t_s[after] - t_s[after - 1]), 0.0, 1.0)[:, None]

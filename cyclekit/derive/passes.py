@@ -8,7 +8,7 @@ these passes is found what takes all sessions: places, executions, references of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -22,13 +22,14 @@ from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
 from cyclekit.derive.operator_tasks import operator_tasks
 from cyclekit.derive.over_sessions import Passes, is_much
+from cyclekit.derive.reaction_time import reaction_time
 from cyclekit.derive.robot import numbered, robot_of, with_stands
 from cyclekit.derive.sample_file import in_order, shared_files
 from cyclekit.derive.seen_slow import Switches, joined, rows_of
 from cyclekit.derive.session_end import Finished, Left, finish
 from cyclekit.derive.session_look import look_at
 from cyclekit.derive.session_samples import Made, samples_of
-from cyclekit.derive.session_signals import looked_for, mixed, some_executions
+from cyclekit.derive.session_signals import is_tracked, looked_for, mixed, some_executions
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
 from cyclekit.people.silence import absences
@@ -160,6 +161,9 @@ def _finished(
         folder=folder,
     )
     finished = passes.over_files(rest, left, files, 0.85, 1.0, "levels")
+    response = watched.response(read_response([one.changes for one in finished]))
+    if response.latency_s is None and response.changes and any(map(is_tracked, some)):
+        response = replace(response, latency_s=reaction_time(some, levels, response, folder))
     return Derived(
         recordings=[recording for one in made for recording in one.recordings],
         samples=sum(one.samples for one in some),
@@ -170,7 +174,7 @@ def _finished(
         human_places=spots,
         levels=levels,
         origin=" and ".join(sorted({name for one in some for name in one.origins}, reverse=True)) or None,
-        dynamics=watched.response(read_response([one.changes for one in finished])),
+        dynamics=response,
         operator_signals=watched.found.cards,
         warnings=[
             *robot.warnings,

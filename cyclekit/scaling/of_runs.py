@@ -9,7 +9,7 @@ import numpy as np
 from cyclekit.dataset.cards import Note, note
 from cyclekit.scaling.infer.override import Reference, infer_overrides
 from cyclekit.scaling.levels import find_staircase
-from cyclekit.scaling.safety_override import OverrideMatch, match_of, taken
+from cyclekit.scaling.safety_override import AGREES, DIFFERS, OverrideMatch, match_of, taken
 from cyclekit.segmentation.arrivals import Stands, stands_of
 from cyclekit.segmentation.dwell import usual_dwells
 from cyclekit.segmentation.motion import InferredScaling
@@ -100,19 +100,22 @@ def _logged_apart(
         if logged is None or not silent:
             continue
         agreed = match_of(logged, [(runs[number], parts[number]) for number in silent])
-        told.setdefault(agreed.code, []).append((logged.log, agreed))
+        told.setdefault(agreed.found, []).append((logged.log, agreed))
         if agreed.agrees:
             found |= {number: taken(logged, agreed.later_s, runs[number]) for number in silent}
-    return found, [_told_of_logs(code, mine) for code, mine in told.items()]
+    return found, [_told_of_logs(what, mine) for what, mine in told.items()]
 
 
-def _told_of_logs(code: str, told: Sequence[tuple[str, OverrideMatch]]) -> Note:
+def _told_of_logs(found: str, told: Sequence[tuple[str, OverrideMatch]]) -> Note:
     """Return one note on logs of which the same is to be said."""
     error, later_s = (np.array([getattr(one, name) for _, one in told]) for name in ("error", "later_s"))
-    return note(
-        code, log=told[0][0], logs=len(told), error=float(error.max()),
-        earliest_s=float(later_s.min()), latest_s=float(later_s.max()),
-    )  # fmt: skip
+    values: dict[str, str | int | float] = {"log": told[0][0], "logs": len(told), "error": float(error.max())}
+    times = {"earliest_s": float(later_s.min()), "latest_s": float(later_s.max())}
+    if found == AGREES:
+        return note("scaling-of-safety-log", **values, **times)
+    if found == DIFFERS:
+        return note("override-not-followed", **values, **times)
+    return note("override-not-compared", **values)
 
 
 def _inferred(silent: int, runs: int, references: Mapping[str, Sequence[Reference]]) -> Note:

@@ -40,7 +40,7 @@ CAPPED = 0.2
 APART_S, BETTER = 2.0, 1.5
 """Offsets that far from the best one must fit so many times worse; else it is one of several."""
 _TIE = 0.002
-AGREES, DIFFERS, TOO_LITTLE = "scaling-of-safety-log", "override-not-followed", "override-not-compared"
+AGREES, DIFFERS, TOO_LITTLE = "agrees", "differs", "too little"
 
 
 @dataclass(frozen=True)
@@ -74,17 +74,17 @@ class OverrideMatch:
     Attributes:
         later_s: How much later than the log says the robot follows.
         error: Median difference there.
-        code: The note that says what was found: AGREES, DIFFERS or TOO_LITTLE.
+        found: AGREES, DIFFERS or TOO_LITTLE.
     """
 
     later_s: float
     error: float
-    code: str
+    found: str
 
     @property
     def agrees(self) -> bool:
         """They are the same."""
-        return self.code == AGREES
+        return self.found == AGREES
 
 
 def override_of(session: Session, read: Read) -> SafetyOverride | None:

@@ -51,7 +51,7 @@ def logged(t_s: Vector, override: Vector, *, clock_known: bool) -> SafetyOverrid
 def test_an_assumed_clock_is_put_right_by_the_motion(later_s: float, rate_hz: float):
     t_s, at_s = np.arange(0.0, 400.0, 0.02), np.arange(0.0, 400.0, 1.0 / rate_hz)
     found = match_of(logged(at_s - later_s, course(at_s), clock_known=False), moved(course(t_s), t_s))
-    assert found.code == AGREES
+    assert found.found == AGREES
     assert found.later_s == pytest.approx(later_s, abs=1.0 / rate_hz + 0.02)
 
 
@@ -59,25 +59,25 @@ def test_a_known_clock_is_not_moved_by_more_than_a_robot_can_lag():
     t_s = np.arange(0.0, 400.0, 0.02)
     mine = moved(course(t_s), t_s)
     assert match_of(logged(t_s - 0.3, course(t_s), clock_known=True), mine).later_s == pytest.approx(0.3, abs=0.02)
-    assert match_of(logged(t_s - 20.0, course(t_s), clock_known=True), mine).code == DIFFERS
+    assert match_of(logged(t_s - 20.0, course(t_s), clock_known=True), mine).found == DIFFERS
 
 
 @pytest.mark.parametrize("clock_known", [True, False])
 def test_the_override_of_another_robot_is_not_believed(clock_known: bool):
     t_s = np.arange(0.0, 400.0, 0.02)
-    assert match_of(logged(t_s, course(t_s, 1), clock_known=clock_known), moved(course(t_s), t_s)).code == DIFFERS
+    assert match_of(logged(t_s, course(t_s, 1), clock_known=clock_known), moved(course(t_s), t_s)).found == DIFFERS
 
 
 def test_an_override_that_repeats_itself_does_not_tell_an_unknown_clock():
     t_s = np.arange(0.0, 400.0, 0.02)
     turns = np.where(t_s % 10.0 < 4.0, 0.5, 1.0)
-    assert match_of(logged(t_s, turns, clock_known=False), moved(turns, t_s)).code == DIFFERS
-    assert match_of(logged(t_s, turns, clock_known=True), moved(turns, t_s)).code == AGREES
+    assert match_of(logged(t_s, turns, clock_known=False), moved(turns, t_s)).found == DIFFERS
+    assert match_of(logged(t_s, turns, clock_known=True), moved(turns, t_s)).found == AGREES
 
 
 def test_a_robot_that_was_never_slowed_tells_nothing():
     t_s = np.arange(0.0, 400.0, 0.02)
-    assert match_of(logged(t_s, course(t_s), clock_known=True), moved(np.ones(len(t_s)), t_s)).code == TOO_LITTLE
+    assert match_of(logged(t_s, course(t_s), clock_known=True), moved(np.ones(len(t_s)), t_s)).found == TOO_LITTLE
 
 
 def test_a_silent_log_holds_its_last_value_no_longer_than_a_second():

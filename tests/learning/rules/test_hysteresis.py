@@ -57,8 +57,8 @@ def test_every_number_stays_within_its_own_interval(value: float, give_or_take_m
     limits = rule(known(value, give_or_take_m))
     before, after = quantities(limits), quantities(with_one_hysteresis(limits))
     for place, own in before.items():
-        least = 0.002 if own.high == own.low else 0.0  # no better known than to a millimetre
         assert own.low is not None
         assert own.high is not None
+        least = 0.002 if own.high - own.low < 0.002 else 0.0  # no better known than to a millimetre
         assert own.low - least <= after[place].value <= own.high + least
         assert np.isfinite(outwards(place) * after[place].value)

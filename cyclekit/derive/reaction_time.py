@@ -1,0 +1,139 @@
+"""The reaction time that explains the commanded level best, where the places of its changes do not tell it.
+
+At the right reaction time the positions of that long ago decide the level, whatever the rule is; at any other one the
+same positions have one level when people come and another one when they go. So a small decision tree is fitted to the
+positions of so long ago for each candidate (`usual_levels`), and the one that errs least counts.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.dataset.time_grid import stretches
+from cyclekit.derive.session_signals import some_executions
+from cyclekit.derive.usual_levels import usual_levels
+from cyclekit.scaling.commanded import commanded_levels
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from cyclekit.derive.session_samples import Made
+    from cyclekit.scaling.response import SafetyResponse
+    from cyclekit.schema import Floats, Ints, Vector
+
+LATEST_S, STEP_S = 0.8, 0.05
+"""Reaction times up to this are tried, in such steps."""
+MOST, LEAST = 20_000, 500
+"""Samples near changes of the level that are looked at, and fewer that tell nothing."""
+NEAR_S = 1.5
+"""So near: far from a change any reaction time explains the level."""
+BETTER, SIGMAS = 0.8, 4.0
+"""Errors must be down to this part of those without a reaction time, and by so many standard errors of a count."""
+AWAY_M = 99.0
+_APART_S = 1e4
+_AXES = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
+
+
+def reaction_time(
+    made: Sequence[Made], levels: Sequence[float], response: SafetyResponse, folder: Path
+) -> float | None:
+    """Return the reaction time that explains the commanded level best, s; None where none does clearly better than 0.
+
+    Args:
+        made: The sessions, with their samples in files.
+        levels: Of the scaling, ascending.
+        response: Its ramps, which are undone.
+        folder: Where the files lie.
+    """
+    chosen = some_executions(made)
+    found = [_of_file(folder / f"{part}.parquet", chosen, levels, response) for part in _parts(made)]
+    found = [one for one in found if len(one[0])]
+    if len(levels) < 2 or not found:
+        return None
+    t_s, level, places, execution = _joined(found)
+    rows = _near_changes(t_s, level)
+    if len(rows) < LEAST or len(np.unique(execution[rows])) < 4:
+        return None
+    rows = rows[:: -(-len(rows) // MOST)]
+    late_s = np.arange(0.0, LATEST_S + STEP_S / 2, STEP_S)
+    wrong = np.array([_wrong(t_s, level, places, execution, rows, late) for late in late_s.tolist()])
+    best = int(wrong.argmin())
+    if best in {0, len(wrong) - 1} or wrong[best] > BETTER * wrong[0]:
+        return None
+    if wrong[0] - wrong[best] < SIGMAS * np.sqrt(wrong[0] + wrong[best]):
+        return None
+    before, here, after = wrong[best - 1 : best + 2]
+    bend = before - 2.0 * here + after
+    return round(float(late_s[best] + (0.5 * STEP_S * (before - after) / bend if bend > 0.0 else 0.0)), 2)
+
+
+def _parts(made: Sequence[Made]) -> list[str]:
+    return list(dict.fromkeys(one.part for one in made if one.samples))
+
+
+def _of_file(
+    file: Path, chosen: Sequence[str], levels: Sequence[float], response: SafetyResponse
+) -> tuple[Vector, Ints, Floats, Ints]:
+    """Return time, commanded level, places (N, 6) and execution of the samples of one file whose places are known."""
+    columns = ["execution", "t_s", "scaling", "human_gap", *_AXES]
+    rows = pl.scan_parquet(file, glob=False).select(columns).filter(pl.col("execution").is_in(list(chosen)))
+    frame = rows.collect(engine="streaming").with_columns(pl.col("scaling", *_AXES).fill_null(np.nan))
+    if not frame.height:
+        return np.empty(0), np.empty(0, np.int64), np.empty((0, 6)), np.empty(0, np.int64)
+    t_s, scaling = frame["t_s"].to_numpy(), frame["scaling"].to_numpy()
+    period_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.1
+    stretch = stretches(frame, 1.0 / period_s)
+    ends = np.flatnonzero(np.diff(stretch)) + 1
+    pairs = zip(np.split(t_s, ends), np.split(scaling, ends), strict=True)
+    level = np.concatenate([commanded_levels(t, s, levels, response).level for t, s in pairs]).astype(np.int64)
+    places = frame.select(_AXES).to_numpy()
+    away = (frame["human_gap"] == "absent").fill_null(value=False).to_numpy()
+    places[away, 3:] = AWAY_M
+    places[:, 5] = np.nan_to_num(places[:, 5])  # a height may be unknown
+    number = frame["execution"].rank("dense").to_numpy().astype(np.int64)
+    return t_s + stretch * _APART_S, level, places, number
+
+
+def _joined(found: Sequence[tuple[Vector, Ints, Floats, Ints]]) -> tuple[Vector, Ints, Floats, Ints]:
+    """Return the files one behind the other, far apart in time."""
+    t_s, execution = [], []
+    last_s, last = 0.0, 0
+    for one in found:
+        t_s.append(one[0] - one[0][0] + last_s + _APART_S)
+        execution.append(one[3] + last)
+        last_s, last = float(t_s[-1][-1]), int(execution[-1].max())
+    level, places = (np.concatenate([one[k] for one in found]) for k in (1, 2))
+    return np.concatenate(t_s), level, places, np.concatenate(execution)
+
+
+def _near_changes(t_s: Vector, level: Ints) -> Ints:
+    """Return the samples of known level within NEAR_S of a change of it."""
+    known = np.flatnonzero(level >= 0)
+    changed = known[1:][np.diff(level[known]) != 0]
+    at = np.searchsorted(t_s[changed], t_s[known])
+    last = np.clip(np.stack([at - 1, at]), 0, max(len(changed) - 1, 0))
+    if not len(changed):
+        return np.empty(0, np.int64)
+    return np.asarray(known[np.abs(t_s[changed][last] - t_s[known]).min(axis=0) <= NEAR_S])
+
+
+def _wrong(t_s: Vector, level: Ints, places: Floats, execution: Ints, rows: Ints, late_s: float) -> float:
+    """Return how many of the levels the positions of so long ago do not tell."""
+    seen_s = t_s[rows] - late_s
+    after = np.clip(np.searchsorted(t_s, seen_s), 1, len(t_s) - 1)
+    share = np.clip((seen_s - t_s[after - 1]) / (t_s[after] - t_s[after - 1]), 0.0, 1.0)[:, None]
+    there = places[after - 1] * (1.0 - share) + places[after] * share
+    jumps = np.abs(places[after] - places[after - 1]).max(axis=1) > AWAY_M / 2  # he comes or goes just then
+    told = np.isfinite(there).all(axis=1) & ~jumps & (t_s[after] - t_s[after - 1] < 1.0)
+    apart = there[:, 3:5] - there[:, :2]
+    features = np.column_stack([there, np.hypot(*apart.T)])
+    if not told.any():
+        return float(len(rows))
+    classes, kind = np.unique(level[rows][told], return_inverse=True)
+    tree = usual_levels(features[told], kind, len(classes), execution[rows][told])
+    off = tree.shares[tree.leaf(features[told])].argmax(axis=1) != kind
+    return float(off.mean()) * len(rows)

@@ -322,7 +322,9 @@ def _limits(rows: Rows, slow: Bools, alone: Bools, fast: Bools, top: float) -> d
         ]
         if (sure := np.flatnonzero(np.isfinite(told))).size:
             around = here | ((fast | alone) & (rows.task == number))
-            found[task] = _edges(rows, around, Limit(at_m[sure], np.array(told)[sure]), top)
+            limit = _edges(rows, around, Limit(at_m[sure], np.array(told)[sure]), top)
+            if len(limit.cap):  # else no pass keeps to it
+                found[task] = limit
     return found
 
 

@@ -15,6 +15,7 @@ from cyclekit import schema
 from cyclekit.cli import run
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.derive.causes import Evidence, Input, Limit, find_evidence, lost_shares
+from cyclekit.derive.causes import _limits as limits_of
 from cyclekit.derive.seen_slow import Rows, Switches, joined
 from cyclekit.derive.usual_levels import usual_levels
 from cyclekit.ingest.ingest import ingest
@@ -126,6 +127,14 @@ def test_slow_at_the_same_place_of_every_pass_is_a_limit():
         np.where(limited, np.where(distance < 1, 0.5 / 0.7 - 0.5, 0.3), 0).sum() / 10
     )
     assert lost["stop"] == lost["input"] == 0.0
+
+
+def test_a_place_that_every_pass_takes_at_another_speed_has_no_limit():
+    execution = np.arange(4000) // 200
+    scaling = np.where(execution % 2 == 0, 0.65, 0.75)
+    logged = rows(scaling, 5.0, execution=execution, at_m=(np.arange(4000) % 20) * 0.1)
+    everywhere = np.ones(4000, np.bool_)
+    assert limits_of(logged, everywhere, everywhere, ~everywhere, 1.0) == {}
 
 
 def test_beside_a_limit_all_of_a_slow_down_is_the_persons():

@@ -206,10 +206,15 @@ def _texts(task: str, number: int) -> tuple[str, ...]:
 
 
 def _families(each: CycleEstimate) -> dict[str, tuple[float, ...]]:
-    """Return what the operator does, numbered tasks of one name (`shelf_1`, `shelf_2`) as one."""
+    """Return what the operator does, numbered tasks of one name (`shelf_1`, `shelf_2`) as one, if there are others."""
     found: dict[str, tuple[float, ...]] = {}
+    stems = {
+        name: re.sub(r"[ _-]?\d+$", "", name) or name for name in each.operator_at if name not in (AWAY, ELSEWHERE)
+    }
+    if len(set(stems.values())) < 2:
+        return dict(each.operator_at)
     for name, parts in each.operator_at.items():
-        stem = re.sub(r"[ _-]?\d+$", "", name) or name
+        stem = stems.get(name, name)
         found[stem] = tuple(map(sum, zip(found[stem], parts, strict=True))) if stem in found else parts
     return found
 

@@ -27,6 +27,16 @@ if TYPE_CHECKING:
     from cyclekit.report.texts import ReportTexts
 
 
+SURE = 0.975
+"""A mean that is below another one in this part of the resampled logs is below it (95 %, both sides)."""
+
+
+def _is_shorter(best: CycleEstimate, other: CycleEstimate) -> bool:
+    """Tell whether a mean is clearly below another: beside the same operators, else by their intervals."""
+    odds = best.beats.get(other.name)
+    return best.expected_high_s < other.expected_low_s if odds is None else odds >= SURE
+
+
 def section(page: PageInputs) -> dict[str, Any]:
     """Return what the template needs for section 1."""
     texts, ranked, takt_s, found, best = page.texts, page.ranked, page.takt_s, page.verdict, page.best
@@ -42,7 +52,7 @@ def section(page: PageInputs) -> dict[str, Any]:
     sentences = [*(said["lead"] if said else []), " ".join(_best(texts, best, mean, interval))]
     works = by_work(ranked)
     same = next(work for work in works.values() if best in work)
-    tied = [each.name for each in same if each is not best and each.expected_low_s <= best.expected_high_s]
+    tied = [each.name for each in same if each is not best and not _is_shorter(best, each)]
     if tied:
         sentences.append(texts("answer.tied", names=", ".join(f"“{name}”" for name in tied), best=best.name))
     if len(works) > 1:

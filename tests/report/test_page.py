@@ -70,6 +70,18 @@ def test_sequences_are_ranked_and_the_ones_that_cannot_be_told_apart_are_named(p
 
 
 @pytest.mark.usefixtures("words_only")
+def test_means_whose_intervals_overlap_are_told_apart_beside_the_same_operators(dataset, tmp_path):
+    best = replace(estimate("A first", 30.0, 2.0), beats={"B first": 0.99, "C first": 0.9})
+    facts = compose_report(
+        dataset,
+        None,
+        tmp_path / "r.html",
+        estimates=[best, estimate("B first", 30.5, 2.0), estimate("C first", 30.4, 2.0)],
+    )
+    assert "No clear difference between “C first” and “A first”" in Page(facts.path.read_text("utf-8")).text
+
+
+@pytest.mark.usefixtures("words_only")
 def test_the_mean_is_rounded_to_what_its_interval_supports(dataset, tmp_path):
     wide = estimate("A first", 123.456, 17.0)
     facts = compose_report(dataset, None, tmp_path / "r.html", estimates=[wide])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -75,6 +76,15 @@ def test_the_bars_are_the_numbers_of_the_estimates_on_one_time_axis(narrow):
     wanted = np.array(list(expected.values())).ravel()
     slope, offset = np.polyfit(wanted, shown, 1)
     assert shown == pytest.approx(offset + slope * wanted, abs=0.02 * slope)
+
+
+def test_places_of_the_operator_that_differ_by_their_number_alone_have_a_layer_each():
+    half = (0.5, 0.5)
+    titles = {title for title, *_ in spans(drawn(replace(ONE, operator_at={"spot_1": half, "spot_2": half})))}
+    assert {f"operator at or on the way to spot_{n}: 50 % of the time" for n in (1, 2)} <= titles
+    several = {"spot_1": (0.2, 0.2), "spot_2": (0.3, 0.3), "shelf": half}
+    titles = {title for title, *_ in spans(drawn(replace(ONE, operator_at=several)))}
+    assert "operator at or on the way to spot: 50 % of the time" in titles
 
 
 def test_slow_down_has_the_colour_of_the_mean_speed():

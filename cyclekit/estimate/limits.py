@@ -87,8 +87,8 @@ def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
     found = []
     if entry.tracks and entry.executions < FEW_EXECUTIONS:
         found.append(few_tracks(entry))
-    on_circles = entry.tracks > entry.executions  # half of a cycle as long as the logs is beside other executions
-    if cycles.spliced > ((1.0 + CONTINUED) / 2.0 if on_circles else CONTINUED):
+    anywhere = entry.tracks > entry.executions  # half of a cycle as long as the logs is beside other executions
+    if cycles.spliced > ((1.0 + CONTINUED) / 2.0 if anywhere else CONTINUED):
         found.append(
             f"{cycles.spliced:.0%} of the time the operator's track is continued with parts of other executions that "
             "begin in the same state"

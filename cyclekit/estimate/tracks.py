@@ -85,8 +85,8 @@ class OperatorTracks:
     state: NDArray[np.float64] | None = None
 
     @property
-    def on_circles(self) -> bool:
-        """Whether the tracks enter circles: at each time of a cycle every second of the logs is then met alike."""
+    def at_any_instant(self) -> bool:
+        """Whether the tracks enter logs at several instants: all of their samples then tell how often he is away."""
         return len(self.executions) > len(set(self.executions))
 
 

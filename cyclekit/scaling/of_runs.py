@@ -9,7 +9,7 @@ import numpy as np
 from cyclekit.dataset.cards import Note, note
 from cyclekit.scaling.infer.override import Reference, infer_overrides
 from cyclekit.scaling.levels import find_staircase
-from cyclekit.scaling.safety_override import AGREES, DIFFERS, OverrideMatch, match_of, taken
+from cyclekit.scaling.safety_override import logged_apart
 from cyclekit.segmentation.arrivals import Stands, stands_of
 from cyclekit.segmentation.dwell import usual_dwells
 from cyclekit.segmentation.motion import InferredScaling
@@ -69,7 +69,7 @@ def with_scaling(
     if not references:
         return list(runs), [note("scaling-unknown", silent=len(silent), runs=len(runs))]
     done = [run if run.knows_scaling else run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
-    apart, notes = _logged_apart(runs, parts, sessions, overrides)
+    apart, notes = logged_apart(runs, parts, sessions, overrides)
     left = [number for number in silent if number not in apart]
     after_halt = scalings_after_halts(
         [part.scaling for n in left for part in sorted(parts[n], key=lambda part: part.first)]
@@ -84,38 +84,6 @@ def with_scaling(
     for number, part in apart.items():
         done[number] = runs[number].with_scaling([part], logged_apart=True)
     return done, [*notes, *([_inferred(len(left), len(runs), references)] if left else [])]
-
-
-def _logged_apart(
-    runs: Sequence[Run],
-    parts: Sequence[Sequence[InferredScaling]],
-    sessions: Sequence[Session],
-    overrides: Sequence[SafetyOverride | None],
-) -> tuple[dict[int, InferredScaling], list[Note]]:
-    """Return the scaling of those runs that follow the override of their session's safety system, and what to say."""
-    found: dict[int, InferredScaling] = {}
-    told: dict[str, list[tuple[str, OverrideMatch]]] = {}
-    for session, logged in zip(sessions, overrides, strict=True):
-        silent = [number for number in session.runs if not runs[number].knows_scaling]
-        if logged is None or not silent:
-            continue
-        agreed = match_of(logged, [(runs[number], parts[number]) for number in silent])
-        told.setdefault(agreed.found, []).append((logged.log, agreed))
-        if agreed.agrees:
-            found |= {number: taken(logged, agreed.later_s, runs[number]) for number in silent}
-    return found, [_told_of_logs(what, mine) for what, mine in told.items()]
-
-
-def _told_of_logs(found: str, told: Sequence[tuple[str, OverrideMatch]]) -> Note:
-    """Return one note on logs of which the same is to be said."""
-    error, later_s = (np.array([getattr(one, name) for _, one in told]) for name in ("error", "later_s"))
-    values: dict[str, str | int | float] = {"log": told[0][0], "logs": len(told), "error": float(error.max())}
-    times = {"earliest_s": float(later_s.min()), "latest_s": float(later_s.max())}
-    if found == AGREES:
-        return note("scaling-of-safety-log", **values, **times)
-    if found == DIFFERS:
-        return note("override-not-followed", **values, **times)
-    return note("override-not-compared", **values)
 
 
 def _inferred(silent: int, runs: int, references: Mapping[str, Sequence[Reference]]) -> Note:

@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.dataset.cards import note
 from cyclekit.segmentation.motion import NOT_LOGGED, InferredScaling
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.sessions import Session
     from cyclekit.dataset.signals import Read
     from cyclekit.schema import Vector
@@ -40,6 +42,8 @@ CAPPED = 0.2
 APART_S, BETTER = 2.0, 1.5
 """Offsets that far from the best one must fit so many times worse; else it is one of several."""
 _TIE = 0.002
+AT_ONCE = 1 << 17
+"""Rows of a run that are in memory at once, but for their scaling."""
 AGREES, DIFFERS, TOO_LITTLE = "agrees", "differs", "too little"
 
 
@@ -142,9 +146,51 @@ def match_of(logged: SafetyOverride, runs: Iterable[tuple[Run, Sequence[Inferred
 
 def taken(logged: SafetyOverride, later_s: float, run: Run) -> InferredScaling:
     """Return the scaling of a whole run by the override, which the robot follows so much later than it was logged."""
-    scaling = logged.at(run.window(0, run.rows - 1).t_s - later_s)  # exact: whole percents lie at a level's tolerance
+    blocks = (run.window(at, min(at + AT_ONCE, run.rows) - 1) for at in range(0, run.rows, AT_ONCE))
+    scaling = np.concatenate(
+        [logged.at(block.t_s - later_s) for block in blocks]
+    )  # no float32: 69 % is just on a level of 70 %
     gap = np.where(np.isfinite(scaling), 0, NOT_LOGGED).astype(np.int8)
     return InferredScaling(0, scaling, np.broadcast_to(0.0, scaling.shape), gap)
+
+
+def logged_apart(
+    runs: Sequence[Run],
+    parts: Sequence[Sequence[InferredScaling]],
+    sessions: Sequence[Session],
+    overrides: Sequence[SafetyOverride | None],
+) -> tuple[dict[int, InferredScaling], list[Note]]:
+    """Return the scaling of those runs that follow the override of their session's safety system, and what to say.
+
+    Args:
+        runs: All runs.
+        parts: What was inferred of each.
+        sessions: They, with the numbers of their runs.
+        overrides: What the safety system of each session logged.
+    """
+    found: dict[int, InferredScaling] = {}
+    told: dict[str, list[tuple[str, OverrideMatch]]] = {}
+    for session, logged in zip(sessions, overrides, strict=True):
+        silent = [number for number in session.runs if not runs[number].knows_scaling]
+        if logged is None or not silent:
+            continue
+        agreed = match_of(logged, [(runs[number], parts[number]) for number in silent])
+        told.setdefault(agreed.found, []).append((logged.log, agreed))
+        if agreed.agrees:
+            found |= {number: taken(logged, agreed.later_s, runs[number]) for number in silent}
+    return found, [_told_of_logs(what, mine) for what, mine in told.items()]
+
+
+def _told_of_logs(found: str, told: Sequence[tuple[str, OverrideMatch]]) -> Note:
+    """Return one note on logs of which the same is to be said."""
+    error, later_s = (np.array([getattr(one, name) for _, one in told]) for name in ("error", "later_s"))
+    values: dict[str, str | int | float] = {"log": told[0][0], "logs": len(told), "error": float(error.max())}
+    times = {"earliest_s": float(later_s.min()), "latest_s": float(later_s.max())}
+    if found == AGREES:
+        return note("scaling-of-safety-log", **values, **times)
+    if found == DIFFERS:
+        return note("override-not-followed", **values, **times)
+    return note("override-not-compared", **values)
 
 
 def _sure(runs: Iterable[tuple[Run, Sequence[InferredScaling]]]) -> tuple[Vector, Vector]:

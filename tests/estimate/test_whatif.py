@@ -294,7 +294,7 @@ def test_how_often_he_is_away_is_read_from_all_of_a_circle_and_not_from_the_ends
         logged=80 - np.arange(0, 80, 10),
         executions=("e",) * 8,
     )
-    assert tracks.on_circles
+    assert tracks.at_any_instant
     half = altered_tracks(Change("half", frequency=0.5), tracks, tasks, staircase)
     away = half.xyz_m[0, :, 0] > 1.0
     assert np.diff(np.flatnonzero(np.diff(away.astype(int))))[:3].tolist() == [120, 40, 120]

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
-from cyclekit.scaling.safety_override import AGREES, DIFFERS, TOO_LITTLE, SafetyOverride, match_of
+from cyclekit.scaling.safety_override import AGREES, DIFFERS, TOO_LITTLE, SafetyOverride, match_of, taken
 from cyclekit.segmentation.motion import InferredScaling, RobotRun
 
 if TYPE_CHECKING:
@@ -84,6 +84,16 @@ def test_a_silent_log_holds_its_last_value_no_longer_than_a_second():
     t_s = np.concatenate([np.arange(0.0, 10.0, 0.1), np.arange(50.0, 60.0, 0.1)])
     found = logged(t_s, np.full(len(t_s), 0.5), clock_known=True).at(np.array([-1.0, 5.0, 10.5, 30.0, 55.0]))
     assert np.isnan(found).tolist() == [True, False, False, True, False]
+
+
+def test_a_run_that_is_read_in_blocks_has_the_same_scaling(monkeypatch: pytest.MonkeyPatch):
+    t_s = np.arange(0.0, 400.0, 0.02)
+    mine, (run, _) = logged(t_s[::2], course(t_s[::2]), clock_known=True), moved(course(t_s), t_s)[0]
+    whole = taken(mine, 0.1, run).scaling
+    monkeypatch.setattr("cyclekit.scaling.safety_override.AT_ONCE", 777)
+    np.testing.assert_array_equal(taken(mine, 0.1, run).scaling, whole)
+    assert np.isnan(whole[:5]).all()
+    assert np.isfinite(whole[5:]).all()
 
 
 @pytest.fixture(scope="module")

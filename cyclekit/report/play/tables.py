@@ -94,7 +94,7 @@ def tables_of(page: PageInputs, model: SafetyModel) -> tuple[dict[str, Any], Arr
             "count": len(tracks.executions),
             "step_s": tracks.step_s,
             "logged": tracks.logged.tolist(),
-            "circles": tracks.on_circles,
+            "circles": tracks.at_any_instant,
         },
         "dynamics": vars(dynamics),
         "step": {"coarse_s": TIME_STEP_S, "fine_s": FINE_STEP_S, "support_s": SUPPORT_EVERY_S, "nominal_s": STEP_S},

@@ -1,8 +1,9 @@
 """The places of a cell, out of the standstills of its robot.
 
 A place is a spot where the robot stands although it was allowed to move; where the scaling is not logged, a spot that
-the robot never passes without standing. Motion is asked first; signals (an output, a register, an event) that change
-while the robot stands at places found so, and hardly ever else, tell of places that motion does not show.
+the robot never passes without standing, or where it often stands for the same time. Motion is asked first; signals (an
+output, a register, an event) that change while the robot stands at places found so, and hardly ever else, tell of
+places that motion does not show.
 
 A robot that moves on without a dwell stops at each position for a row or two of its log at most. Where it rests at one
 place at most, these turning points divide its motion (`with_turns`).
@@ -33,6 +34,10 @@ WORKS, WORKS_AT = 0.9, 0.8
 """A signal tells of work if so much of its changes happen while the robot stands, and it changes in so many stands at
 some place: one that says that the robot is halted, or moves, changes at the ends of stands and at no place in most."""
 
+EVEN, OFTEN, EXACT_M = 0.7, 5, 5e-4
+"""A robot that often stands at one spot, to this distance (median), and for the same time (the short standstills last
+at least this part of the long ones) works there, however often it passes on its way to other places: a halt for safety
+lasts as long as the operator is near, and is where he finds the robot."""
 VARIES, PASSED = 0.5, 1.1
 """The robot only waits at a spot if its short standstills there last less than this part of its long ones, and if it
 comes there so many times as often as it stands."""
@@ -44,10 +49,11 @@ def find_places(
     """Return the places of a cell, by name, named ones first and found ones (`place_1`, ...) by first visit.
 
     A spot is a place when the cell file names it, or the robot stood there while it was free to move (in at least
-    a tenth of its stops), or, where no scaling is known, when it hardly ever passes without standing. The spot at
-    which most recordings begin and end is a place too: a recorder that runs from home to home never sees it stand.
-    A spot that it also passes without a stop, and where it stands for very different times, is none: it waits there.
-    One in half of whose stops a signal changes that tells of work at the others is one. With `all_named` none is found.
+    a tenth of its stops), or, where no scaling is known, when it hardly ever passes without standing, or often stands
+    there for the same time. The spot at which most recordings begin and end is a place too: a recorder that runs from
+    home to home never sees it stand. A spot that it also passes without a stop, and where it stands for very different
+    times, is none: it waits there. One in half of whose stops a signal changes that tells of work at the others is one.
+    With `all_named` none is found.
     """
     places: dict[str, Place] = {}
     xyz = np.array([stop.xyz_m for stop in stops]).reshape(-1, 3)
@@ -83,11 +89,7 @@ def _without_waits(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, grou
 
     It passes such a spot without a stop when it need not wait, and stands there for very different times.
     """
-    lasts_s = [
-        [runs[stops[i].run].time_at(stops[i].last) - runs[stops[i].run].time_at(stops[i].first) for i in group.tolist()]
-        for group in groups
-    ]
-    vary = [bool(np.quantile(one, 0.1) < VARIES * np.quantile(one, 0.9)) for one in lasts_s]
+    vary = [_evenness(runs, stops, group) < VARIES for group in groups]
     centres = np.array([np.median(xyz[group], axis=0) for group, yes in zip(groups, vary, strict=True) if yes])
     passes = iter(count_passes(runs, centres.reshape(-1, 3)).tolist())
     kept = []
@@ -96,6 +98,13 @@ def _without_waits(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, grou
         if not yes or next(passes) < PASSED * np.count_nonzero(near):
             kept.append(group)
     return kept
+
+
+def _evenness(runs: Sequence[Run], stops: Sequence[Stop], group: Ints) -> float:
+    """Return how long the short standstills of a group (10 %) last, as a part of the long ones (90 %), 0 to 1."""
+    ends = [(runs[stops[i].run], stops[i]) for i in group.tolist()]
+    short_s, long_s = np.quantile([run.time_at(stop.last) - run.time_at(stop.first) for run, stop in ends], (0.1, 0.9))
+    return float(short_s / long_s) if long_s > 0 else 1.0
 
 
 def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: Sequence[Ints]) -> list[Ints]:
@@ -190,7 +199,9 @@ def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups:
             near = np.linalg.norm(xyz - centre, axis=1) <= MERGE_M
             answers.append(bool(len(group) >= 0.1 * np.count_nonzero(near)))
         else:
-            answers.append(bool(len(group) >= 0.8 * next(passes)))
+            off_m = np.median(np.linalg.norm(xyz[group] - centre, axis=1))
+            even = len(group) >= OFTEN and off_m <= EXACT_M and _evenness(runs, stops, group) >= EVEN
+            answers.append(bool(len(group) >= 0.8 * next(passes) or even))
     return answers
 
 

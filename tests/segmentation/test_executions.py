@@ -130,6 +130,18 @@ def test_without_any_scaling_a_spot_it_often_passes_without_standing_is_no_place
     assert sorted(place.xyz_m[0] for place in found.places.values()) == pytest.approx([0.0, 1.0], abs=1e-3)
 
 
+@pytest.mark.parametrize(("lasts_s", "is_place"), [((0.6,) * 6, True), ((0.3, 2.0, 0.8, 4.0, 1.2, 0.5), False)])
+def test_a_spot_that_it_often_passes_is_a_place_where_it_stands_for_the_same_time(
+    tmp_path: Path, robot_log: Any, lasts_s: tuple[float, ...], *, is_place: bool
+):
+    doing: list[tuple[str, float]] = [("stand", 1.0)]
+    for stand_s in lasts_s:
+        doing += [("move", 0.4), ("stand", stand_s), ("move", 1.0), ("stand", 0.6), ("move", 0.0), ("stand", 0.6)]
+    found = made_of(tmp_path, robot_log(tmp_path / "run.csv", doing, scaling=False))
+    places_m = sorted(place.xyz_m[0] for place in found.places.values())
+    assert places_m == pytest.approx([0.0, 0.4, 1.0] if is_place else [0.0, 1.0], abs=1e-3)
+
+
 def test_a_halt_a_hair_before_the_goal_is_loss_of_the_motion_that_it_stopped(tmp_path: Path, robot_log: Any):
     doing: list[tuple[str, float]] = [("stand", 1.0)]
     for number in range(5):

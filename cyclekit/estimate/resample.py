@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 RESAMPLES = 1000
 TOGETHER = 3
 """Neighbouring executions drawn together where the log runs on."""
+BLOCKS = 4
+"""Fewer are drawn together where there would not be so many blocks: one block is all of them, in every resample."""
 _Z = 1.96
 """Half the width of a 95 % interval, standard errors."""
 
@@ -29,7 +31,7 @@ def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> Flo
     Args:
         executions: Execution behind each of K tracks.
         seed: Same seed, same draw.
-        together: How many neighbouring executions are drawn as one block.
+        together: How many neighbouring executions are drawn as one block, at most (see BLOCKS).
     """
     names, which = np.unique(np.array(executions), return_inverse=True)
     weight = _drawn(len(names), seed, together)[:, which].astype(np.float64)
@@ -50,6 +52,7 @@ def resampled_alike(executions: Sequence[str], others: Sequence[str], seed: int,
 def _drawn(count: int, seed: int, together: int) -> Ints:
     """Return how often each of `count` executions is drawn in each resample, shape (RESAMPLES, count)."""
     rng = np.random.default_rng(seed)
+    together = min(together, max(1, count // BLOCKS))
     starts = rng.integers(0, count, (RESAMPLES, -(-count // together)))
     drawn = (starts[:, :, None] + np.arange(together)).reshape(RESAMPLES, -1) % count
     drawn += count * np.arange(RESAMPLES)[:, None]

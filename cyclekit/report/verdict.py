@@ -152,7 +152,7 @@ def _today(texts: ReportTexts, found: TaktVerdict) -> str:
     if today is None:
         return ""
     mean, _ = with_uncertainty(today.mean_s, today.low_s, today.high_s)
-    mean = fixed(today.mean_s, 1) if today.executions == 1 else mean
+    mean = fixed(today.mean_s, 1) if today.executions else mean  # of what was logged it is no estimate
     said = texts("verdict.today", mean=mean)
     if today.sequence is not None:
         said = texts("verdict.baseline", name=today.sequence, mean=mean)
@@ -226,7 +226,7 @@ def basis(texts: ReportTexts, found: TaktVerdict) -> str:
         return texts("verdict.estimated", name=today.sequence, mean=mean, interval=interval)
     if today.executions == 1:
         return texts("verdict.today_one", mean=fixed(today.mean_s, 1))
-    values = {"mean": mean, "interval": interval, "executions": count(today.executions)}
+    values = {"mean": fixed(today.mean_s, 1), "interval": interval, "executions": count(today.executions)}
     said = texts("verdict.basis_order" if today.order else "verdict.basis", **values)
     if today.missed is None or found.takt_s is None:
         return f"{said}."

@@ -6,6 +6,7 @@ import csv
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from msgspec import structs
 from report_pages import Page, estimate
@@ -92,15 +93,21 @@ def test_the_baseline_is_the_order_run_most_where_it_was_run_often(logged, tmp_p
     assert (seldom.executions, seldom.order) == (6, None)
 
 
+@pytest.mark.parametrize("times", [2, 3])
+def test_the_interval_of_few_logged_executions_is_that_of_students_t(logged, times):
+    today = today_of(in_orders(logged, *[ROUTE] * times), work_of(ROUTE), None)
+    cycles_s = np.array((28, 30, 31)[:times])
+    half_s = {2: 12.706, 3: 4.303}[times] * cycles_s.std(ddof=1) / times**0.5
+    assert (today.mean_s - today.low_s, today.high_s - today.mean_s) == pytest.approx([half_s] * 2, rel=0.05)
+
+
 def test_a_named_baseline_is_its_logged_executions_or_else_its_estimate(logged, tmp_path):
     both = in_orders(logged, *[ROUTE] * 4, *[TURNED] * 3)
     given = {"estimates": [estimate("as now", 31.0, places=ROUTE), estimate("turned", 20.0, places=TURNED)]}
     held = verdict(both, given["estimates"], (), None, None, "turned").today
     assert (held.executions, held.order, held.sequence) == (3, TURNED, "turned")
     found = document(logged, tmp_path, **given, takt_s=25.0, baseline="as now")
-    assert found["answer"].startswith(
-        "“as now” (baseline) 31.0 s, 0 % of cycles within the takt of 25 s (95 % CI 0 to "
-    )
+    assert found["answer"].startswith("“as now” (baseline) 31.0 s, 0 % of cycles within the takt of 25 s (95 % CI 0 to ")
     found = document(logged, tmp_path, **given, baseline="turned")
     assert found["answer"] == "“turned” (baseline) 20.0 s. No other sequence takes less time."
     assert found["sentences"]["answer"][0].startswith("The baseline “turned” was never logged: its estimate")

@@ -5,8 +5,9 @@ Each cell of the simulator is given a safety function that no log tells; its tru
 kind of rule is named, thresholds are within 1 cm and corners within 3 cm.
 
 In the tenth the left edge of the rectangle lies behind the distance, where few operators show it; in the eleventh the
-rectangle lies apart. Of a region of the robot the edges that the TCP crosses count as corners. The last goes by a bit
-in the events, beside one by which the robot tells that it is slow, and one of a gripper.
+rectangle lies apart. Of a region of the robot the edges that the TCP crosses count as corners. The sixteenth goes by a
+bit in the events, beside one by which the robot tells that it is slow, and one of a gripper; then come four with a
+reaction time, three of them beside a hysteresis, which looks like more of it.
 
 The limits of the method were chosen on the scenes as they are, with seed 3.
 
@@ -145,6 +146,15 @@ CASES = (
         robot=REGION,
     ),
     Case("scanner-visits", SIGNAL, Rule(FIELDS), {"latency_s": 0.15}),
+    Case("box-picking", TO_TCP, Rule(nearer("tcp", (0.0, 1.02), (0.4, 1.71))), {"hysteresis_m": 0.2, "latency_s": 0.2}),
+    Case("scanner-visits", BOX, Rule((inside(0.25, PANEL),)), {"hysteresis_m": 0.15, "latency_s": 0.15}),
+    Case("box-picking", TO_TCP, Rule(nearer("tcp", (0.0, 1.1), (0.3, 1.63), (0.7, 2.17))), {"latency_s": 0.25}),
+    Case(
+        "scanner-visits",
+        f"{TO_TCP}, or {BOX}",
+        Rule((*MIXED, inside(0.3, Rectangle((2.25, 3.0), (0.75, 1.5))))),
+        {"hysteresis_m": 0.15, "latency_s": 0.25},
+    ),
 )
 
 

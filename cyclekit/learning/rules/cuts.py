@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _ROUNDS, _ABOUT_ROWS = 8, 1500
 _COARSE_DEG, _FINE_DEG = 5.0, (2.0, 0.7, 0.25, 0.1)
+CELLS = 12
 EDGE_PART = 0.005
 """An edge is drawn first where this part of the slow samples lies beyond it."""
 
@@ -129,15 +130,18 @@ def best_box(
         values: Shape (N,) each; rows that are NaN in one of them are outside of any box.
         slow: Shape (N,).
         weight: How often each row counts, shape (N,), not negative.
-        start: Where to begin; None: around the slow samples, and around most of them.
+        start: Where to begin; None: around the slow samples, around most of them, and where in a plane most are.
     """
     known = (weight > 0) & np.isfinite(values[0])
     if not (slow & known).any():
         return None
     values, slow, weight = [value[known] for value in values], slow[known], weight[known]
     axes = [_Axis.of(value, slow, weight) for value in values]
-    boxes = _first_boxes(axes) if start is None else [np.array([_bounds(edges) for edges in start])]
     gain = np.where(slow, weight, -weight)
+    if start is None:
+        boxes = _first_boxes(axes) + ([_coarse_box(values, gain, slow)] if len(values) == 2 else [])
+    else:
+        boxes = [np.array([_bounds(edges) for edges in start])]
     found = [_improved(values, axes, gain, box) for box in boxes]
     return max(found, key=lambda one: one[0])[1]
 
@@ -184,6 +188,24 @@ def best_turned(rows: LimitRows, start: RectangleCard | None = None) -> Rectangl
 def _first_boxes(axes: Sequence[_Axis]) -> list[NDArray[np.float64]]:
     mine = [axis.value[axis.gain > 0] for axis in axes]
     return [np.array([np.quantile(value, (part, 1.0 - part)) for value in mine]) for part in (0.0, EDGE_PART)]
+
+
+def _coarse_box(values: Sequence[Vector], gain: Vector, slow: Bools) -> NDArray[np.float64]:
+    """Return the box of cells of a coarse grid, with as many slow rows in each row of cells, that gains most.
+
+    Slow rows of another cause, all over the floor, hide a box from one that shrinks around all of them.
+    """
+    edges = [np.unique(np.quantile(value[slow], np.linspace(0.0, 1.0, CELLS + 1))) for value in values]
+    if min(map(len, edges)) < 2:
+        return np.array([[edge[0], edge[-1]] for edge in edges])
+    cells = np.histogram2d(values[0], values[1], bins=edges, weights=gain)[0]
+    until = np.pad(cells.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    first, last = np.triu_indices(len(until), 1)
+    strips = until[last] - until[first]  # of the first value, from each edge to each later one
+    rise = strips - np.minimum.accumulate(strips, axis=1)
+    strip, end = np.unravel_index(int(rise.argmax()), rise.shape)
+    begin = int(strips[strip, : end + 1].argmin())
+    return np.array([[edges[0][first[strip]], edges[0][last[strip]]], [edges[1][begin], edges[1][end]]])
 
 
 def _bounds(edges: Edges) -> list[float]:

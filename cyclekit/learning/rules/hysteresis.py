@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 Z95 = 1.96
 """Half a 95 % interval, standard errors."""
+FAR_OFF = 4.0
 SUREST_M = 0.001
 """No threshold or edge is known better than this."""
 
@@ -46,6 +47,27 @@ def with_one_hysteresis(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
         found[place] = _joined(inner, outer, -apart_m, mean_error)
         found[place._replace(until=True)] = _joined(outer, inner, apart_m, mean_error)
     return put(limits, found)
+
+
+def with_even_margins(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
+    """Return a rule in which a margin that is FAR_OFF times the median one of the rule, or negative, is that one.
+
+    A level that has another condition as well stays in force far beyond its distance: a fit of the distance alone takes
+    that for hysteresis.
+    """
+    values = quantities(limits)
+    places = [place for place in values if not place.until and place._replace(until=True) in values]
+    if len(places) < 2:
+        return limits
+    margin = {
+        place: outwards(place) * (values[place._replace(until=True)].value - values[place].value) for place in places
+    }
+    usual_m = float(np.median(list(margin.values())))
+    found: dict[RulePlace, MetresCard] = {}
+    for place in [place for place in places if not 0.0 <= margin[place] <= FAR_OFF * usual_m]:
+        at = values[place].value + outwards(place) * usual_m
+        found[place._replace(until=True)] = structs.replace(values[place], value=at, low=at, high=at)
+    return put(limits, found) if found else limits
 
 
 def _error(metres: MetresCard) -> float:

@@ -12,13 +12,13 @@ from cyclekit.learning.rules.crossings import LAG_M, by_crossings, lags
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.families.signal import SIGNALS
 from cyclekit.learning.rules.fitting import few_of, fit_limits, refined
-from cyclekit.learning.rules.hysteresis import with_one_hysteresis
+from cyclekit.learning.rules.hysteresis import with_even_margins, with_one_hysteresis
 from cyclekit.learning.rules.intervals import with_intervals
 from cyclekit.learning.rules.quantities import quantities, with_bounds, without_doubtful
 from cyclekit.learning.rules.regions import followed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -42,6 +42,7 @@ FAR_M, FAR_NOISE, FAR_PART = 0.05, 4.0, 0.005
 """Noise makes a rule wrong near its edges alone: within FAR_M, and so many times the noise. One that is wrong farther
 off for more than this part of the held-out samples is not the rule, however many of the others it explains."""
 TEST_PART = 0.2
+LAGS = ", with hysteresis"
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,21 @@ class RuleSearch:
     executions: int = 0
 
     @property
+    def likely(self) -> frozenset[str]:
+        """The kinds that explain nearly as much as the best one, and the single conditions that these join."""
+        least = max(self.explained.values(), default=1.0) - LIKELY
+        best = {said.removesuffix(LAGS) for said, part in self.explained.items() if part >= least}
+        joined = {FAMILIES[name].uses for name in best if FAMILIES[name].mixed}
+        return frozenset(
+            best | {name for name, family in FAMILIES.items() if not family.mixed and family.uses in joined}
+        )
+
+    @property
+    def lags(self) -> bool:
+        """Whether the kind that explains most has hysteresis."""
+        return bool(self.explained) and max(self.explained, key=lambda said: self.explained[said]).endswith(LAGS)
+
+    @property
     def clean(self) -> bool:
         """Whether the rule explains the logs as one does whose positions have no noise."""
         return self.rule is not None and self.rule.explained >= EXPLAINS
@@ -77,7 +93,7 @@ class _Fit:
 
     @property
     def said(self) -> str:
-        return f"{self.name}, with hysteresis" if self.lag else self.name
+        return f"{self.name}{LAGS}" if self.lag else self.name
 
 
 def find_rule(
@@ -88,6 +104,7 @@ def find_rule(
     network: NDArray[np.int64] | None = None,
     latency_s: float = 0.0,
     judged_apart: bool = False,
+    kinds: Collection[str] = FAMILIES,
     seed: int = 0,
 ) -> RuleSearch:
     """Find the simplest rule that explains the commanded level.
@@ -99,6 +116,7 @@ def find_rule(
         network: Level that a network names in each row, shape (N,), which has not seen `held_out`; None = no network.
         latency_s: By which positions were shifted, kept in the rule.
         judged_apart: The chosen rule is not fitted again to the executions by which it was judged.
+        kinds: Of rules that are looked at, by name.
         seed: Of what is drawn.
     """
     levels = tuple(levels)
@@ -109,7 +127,7 @@ def find_rule(
     named = None if network is None else network[np.isin(rows.execution, judged) & rows.known]
     rival = None if named is None else _by_execution(named == judge.level, judge)
     fits: list[_Fit] = []
-    tried = _tried(_Search(learn, judge, levels, few_of(learn, seed)), fits)
+    tried = _tried(_Search(learn, judge, levels, few_of(learn, seed), kinds), fits)
     best = next((fit for fit in tried if _part(fit.right, judge) >= EXPLAINS and _is_wide(fit)), None)
     noisy = best is None
     if noisy:
@@ -154,22 +172,31 @@ def drawn(executions: NDArray[np.int64], seed: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class _Search:
-    """Rows to learn from and to judge by, and how often each to learn from counts where a rule is looked for."""
+    """Rows to learn from and to judge by, how often each to learn from counts where a rule is looked for, and kinds."""
 
     learn: RuleRows
     judge: RuleRows
     levels: Sequence[float]
     few: NDArray[np.float64]
+    kinds: Collection[str]
 
     def fitted(self, name: str, fits: Sequence[_Fit], *, lag: bool) -> _Fit:
         """Return a kind fitted: with hysteresis from what it is without; to all rows if it may explain the level."""
         family, asked = FAMILIES[name], (self.learn, self.levels)
         start = next((fit.limits for fit in fits if fit.name == name), None)
-        limits = fit_limits(*asked, family, lag=lag, weight=self.few, start=start)
+        limits = self._evened(fit_limits(*asked, family, lag=lag, weight=self.few, start=start), lag=lag)
         found = self._judged(name, limits, lag=lag)
         if _part(found.right, self.judge) < NOISY_EXPLAINS or self.few.all():
             return found
-        return self._judged(name, refined(limits, *asked, family, lag=lag), lag=lag)
+        return self._judged(name, self._evened(refined(limits, *asked, family, lag=lag), lag=lag), lag=lag)
+
+    def _evened(self, limits: Limits, *, lag: bool) -> Limits:
+        """Return limits with even margins where these explain more of what is learned from."""
+        even = with_even_margins(limits) if lag else limits
+        if even == limits:
+            return limits
+        right, right_even = (_agrees(each, self.levels, self.learn).mean() for each in (limits, even))
+        return even if right_even > right else limits
 
     def _judged(self, name: str, limits: Limits, *, lag: bool) -> _Fit:
         agrees = _agrees(limits, self.levels, self.judge)
@@ -185,17 +212,17 @@ def _tried(search: _Search, fits: list[_Fit]) -> Iterator[_Fit]:
     """
     judge = search.judge
     known = {*judge.apart_m, *([SIGNALS] if judge.positions.signals else [])}
-    able = [name for name, family in FAMILIES.items() if set(family.uses) <= known]
+    able = [name for name, family in FAMILIES.items() if set(family.uses) <= known and name in search.kinds]
     single = [name for name in able if not FAMILIES[name].mixed]
     for lag in (False, True):
         yield from _fitted(single, search, fits, lag=lag)
     likely = _likely_distances(fits, judge)
     mixed = [name for name in able if FAMILIES[name].mixed and FAMILIES[name].uses in likely]
-    enough = max(_part(fit.right, judge) for fit in fits if not fit.lag) + GAINS
+    enough = max((_part(fit.right, judge) for fit in fits if not fit.lag), default=0.0) + GAINS
     for names in (mixed[: len(likely)], mixed[len(likely) :]):
         before = len(fits)
         yield from _fitted(names, search, fits, lag=False)
-        if max(_part(fit.right, judge) for fit in fits[before:]) < enough:
+        if max((_part(fit.right, judge) for fit in fits[before:]), default=0.0) < enough:
             return
         yield from _fitted(names, search, fits, lag=True)
 

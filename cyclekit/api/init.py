@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -152,8 +153,13 @@ def _looked_at(
             raise
         logs, not_read = [], []
     text = cell_to_toml(suggested.cell, drafts) if suggested else None
-    found = tuple((log.shown, log.adapter) for log in logs)
-    return found, tuple(not_read), text, sum(draft.unsure for draft in drafts.values())
+    sources = suggested.cell.sources if suggested else ()
+    mapped = {source.path: source.adapter for source in sources if source.path in drafts}
+    by_map = {name: next((mapped[path] for path in mapped if fnmatch(name, path)), None) for name, _ in not_read}
+    found = [(log.shown, log.adapter) for log in logs]
+    found += [(name, f"{adapter}, by the map drafted in {CELL_FILE}") for name, adapter in by_map.items() if adapter]
+    left = tuple((name, reason) for name, reason in not_read if not by_map[name])
+    return tuple(found), left, text, sum(draft.unsure for draft in drafts.values())
 
 
 def _shown(path: Path, home: Path) -> str:

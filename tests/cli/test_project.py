@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,6 +53,19 @@ def test_init_says_what_it_found_and_writes_a_project_that_reads_back(
     project = load_project(Path())
     assert (project.name, project.logs, project.cell, project.takt_s) == ("cell", ("logs",), "cell.toml", 105.0)
     assert not Path("sequences.toml").exists()  # no order is known before there is a dataset
+
+
+def test_init_counts_the_tables_whose_map_it_drafts(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell
+) -> None:
+    shutil.copytree(logs, tmp_path / "logs", ignore=shutil.ignore_patterns("truth", "cell.toml"))
+    rows = "".join(f"{row * 40};{100 * row};{200 + row}\n" for row in range(50))
+    for number in (1, 2):
+        (tmp_path / "logs" / f"tracker_{number}.csv").write_text("time_ms;pos_x_mm;pos_y_mm\n" + rows, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    done = cyclekit("init", "logs", "--yes")
+    assert "not read" not in done.err
+    assert re.search(r"csv, by the map drafted in cell.toml +2\n", done.out)
 
 
 def test_init_with_a_dataset_writes_the_order_that_was_logged_most_often(begun: Path, dataset: Path) -> None:

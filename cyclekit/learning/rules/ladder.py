@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from cyclekit.learning.rules.rows import RuleRows
 
 EXPLAINS = 0.999
-"""A rule that names the level of this part of the held-out samples explains them: positions have no noise then."""
+"""Without noise, a rule that names the level of this part of the held-out samples explains them."""
 NOISY_EXPLAINS = 0.9
 """With noise, a rule that names fewer explains nothing."""
-SAME, NOISE_M = 0.005, 0.003
+SAME, NOISE_M = 0.001, 0.003
 """With noise larger than this, rules and networks whose parts differ by less are taken as equal: the simpler is chosen;
 without, by less than what a rule may leave unexplained."""
 CHANCE = 2.0
@@ -128,10 +128,11 @@ def find_rule(
     rival = None if named is None else _by_execution(named == judge.level, judge)
     fits: list[_Fit] = []
     tried = _tried(_Search(learn, judge, levels, few_of(learn, seed), kinds), fits)
-    best = next((fit for fit in tried if _part(fit.right, judge) >= EXPLAINS and _is_wide(fit)), None)
-    noisy = best is None
-    if noisy:
+    clean = (fit for fit in tried if judge.noise_m <= NOISE_M and _part(fit.right, judge) >= EXPLAINS and _is_wide(fit))
+    best = next(clean, None)
+    if best is None:
         best = _simplest(fits, judge, learn, levels, rival)
+    noisy = best is None or _part(best.right, judge) < EXPLAINS
     explained = {fit.said: _part(fit.right, judge) for fit in fits}
     seen = (len(rows), len(np.unique(rows.execution)))
     part = None if rival is None else _part(rival, judge)

@@ -107,7 +107,8 @@ def test_a_named_baseline_is_its_logged_executions_or_else_its_estimate(logged, 
     held = verdict(both, given["estimates"], (), None, None, "turned").today
     assert (held.executions, held.order, held.sequence) == (3, TURNED, "turned")
     found = document(logged, tmp_path, **given, takt_s=25.0, baseline="as now")
-    assert found["answer"].startswith("“as now” (baseline) 31.0 s, 0 % of cycles within the takt of 25 s (95 % CI 0 to ")
+    begin = "“as now” (baseline) 31.0 s, 0 % of cycles within the takt of 25 s (95 % CI 0 to "
+    assert found["answer"].startswith(begin)
     found = document(logged, tmp_path, **given, baseline="turned")
     assert found["answer"] == "“turned” (baseline) 20.0 s. No other sequence takes less time."
     assert found["sentences"]["answer"][0].startswith("The baseline “turned” was never logged: its estimate")

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.rule import LimitCard, MetresCard
     from cyclekit.learning.rules.quantities import RulePlace
 
+    Edges = tuple[MetresCard | None, MetresCard | None]
+
 Z95 = 1.96
 """Half a 95 % interval, standard errors."""
 FAR_OFF = 4.0
@@ -55,19 +57,58 @@ def with_even_margins(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
     A level that has another condition as well stays in force far beyond its distance: a fit of the distance alone takes
     that for hysteresis.
     """
+    margins = _margins(limits)
+    if len(margins) < 2:
+        return limits
+    values, usual_m = quantities(limits), max(0.0, float(np.median(list(margins.values()))))
+    off = [place for place, margin_m in margins.items() if not 0.0 <= margin_m <= FAR_OFF * usual_m]
+    found = {place._replace(until=True): _moved(values[place], outwards(place) * usual_m) for place in off}
+    return put(limits, found) if found else limits
+
+
+def with_edges_to_leave(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
+    """Return a rule whose rectangles to leave have each edge of those to enter, the median margin of the rule away."""
+    margins = _margins(limits)
+    usual_m = max(0.0, float(np.median(list(margins.values())))) if margins else 0.0
+    return tuple(_with_edges(limit, usual_m) for limit in limits)
+
+
+def _margins(limits: tuple[LimitCard, ...]) -> dict[RulePlace, float]:
+    """Return by how much each region to leave is wider than the one to enter, by the place in the latter, m."""
     values = quantities(limits)
     places = [place for place in values if not place.until and place._replace(until=True) in values]
-    if len(places) < 2:
-        return limits
-    margin = {
+    return {
         place: outwards(place) * (values[place._replace(until=True)].value - values[place].value) for place in places
     }
-    usual_m = float(np.median(list(margin.values())))
-    found: dict[RulePlace, MetresCard] = {}
-    for place in [place for place in places if not 0.0 <= margin[place] <= FAR_OFF * usual_m]:
-        at = values[place].value + outwards(place) * usual_m
-        found[place._replace(until=True)] = structs.replace(values[place], value=at, low=at, high=at)
-    return put(limits, found) if found else limits
+
+
+def _with_edges(limit: LimitCard, margin_m: float) -> LimitCard:
+    """Return a limit whose region to leave has each edge of the one to enter."""
+    if limit.until is None or len(limit.until.rectangles) != len(limit.within.rectangles):
+        return limit
+    pairs = zip(limit.within.rectangles, limit.until.rectangles, strict=True)
+    kept = tuple(
+        structs.replace(
+            outer,
+            along=_edges(inner.along, outer.along, margin_m),
+            across=_edges(inner.across, outer.across, margin_m),
+        )
+        for inner, outer in pairs
+    )
+    return structs.replace(limit, until=structs.replace(limit.until, rectangles=kept))
+
+
+def _edges(inner: Edges, outer: Edges, margin_m: float) -> Edges:
+    low, high = (
+        edge if edge is not None or same is None else _moved(same, way * margin_m)
+        for same, edge, way in zip(inner, outer, (-1.0, 1.0), strict=True)
+    )
+    return low, high
+
+
+def _moved(metres: MetresCard, by_m: float) -> MetresCard:
+    at = metres.value + by_m
+    return structs.replace(metres, value=at, low=at, high=at)
 
 
 def _error(metres: MetresCard) -> float:

@@ -12,7 +12,7 @@ from cyclekit.learning.rules.crossings import LAG_M, by_crossings, lags
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.families.signal import SIGNALS
 from cyclekit.learning.rules.fitting import few_of, fit_limits, refined
-from cyclekit.learning.rules.hysteresis import with_even_margins, with_one_hysteresis
+from cyclekit.learning.rules.hysteresis import with_edges_to_leave, with_even_margins, with_one_hysteresis
 from cyclekit.learning.rules.intervals import with_intervals
 from cyclekit.learning.rules.quantities import quantities, with_bounds, without_doubtful
 from cyclekit.learning.rules.regions import followed
@@ -185,19 +185,11 @@ class _Search:
         """Return a kind fitted: with hysteresis from what it is without; to all rows if it may explain the level."""
         family, asked = FAMILIES[name], (self.learn, self.levels)
         start = next((fit.limits for fit in fits if fit.name == name), None)
-        limits = self._evened(fit_limits(*asked, family, lag=lag, weight=self.few, start=start), lag=lag)
+        limits = _evened(fit_limits(*asked, family, lag=lag, weight=self.few, start=start), *asked)
         found = self._judged(name, limits, lag=lag)
         if _part(found.right, self.judge) < NOISY_EXPLAINS or self.few.all():
             return found
-        return self._judged(name, self._evened(refined(limits, *asked, family, lag=lag), lag=lag), lag=lag)
-
-    def _evened(self, limits: Limits, *, lag: bool) -> Limits:
-        """Return limits with even margins where these explain more of what is learned from."""
-        even = with_even_margins(limits) if lag else limits
-        if even == limits:
-            return limits
-        right, right_even = (_agrees(each, self.levels, self.learn).mean() for each in (limits, even))
-        return even if right_even > right else limits
+        return self._judged(name, _evened(refined(limits, *asked, family, lag=lag), *asked), lag=lag)
 
     def _judged(self, name: str, limits: Limits, *, lag: bool) -> _Fit:
         agrees = _agrees(limits, self.levels, self.judge)
@@ -233,6 +225,19 @@ def _fitted(names: Sequence[str], search: _Search, fits: list[_Fit], *, lag: boo
         if FAMILIES[name].may_lag or not lag:
             fits.append(search.fitted(name, fits, lag=lag))
             yield fits[-1]
+
+
+def _evened(limits: Limits, rows: RuleRows, levels: Sequence[float]) -> Limits:
+    """Return limits with every edge to leave and with even margins, where these explain no less.
+
+    A missing edge is few samples that nobody left across: their few contradictions do not make it one that is not.
+    """
+    for change, less in ((with_edges_to_leave, 1.0 - EXPLAINS), (with_even_margins, 0.0)):
+        other = change(limits)
+        if other != limits:
+            right, right_then = (float(_agrees(each, levels, rows).mean()) for each in (limits, other))
+            limits = other if right_then >= right - less else limits
+    return limits
 
 
 def _agrees(limits: Limits, levels: Sequence[float], rows: RuleRows, least_m: float = 0.0) -> NDArray[np.bool_]:
@@ -281,7 +286,7 @@ def _better(one: NDArray[np.float64], other: NDArray[np.float64], judge: RuleRow
 def _whole(fit: _Fit, rows: RuleRows, levels: Sequence[float], *, noisy: bool, seed: int) -> Limits | None:
     """Return the chosen kind of rule fitted to all rows, with intervals, and without what these make doubtful."""
     family = FAMILIES[fit.name]
-    limits = refined(fit.limits, rows, levels, family, lag=fit.lag)
+    limits = _evened(refined(fit.limits, rows, levels, family, lag=fit.lag), rows, levels)
     if not limits:
         return None
     if noisy:

@@ -91,9 +91,7 @@ def rule_of(
     return _with_poses(found, dataset, names)
 
 
-def less_late(
-    search: Callable[..., RuleSearch], latency_s: float, late: RuleSearch, at_once: RuleSearch
-) -> RuleSearch:
+def less_late(search: Callable[..., RuleSearch], latency_s: float, late: RuleSearch, at_once: RuleSearch) -> RuleSearch:
     """Return what is found with a part of the latency; what is found with all of it where that is nothing.
 
     The latency is read without hysteresis, which looks like one: a hysteresis of 0.2 m like 0.1 to 0.2 s of a person

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, RectangleCard, RegionCard
 from cyclekit.learning.rules.distances import TO_TCP
-from cyclekit.learning.rules.hysteresis import with_one_hysteresis
+from cyclekit.learning.rules.hysteresis import with_edges_to_leave, with_even_margins, with_one_hysteresis
 from cyclekit.learning.rules.quantities import outwards, quantities
 
 
@@ -62,3 +62,36 @@ def test_every_number_stays_within_its_own_interval(value: float, give_or_take_m
         least = 0.002 if own.high - own.low < 0.002 else 0.0  # no better known than to a millimetre
         assert own.low - least <= after[place].value <= own.high + least
         assert np.isfinite(outwards(place) * after[place].value)
+
+
+def crossed(at_m: float | None) -> MetresCard | None:
+    return None if at_m is None else MetresCard(value=at_m, low=at_m, high=at_m)
+
+
+def nearer(level: float, at_m: float, until_m: float) -> LimitCard:
+    def region_of(metres: float) -> RegionCard:
+        return RegionCard(nearer=(NearerCard(distance=TO_TCP, metres=known(metres, 0.0)),))
+
+    return LimitCard(scaling=level, within=region_of(at_m), until=region_of(until_m))
+
+
+def test_a_margin_far_off_the_others_is_theirs() -> None:
+    given = (nearer(0.0, 0.8, 0.95), nearer(0.3, 1.2, 3.7), nearer(0.7, 1.7, 1.87))
+    found = with_even_margins(given)
+    assert found[::2] == given[::2]
+    assert found[1].until == nearer(0.3, 1.2, 1.37).until
+    assert with_even_margins(given[::2]) == given[::2]
+
+
+def test_a_rectangle_is_left_across_each_edge_by_which_it_is_entered() -> None:
+    def box(left_m: float | None, top_m: float | None) -> RegionCard:
+        sides = {"along": (crossed(left_m), None), "across": (None, crossed(top_m))}
+        return RegionCard(rectangles=(RectangleCard(angle_rad=0.0, **sides),))
+
+    (found,) = with_edges_to_leave((LimitCard(scaling=0.5, within=box(-1.0, 2.0), until=box(-1.2, None)),))
+    assert found.within == box(-1.0, 2.0)
+    assert found.until is not None
+    left, top = found.until.rectangles[0].along[0], found.until.rectangles[0].across[1]
+    assert left is not None
+    assert top is not None
+    assert (left.value, top.value) == pytest.approx((-1.2, 2.2))

@@ -188,6 +188,19 @@ def test_what_could_mean_something_else_is_asked_with_all_that_depends_on_it(tmp
     assert tomllib.loads(mended)["sources"][0]["adapter"] == "csv"
 
 
+@pytest.mark.parametrize(
+    ("called", "more"), [("log.csv", [("track_id", [1] * ROWS)]), ("people.csv", [])], ids=["by-column", "by-file"]
+)
+def test_a_table_of_people_is_in_metres_though_its_places_have_no_word_for_them(tmp_path, called, more):
+    """Steps of 0.1 over 9 units: an arm could do that in mm, in cm or in inches; a person walks metres."""
+    walk = [-3.5 + 0.09053 * i for i in range(100)]
+    t = ("t_s", [0.07 * i for i in range(100)])
+    table = lines(t, *((name, (told * 100)[:100]) for name, told in more), ("x", walk), ("y", walk))
+    proposed = draft(tmp_path / called, table)
+    assert asked(proposed) == set()
+    assert (values(proposed)["role"], values(proposed)["length_unit"]) == ("people", "m")
+
+
 def test_a_table_whose_time_is_in_doubt_is_not_read_until_somebody_decides(tmp_path):
     log = tmp_path / "log.csv"
     proposed = draft(log, lines(("time", WHOLE), ("tcp_x", [0.5] * ROWS), ("tcp_y", MOVES)))

@@ -89,7 +89,7 @@ class _Findings:
             self.sure = is_robot != is_person
             self.why = "its name says so" if self.sure else "robot or people? Its columns do not say"
         self.role = "people" if is_person and not is_robot else "robot"
-        self.places = (persons or robots) if self.role == "people" else robots
+        self.places = (persons or places(table, names, of_people=True)) if self.role == "people" else robots
         self.others = persons if self.role == "robot" else []
 
     def moving(self, table: DraftTable) -> NDArray[np.float64] | None:

@@ -84,8 +84,8 @@ class FoundColumns:
     robot: bool = False
 
 
-def places(table: DraftTable, names: Mapping[str, Name]) -> list[FoundColumns]:
-    """Return triples or pairs of columns that are places, the best first."""
+def places(table: DraftTable, names: Mapping[str, Name], *, of_people: bool = False) -> list[FoundColumns]:
+    """Return triples or pairs of columns that are places, the best first; of people where the table is about them."""
     groups: dict[tuple[str, ...], list[Name]] = {}
     for name in _numeric(table, names):
         if not name.is_other and (name.axis or (name.number is not None and name.says(PLACE))):
@@ -93,7 +93,10 @@ def places(table: DraftTable, names: Mapping[str, Name]) -> list[FoundColumns]:
     found = [(group, axes) for group in groups.values() if (axes := _axes(group))]
     ranked = sorted(found, key=lambda pair: -_rank(pair[0][0]))
     best = [axes for group, axes in ranked if _rank(group[0]) == _rank(ranked[0][0][0])]
-    return [_place(table, group[0], axes, others=len(best) - 1 if axes in best else 0) for group, axes in ranked]
+    return [
+        _place(table, group[0], axes, others=len(best) - 1 if axes in best else 0, of_people=of_people)
+        for group, axes in ranked
+    ]
 
 
 def _axes(group: Sequence[Name]) -> tuple[Name, ...]:
@@ -113,10 +116,11 @@ def _rank(name: Name) -> float:
     return said - 8.0 * name.is_set_point - 0.1 * len(name.words)
 
 
-def _place(table: DraftTable, first: Name, axes: tuple[Name, ...], others: int) -> FoundColumns:
+def _place(table: DraftTable, first: Name, axes: tuple[Name, ...], *, others: int, of_people: bool) -> FoundColumns:
     columns = tuple(name.column for name in axes)
     values = np.concatenate([table.numbers[column] for column in columns])
-    unit, why, sure = length_unit(values, {name.unit for name in axes}, person=first.says(PERSON))
+    person = first.says(PERSON) or of_people
+    unit, why, sure = length_unit(values, {name.unit for name in axes}, person=person)
     against = (
         "a set point, not a measurement"
         if first.is_set_point
@@ -125,7 +129,7 @@ def _place(table: DraftTable, first: Name, axes: tuple[Name, ...], others: int) 
         else ""
     )
     known = bool(np.isfinite(values).any()) and not against
-    return FoundColumns(columns, unit, why, sure, known, against, first.says(PERSON), first.says(ROBOT))
+    return FoundColumns(columns, unit, why, sure, known, against, person, first.says(ROBOT))
 
 
 def length_unit(values: np.ndarray, said: set[str | None], *, person: bool) -> tuple[str, str, bool]:

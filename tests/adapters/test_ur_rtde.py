@@ -45,6 +45,54 @@ def test_both_writers_and_their_edited_kin_give_the_same_table(tmp_path, ur, del
     assert robot["q5_rad"].to_list() == [0, -1, -2, -3]
 
 
+def with_times(ur, times, delimiter=","):
+    """A log of the PC's times where RTDE has the controller's."""
+    lines = ur.text([ur.row(float(i)) for i in range(len(times))], delimiter, "\n").splitlines()
+    at = lines[0].split(delimiter).index("timestamp")
+    out = [lines[0]]
+    for line, time in zip(lines[1:], times, strict=True):
+        cells = line.split(delimiter)
+        cells[at] = time
+        out.append(delimiter.join(cells))
+    return "\n".join(out) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (["2026-10-05T06:00:01.008+02:00", "2026-10-05T06:00:01.016+02:00"], {}),
+        (["2026-10-05 04:00:01.008Z", '"2026-10-05 04:00:01.016Z"'], {}),
+        (["2026-10-05T06:00:01.008", "2026-10-05T06:00:01.016"], {"time_zone": "Europe/Rome"}),
+        (["1791172801.008", "1791172801.016"], {}),
+        (["1791172801008", "1791172801016"], {}),
+        (["1791172801008000", "1791172801016000"], {}),
+    ],
+)
+def test_the_time_of_a_pc_is_read_as_such(tmp_path, ur, times, said):
+    path = write(tmp_path / "run.csv", with_times(ur, times))
+    assert ADAPTER.recognises(path)
+    log = read(path, map=said)
+    assert (log.clock, log.warnings, log.set_aside.height) == ("epoch", (), 0)
+    assert log.robot["t_s"].to_list() == pytest.approx([1791172801.008, 1791172801.016], abs=1e-6)
+    assert log.facts["time"].startswith("the PC's clock")
+
+
+def test_a_time_of_day_without_a_zone_is_read_and_said_to_lack_it(tmp_path, ur):
+    log = read(write(tmp_path / "run.csv", with_times(ur, ["2026-10-05 06:00:01.0", "2026-10-05 06:00:01.5"])))
+    assert (log.clock, log.robot["t_s"].diff()[1]) == ("relative", 0.5)
+    assert [said for said in log.warnings if 'time_zone, for example "Europe/Rome"' in said]
+    with pytest.raises(UnknownName, match="Europe/Rome"):
+        read(tmp_path / "run.csv", map={"time_zone": "Europe/Romme"})
+
+
+def test_a_row_whose_time_is_garbled_costs_only_itself(tmp_path, ur):
+    times = [f"2026-10-05T06:00:0{i}+02:00" for i in range(4)]
+    times[2] = "2026-10-05T06:0"
+    log = read(write(tmp_path / "run.csv", with_times(ur, times)))
+    assert log.robot["t_s"].diff().drop_nulls().to_list() == [1.0, 2.0]
+    assert log.set_aside.rows() == [(4, "its time in column 'timestamp' is no date and time of day of ISO 8601")]
+
+
 def test_the_tcp_speed_is_the_norm_of_the_linear_part(tmp_path, ur):
     rows = [ur.row(1.0, actual_TCP_speed_0=0.3, actual_TCP_speed_1=0.4, actual_TCP_speed_5=9.0)]
     robot = read(write(tmp_path / "run.csv", ur.text(rows))).robot

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
-from zoneinfo import available_timezones
 
 import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
-from cyclekit.errors import ConfigError, DamagedLog, LogError, UnknownName
+from cyclekit.errors import ConfigError, DamagedLog, LogError
 from cyclekit.schema import EVENTS, conform
 from cyclekit_adapters.mapped.source_map import words
+from cyclekit_adapters.robots.written_clock import zone_in
 from cyclekit_adapters.tasks.event_table import UNITS, EventTable, TimeColumn, counted_in, event_table
 from cyclekit_adapters.tasks.safety_columns import is_safety_log
 from cyclekit_adapters.tasks.state_changes import StateChanges
@@ -91,15 +91,12 @@ class _EventCsv:
 def _said(options: ReadOptions) -> tuple[str | None, str | None]:
     """Return the unit and the zone of its times that the cell file states."""
     rest = dict(options.map)
-    zone = rest.pop("time_zone", None)
+    rest.pop("time_zone", None)
     unit = words(replace(options, map=rest), "event", {"time_unit": tuple(UNITS), "time_zone": ()}).get("time_unit")
     if options.role not in (None, "events"):
         other = "task-list" if options.role == "tasks" else "csv"
         raise ConfigError(f"an event log cannot be read as {options.role}", cure=f'Map it with adapter = "{other}".')
-    if zone is not None and zone not in available_timezones():
-        cure = "Use a name of the IANA list, for example Europe/Rome."
-        raise UnknownName(_WHERE, "time_zone", str(zone), available_timezones(), cure=cure)
-    return unit, None if zone is None else str(zone)
+    return unit, zone_in(options.map, _WHERE)
 
 
 def _table(path: Path, unit: str | None) -> EventTable:

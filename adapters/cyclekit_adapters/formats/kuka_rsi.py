@@ -22,6 +22,7 @@ from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.robots.controller_time import Once, Spread
 from cyclekit_adapters.robots.host_clock import HostClock
+from cyclekit_adapters.robots.written_clock import zone_in
 from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
@@ -121,18 +122,12 @@ class _KukaRsiCsv:
 
 def _zone(options: ReadOptions) -> str | None:
     """Return the time zone that the cell file gives; refuse any other key."""
-    from zoneinfo import available_timezones
-
     where = "[sources.map] of a KUKA RSI log"
     for key in options.map:
         if key != "time_zone":
             cure = 'Known: time_zone. Columns of your own are mapped with adapter = "csv".'
             raise UnknownName(where, "key", key, ["time_zone"], cure=cure)
-    zone = options.map.get("time_zone")
-    if zone is not None and zone not in available_timezones():
-        cure = "Use a name of the IANA list, for example Europe/Rome."
-        raise UnknownName(where, "time_zone", str(zone), available_timezones(), cure=cure)
-    return None if zone is None else str(zone)
+    return zone_in(options.map, where)
 
 
 def _no_zone(host: HostClock | None) -> list[str]:

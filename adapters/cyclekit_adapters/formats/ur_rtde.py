@@ -3,10 +3,11 @@
 One row per controller sample; `record.py` separates by a space, `ur_rtde` by a comma, the column names are the same.
 A binary recording differs only in how its rows are packed (`rtde_binary`). Programs of one's own on `ur_rtde` write a
 vector as one list, `"[0.1, -0.2, ...]"` in a column `actual_q`; it becomes the columns of the others.
-Metres, radians, seconds since the controller was started. Two columns together are the override: the trajectory
-limiter (`speed_scaling`) times the slider (`target_speed_fraction`), and that product says something about speed only
-while the program plays (`runtime_state` 2). A pause writes the limiter as 0, which is no safety slow-down: there, and
-where a factor was not recorded, the scaling stays unknown.
+Metres, radians, seconds since the controller was started; a program of one's own may write the PC's time instead.
+Two columns together are the override: the trajectory limiter (`speed_scaling`) times the slider
+(`target_speed_fraction`), and that product says something about speed only while the program plays (`runtime_state` 2).
+A pause writes the limiter as 0, which is no safety slow-down: there, and where a factor was not recorded, the scaling
+stays unknown.
 """
 
 from __future__ import annotations
@@ -23,12 +24,14 @@ from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.robots.controller_time import Once, Spread
 from cyclekit_adapters.robots.rtde_binary import BinaryLayout, binary_layout, is_binary, read_binary_rows
+from cyclekit_adapters.robots.written_clock import WrittenClock, zone_in
 from cyclekit_adapters.tasks.input_events import InputEvents
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.list_cells import ListCells
-from cyclekit_adapters.text.text_blocks import head_of
+from cyclekit_adapters.text.text_blocks import head_lines, head_of
+from cyclekit_adapters.text.text_layout import fields_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -48,6 +51,9 @@ _SPEED = [f"actual_TCP_speed_{axis}" for axis in range(3)]
 _FRACTIONS = ["speed_scaling", "target_speed_fraction"]
 _OUTPUTS, _INPUTS = "actual_digital_output_bits", "actual_digital_input_bits"
 _RECORD_IT = "Add the field to record_configuration.xml (or to the list of variables) and record again."
+_MAP = "[sources.map] of a UR RTDE log"
+_KEYS = ["inputs", "register", "time_zone"]
+_LOOKED_AT = 20  # rows, for what their time is
 _SLACK = 1e-3  # a fraction may exceed 1 by rounding; by more it is something else
 
 
@@ -70,15 +76,16 @@ class _UrRtdeCsv:
         inputs = _inputs(path, layout, options)
         needed = [_INPUTS] if inputs is not None else []
         wanted = list(dict.fromkeys([*_fields(register, joints, options.columns), *needed]))
+        clock = _clock(path, layout, options)
         once, seen = Once("timestamp"), _Seen()
 
         def make(rows: TextRows) -> Recording:
-            rows = once.rows(lists.rows(rows))
+            rows = once.rows(clock.seconds(lists.rows(rows)))
             seen.add(rows.frame)
             return Recording(
                 robot=_robot(rows.frame, register, joints),
                 events=None if inputs is None else inputs.changes(rows.frame),
-                clock="uptime",
+                clock=clock.kind,
                 joint_names=tuple(name for name in joints if name.startswith("actual_q_")),
                 rows_are="row" if isinstance(layout, BinaryLayout) else "line",
                 rows_read=rows.rows_read,
@@ -89,22 +96,38 @@ class _UrRtdeCsv:
             facts = {
                 "writer": _writer(layout),
                 "register": register if register in layout.names else "not recorded",
+                "time": clock.fact(),
                 "repeated_rows": str(once.repeated),
                 "speed_scaling": "speed_scaling * target_speed_fraction while runtime_state is 2 (playing)",
             }
-            return replace(last, warnings=(*once.warnings(), *seen.warnings(names)), facts=facts)
+            return replace(last, warnings=(*clock.warnings(), *once.warnings(), *seen.warnings(names)), facts=facts)
 
-        yield from in_parts(path, _blocks(path, layout, wanted, tuple(lists.wanted)), make, finish)
+        yield from in_parts(path, _blocks(path, layout, wanted, tuple(lists.wanted), clock), make, finish)
 
 
 def _blocks(
-    path: Path, layout: TextLayout | BinaryLayout, wanted: Sequence[str], lists: Sequence[str]
+    path: Path,
+    layout: TextLayout | BinaryLayout,
+    wanted: Sequence[str],
+    lists: Sequence[str],
+    clock: WrittenClock,
 ) -> Iterator[TextRows]:
     present = [name for name in wanted if name in layout.names]
     if isinstance(layout, BinaryLayout):
         return read_binary_rows(path, layout, numbers=present, time="timestamp")
     some = [*lists, *(name for name in present if name != "timestamp")]
-    return read_blocks(path, layout, numbers=present, texts=lists, required=["timestamp"], any_of=some)
+    texts = [*lists, *(["timestamp"] if clock.is_text else [])]
+    numbers = [name for name in present if name not in texts]
+    return read_blocks(path, layout, numbers=numbers, texts=texts, required=["timestamp"], any_of=some)
+
+
+def _clock(path: Path, layout: TextLayout | BinaryLayout, options: ReadOptions) -> WrittenClock:
+    if isinstance(layout, BinaryLayout) or "timestamp" not in layout.names:
+        return WrittenClock("timestamp", "uptime")
+    at = layout.names.index("timestamp")
+    rows = [fields_of(line, layout.delimiter) for line in head_lines(path, layout.header_lines + _LOOKED_AT)]
+    cells = [row[at].strip().strip('"') for row in rows[layout.header_lines :] if len(row) > at]
+    return WrittenClock.told_by(cells, "timestamp", zone_in(options.map, _MAP))
 
 
 def _lists(names: Sequence[str]) -> dict[str, dict[int, str]]:
@@ -128,8 +151,8 @@ def _writer(layout: TextLayout | BinaryLayout) -> str:
 
 def _register(path: Path, layout: TextLayout | BinaryLayout, options: ReadOptions) -> str:
     for key in options.map:
-        if key not in ("register", "inputs"):
-            raise UnknownName("[sources.map] of a UR RTDE log", "key", key, ["register", "inputs"])
+        if key not in _KEYS:
+            raise UnknownName(_MAP, "key", key, _KEYS)
     if "register" not in options.map:
         return "output_int_register_0"
     register = str(options.map["register"])
@@ -142,7 +165,7 @@ def _inputs(path: Path, layout: TextLayout | BinaryLayout, options: ReadOptions)
     """Return what finds the changes of the digital inputs, where the cell file wants them as events."""
     wanted = options.map.get("inputs", "no")
     if wanted not in ("events", "no"):
-        raise UnknownName("[sources.map] of a UR RTDE log", "inputs", str(wanted), ["events", "no"])
+        raise UnknownName(_MAP, "inputs", str(wanted), ["events", "no"])
     if wanted == "no":
         return None
     if _INPUTS not in layout.names:

@@ -1,0 +1,102 @@
+"""The time column of a robot log that a program of one's own wrote: on the controller's clock, or on the PC's.
+
+RTDE's own time counts seconds since the controller was started. Programs that write the log themselves often put the
+PC's time in its place: as text, or as a number since 1970.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+from zoneinfo import available_timezones
+
+import polars as pl
+
+from cyclekit.errors import UnknownName
+from cyclekit_adapters.text.written_time import written_seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit_adapters.text.delimited import TextRows
+
+_DATED = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
+_ZONED = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
+_NUMBER = re.compile(r"\d+(\.\d*)?([eE]\+?\d+)?")
+_SINCE_1970 = {1.0: (9.4e8, 4.1e9), 1e-3: (9.4e11, 4.1e12), 1e-6: (9.4e14, 4.1e15), 1e-9: (9.4e17, 4.1e18)}
+"""Seconds that a unit has, and what the years 2000 to 2099 are in it; no controller was up for thirty years."""
+
+
+@dataclass(frozen=True)
+class WrittenClock:
+    """What the times of a log are, told by its first rows.
+
+    Attributes:
+        column: The time column.
+        kind: `epoch` on a PC's clock, `relative` where such a time names no zone, `uptime` on the controller's.
+        is_text: The times are dates with times of day.
+        zone: Zone of texts that name none.
+        second: Seconds that one unit of the numbers has.
+    """
+
+    column: str
+    kind: Literal["epoch", "relative", "uptime"]
+    is_text: bool = False
+    zone: str | None = None
+    second: float = 1.0
+
+    @classmethod
+    def told_by(cls, cells: Sequence[str], column: str, zone: str | None) -> WrittenClock:
+        """Return what the first cells of the time column tell, as texts without quotes."""
+        written = [cell for cell in cells if _DATED.match(cell)]
+        if 2 * len(written) > len(cells):
+            zoned = zone is not None or all(_ZONED.search(cell) for cell in written)
+            return cls(column, "epoch" if zoned else "relative", is_text=True, zone=zone)
+        pointed = [cell.replace(",", ".") for cell in cells]
+        numbers = sorted(float(cell) for cell in pointed if _NUMBER.fullmatch(cell))
+        middle = numbers[len(numbers) // 2] if numbers else 0.0
+        for second, (least, most) in _SINCE_1970.items():
+            if least <= middle <= most:
+                return cls(column, "epoch", second=second)
+        return cls(column, "uptime")
+
+    def seconds(self, rows: TextRows) -> TextRows:
+        """Return the rows with their times in seconds; those whose text is no time are set aside."""
+        if not self.is_text:
+            same = self.second == 1.0
+            return rows if same else replace(rows, frame=rows.frame.with_columns(pl.col(self.column) * self.second))
+        text = pl.col(self.column).str.strip_chars('"')
+        zoned = self.kind == "epoch" and self.zone is None
+        when = rows.frame.select(written_seconds(text, "iso", self.zone, zoned=zoned))[self.column]
+        reason = f"its time in column {self.column!r} is no date and time of day of ISO 8601"
+        rows = rows.without(when.is_null(), reason)
+        return replace(rows, frame=rows.frame.with_columns(when.drop_nulls().alias(self.column)))
+
+    def warnings(self) -> list[str]:
+        """Say what the times lack to be aligned with other logs."""
+        if self.kind != "relative":
+            return []
+        return [
+            f"column {self.column!r} is a PC's local time, and the log names no time zone: give time_zone, for example "
+            '"Europe/Rome", in [sources.map] to align the log with logs in epoch time'
+        ]
+
+    def fact(self) -> str:
+        """Return in words whose clock this is."""
+        if self.kind == "uptime":
+            return "seconds since the controller was started"
+        return f"the PC's clock{f' in {self.zone}' if self.zone else ''}"
+
+
+def zone_in(said: Mapping[str, object], where: str) -> str | None:
+    """Return the time zone that a cell file states.
+
+    Raises:
+        UnknownName: There is no such zone.
+    """
+    zone = said.get("time_zone")
+    if zone is not None and zone not in available_timezones():
+        cure = "Use a name of the IANA list, for example Europe/Rome."
+        raise UnknownName(where, "time_zone", str(zone), available_timezones(), cure=cure)
+    return None if zone is None else str(zone)

@@ -7,6 +7,7 @@ folder.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 WITHOUT_PLACES = {"task_list", "safety"}
 """Tables that hold no positions."""
+_OVERLAP_S = 1.0
+"""Two logs of one robot, one after the other, have no longer time in common."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +71,9 @@ def group_sessions(
     """Group logs that share a time: all of them if there is one robot log, else folder by folder.
 
     Of folders that hold robot logs alone and folders that hold others alone (`robot/a.csv`, `tracker/a.csv`), logs of
-    the same name are grouped, where only one robot log can be meant. A log that several robot logs of its folder share
-    is in the session of each at whose time it was recorded.
+    the same name are grouped, where only one robot log can be meant; else those of the same time, where their clocks
+    count since 1970 and no two robots run at once. A log that several robot logs share is in the session of each at
+    whose time it was recorded.
 
     Args:
         logs: As they were read.
@@ -84,9 +88,8 @@ def group_sessions(
         folders: dict[str, list[LogCard]] = {}
         for log in logs:
             folders.setdefault(_folder(log), []).append(log)
-        groups = _by_name(
-            [group for folder, here in folders.items() for group in _in_folder(folder, *_divided(here), shares)]
-        )
+        alone = [group for folder, here in folders.items() for group in _in_folder(folder, *_divided(here), shares)]
+        groups = _by_time(_by_name(alone), shares)
     sessions: list[LogGroup] = []
     taken: set[str] = set()
     digits = len(str(len(groups)))
@@ -128,6 +131,34 @@ def _by_name(groups: list[list[LogCard]]) -> list[list[LogCard]]:
     return [group for group in joined if group]
 
 
+def _by_time(groups: list[list[LogCard]], shares: Callable[[LogCard], bool]) -> list[list[LogCard]]:
+    """Put logs in epoch time that are alone to the robot logs of the same time that have no others."""
+    robots = [group for group in groups if len(group) == 1 and "robot" in group[0].tables]
+    masters = [group[0] for group in robots if group[0].clock.kind == "epoch" and "people" not in group[0].tables]
+    left = []
+    for group in groups:
+        log = group[0]
+        met = [robot for robot in masters if _meet(robot, log)]
+        lone = len(group) == 1 and "robot" not in log.tables and log.clock.kind == "epoch" and shares(log)
+        if lone and met and _clear(met, [log]):
+            for robot in robots:
+                if robot[0] in met:
+                    robot.append(log)
+        else:
+            left.append(group)
+    return left
+
+
+def _clear(robots: Sequence[LogCard], others: Sequence[LogCard]) -> bool:
+    """Tell whether the time says beside which robot the people of some logs were: no two robots run at once."""
+    if not any("people" in log.tables for log in others):
+        return True
+    if any(robot.clock.kind != "epoch" for robot in robots):
+        return False
+    spans = sorted((robot.first_s, robot.last_s) for robot in robots)
+    return all(later[0] >= earlier[1] - _OVERLAP_S for earlier, later in pairwise(spans))
+
+
 def _keys(log: LogCard) -> list[_Key]:
     """Return the name of a log with its folders, each in turn left out."""
     folders = tuple(_folder(log).split("/"))
@@ -152,7 +183,7 @@ def _in_folder(
 ) -> list[list[LogCard]]:
     if len(robots) == 1:
         return [[robots[0], *others]]
-    if robots and others and all(map(shares, others)):
+    if robots and others and all(map(shares, others)) and _clear(robots, others):
         beside = [[log for log in others if _meet(robot, log)] for robot in robots]
         alone = [log for log in others if not any(log in logs for logs in beside)]
         return [[robot, *logs] for robot, logs in zip(robots, beside, strict=True)] + _at_one_time(alone)
@@ -162,8 +193,9 @@ def _in_folder(
             f"{folder or 'the logs'}: {len(robots)} robot logs and {len(others)} others, unclear which belong together"
         )
         cure = (
-            f"Put each session into a folder of its own ({', '.join(every[:4])}, …). A log of events that several "
-            "robot logs share needs times since 1970, or sync in its source of the cell file."
+            f"Put each session into a folder of its own ({', '.join(every[:4])}, …). Logs whose times count since 1970 "
+            "are put together by their time, where no two robots run at once; a log of events also by sync in its "
+            "source of the cell file."
         )
         raise ConfigError(msg, cure=cure)
     return [[log] for log in robots] + _at_one_time(others)

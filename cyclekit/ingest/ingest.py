@@ -44,7 +44,7 @@ from cyclekit.ingest.read.read_logs import Digests, How, check_shared, read_all
 from cyclekit.ingest.read.resume import Shelf
 from cyclekit.ingest.read.reuse import gather_quarantine
 from cyclekit.ingest.report import IngestReport, report_of
-from cyclekit.ingest.shared_events import apart, may_be_shared
+from cyclekit.ingest.shared_logs import apart, may_be_shared
 from cyclekit.learning.coupling.learn import learn_executions
 from cyclekit.learning.coupling.visits import courses_of
 from cyclekit.learning.coupling.waits import with_waits_named

@@ -26,7 +26,7 @@ from cyclekit.ingest.registry import (
     find_logs,
     why_unknown,
 )
-from cyclekit.ingest.shared_events import may_be_shared
+from cyclekit.ingest.shared_logs import may_be_shared
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -202,6 +202,38 @@ def test_events_of_another_clock_are_shared_where_the_cell_file_says_how_they_li
     assert "sync" in str(refusal.value.cure)
     told = Source("plc.csv", sync=Sync("digital-output 0", "gripper"))
     assert shared(*logs, told=told) == [["1.csv", "plc.csv"], ["2.csv", "plc.csv"]]
+
+
+def at(path: str, table: str, first_s: float, last_s: float) -> LogCard:
+    return log_card(path, table, kind="epoch", first_s=first_s, last_s=last_s)
+
+
+def test_people_since_1970_are_beside_the_robot_of_their_time_whatever_names_and_folders_say():
+    shifts = [
+        at("r/early.csv", "robot", 0, 100),
+        at("r/late.csv", "robot", 100, 200),
+        at("r/next.csv", "robot", 900, 990),
+    ]
+    day, night = at("t/day.csv", "people", 0, 205), at("t/n.csv", "people", 880, 1000)
+    hour = at("t/hour.csv", "people", 2000, 2100)
+    parted = [["r.early.csv", "t.day.csv"], ["r.late.csv", "t.day.csv"], ["r.next.csv", "t.n.csv"], ["t.hour.csv"]]
+    assert shared(*shifts, day, night, hour) == parted
+    flat = [
+        log_card(Path(log.shown).name, log.tables[0], kind="epoch", first_s=log.first_s, last_s=log.last_s)
+        for log in (*shifts, day, night, hour)
+    ]
+    assert shared(*flat) == [[name.split(".", 1)[1] for name in group] for group in parted]
+
+
+def test_two_robots_at_once_leave_it_unclear_whose_people_these_are():
+    arms = [at("left/a.csv", "robot", 0, 100), at("right/b.csv", "robot", 50, 150)]
+    seen = at("t/c.csv", "people", 0, 150)
+    assert shared(*arms, seen) == [["left.a.csv"], ["right.b.csv"], ["t.c.csv"]]
+    with pytest.raises(ConfigError, match="unclear which belong"):
+        shared(at("1.csv", "robot", 0, 100), at("2.csv", "robot", 50, 150), at("3.csv", "people", 0, 150))
+    far = Source("t/c.csv", clock_offset_s=3600.0)
+    one = [at("r/a.csv", "robot", 0, 100), at("r/b.csv", "robot", 200, 300)]
+    assert shared(*one, seen, told=far) == [["r.a.csv"], ["r.b.csv"], ["t.c.csv"]]
 
 
 def test_two_robots_and_a_tracker_in_one_folder_are_refused():

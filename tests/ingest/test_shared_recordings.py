@@ -149,3 +149,36 @@ def test_an_index_that_means_other_rows_or_files_is_refused(both: tuple[Dataset,
     (path / CARD).write_text(json.dumps(card))
     with pytest.raises(DatasetError, match=r"99 rows are said to be of run_0|robot\.parquet"):
         list(Dataset.open(path).times("run_0", "robot"))
+
+
+EPOCH_S = 1_791_172_800.0
+
+
+def test_a_tracker_file_of_the_day_is_beside_each_robot_log_of_that_day(tmp_path: Path, robot_log: Any):
+    """Names and folders do not tell which belong together, the times since 1970 do; each has the people of its time."""
+    logs = tmp_path / "logs"
+    (logs / "robot").mkdir(parents=True)
+    (logs / "tracker").mkdir()
+    for number in range(2):
+        path = logs / "robot" / f"shift_{number}.csv"
+        robot_log(path, TRIP * 20)
+        table = pl.read_csv(path, separator=" ")
+        later = pl.col("timestamp") - table["timestamp"][0] + EPOCH_S + 300.0 * number
+        table.with_columns(later).write_csv(path, separator=" ")
+    rows = [f"{1000 * EPOCH_S + 100 * i:.0f},7,{1.0 + 0.002 * i:.3f},0.5" for i in range(4000)]
+    (logs / "tracker" / "people.csv").write_text("\n".join(["epoch_ms,track_id,x,y", *rows, ""]), encoding="utf-8")
+    map_ = 'time = "epoch_ms"\nclock = "epoch"\ntime_unit = "ms"\nx = "x"\ny = "y"\nperson = "track_id"'
+    source = f'[[sources]]\npath = "tracker/*.csv"\nadapter = "csv"\nrole = "people"\n[sources.map]\n{map_}\n'
+    (logs / "cell.toml").write_text(source, encoding="utf-8")
+    ingest([logs], tmp_path / "dataset")
+    dataset = Dataset.open(tmp_path / "dataset")
+    sessions = [{"session": one.session, "tables": one.tables, "rows": one.rows} for one in dataset.recordings]
+    people = {one["session"]: one["rows"]["people"] for one in sessions if one["tables"] == ("people",)}
+    robots = {one["session"] for one in sessions if one["tables"] == ("robot",)}
+    assert len(robots) == 2
+    assert set(people) == robots
+    assert sorted(people.values()) == [1330, 4000]  # of the second, what lies within a minute of its 13 s
+    seen = dataset.samples().group_by("execution").agg(pl.col("human_x_m").is_not_null().mean())
+    assert seen["human_x_m"].to_numpy().min() > 0.9
+    ingest([logs], tmp_path / "dataset")  # nothing changed: what it took over lies where it was
+    assert Dataset.open(tmp_path / "dataset").samples().equals(dataset.samples())

@@ -14,7 +14,7 @@ import polars as pl
 from cyclekit.errors import ConfigError, UnknownName
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -153,6 +153,30 @@ def logged_bits(entry: LogCard, stored: Stored, columns: Sequence[str] = tuple(_
                 told = ((values >> bit) & 1).astype(str)
                 found[f"{_BITS[column]}{bit}"] = SignalChanges(np.append(first_s, at[flips]), told)
     return found
+
+
+def held_bits(entry: LogCard, stored: Stored, names: Collection[str]) -> dict[str, SignalChanges]:
+    """Return those of some inputs and outputs that a recording logs and that never change in it, with their value.
+
+    `logged_bits` leaves them out: most bits of a controller never change, and only who looks at several recordings
+    knows that a bit changes in another one.
+    """
+    found: dict[str, SignalChanges] = {}
+    columns = [column for column, prefix in _BITS.items() if any(name.startswith(prefix) for name in names)]
+    for column, (_, _, old, new) in _columns(entry, columns, stored):
+        table = stored(entry.id, ["t_s", column])
+        first, changed = _first(table, column), int(np.bitwise_or.reduce(old ^ new, initial=0))
+        first_s = table.column("t_s", 0, 1)
+        for bit in range(63):
+            if (name := f"{_BITS[column]}{bit}") in names and not changed >> bit & 1:
+                found[name] = SignalChanges(first_s, np.array([str(first >> bit & 1)]))
+    return found
+
+
+def _first(table: StoredTable, column: str) -> int:
+    """Return the first known value of a column of whole numbers, of which some are known."""
+    of_each = (table.whole_numbers(number, column) for number in range(len(table.groups)))
+    return next(int(values[known][0]) for values, known in of_each if known.any())
 
 
 def _columns(

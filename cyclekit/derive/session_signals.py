@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.dataset.cards import note
-from cyclekit.dataset.signals import SignalChanges, values_of
+from cyclekit.dataset.signals import INPUT, OUTPUT, SignalChanges, held_bits, values_of
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.operator_signals import FoundSignals, SignalEvidence, find_signals
 from cyclekit.derive.seen_slow import Switches
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 EVIDENCE_SAMPLES = 200_000
 """Causes of lost time, and signals of people, are told by so many samples, of executions evenly spread."""
 _APART_S = 1e5
+_ALWAYS_S = np.array([-_APART_S / 2])
+"""Before every time of a session, and after those of the session laid before it."""
 _COLUMNS = ["execution", "t_s", "scaling", "robot_x_m", "robot_y_m", "robot_task"]
 
 
@@ -86,6 +88,7 @@ def looked_for(
     if len(levels) < 2 or not among:
         return Watched(FoundSignals(), [{}] * len(made))
     values = {mine.session: _values(mine, read, stored) for mine in made}
+    _add_held(made, values, stored)
     evidence = _evidence(among, [values[mine.session] for mine in among], runs, levels, folder)
     found = find_signals(evidence, cell.operator_signals)
     return Watched(found, [_switches(values[mine.session], found) for mine in made])
@@ -122,6 +125,46 @@ def _values(made: Made, read: Read, stored: Stored) -> dict[str, SignalChanges]:
     for entry in made.recordings:
         for name, changes in values_of(entry, read, stored).items():
             found.setdefault(name, changes._replace(t_s=changes.t_s * entry.clock.rate + entry.clock.offset_s))
+    return found
+
+
+def _add_held(made: Sequence[Made], values: dict[str, dict[str, SignalChanges]], stored: Stored) -> None:
+    """Add, for each session, the signals that change in other sessions and not in this one.
+
+    A field that nobody enters during an execution says that nobody was there. A bit has its logged value. A log of
+    events has no row of it then: it has the state in which the session before ends, if the next one begins in it too.
+    Where a tracker logs people and no input ever changes, the fields may not be wired: there nothing is added.
+    """
+    names = dict.fromkeys(name for mine in values.values() for name in mine)
+    bits = {name for name in names if name.startswith((INPUT, OUTPUT))}
+    for mine in made:
+        wired = not is_tracked(mine) or any(name.startswith(INPUT) for name in values[mine.session])
+        if wired and (lacks := bits.difference(values[mine.session])):
+            for entry in mine.recordings:
+                for name, held in held_bits(entry, stored, lacks).items():
+                    values[mine.session].setdefault(name, held._replace(t_s=_ALWAYS_S))
+    for name in names:
+        states = {mine.session: values[mine.session].get(name) for mine in made}
+        for mine, kept in zip(made, _held_events(made, [*states.values()]), strict=True):
+            if kept is not None:
+                values[mine.session][name] = kept
+
+
+def _held_events(made: Sequence[Made], states: Sequence[SignalChanges | None]) -> list[SignalChanges | None]:
+    """Return a signal of two states that is no row of a session's events; None where it is one, or not known."""
+    known = [one for one in states if one is not None]
+    two = sorted({str(value) for one in known for value in one.value})
+    found: list[SignalChanges | None] = [None] * len(made)
+    if len(two) != 2:
+        return found
+    for k, mine in enumerate(made):
+        if states[k] is not None or is_tracked(mine) or not any("events" in one.tables for one in mine.recordings):
+            continue
+        before = next((str(one.value[-1]) for one in reversed(states[:k]) if one is not None), None)
+        after = next((two[str(one.value[0]) == two[0]] for one in states[k + 1 :] if one is not None), None)
+        agreed = {before, after} - {None}
+        if len(agreed) == 1:
+            found[k] = SignalChanges(_ALWAYS_S, np.array([agreed.pop()]))
     return found
 
 
@@ -164,7 +207,7 @@ def _evidence(
 def _joined(values: Sequence[Mapping[str, SignalChanges]], shifts: Sequence[float]) -> dict[str, SignalChanges]:
     """Return each signal over all sessions; where one lacks it, it is unknown."""
     names = dict.fromkeys(name for mine in values for name in mine)
-    unknown = SignalChanges(np.array([-_APART_S / 2]), np.array([""]))
+    unknown = SignalChanges(_ALWAYS_S, np.array([""]))
     found = {}
     for name in names:
         each = [mine.get(name, unknown) for mine in values]

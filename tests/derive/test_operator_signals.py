@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import polars as pl
@@ -17,19 +18,24 @@ from cyclekit.config.write import cell_to_toml
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.signals import SignalChanges
 from cyclekit.derive.operator_signals import SignalEvidence, find_signals
+from cyclekit.derive.session_signals import _held_events
 from cyclekit.errors import UnknownName
+from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.evaluation.evaluate import evaluate
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.rules.of_dataset import rule_of
 from cyclekit.learning.rules.safety import RuleSafety, answering
 from cyclekit.learning.rules.words import place_of
 from cyclekit.learning.training import train
+from cyclekit_sim import SimulationOptions, simulate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
     from simulated_cells import Cells, SimulatedCell
+
+    from cyclekit.derive.session_samples import Made
 
 LEVELS = (0.0, 0.5, 1.0)
 EXECUTION_S, EXECUTIONS, STEP_S, DELAY_S = 60.0, 10, 0.1, 0.12
@@ -184,3 +190,25 @@ def test_a_model_is_trained_and_judged_without_a_tracker(fields: SimulatedCell) 
     rows = {row.name: row.mse for row in evaluate(model, fields.dataset, boosting=False).mse}
     assert rows["rule"] < 0.01 < rows["constant mean"]
     assert rows["rule"] < rows["signals alone"]
+
+
+def test_a_field_that_nobody_enters_during_an_execution_says_that_nobody_is_there(tmp_path: Path) -> None:
+    one_file_each = SimulationOptions(executions_per_session=1)
+    simulate("scanner-fields", tmp_path / "logs", executions=8, seed=4, options=one_file_each)
+    ingest(tmp_path / "logs", tmp_path / "dataset")
+    dataset = Dataset.open(tmp_path / "dataset")
+    bits = dataset.samples(columns=["execution", "human_signals"])
+    assert bits["human_signals"].null_count() == 0
+    protective = next(k for k, one in enumerate(dataset.card.operator_signals) if one.occupied == "0")
+    entered = bits.group_by("execution").agg((pl.col("human_signals") // 2**protective % 2 == 1).any())
+    assert set(entered["human_signals"].to_list()) == {True, False}
+
+
+def test_a_signal_without_a_row_in_a_log_of_events_keeps_its_state_where_its_neighbours_agree() -> None:
+    logs = [SimpleNamespace(recordings=(SimpleNamespace(tables=t),)) for t in (["events"], ["events"], ["events"], [])]
+    made = cast("list[Made]", logs)
+    first = third = SignalChanges(np.array([1.0, 5.0]), np.array(["1", "0"]))
+    held = _held_events(made, [first, None, third, None])
+    assert [None if one is None else one.value.tolist() for one in held] == [None, ["0"], None, None]
+    other_state = third._replace(value=np.array(["0", "1"]))
+    assert _held_events(made, [first, None, other_state, None]) == [None] * 4

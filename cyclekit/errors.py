@@ -85,6 +85,14 @@ class DamagedLog(LogError):
     """An adapter recognises the file, but it is cut, garbled or contradicts itself."""
 
 
+class EmptyLog(DamagedLog):
+    """An adapter recognises the file, but nothing was recorded: a header and no rows."""
+
+    def __init__(self, path: Path) -> None:
+        """Name the file."""
+        super().__init__(path, "a header and no rows", cure="Nothing was recorded: record again or leave it out.")
+
+
 class MissingColumns(LogError):
     """A column that the adapter needs is absent."""
 

@@ -6,7 +6,8 @@ folder.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,11 +37,13 @@ class LogGroup:
         name: Of the session that they become.
         logs: The clock's master first.
         reference: Recorded with nobody in the cell.
+        nobody_logged: A tracker's log lies beside them that has a header and no rows.
     """
 
     name: str
     logs: tuple[LogCard, ...]
     reference: bool = False
+    nobody_logged: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,7 @@ class Session:
         reference: Recorded with nobody in the cell.
         runs: Numbers of its runs in the list of all runs.
         span_s: First and last time of all recordings, session seconds.
+        nobody_logged: A tracker's log lies beside them that has a header and no rows.
     """
 
     name: str
@@ -59,6 +63,7 @@ class Session:
     reference: bool = False
     runs: tuple[int, ...] = ()
     span_s: tuple[float, float] = (0.0, 0.0)
+    nobody_logged: bool = False
 
 
 def group_sessions(
@@ -98,6 +103,27 @@ def group_sessions(
         taken.add(name)
         sessions.append(LogGroup(name, tuple(group), is_reference(group[0].shown)))
     return sessions
+
+
+def with_empty(sessions: Sequence[LogGroup], paths: Sequence[str]) -> list[LogGroup]:
+    """Return the sessions, those marked beside whose robot log a tracker's log without rows lies.
+
+    Args:
+        sessions: All of them.
+        paths: Of these logs. They have no time, so their folders and names tell.
+    """
+    folders = {str(Path(path).parent.as_posix()) for path in paths}
+    names = {key for path in paths for key in _keys_of(Path(path).stem, str(Path(path).parent.as_posix()))}
+    robots = Counter(_folder(log) for session in sessions for log in _divided(session.logs)[0])
+
+    def beside(session: LogGroup) -> bool:
+        (mine, _), tracked = _divided(session.logs), any("people" in log.tables for log in session.logs)
+        if tracked or not mine:
+            return False
+        here = _folder(mine[0])
+        return (here in folders and robots[here] == 1) or any(key in names for key in _keys(mine[0]))
+
+    return [replace(session, nobody_logged=beside(session)) for session in sessions]
 
 
 def unpaired(sessions: Sequence[LogGroup]) -> list[Note]:
@@ -161,9 +187,12 @@ def _clear(robots: Sequence[LogCard], others: Sequence[LogCard]) -> bool:
 
 def _keys(log: LogCard) -> list[_Key]:
     """Return the name of a log with its folders, each in turn left out."""
-    folders = tuple(_folder(log).split("/"))
     path = Path(log.shown)
-    name = path.parent.name if len(log.sources) > 1 else path.stem
+    return _keys_of(path.parent.name if len(log.sources) > 1 else path.stem, _folder(log))
+
+
+def _keys_of(name: str, folder: str) -> list[_Key]:
+    folders = tuple(folder.split("/"))
     return [(name, at, folders[:at] + folders[at + 1 :]) for at in range(len(folders))]
 
 

@@ -32,7 +32,7 @@ from cyclekit.derive.session_samples import Made, samples_of
 from cyclekit.derive.session_signals import is_tracked, looked_for, mixed, some_executions
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
-from cyclekit.people.silence import absences
+from cyclekit.people.silence import absences, is_empty
 from cyclekit.scaling.levels import Staircase, find_staircase
 from cyclekit.scaling.response import MOST, SafetyResponse, read_response
 from cyclekit.storage.parquet import forget
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.derive.operator_signals import FoundSignals
     from cyclekit.derive.robot import RobotInSessions
+    from cyclekit.people.silence import Absence
     from cyclekit.schema import Floats, Progress
     from cyclekit.segmentation.stored_run import Run
     from cyclekit.segmentation.time_account import Leg
@@ -182,6 +183,7 @@ def _finished(
             *_inputs(evidence),
             *_signals(watched.found),
             *mixed(made, watched),
+            *_empty_trackers(made, gone),
             *_unseen(finished),
         ],
     )
@@ -206,6 +208,13 @@ def _tasks(
     seconds[mine] = parts * tasks["safety_loss_s"].fill_null(np.nan).to_numpy()[mine, None]
     named = zip(schema.SCALING_CAUSES, seconds.T, strict=True)
     return tasks.with_columns(pl.Series(f"lost_{cause}_s", column, nan_to_null=True) for cause, column in named)
+
+
+def _empty_trackers(made: Sequence[Made], gone: Sequence[Absence]) -> list[Note]:
+    """Say in how many sessions a tracker's log without rows counts as nobody there, and in how many as unknown."""
+    empty = [absence for one, absence in zip(made, gone, strict=True) if one.silences and is_empty(one.silences)]
+    absent = sum(absence.until_s == np.inf for absence in empty)
+    return [note("tracker-empty", absent=absent, unknown=len(empty) - absent)] if empty else []
 
 
 def _of_operator(made: Made, spots: Mapping[str, Place], *, to_next: bool) -> list[tuple[object, ...]]:

@@ -63,7 +63,8 @@ def look_at(
     step_s = 1.0 / cell.rate_hz if coarse else None
     recordings = place_in_time(group, sources, read, stored, coarse_step_s=step_s)
     starts, ends = zip(*(recording.span_s for recording in recordings), strict=True)
-    session = Session(group.name, recordings, group.reference, span_s=(min(starts), max(ends)))
+    span_s = (min(starts), max(ends))
+    session = Session(group.name, recordings, group.reference, span_s=span_s, nobody_logged=group.nobody_logged)
     runs, marks = load_runs(session, read, stored, cell)
     stops = [stop for number, run in enumerate(runs) for stop in find_stops(run, number)]
     override = None if all(run.knows_scaling for run in runs) else override_of(session, read)

@@ -95,8 +95,8 @@ def looked_for(
 
 
 def is_tracked(made: Made) -> bool:
-    """Tell whether a log of a session holds positions of people."""
-    return any("people" in one.tables for one in made.recordings)
+    """Tell whether a tracker logged the people of a session, or that there were none."""
+    return bool(made.silences) or any("people" in one.tables for one in made.recordings)
 
 
 def mixed(made: Sequence[Made], watched: Watched) -> list[Note]:

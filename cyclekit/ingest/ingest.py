@@ -31,12 +31,12 @@ from cyclekit.dataset.cards import (
 from cyclekit.dataset.checksums import listed, sealed
 from cyclekit.dataset.dataset import CARD, TASKS, Dataset
 from cyclekit.dataset.guard import check_output
-from cyclekit.dataset.sessions import WITHOUT_PLACES, group_sessions, unpaired
+from cyclekit.dataset.sessions import WITHOUT_PLACES, group_sessions, unpaired, with_empty
 from cyclekit.dataset.shared_index import shared_rows
 from cyclekit.dataset.shared_tables import SharedTable, shared_frame
 from cyclekit.dataset.signals import logged_bits
 from cyclekit.derive.passes import Derived, derive
-from cyclekit.errors import ConfigError, DatasetError, LogError
+from cyclekit.errors import ConfigError, DatasetError, EmptyLog, LogError
 from cyclekit.ingest.card import card_of
 from cyclekit.ingest.discover import Log, cell_for, find_all, matches
 from cyclekit.ingest.pseudonymise import Names, numbered_logs, take_out
@@ -218,6 +218,7 @@ def _build(
     sources = {log.id: log.source for log in wanted.logs}
     shares = partial(may_be_shared, sources=sources)
     groups = group_sessions(read, partial(_is_reference, cell), numbered=names is not None, shares=shares)
+    groups = with_empty(groups, _empty_people(wanted.logs, read, intake.failed))
     shared = apart(groups, partial(_native, staging), staging)
     groups, sources = shared.groups, sources | {name: sources[log] for name, log in shared.copies.items()}
     later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), wanted.align_clocks == "coarse"
@@ -243,6 +244,14 @@ def _build(
     values = finite(plain(card))
     write_text(staging / CARD, sealed(json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n"))
     return card, intake.kept
+
+
+def _empty_people(logs: Sequence[Log], read: Sequence[LogCard], failed: Sequence[LogError]) -> list[str]:
+    """Return the paths of a tracker's logs without rows: others by the same adapter and source hold people."""
+    trackers = {card.id for card in read if "people" in card.tables and "robot" not in card.tables}
+    kinds = [(log.adapter, log.source) for log in logs if log.id in trackers]
+    empty = {error.path for error in failed if isinstance(error, EmptyLog)}
+    return [log.shown for log in logs if log.path in empty and (log.adapter, log.source) in kinds]
 
 
 def _with_waits(derived: Derived, read: Read, stored: Stored, cell: Cell) -> tuple[pl.DataFrame, CouplingCard | None]:

@@ -128,7 +128,7 @@ class Watch:
         self._logs, self._events = _operator_logs(session, sources, read)
         self._tracks = [track for log in self._logs for track in log.tracks]
         self._counts = [np.zeros(len(REASONS), np.int64) for _ in self._logs]
-        self._cell = cell
+        self._cell, self._nobody_logged = cell, session.nobody_logged
 
     def during(self, t_s: Vector, tcp_m: Points) -> Seen:
         """Return the operator in one execution.
@@ -143,6 +143,8 @@ class Watch:
             counts += np.bincount(reasons, minlength=len(REASONS))
         human_m = nearest_person(self._tracks, t_s, tcp_m, bridge_s=bridge_s, width_s=width_s)
         goals = goals_from_events(*self._events, t_s) if len(self._events[0]) else []
+        if self._nobody_logged and not found:
+            found = [np.full(len(t_s), REASONS.index("outside"), np.int8)]
         return Seen(human_m, np.min(found, axis=0) if found else None, goals, _stays(t_s, human_m, goals))
 
     def stays_until(self, next_s: float, seen: Seen, t_s: Vector, tcp_m: Points) -> tuple[Stays, float]:
@@ -168,7 +170,8 @@ class Watch:
     @property
     def silences(self) -> list[Silence]:
         """How each log of people begins, ends and pauses."""
-        return [log.silence for log in self._logs]
+        empty = Silence.of(np.empty(0), np.empty((0, 3)), None)
+        return [log.silence for log in self._logs] + [empty] * (self._nobody_logged and not self._logs)
 
     def cards(self) -> dict[str, OperatorCard]:
         """Return by recording how many samples saw the operator, and why the others did not."""

@@ -78,7 +78,13 @@ def absences(sessions: Sequence[Sequence[Silence]]) -> list[Absence]:
     every = [log for logs in sessions for log in logs]
     beside = np.concatenate([np.empty((0, 2)), *(log.beside_m for log in every)])
     writes_nothing = len(beside) >= 2 * ENOUGH and not any(log.empty_rows for log in every)
-    return [_of_session(logs, beside, writes_nothing=writes_nothing) for logs in sessions]
+    told = any(log.told == "absent" for log in every)
+    return [_of_session(logs, beside, writes_nothing=writes_nothing or (told and is_empty(logs))) for logs in sessions]
+
+
+def is_empty(logs: Sequence[Silence]) -> bool:
+    """Tell whether no log has a row."""
+    return all(np.isnan(log.first_s) for log in logs)
 
 
 def _of_session(logs: Sequence[Silence], beside_m: Points, *, writes_nothing: bool) -> Absence:
@@ -86,7 +92,7 @@ def _of_session(logs: Sequence[Silence], beside_m: Points, *, writes_nothing: bo
         return Absence()
     until = [_end(log, log.first_s, log.first_m, beside_m, believed=writes_nothing) for log in logs]
     since = [_end(log, log.last_s, log.last_m, beside_m, believed=writes_nothing) for log in logs]
-    if all(np.isnan(log.first_s) for log in logs):
+    if is_empty(logs):
         return Absence(until_s=np.inf) if all(end is not None for end in until) else Absence()
     return Absence(
         -np.inf if None in until else float(np.nanmin([end for end in until if end is not None])),

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+import shutil
+from typing import TYPE_CHECKING
+
 import numpy as np
+import polars as pl
 import pytest
 
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
 from cyclekit.people.silence import Silence, absences
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from simulated_cells import Cells
 
 DOOR, BENCH = (3.0, 1.0, 0.2), (0.5, 1.5, 0.2)
 
@@ -67,3 +78,28 @@ def test_nobody_is_away_while_another_log_sees_him():
     here, there = visits((5.0, 12.0)), visits((3.0, 20.0))
     found = absences([[MANY], [here, there]])[1]
     assert (found.until_s, found.from_s) == pytest.approx((3.0, 20.0))
+
+
+def test_a_log_without_a_row_says_nobody_came_where_others_of_its_kind_fall_silent_or_the_cell_file_says_so() -> None:
+    empty = Silence.of(np.empty(0), np.empty((0, 3)), None)
+    assert [one.until_s for one in absences([[MANY], [empty]])][1] == np.inf
+    assert absences([[visits((0.0, 10.0))], [empty]])[1].until_s == -np.inf
+    assert absences([[visits((0.0, 10.0), told="absent")], [empty]])[1].until_s == np.inf
+
+
+def test_an_execution_whose_tracker_log_has_a_header_alone_counts_as_one_without_people(
+    cells: Cells, tmp_path: Path
+) -> None:
+    cell = cells("scanner-visits", 3, executions_per_session=1, silent_when_empty=True)
+    shutil.copytree(cell.logs, tmp_path / "logs")
+    for number in (1, 2):
+        log = tmp_path / "logs" / f"session_00{number}" / "operator.csv"
+        log.write_text("".join(log.read_text().splitlines(keepends=True)[:7]))
+    text = (tmp_path / "logs" / "cell.toml").read_text()
+    told = text.replace('role = "people"', 'role = "people"\nsilence = "absent"')
+    (tmp_path / "logs" / "cell.toml").write_text(told)
+    report = ingest(tmp_path / "logs", tmp_path / "dataset")
+    gaps = Dataset.open(tmp_path / "dataset").samples(columns=["execution", "human_gap"])
+    seen = gaps.group_by("execution", maintain_order=True).agg(pl.col("human_gap").unique())["human_gap"].to_list()
+    assert seen[1:] == [["absent"], ["absent"]]
+    assert any("2 sessions count as nobody there" in text for _, text in report.said)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
-from cyclekit.errors import ConfigError, DamagedLog
+from cyclekit.errors import ConfigError, DamagedLog, EmptyLog
 from cyclekit_adapters.mapped.source_map import words
 from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.tasks.trace_signals import are_states, is_real, left_out
@@ -143,7 +143,7 @@ def _header(path: Path) -> _Header:
     cells = [cell.strip() for cell in lines[named].rstrip(mark).split(mark)]
     first = next((i for i in range(named + 1, len(lines)) if _is_row(lines[i], mark)), None)
     if first is None:
-        raise DamagedLog(path, "a header and no rows", cure="Nothing was recorded: record again or leave it out.")
+        raise EmptyLog(path)
     columns = unique(f"time {i + 1}" if cell == "Name" else cell or f"#{i + 1}" for i, cell in enumerate(cells))
     rows = [line.split(mark) for line in lines[first : first + _LOOKED_AT]]
     types = _types(lines[named + 1 : first], mark, cells)

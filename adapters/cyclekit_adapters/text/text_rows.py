@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.errors import DamagedLog
+from cyclekit.errors import DamagedLog, EmptyLog
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,7 +80,7 @@ class TextRows:
 def nothing_usable(path: Path, rows_read: int, set_aside: pl.DataFrame) -> DamagedLog:
     """Return the error for a log without a usable row."""
     if rows_read == 0:
-        return DamagedLog(path, "a header and no rows", cure="Nothing was recorded: record again or leave it out.")
+        return EmptyLog(path)
     first = set_aside["reason"][0] if set_aside.height else "unknown"
     line = f" (line {set_aside['source_row'][0]})" if set_aside.height else ""
     cause = f"none of its {rows_read} rows can be used; the first{line}: {first}"

@@ -220,6 +220,10 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "positions of people are known in {positions} executions, signals of them in {signals}, neither in {neither}: "
         "`train` learns from what more executions have, and says so"
     ),
+    "tracker-empty": lambda values: (
+        f"tracker logs with a header and no rows: {values['absent']} sessions count as nobody there"
+        + (f", {values['unknown']} as unknown (silence in cell.toml says which)" if values["unknown"] else "")
+    ),
     "people-learned": (
         "learned from {what} of people in {used} executions; {left} executions hold {other} alone and are left out: "
         "train --people {other} learns from those"

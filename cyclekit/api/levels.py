@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from cyclekit.api.arguments import Place, checked
 from cyclekit.api.given import path_of, place_of
@@ -11,11 +14,15 @@ from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import UnknownName
-from cyclekit.learning.labelling import scaling_in_time, staircase_of
-from cyclekit.scaling.levels import second_opinion
+from cyclekit.learning.labelling import fixed_levels, scaling_in_time
+from cyclekit.scaling.levels import find_staircase, second_opinion
 from cyclekit.scaling.levels.clusters import FINDERS
 from cyclekit.scaling.levels.staircase import PLATEAU
+from cyclekit.scaling.override_log import override_rows
 from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    from cyclekit.schema import Floats, Ints
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,7 +73,7 @@ def find_levels(dataset: Dataset | Place, *, method: str = "plateau", picture: P
 
     Raises:
         UnknownName: There is no such method.
-        DatasetError: There is no dataset, or it has no positions.
+        DatasetError: There is no dataset, or it has neither positions nor an override.
         OutputError: The picture would replace the dataset, or what is no picture of cyclekit's.
     """
     if method not in (PLATEAU, *FINDERS):
@@ -74,16 +81,30 @@ def find_levels(dataset: Dataset | Place, *, method: str = "plateau", picture: P
     file = path_of(picture)
     check_output(file, "picture", [place_of(dataset)], option="--picture", endings=(".svg", ".png", ".pdf"))
     opened = Dataset.of(dataset)
-    opened.require_positions()
-    frame = opened.samples(columns=["execution", "t_s", "scaling"])
-    found = staircase_of(opened, frame, method)
-    values, _ = scaling_in_time(frame, opened.rate_hz)
+    values, run, rate_hz = _in_time(opened)
+    found = find_staircase(values, run=run, method=method, levels=fixed_levels(opened), rate_hz=rate_hz)
     other = second_opinion(values, found) if method == "plateau" else None
     if file is not None:
         from cyclekit.plots.levels import draw_levels  # here, as matplotlib takes long to import
 
-        draw_levels(file, values, found, rate_hz=opened.rate_hz)
+        draw_levels(file, values, found, rate_hz=rate_hz)
     means = () if found.means is None else tuple(map(float, found.means))
     warnings = tuple(texts([*found.warnings, *([other] if other else [])]))
     levels, share = tuple(map(float, found.levels)), tuple(map(float, found.share))
     return ScalingLevels(method, levels, means, share, found.noise, found.is_staircase, file, warnings)
+
+
+def _in_time(dataset: Dataset) -> tuple[Floats, Ints, float]:
+    """Return the scaling of all samples and their stretches, shape (N,) each, and their rate.
+
+    Of a dataset without positions it is the override that a safety system logged, at that log's own rate.
+    """
+    logs = [] if dataset.positions else [dataset.recorded(one.id, "safety") for one in dataset.recordings]
+    overrides = [rows for log in logs if log is not None and (rows := override_rows(log)) is not None]
+    if not overrides:
+        dataset.require_positions()
+        frame = dataset.samples(columns=["execution", "t_s", "scaling"])
+        return *scaling_in_time(frame, dataset.rate_hz), dataset.rate_hz
+    first = np.cumsum([0, *(rows.run[-1] + 1 for rows in overrides[:-1])])
+    run = np.concatenate([rows.run + at for rows, at in zip(overrides, first.tolist(), strict=True)])
+    return np.concatenate([rows.override for rows in overrides]), run, overrides[0].rate_hz

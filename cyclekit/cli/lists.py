@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from cyclekit.cli.terminal import bullet, duration, percent, table
 from cyclekit.dataset.lost_time import CAUSE_NAMES
 from cyclekit.learning.coupling.waits import told
+from cyclekit.scaling.response import LEAST_RAMPS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.lost_time import LostTime, PersonLoss
     from cyclekit.inspect.facts import SafetyFacts, TaskListFacts
     from cyclekit.inspect.response import ResponseFacts
+    from cyclekit.scaling.override_log import OverrideResponse
 
 _AT = {"leave": "at", "approach": "before"}
 _FEW_ROWS = (
@@ -70,8 +72,8 @@ def response_lines(found: ResponseFacts | None) -> str:
     read = found.read
     values = (
         ("reaction time", _value(read.latency_s, "s")),
-        ("slows by", _rate(read.ramp_down_per_s, read.ramp_down_se_per_s)),
-        ("recovers by", _rate(read.ramp_up_per_s, read.ramp_up_se_per_s)),
+        ("slows by", _rate(read.ramp_down_per_s, read.ramp_down_se_per_s, read.changes)),
+        ("recovers by", _rate(read.ramp_up_per_s, read.ramp_up_se_per_s, read.changes)),
         ("hysteresis", _value(read.hysteresis_m, "m")),
         ("hold time", _value(read.hold_s, "s")),
     )
@@ -86,10 +88,10 @@ def _value(value: float | None, unit: str) -> str:
     return "not seen" if value is None else f"{value:.3g} {unit}"
 
 
-def _rate(per_s: float | None, error: float | None) -> str:
+def _rate(per_s: float | None, error: float | None, changes: int) -> str:
     """Return a rate in percent per second, with its interval where that is wider than what is shown of it."""
     if per_s is None:
-        return "at once"
+        return "at once" if changes >= 2 * LEAST_RAMPS else "not known, too few changes"
     low, high = (f"{max(0.0, 100.0 * (per_s + sign * Z95 * (error or 0.0))):.3g}" for sign in (-1, 1))
     interval = f" (95 % CI {low} to {high})" if low != high else ""
     return f"{100.0 * per_s:.3g} % per second{interval}"
@@ -123,6 +125,15 @@ def _level(one: PersonLoss) -> list[str]:
     return [f"  at {percent(one.level)} speed{where}", f"{one.lost_s:.1f}", "", ""]
 
 
+def _levels(read: OverrideResponse) -> list[str]:
+    """Return the levels of an override log and how fast it goes from one to the other."""
+    shares = zip(read.levels, read.share, strict=True)
+    levels = ", ".join(f"{100 * level:g} % ({percent(share)} of the rows)" for level, share in shares)
+    down, up = (_rate(rate, None, read.changes) for rate in (read.down_per_s, read.up_per_s))
+    lines = [bullet([levels], mark="  levels    ")]
+    return [*lines, f"  response  slows by {down}, recovers by {up}"] if read.changes else lines
+
+
 def safety_lines(found: SafetyFacts) -> list[str]:
     """Return the range of override and distance, and how long the override stood at its values."""
     lines = []
@@ -135,7 +146,7 @@ def safety_lines(found: SafetyFacts) -> list[str]:
         lines.append(
             f"  override  {100 * span.least:g} to {100 * span.most:g} %, {len(values)} values, known for {known}"
         )
-        lines.append(bullet([f"{shown}{rest}"], mark="            "))
+        lines += _levels(found.response) if found.response else [bullet([f"{shown}{rest}"], mark="            ")]
     if (span := found.distance_m) is not None:
         repeats = f"{percent(found.distance_repeats)} of the rows repeat the one before"
         said = f"{span.least:.2f} to {span.most:.2f} m (median {span.median:.2f} m); {repeats}"

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.what_to_log import RecordingPlan
     from cyclekit.inspect.response import ResponseFacts
     from cyclekit.learning.task_times.saved import TaskTimesModel
+    from cyclekit.scaling.override_log import OverrideResponse
 
 
 @dataclass(frozen=True)
@@ -125,6 +126,7 @@ class SafetyFacts:
         override: Over time, 0 to 1; None = not logged.
         override_values: Each value with the seconds it held, the longest first.
         override_s: Seconds in which it is known.
+        response: Its levels and how fast it falls and rises; None where it is no staircase.
         distance_m: Of the rows; None = not logged.
         distance_repeats: Part of the rows whose distance is that of the row before.
     """
@@ -134,6 +136,7 @@ class SafetyFacts:
     override_s: float
     distance_m: Span | None
     distance_repeats: float
+    response: OverrideResponse | None = None
 
 
 @dataclass(frozen=True)

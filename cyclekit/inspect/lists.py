@@ -10,16 +10,20 @@ import polars as pl
 from cyclekit.dataset.rates import GAP_PERIODS, GAP_S
 from cyclekit.ingest.validate.task_lists import overlaps_of
 from cyclekit.inspect.facts import AgentFacts, ListedTask, SafetyFacts, Span, TaskListFacts
+from cyclekit.scaling.override_log import override_rows, response_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from cyclekit.scaling.override_log import OverrideResponse
     from cyclekit.schema import Vector
 
 
 _AGENT = ("agent_name", "agent", "tasks", "overlaps", "overlap_s")
 _DECIMALS = 4
 """An override is told apart to so many: integer percent, and finer."""
+MOST_ROWS = 5_000_000
+"""Levels and rates are read from so many rows at the beginning of a log: two days at 30 Hz."""
 _MANY = 10_000
 """More values than these are a continuous quantity, of which each hundredth counts as one value."""
 
@@ -80,6 +84,8 @@ class SafetySurvey:
         self._period_s: float | None = None
         self._distances: list[Vector] = []
         self._last_m, self._repeats, self._measured = np.nan, 0, 0
+        self._rows: list[pl.DataFrame] = []
+        self._count = 0
 
     def add(self, frame: pl.DataFrame) -> None:
         """Take in a part, in the order of the log."""
@@ -91,6 +97,9 @@ class SafetySurvey:
             self._period_s = float(np.median(steps[steps > 0]))
         if frame["override"].count():
             self._add_override(times, frame["override"].fill_null(np.nan).to_numpy())
+            if self._count < MOST_ROWS:
+                self._rows.append(frame.select("t_s", "override"))
+                self._count += frame.height
         if frame["distance_m"].count():
             self._add_distance(frame["distance_m"].drop_nulls().to_numpy())
 
@@ -125,7 +134,12 @@ class SafetySurvey:
             override_s=total,
             distance_m=span_of(distances),
             distance_repeats=self._repeats / max(self._measured, 1),
+            response=self._response(),
         )
+
+    def _response(self) -> OverrideResponse | None:
+        rows = override_rows(pl.concat(self._rows)) if self._rows else None
+        return None if rows is None else response_of(rows)
 
     def _weighted(self, held: Sequence[_Held]) -> Vector:
         """Return values of which least, median and most are those of the override over time."""

@@ -134,13 +134,12 @@ def follows_late(response: DynamicsCard) -> bool:
     return (response.latency_s or 0.0) >= LEAST_LATENCY_S or any(seen)
 
 
-def staircase_of(dataset: Dataset, frame: pl.DataFrame, method: str = "plateau") -> Staircase:
+def staircase_of(dataset: Dataset, frame: pl.DataFrame) -> Staircase:
     """Find the staircase in rows of a dataset, or label them by the levels that its cell file fixes.
 
     Args:
         dataset: Whose rows.
         frame: Table SAMPLES or a part of it, rows of one execution together and in order of time.
-        method: `plateau` or one of `scaling.levels.FINDERS`.
     """
     scaling, run = scaling_in_time(frame, dataset.rate_hz)
-    return find_staircase(scaling, run=run, method=method, levels=fixed_levels(dataset), rate_hz=dataset.rate_hz)
+    return find_staircase(scaling, run=run, levels=fixed_levels(dataset), rate_hz=dataset.rate_hz)

@@ -125,13 +125,12 @@ def _level(one: PersonLoss) -> list[str]:
     return [f"  at {percent(one.level)} speed{where}", f"{one.lost_s:.1f}", "", ""]
 
 
-def _levels(read: OverrideResponse) -> list[str]:
-    """Return the levels of an override log and how fast it goes from one to the other."""
+def _levels(read: OverrideResponse) -> str:
+    """Return the levels of an override log, and the part of its rows on each."""
     shares = zip(read.levels, read.share, strict=True)
-    levels = ", ".join(f"{100 * level:g} % ({percent(share)} of the rows)" for level, share in shares)
-    down, up = (_rate(rate, None, read.changes) for rate in (read.down_per_s, read.up_per_s))
-    lines = [bullet([levels], mark="  levels    ")]
-    return [*lines, f"  response  slows by {down}, recovers by {up}"] if read.changes else lines
+    return bullet(
+        [", ".join(f"{100 * v:g} % ({percent(share)} of the rows)" for v, share in shares)], mark="  levels    "
+    )
 
 
 def safety_lines(found: SafetyFacts) -> list[str]:
@@ -146,7 +145,11 @@ def safety_lines(found: SafetyFacts) -> list[str]:
         lines.append(
             f"  override  {100 * span.least:g} to {100 * span.most:g} %, {len(values)} values, known for {known}"
         )
-        lines += _levels(found.response) if found.response else [bullet([f"{shown}{rest}"], mark="            ")]
+        values_line = bullet([f"{shown}{rest}"], mark=" " * 12)
+        lines.append(_levels(found.response) if others > 0 and found.response else values_line)
+        if (read := found.response) is not None and read.changes:
+            down, up = (_rate(rate, None, read.changes) for rate in (read.down_per_s, read.up_per_s))
+            lines.append(f"  response  slows by {down}, recovers by {up}")
     if (span := found.distance_m) is not None:
         repeats = f"{percent(found.distance_repeats)} of the rows repeat the one before"
         said = f"{span.least:.2f} to {span.most:.2f} m (median {span.median:.2f} m); {repeats}"

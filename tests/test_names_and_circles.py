@@ -21,6 +21,8 @@ UNTYPED = {
     "report/trust.py": "a section of the page",
     "report/where.py": "a section of the page",
     "report/why.py": "a section of the page",
+    "report/play/both.py": "facts for the script in the page, as JSON",
+    "report/play/lists.py": "facts for the script in the page, as JSON",
     "report/play/scaling_table.py": "facts for the script in the page, as JSON",
     "report/play/tables.py": "facts for the script in the page, as JSON",
 }

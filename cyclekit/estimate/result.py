@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
+    from cyclekit.config.sequences import PlannedTask
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.history import Combined
     from cyclekit.plots.drawing import Drawing
@@ -111,6 +112,7 @@ class CycleEstimate(Result):
         idle_s: From the end of the robot's last task to that of the operator's, mean; 0 where the robot ends the cycle.
         operator_at: In which part of the cycles the operator is at each task or on the way to it, in PARTS equal parts
             of `expected_s`; empty where he is not known, and where `plan` has his tasks.
+        asked: The tasks of both agents as a plan was asked for.
     """
 
     name: str
@@ -144,6 +146,7 @@ class CycleEstimate(Result):
     plan: tuple[PlannedShare, ...] = ()
     idle_s: float = 0.0
     operator_at: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    asked: tuple[PlannedTask, ...] = field(default=(), repr=False)
 
     @property
     def per_visit_s(self) -> float:
@@ -176,11 +179,11 @@ class CycleEstimate(Result):
         return gantt_figure([self])
 
     def to_dict(self) -> dict[str, object]:
-        """Return the estimate as plain JSON values, without `check`; quantile levels become keys such as "0.05"."""
+        """Return plain JSON values, without `check` and `asked`; quantile levels become keys such as "0.05"."""
         out = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in vars(self).items()
-            if name != "check"
+            if name not in ("check", "asked")
         }
         out["tasks"] = [dict(vars(task)) for task in self.tasks]
         out["plan"] = [dict(vars(task)) for task in self.plan]

@@ -106,6 +106,7 @@ def _estimated(
         takt_s=takt_s,
         takt_probability=within,
         plan=planned,
+        asked=sequence.plan,
         idle_s=max(expected - nominal - beside - waited, 0.0),
     )
 
@@ -145,15 +146,15 @@ def _mean(durations: Vector, judged: HeldOutCard | None, executions: int) -> tup
 
 def _single(durations: Vector, judged: HeldOutCard | None) -> Vector:
     """Return single cycles whose quantiles hold what they say on held-out executions, shape (cycles,), s."""
-    if judged is None or len(judged.deviations) < len(_LEVELS):
+    if judged is None or len(judged.deviations) < len(LEVELS):
         return durations
     mean, sd = float(durations.mean()), float(durations.std(ddof=1))
     deviations = np.array(judged.deviations)
-    spread = np.array([conformal(deviations, level) for level in _LEVELS])
-    return np.asarray(mean + sd * np.interp(np.linspace(0.0, 1.0, len(durations)), _LEVELS, spread))
+    spread = np.array([conformal(deviations, level) for level in LEVELS])
+    return np.asarray(mean + sd * np.interp(np.linspace(0.0, 1.0, len(durations)), LEVELS, spread))
 
 
-_LEVELS = np.linspace(0.0, 1.0, 41)
+LEVELS = np.linspace(0.0, 1.0, 41)
 
 
 def _within(single: Vector, takt_s: float, error_s: float) -> tuple[float, float, float]:

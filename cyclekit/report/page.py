@@ -144,10 +144,9 @@ def compose_report(
     elif kind == "md":
         content = as_markdown(texts, name, made, sections)
     else:
-        data = played.data if played else None
         _draw(sections, lambda part, text: say(0.3 + 0.65 * part, text))
         say(0.95, "writing the page")
-        content = look.render(cell=name, made=made, version=installed("cyclekit"), play=data, **sections)
+        content = look.render(cell=name, made=made, version=installed("cyclekit"), play=played, **sections)
         content += f"\n{MARK}\n"
     write_text(out, content)
     said = tuple(missing) + tuple(text for section in sections.values() for text in section.get("missing", ()))

@@ -16,6 +16,7 @@ from cyclekit.report.figures.time_chart import MOST_SEQUENCES, alt_of, draw
 from cyclekit.report.numbers import UNKNOWN, count, fixed, given, percent
 from cyclekit.report.page import ReportFacts
 from cyclekit.report.pictures import Picture
+from cyclekit.report.play import play_lists
 from cyclekit.report.template import Template
 from cyclekit.report.tried import Tried
 from cyclekit.report.verdict import basis, in_words, verdict
@@ -103,7 +104,7 @@ def report_tasks(
         kind: `html`, `json`, `md`, or `csv` for the estimates alone.
         template: Folder whose style and words replace the page's own.
         cell_name: Title of the page; the dataset's name where not given.
-        play: Say on the HTML page why it cannot be played with.
+        play: Let the reader of the HTML page try other orders of its plans.
 
     Raises:
         UnknownName: There is no plan of that name.
@@ -114,8 +115,8 @@ def report_tasks(
     held = verdict(dataset, found, tried, None, takt_s, baseline)
     today = _today(dataset, held.today, look.texts("time_chart.today")) if held else None
     missing = [NOT_KNOWN[0], *([] if card else [NO_MODEL])]
-    if play and card and kind == "html":
-        missing.append(texts("play.waits"))
+    played = play_lists(texts, card, found, takt_s) if play and card and kind == "html" else None
+    missing += played.missing if played else ()
     parts = [*_ranking(found, takt_s), *(_plan(one) for one in found), *_order(planned), *_changes(changed)]
     if found:
         drawn = [*([today] if today else []), *found[:MOST_SEQUENCES]]
@@ -137,7 +138,7 @@ def report_tasks(
         content = _markdown(name, made, [headline, *said], parts)
     else:
         texts_of = {"cell": name, "made": made, "headline": headline, "version": installed("cyclekit")}
-        content = look.render(page=PAGE, said=said, parts=parts, **texts_of) + f"\n{MARK}\n"
+        content = look.render(page=PAGE, said=said, parts=parts, play=played, **texts_of) + f"\n{MARK}\n"
     write_text(out, content)
     return ReportFacts(out, out.stat().st_size, headline, content.count("<figure>"), tuple(missing), len(found))
 

@@ -26,11 +26,13 @@ from cyclekit.text.plain_text import visible
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from cyclekit.report.play import PlayPart
     from cyclekit.report.texts import ReportTexts
 
 PAGE, STYLE, SCRIPT = "page.html.jinja", "page.css", "page.js"
 PLAY_STYLE = "play.css"
-PLAY = ("tables.js", "positions.js", "lookup.js", "often.js", "walk.js", "numbers.js", "chart.js", "controls.js")
+PLAY = ("tables.js", "positions.js", "lookup.js", "often.js", "walk.js", "numbers.js",
+        "draws.js", "agenda.js", "both.js", "joint.js", "roll.js", "chart.js", "controls.js")  # fmt: skip
 """The script of the part to play with: one function, in this order."""
 LOGOS = {"logo.svg": "image/svg+xml", "logo.png": "image/png"}
 KNOWN = (PAGE, STYLE, SCRIPT, "texts.toml", "extra.css", "cover.html.jinja", *LOGOS)
@@ -59,8 +61,8 @@ class Template:
             raise CyclekitError(msg, cure=f"Put one or more of these files there: {', '.join(KNOWN)}.")
         self.texts = self._texts()
 
-    def render(self, *, page: str = PAGE, play: str | None = None, **values: object) -> str:
-        """Return a page; with `play`, the tables of the part to play with, also its script and style.
+    def render(self, *, page: str = PAGE, play: PlayPart | None = None, **values: object) -> str:
+        """Return a page; where `play` holds tables of the part to play with, also its script and style.
 
         Raises:
             CyclekitError: The folder's template is wrong.
@@ -71,7 +73,8 @@ class Template:
             loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, finalize=_shown
         )  # fmt: skip
         script, css = self._asset(SCRIPT), self._asset(STYLE)
-        if play:
+        data = play.data if play else None
+        if data:
             parts = "".join(map(self._asset, PLAY))
             script, css = f'{script}(() => {{\n"use strict";\n{parts}}})();\n', css + self._asset(PLAY_STYLE)
         digest = base64.b64encode(hashlib.sha256(f"\n{script}\n".encode()).digest()).decode()
@@ -83,7 +86,8 @@ class Template:
                 script=script,
                 script_hash=f"sha256-{digest}",
                 logo=self._logo(),
-                play=play,
+                play=data,
+                played=play,
                 **values,
             )
         except _WRONG as error:

@@ -52,6 +52,15 @@ via = "conveyor"
 visit = ["left_1", "left_2", "left_3", "left_4", "left_5", "right_1", "right_2", "right_3", "right_4", "right_5"]
 """
 
+TOGETHER = """
+[[sequence]]
+name = "sorting last"
+places = ["home", "feeder", "fixture", "feeder", "fixture", "feeder", "fixture",
+          "tray", "rack_1", "tray", "rack_2", "tray", "rack_3", "tray", "rack_4", "home"]
+operator = ["rest", "shelf", "bench", "fixture", "bench", "fixture", "bench", "fixture",
+            "label", "pack", "scan", "rest"]
+"""
+
 
 def demo(out: Path, *options: str) -> None:
     """Run the demo, quietly."""
@@ -117,6 +126,32 @@ def play_picture(tab: Tab, page: Path) -> bytes:
     return tab.picture()
 
 
+def together(out: Path) -> Path:
+    """Return a report of a simulated cell in which robot and operator wait for each other."""
+    (out / "together.toml").write_text(TOGETHER, encoding="utf-8")
+    page, given = out / "together.html", ["--sequences", str(out / "together.toml"), "--takt", "58s"]
+    for words in (
+        ["simulate", "shared-fixture", "--executions", "40", "--out", str(out / "logs")],
+        ["ingest", str(out / "logs"), "--out", str(out / "both")],
+        ["train", str(out / "both"), "--out", str(out / "model")],
+        ["report", str(out / "both"), "--model", str(out / "model"), *given, "--out", str(page)],
+    ):
+        subprocess.run([sys.executable, "-m", "cyclekit", *words, "--quiet"], check=True)
+    return page
+
+
+def together_picture(tab: Tab, page: Path) -> bytes:
+    """Return the part to play with of both agents, after one wait was removed and a task of each was moved."""
+    tab.show(page, width=1180, height=1640)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    for agent in (0, 1):
+        tab.ask(f"document.querySelectorAll('#play ol')[{agent}].querySelectorAll('li button')[7].click()")
+    tab.ask("document.querySelector('.play-switch input').click()")
+    tab.ask("document.activeElement.blur(); document.getElementById('play').scrollIntoView()")
+    time.sleep(3.0)  # all cycles are walked
+    return tab.picture()
+
+
 def page_pictures(tab: Tab, page: Path, printed: Path) -> None:
     """Save the page as on a desk, on a phone and printed."""
     tab.show(page, width=1180, height=980)
@@ -176,6 +211,7 @@ def main() -> None:
         subprocess.run([*report, "--out", str(out / "r.html"), "--pdf", str(out / "r.pdf")], check=True)
         with open_browser() as tab:
             page_pictures(tab, out / "r.html", out / "sheet")
+            save(together_picture(tab, together(out)), HERE / "report-play-both.png")
         if asked.recorded:
             demo(out / "recorded", "--operator-log", str(asked.recorded))
             recorded = out / "recorded" / "replay.rrd"

@@ -17,6 +17,7 @@ from played import ORDERS, staircase, zoned
 from report_pages import DistanceModel
 from report_pages import estimate as made_up
 
+from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.rule import LimitCard
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
@@ -25,7 +26,7 @@ from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.walk import roll_all
 from cyclekit.report import compose_report
 from cyclekit.report.inputs import PageInputs
-from cyclekit.report.play import part, play_part, scaling_table, tables
+from cyclekit.report.play import PlayPart, part, play_part, scaling_table, tables
 from cyclekit.report.play.packed import UNKNOWN, in_steps, in_units, packed, units_per_metre
 from cyclekit.report.texts import load_texts
 
@@ -97,16 +98,17 @@ def test_a_page_says_why_it_cannot_be_played_with(logged, monkeypatch):
     (short,) = estimate(rule, logged, ORDERS[:1], validate=False)
     average = DistanceModel()
     average.problem = "average"
-    assert play_part(PageInputs(texts, logged, rule)) == (None, ())
+    assert play_part(PageInputs(texts, logged, rule)) == PlayPart(None)
     for model, shown, why in (
         (None, short, texts("play.no_model")),
         (average, short, texts("play.not_now")),
         (rule, made_up(plan=("x",)), texts("play.both")),
     ):
-        assert play_part(PageInputs(texts, logged, model, [shown])) == (None, (why,))
+        assert play_part(PageInputs(texts, logged, model, [shown])) == PlayPart(None, (why,))
+    told = made_up(plan=("x",), asked=(PlannedTask("robot", "a->b", not_before_s=3.0),))
     with monkeypatch.context() as patched:
         patched.setattr(tables, "waits_are_known", lambda _model: True)
-        assert play_part(PageInputs(texts, logged, rule, [short])) == (None, (texts("play.waits"),))
+        assert play_part(PageInputs(texts, logged, rule, [told])).missing == (texts("play.told"),)
         patched.undo()
         patched.setattr(scaling_table, "MOST_ENTRIES", 10)
         assert "million entries" in play_part(PageInputs(texts, logged, DistanceModel(), [short])).missing[0]

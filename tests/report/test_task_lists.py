@@ -90,7 +90,7 @@ def test_the_page_of_logs_alone_shows_the_logged_executions_and_how_to_learn_mor
     assert part["rows"][0][1:6] == ["arm", "1", "bring", "0.0", "5.0"]
 
 
-def test_with_a_model_today_stands_above_the_plans_and_the_page_says_why_nothing_is_played(tmp_path: Path) -> None:
+def test_with_a_model_today_stands_above_the_plans_and_the_page_is_played_with(tmp_path: Path) -> None:
     logged = _lists(tmp_path, [_usual(0.3 * (turn % 7)) for turn in range(20)])
     train_task_times(logged, out=tmp_path / "model")
     tasks = [("arm", "bring"), ("arm", "weld"), ("worker", "mount")]
@@ -103,9 +103,12 @@ def test_with_a_model_today_stands_above_the_plans_and_the_page_says_why_nothing
     facts = write_report(logged, tmp_path / "page.html", **asked)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "today, as logged: 15.9 s" in page
-    assert any("cannot be played with: robot and operator wait for each other" in text for text in facts.missing)
-    assert "cannot be played with" in page
-    assert not any("played" in text for text in write_report(logged, tmp_path / "p.html", **asked, play=False).missing)
+    assert '<section id="play" hidden>' in page
+    assert not any("played" in text for text in facts.missing)
+    write_report(logged, tmp_path / "p.html", **asked, play=False)
+    plain = (tmp_path / "p.html").read_text(encoding="utf-8")
+    assert 'id="play' not in plain
+    assert "script-src" not in plain
     write_report(logged, tmp_path / "other.html", model=tmp_path / "model")
     assert "Logged executions" in (tmp_path / "other.html").read_text(encoding="utf-8")
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.estimate.joint.roll import Plan, RolledBoth
     from cyclekit.estimate.safety import SafetyModel
-    from cyclekit.schema import Floats, Progress, Vector
+    from cyclekit.schema import Floats, Ints, Progress, Vector
 
     _Refuse = Callable[[TaskSequence, EstimateError], None]
 
@@ -117,7 +117,8 @@ class JointAnswers:
         """Return the estimate of each sequence that can be answered, and its mean in each resample (RESAMPLES,), s."""
         plans = {sequence: plan for sequence in sequences if (plan := self._plan(sequence, refuse)) is not None}
         rolled = self._rolled(plans, refuse, tell)
-        weights = _weights(self._ask.seed, len(self._cell.segments.orders))
+        drawn = resample_counts(self._ask.seed, len(self._cell.segments.orders))
+        weights = drawn / drawn.sum(axis=1, keepdims=True)
         found = []
         for sequence, cycles in rolled.items():
             problem = no_answer(self._ask, sequence, cycles, longest_s(cycles.plan))
@@ -208,6 +209,7 @@ class JointAnswers:
             takt_probability=within,
             extrapolated=cycles.support < LEAST_SUPPORT,
             operator=sequence.operator,
+            asked=sequence.plan,
             check=check,
             plan=tuple(planned_shares(cycles, factor, band)),
             operator_at={} if len(cycles.operators) == 1 else operator_shares(cycles, expected / factor),
@@ -241,7 +243,7 @@ def _slowed(shares: Sequence[TaskShare], factor: float) -> list[TaskShare]:
     return found
 
 
-def _weights(seed: int, executions: int, cycles: int = CYCLES) -> Floats:
-    """Return weights of the cycles as finite logs would give them: as many cycles as executions, drawn again."""
-    drawn = np.random.default_rng(seed).multinomial(max(executions, 2), np.full(cycles, 1.0 / cycles), RESAMPLES)
-    return np.asarray(drawn / max(executions, 2))
+def resample_counts(seed: int, executions: int, cycles: int = CYCLES) -> Ints:
+    """Return how often each cycle is drawn again (RESAMPLES, cycles): as many cycles as the logs have executions."""
+    rng = np.random.default_rng(seed)
+    return np.asarray(rng.multinomial(max(executions, 2), np.full(cycles, 1.0 / cycles), RESAMPLES))

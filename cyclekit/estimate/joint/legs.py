@@ -103,7 +103,7 @@ class Gates:
         """Return what the passage number `turn` of a gate needs."""
         gate = self.at(agent, at, place)
         return tuple(
-            Need((one.agent, one.place, _kind(one), number), np.array(one.lag_s), one.needed)
+            Need((one.agent, one.place, event_kind(one), number), np.array(one.lag_s), one.needed)
             for one in (gate.conditions if gate else ())
             if (number := one.turns.event(turn, one.back)) is not None
         )
@@ -118,7 +118,7 @@ class Gates:
         return np.array(gate.own_s) if gate is not None and max(gate.own_s) > 0.0 else None
 
 
-def _kind(condition: ConditionCard) -> str:
+def event_kind(condition: ConditionCard) -> str:
     """Return what must have come; who gives a signal at a place has done there, though he may have to stay."""
     given = condition.signal is not None and condition.event == "leaves"
     return "set" if given else condition.event

@@ -39,7 +39,7 @@ class Planner:
         """Take the cell and its nominal tasks; what the operator does is laid out once for each order."""
         self._cell, self.nominal = cell, nominal
         self._orders: dict[tuple[str, ...], Agenda] = {}
-        self._waited_for = _waited_for(cell)
+        self.waited_for = _waited_for(cell)
         self._went = {
             one.execution: one.places for one in cell.dataset.card.executions if one.execution in cell.segments.orders
         }
@@ -97,8 +97,14 @@ class Planner:
             )
         return [tuple(visit.place for visit in self._cell.segments.orders[name]) for name in found]
 
+    @property
+    def logged_orders(self) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
+        """The places of the robot and of the operator in each execution that a sequence may be rolled out beside."""
+        orders = self._cell.segments.orders
+        return [(went, tuple(visit.place for visit in orders[name])) for name, went in self._went.items()]
+
     def _counted(self, places: Sequence[str]) -> Counter[str]:
-        return Counter(place for place in places[1:] if place in self._waited_for)
+        return Counter(place for place in places[1:] if place in self.waited_for)
 
     def _of_both(self, sequence: TaskSequence) -> Plan:
         where, told = sequence.shown, told_needs(sequence.plan, sequence.shown)
@@ -110,7 +116,7 @@ class Planner:
             cure = 'Add one: agent = "robot", name = "start->goal".'
             raise EstimateError(f"{where}: no task of the robot", cure=cure)
         self._check(operator.names, where)
-        places = self._chained(robot.names, where)
+        places = self.chained(robot.names, where)
         program = lay_out(TaskSequence(sequence.name, places, file=sequence.file), self.nominal, self._cell.dataset)
         return Plan(
             where,
@@ -133,7 +139,7 @@ class Planner:
             both=True,
         )
 
-    def _chained(self, names: Sequence[str], where: str) -> tuple[str, ...]:
+    def chained(self, names: Sequence[str], where: str) -> tuple[str, ...]:
         """Return the places that tasks go through, each `start->goal` or the goal alone.
 
         Raises:

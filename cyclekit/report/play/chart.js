@@ -8,30 +8,75 @@ const made = (tag, className, text) => {
   if (text !== undefined) element.textContent = text;
   return element;
 };
-const state = { number: 0, visits: [], end: null, asked: null, takt_s: facts.takt_s };
+const state = { number: 0, blocks: [], asked: null, takt_s: facts.takt_s };
 
-const visitsOf = (places) => { // a place that comes before many others is fetched from: it moves with the next ones
-  const rest = places.slice(1);
-  const end = rest.length > 1 && rest[rest.length - 1] === places[0] ? rest.pop() : null;
+const visitsOf = (rest) => { // a place that comes again and again is fetched from: it moves with what follows
   const often = (place) => rest.filter((each) => each === place).length;
-  const hub = rest.reduce((best, place) => (often(place) > often(best) ? place : best), rest[0]);
-  const visits = [];
-  for (const place of rest) {
-    const last = visits[visits.length - 1];
-    if (often(hub) > 1 && place !== hub && last && last.places[0] === hub) last.places.push(place);
-    else visits.push({ places: [place], on: true });
+  const goals = new Set();
+  const hubs = new Set();
+  for (const place of [...new Set(rest)].sort((a, b) => often(b) - often(a))) {
+    if (often(place) < 2 || goals.has(place)) continue;
+    hubs.add(place);
+    rest.forEach((each, n) => { if (rest[n - 1] === place && !hubs.has(each)) goals.add(each); });
   }
-  return { visits, end };
+  const visits = [];
+  let fetched = false;
+  for (const place of rest) {
+    if (fetched && !hubs.has(place)) visits[visits.length - 1].places.push(place);
+    else visits.push({ places: [place], on: true });
+    fetched = hubs.has(place);
+  }
+  return visits;
 };
-const placesOf = () => {
-  const first = facts.sequences[state.number].places[0];
-  const middle = state.visits.filter((visit) => visit.on).flatMap((visit) => visit.places);
-  return [first, ...middle, ...(state.end === null ? [] : [state.end])];
+const chained = (agent, places, starts) => { // with the place where the agent begins, and ends if it is the same one
+  const rest = starts ? places.slice(1) : [...places];
+  const end = starts && rest.length > 1 && rest[rest.length - 1] === places[0] ? rest.pop() : null;
+  return { agent, first: starts ? places[0] : null, visits: visitsOf(rest), end };
+};
+const blocksOf = (sequence) => { // what each agent does, in order
+  if (facts.kind === "list") {
+    const agents = [...new Set(sequence.tasks.map((task) => task.asked))];
+    return agents.map((agent) => ({
+      agent, first: null, end: null, visits: sequence.tasks.filter((task) => task.asked === agent)
+        .map((task) => ({ places: [task.name], task, on: true })),
+    }));
+  }
+  const robot = chained("robot", sequence.robot, true);
+  if (facts.kind === "robot" || !sequence.operator) return [robot];
+  const { operator } = sequence;
+  return [robot, chained("operator", operator, operator.length > 2 && operator[0] === operator[operator.length - 1])];
+};
+const playedBy = (block) => [
+  ...(block.first === null ? [] : [block.first]),
+  ...block.visits.filter((visit) => visit.on).flatMap((visit) => visit.places),
+  ...(block.end === null ? [] : [block.end]),
+];
+const given = () => facts.sequences[state.number];
+const played = (blocks) => { // as `answers` take it
+  if (facts.kind === "robot") return playedBy(blocks[0]);
+  if (facts.kind === "list") return blocks.flatMap((block) => block.visits.filter((visit) => visit.on).map((visit) => visit.task));
+  return { robot: playedBy(blocks[0]), operator: blocks[1] ? playedBy(blocks[1]) : null, both: given().both };
 };
 const tomlOf = () => {
   const quoted = (text) => JSON.stringify(text).replace(/\u007f/g, "\\u007f");
-  const name = say("played", { name: facts.sequences[state.number].name });
-  return `[[sequence]]\nname = ${quoted(name)}\nplaces = [${placesOf().map(quoted).join(", ")}]\n`;
+  const several = (texts) => `[${texts.map(quoted).join(", ")}]`;
+  const lines = ["[[sequence]]", `name = ${quoted(say("played", { name: given().name }))}`];
+  const task = (agent, name) => lines.push("", "[[sequence.task]]", `agent = ${quoted(agent)}`, `name = ${quoted(name)}`);
+  const asked = played(state.blocks);
+  if (facts.kind === "list") {
+    for (const each of asked) {
+      task(each.asked, each.name);
+      if (each.after.length) lines.push(`after = ${several(each.after)}`);
+      if (each.not_before_s !== undefined) lines.push(`not_before_s = ${each.not_before_s}`);
+    }
+  } else if (asked.both) {
+    asked.robot.slice(1).forEach((place, n) => task("robot", `${asked.robot[n]}->${place}`));
+    for (const place of asked.operator) task("operator", place);
+  } else {
+    lines.push(`places = ${several(asked.robot || asked)}`);
+    if (asked.operator) lines.push(`operator = ${several(asked.operator)}`);
+  }
+  return `${lines.join("\n")}\n`;
 };
 
 const fixed = (seconds) => seconds.toFixed(1);
@@ -40,71 +85,108 @@ const apartFrom = (value, before) => {
   if (Math.abs(by) < 0.05) return say("same");
   return say(by < 0 ? "shorter" : "longer", { by: fixed(Math.abs(by)) });
 };
+const waitsOf = (entry, agent) => entry.tasks.filter((task) => (task.asked || task.agent) === agent)
+  .reduce((sum, task) => sum + task.wait_s, 0);
 
-const showNumbers = (entry, given) => {
+const showNumbers = (entry, before) => {
   const known = !entry.unknown;
   part("mean").textContent = known ? say("seconds", { value: fixed(entry.expected_s) }) : say("not_known");
   const interval = known ? say("interval", { low: fixed(entry.low_s), high: fixed(entry.high_s) }) : entry.unknown;
   part("interval").textContent = interval;
-  part("change").textContent = known && !given.unknown ? apartFrom(entry.expected_s, given.expected_s) : "";
+  part("change").textContent = known && !before.unknown ? apartFrom(entry.expected_s, before.expected_s) : "";
   const [low, , high] = known ? entry.quantiles_s : [];
-  const cells = {
-    single: known ? say("range", { low: fixed(low), high: fixed(high) }) : "\u2013",
-    safety: known ? say("seconds", { value: fixed(entry.safety_s) }) : "\u2013",
-    support: known ? percent(entry.support) : "\u2013",
+  const told = {
+    single: known && say("range", { low: fixed(low), high: fixed(high) }),
+    safety: known && say("seconds", { value: fixed(entry.safety_s || 0) }),
+    support: known && entry.support !== null && percent(entry.support),
     takt: known && entry.takt
-      ? say("within", Object.fromEntries(["share", "low", "high"].map((name, n) => [name, percent(leastWide(entry.takt)[n])])))
-      : "\u2013",
+      && say("within", Object.fromEntries(["share", "low", "high"].map((name, n) => [name, percent(leastWide(entry.takt)[n])]))),
+    waits: known && facts.kind !== "robot"
+      && state.blocks.map(({ agent }) => say("waits_of", { agent, value: fixed(waitsOf(entry, agent)) }).replaceAll(" ", "\u00a0")).join(", "),
   };
-  for (const [name, text] of Object.entries(cells)) part(name).textContent = text;
-  part("thin").hidden = !(known && entry.support < 0.9);
+  for (const [name, text] of Object.entries(told)) part(name).textContent = text || "\u2013";
+  part("thin").hidden = !(known && entry.support !== null && entry.support < 0.9);
   if (known) part("thin").textContent = say("extrapolated", { share: percent(1 - entry.support) });
 };
 
-const KINDS = ["motion", "slow", "dwell", "wait"];
-const lane = (item, tasks, start_s, whole_s) => {
-  const bar = item.querySelector(".play-lane");
+const piecesOf = (tasks) => { // of the robot alone: parts one after the other; else the spans of the tasks
+  let at = 0;
+  return tasks.map((task) => {
+    if (task.start_s === undefined) {
+      const [motion, slow, dwell, wait] = task.parts;
+      const pieces = [["motion", motion], ["slow", slow], ["dwell", dwell], ["wait", wait]];
+      const begin = at;
+      at += motion + slow + dwell + wait;
+      return { ...task, begin, end: at, pieces };
+    }
+    const long = task.end_s - task.start_s;
+    const { nominal_s: motion, lost_s: slow, dwell_s: dwell } = task.share || {};
+    const whole = task.share && motion + slow + dwell > 0 ? motion + slow + dwell : 0;
+    const kind = facts.kind === "both" ? "person" : { robot: "task", operator: "work" }[facts.agents[task.agent]];
+    const work = whole ? [["motion", (motion / whole) * long], ["slow", (slow / whole) * long], ["dwell", (dwell / whole) * long]] : [[kind, long]];
+    return { ...task, begin: task.start_s - task.wait_s, end: task.end_s, pieces: [["wait", task.wait_s], ...work] };
+  });
+};
+const lane = (bar, tasks, whole_s) => {
   bar.replaceChildren();
-  let at = start_s;
   for (const task of tasks) {
     const texts = [];
-    const begin = at;
-    task.parts.forEach((seconds, kind) => {
-      if (seconds < 0.005) return;
-      const piece = made("i", `play-${KINDS[kind]}`);
+    const mine = [];
+    let at = task.begin;
+    for (const [kind, seconds] of task.pieces) {
+      if (seconds < 0.005) continue;
+      const piece = made("i", `play-${kind}`);
       piece.style.left = `${(100 * at) / whole_s}%`;
       piece.style.width = `${(100 * seconds) / whole_s}%`;
       at += seconds;
-      bar.append(piece);
-      texts.push(`${words[KINDS[kind]]} ${fixed(seconds)} s`);
-    });
-    const title = `${shown(task.name)}: ${fixed(begin)}\u2013${fixed(at)} s; ${texts.join(", ")}; ${say("seen", { count: task.logged })}`;
-    for (const piece of bar.children) if (!piece.title) piece.title = title;
+      mine.push(piece);
+      texts.push(`${words[kind]} ${fixed(seconds)} s`);
+    }
+    if (task.after) texts.push(say("decided", { task: task.after, share: percent(task.part) }));
+    if (task.ends_s) texts.push(say("ends", { low: fixed(task.ends_s[0]), high: fixed(task.ends_s[1]) }));
+    if (task.logged) texts.push(say("seen", { count: task.logged }));
+    const title = `${shown(task.name)}: ${fixed(task.begin)}\u2013${fixed(task.end)} s; ${texts.join("; ")}`;
+    for (const piece of mine) piece.title = title;
+    bar.append(...mine);
   }
-  return at;
 };
 
-const showChart = (entry, given) => {
-  const list = part("visits");
+const ofTasks = (entry, agent) => { // the spans of each task of an agent
+  if (facts.kind === "robot") return piecesOf(entry.tasks).map((task) => [task]);
+  const mine = piecesOf(entry.tasks.filter((task) => (task.asked || task.agent) === agent));
+  if (facts.kind === "list") return mine.map((task) => [task]);
+  const found = [];
+  for (const span of mine) (found[span.task] = found[span.task] || []).push(span);
+  return found;
+};
+const showChart = (entry, before) => {
   for (const bar of section.querySelectorAll(".play-lane")) bar.replaceChildren();
-  const slowest = Math.max(entry.expected_s || 0, given.expected_s || 0, state.takt_s || 0, 1);
+  const slowest = Math.max(entry.expected_s || 0, before.expected_s || 0, state.takt_s || 0, 1);
   const every = [1, 2, 5, 10, 20, 30, 60, 120, 300].find((step) => slowest / step <= 7) || 600;
   const whole = Math.ceil(slowest / every) * every;
-  const axis = part("axis");
-  axis.replaceChildren();
-  for (let tick = 0; tick <= whole + NOTHING; tick += every) {
-    const mark = made("span", "", tick ? String(tick) : "0 s");
-    mark.style.left = `${(100 * tick) / whole}%`;
-    axis.append(mark);
+  for (const axis of section.querySelectorAll(".play-axis")) {
+    axis.replaceChildren();
+    for (let tick = 0; tick <= whole + NOTHING; tick += every) {
+      const mark = made("span", "", tick ? String(tick) : "0 s");
+      mark.style.left = `${(100 * tick) / whole}%`;
+      axis.append(mark);
+    }
   }
   section.style.setProperty("--play-every", `${(100 * every) / whole}%`);
   if (entry.unknown) return;
-  let [at, first] = [0, 0];
-  for (const item of list.children) {
-    const visit = state.visits[Number(item.dataset.visit)];
-    if (!visit.on) continue;
-    at = lane(item, entry.tasks.slice(first, first + visit.places.length), at, whole);
-    first += visit.places.length;
+  for (const block of state.blocks) {
+    const tasks = ofTasks(entry, block.agent);
+    let first = 0;
+    if (block.agent === "operator" && block.first !== null) {
+      lane(block.start.querySelector(".play-lane"), tasks[0] || [], whole);
+      first = 1;
+    }
+    for (const item of block.list.children) {
+      const visit = block.visits[Number(item.dataset.visit)];
+      if (!visit.on) continue;
+      lane(item.querySelector(".play-lane"), tasks.slice(first, first + visit.places.length).flat(), whole);
+      first += visit.places.length;
+    }
+    if (block.end !== null) lane(block.last.querySelector(".play-lane"), tasks.slice(first).flat(), whole);
   }
-  if (state.end !== null) lane(part("end"), entry.tasks.slice(first), at, whole);
 };

@@ -1,22 +1,40 @@
 // ---- the controls
 
-const update = () => {
+const ANSWERS = { robot: answer, both: answerBoth, list: answerList };
+const asLogged = () => ({
+  robot: AS_LOGGED,
+  both: () => ({ moved: facts.rule.moves.map(() => 0), ramp: null, pace: 1, without: [], more: {}, buffer: {} }),
+  list: () => ({ paces: {}, without: [] }),
+}[facts.kind])();
+const SLICE_MS = 40; // then what is known so far is shown, and the rest is rolled out afterwards
+let turn = 0;
+const show = () => {
   const began = performance.now();
-  const entry = answer(placesOf(), state.asked, state.takt_s);
-  const given = remembered(["given", state.number, state.takt_s].join(),
-    () => answer(facts.sequences[state.number].places, AS_LOGGED(), state.takt_s));
-  showNumbers(entry, given);
-  showChart(entry, given);
+  const entry = ANSWERS[facts.kind](played(state.blocks), structuredClone(state.asked), state.takt_s, began + SLICE_MS);
+  const before = ANSWERS[facts.kind](played(blocksOf(given())), asLogged(), state.takt_s, began + SLICE_MS);
+  showNumbers(entry, before);
+  showChart(entry, before);
+  const walked = [entry, before].map((each) => (each.walked === undefined ? Infinity : each.walked));
+  const whole = Math.min(...walked) >= (facts.cycles || 0);
+  part("so_far").hidden = whole;
+  if (!whole) part("so_far").textContent = say("so_far", { count: Math.min(...walked), of: facts.cycles });
   section.dataset.took = String(performance.now() - began);
+  section.dataset.whole = whole ? "yes" : "no";
+  const mine = turn;
+  if (!whole) setTimeout(() => { if (mine === turn) show(); }, 0);
+};
+const update = () => {
+  turn += 1;
+  show();
   part("toml").hidden = true;
   part("copied").textContent = "";
 };
 
-const describe = (visit) => visit.places.map(labelled).join(" \u2192 ");
-const move = (from, to) => {
-  if (to < 0 || to >= state.visits.length || to === from) return;
-  state.visits.splice(to, 0, ...state.visits.splice(from, 1));
-  list();
+const describe = (visit) => visit.places.map(shown).join(" \u2192 ");
+const move = (block, from, to) => {
+  if (to < 0 || to >= block.visits.length || to === from) return;
+  block.visits.splice(to, 0, ...block.visits.splice(from, 1));
+  list(block);
   update();
 };
 const button = (text, label, act) => {
@@ -27,7 +45,7 @@ const button = (text, label, act) => {
   return found;
 };
 
-const dragged = (handle, item) => {
+const dragged = (block, handle, item) => {
   handle.addEventListener("pointerdown", (event) => {
     if (event.button !== 0) return;
     event.preventDefault();
@@ -45,7 +63,7 @@ const dragged = (handle, item) => {
     if (item.nextElementSibling !== next) {
       item.parentElement.insertBefore(item, next);
       handle.setPointerCapture(event.pointerId); // it is lost where the item moves
-      state.visits = [...item.parentElement.children].map((each) => state.visits[Number(each.dataset.visit)]);
+      block.visits = [...item.parentElement.children].map((each) => block.visits[Number(each.dataset.visit)]);
       [...item.parentElement.children].forEach((each, index) => { each.dataset.visit = String(index); });
       update();
     }
@@ -53,15 +71,15 @@ const dragged = (handle, item) => {
   const drop = () => {
     if (!item.classList.contains("held")) return;
     item.classList.remove("held");
-    list();
+    list(block);
   };
   handle.addEventListener("pointerup", drop);
   handle.addEventListener("pointercancel", drop);
 };
 
-const list = () => {
-  const visits = part("visits");
-  visits.replaceChildren(...state.visits.map((visit, index) => {
+const list = (block) => {
+  const visits = block.list;
+  visits.replaceChildren(...block.visits.map((visit, index) => {
     const item = made("li");
     item.dataset.visit = String(index);
     const handle = made("span", "play-handle", "\u2261");
@@ -78,7 +96,7 @@ const list = () => {
     label.append(box, ` ${describe(visit)}`);
     item.classList.toggle("off", !visit.on);
     const step = (by) => () => {
-      move(index, index + by);
+      move(block, index, index + by);
       const moved = visits.children[index + by];
       const [back, on] = moved ? moved.querySelectorAll("button") : [];
       const focus = by < 0 ? [back, on] : [on, back];
@@ -87,17 +105,35 @@ const list = () => {
     const name = { name: describe(visit) };
     const [earlier, later] = [button("\u2191", say("earlier", name), step(-1)), button("\u2193", say("later", name), step(1))];
     earlier.disabled = index === 0;
-    later.disabled = index === state.visits.length - 1;
+    later.disabled = index === block.visits.length - 1;
     const row = made("div", "play-row");
     row.append(handle, label, earlier, later);
     item.append(row, made("div", "play-lane"));
-    dragged(handle, item);
+    dragged(block, handle, item);
     return item;
   }));
-  const first = facts.sequences[state.number].places[0];
-  part("start").textContent = labelled(first);
-  part("end").hidden = state.end === null;
-  part("end").querySelector(".play-row").textContent = state.end === null ? "" : labelled(state.end);
+};
+const line = (text, bar) => {
+  const found = made("div", "play-line");
+  found.append(made("div", "play-row", text), made("div", bar));
+  if (bar === "play-axis") found.lastChild.setAttribute("aria-hidden", "true");
+  return found;
+};
+const lay = () => { // each agent's lines: what it begins with, its visits, and where it ends
+  part("agents").replaceChildren(...state.blocks.map((block) => {
+    const found = made("div", "play-agent");
+    const alone = facts.kind === "robot";
+    found.append(line(alone ? labelled(block.first) : say("agent", { agent: block.agent }), "play-axis"));
+    if (!alone) found.firstChild.classList.add("play-who");
+    block.start = line(block.first === null ? "" : labelled(block.first), "play-lane");
+    block.list = made("ol");
+    block.last = line(block.end === null ? "" : labelled(block.end), "play-lane");
+    if (!alone && block.first !== null) found.append(block.start);
+    found.append(block.list);
+    if (block.end !== null) found.append(block.last);
+    list(block);
+    return found;
+  }));
 };
 
 const sliders = [];
@@ -131,8 +167,9 @@ const slider = (label, bounds, step, start, tell, set) => {
   reset();
 };
 
+const times = (by) => say("times", { value: by.toFixed(2) });
 const AT_ONCE = 1.01; // behind 10 per s, on a logarithmic scale
-const allSliders = () => {
+const ofSafety = () => { // thresholds, zones, and how s recovers
   facts.rule.moves.forEach((each, index) => {
     const level = percent(each.level);
     const label = say(each.kind === "zone" ? "zone" : "threshold", { level });
@@ -146,27 +183,68 @@ const allSliders = () => {
   const rate = (at) => (at > 1.005 ? Infinity : 10 ** at);
   const tell = (at) => (at > 1.005 ? say("at_once") : say("per_s", { value: Math.round(100 * (at === start ? logged : 10 ** at)) }));
   slider(say("recovery"), [-1.5, AT_ONCE], 0.01, start, tell, (at) => { state.asked.ramp = at === null ? null : rate(at); });
+};
+const waitSwitches = (names) => { // waits that nobody has to wait any more
+  for (const { name, text } of names) {
+    const label = made("label", "play-switch");
+    const box = made("input");
+    box.type = "checkbox";
+    box.addEventListener("change", () => {
+      state.asked.without = [...section.querySelectorAll(".play-switch input")].filter((each) => each.checked).map((each) => each.value);
+      update();
+    });
+    box.value = name;
+    label.append(box, ` ${text}`);
+    part("sliders").append(label);
+    sliders.push(() => { box.checked = false; });
+  }
+};
+const allSliders = () => {
+  if (facts.kind === "list") {
+    for (const agent of Object.keys(facts.agents)) {
+      slider(say("pace", { agent }), facts.paces, 0.01, 1, times, (by) => { state.asked.paces[agent] = by || 1; });
+    }
+    waitSwitches(facts.tasks.flatMap((card) => card.needs.map((need) => ({
+      name: waitName(card, need), text: say("no_wait", { task: card.task, other: need.task }),
+    }))));
+    return;
+  }
+  ofSafety();
   part("fixed").hidden = !facts.rule.fixed;
-  if (facts.rule.fixed) part("fixed").textContent = say(facts.rule.fixed);
+  if (facts.rule.fixed) part("fixed").textContent = say(facts.kind === "both" ? "fixed_both" : facts.rule.fixed);
+  if (facts.kind === "both") {
+    slider(say("pace", { agent: "operator" }), facts.paces, 0.01, 1, times, (by) => { state.asked.pace = by || 1; });
+    for (const source of facts.sources) {
+      const most = Math.max(facts.most_parts, source.buffer);
+      const parts = (count) => say("parts", { count });
+      slider(say("buffer", { signal: source.signal }), [1, most], 1, source.buffer, parts, (count) => {
+        state.asked.buffer[source.signal] = count || source.buffer;
+      });
+    }
+    waitSwitches(facts.gates.filter((gate) => gate.conditions.length).map((gate) => ({
+      name: gate.name, text: say(gate.at === "leave" ? "no_leave" : "no_approach", { agent: gate.agent, place: labelled(gate.place) }),
+    })));
+    return;
+  }
   if (facts.rule.fixed === "fixed_table") return; // when he is away hangs on single points: only `whatif` knows
-  const often = (by) => say("times", { value: by.toFixed(2) });
-  slider(say("frequency"), [0.1, 2], 0.05, 1, often, (by) => { state.asked.frequency = by === null ? 1 : by; });
+  slider(say("frequency"), [0.1, 2], 0.05, 1, times, (by) => { state.asked.frequency = by === null ? 1 : by; });
 };
 
 const begin = (number) => {
   state.number = number;
-  Object.assign(state, visitsOf(facts.sequences[number].places));
+  state.asked = asLogged();
+  state.blocks = blocksOf(given());
   for (const reset of sliders) reset();
-  list();
+  lay();
   update();
 };
 
 const start = async () => {
   await unpack();
-  prepare();
+  if (facts.kind !== "list") prepare();
   section.hidden = false;
   document.getElementById("to-play")?.removeAttribute("hidden"); // a template of one's own may lack it
-  state.asked = AS_LOGGED();
+  state.asked = asLogged();
   const select = part("sequence");
   select.append(...facts.sequences.map((each, index) => new Option(each.name, String(index))));
   select.addEventListener("change", () => begin(Number(select.value)));
@@ -192,4 +270,6 @@ const start = async () => {
   begin(0);
   section.dataset.ready = "yes";
 };
-window.cyclekitPlay = { ready: start(), answer: (places, asked, takt_s) => answer(places, { ...AS_LOGGED(), ...asked }, takt_s) };
+window.cyclekitPlay = {
+  ready: start(), answer: (asked, changed, takt_s) => ANSWERS[facts.kind](asked, { ...asLogged(), ...changed }, takt_s),
+};

@@ -115,7 +115,7 @@ const entryOf = (cycles, means, legs, takt_s) => { // entry_of: what the cycles 
 };
 
 const leastWide = ([share, low, high]) => { // resample.least_wide: no narrower than Wilson's of so many executions
-  const count = tables.drawn.length / tables.errors.length;
+  const count = facts.executions || tables.drawn.length / tables.errors.length;
   const z = 1.96;
   const middle = (share + z ** 2 / (2 * count)) / (1 + z ** 2 / count);
   const half = (z * Math.sqrt((share * (1 - share)) / count + (z / (2 * count)) ** 2)) / (1 + z ** 2 / count);

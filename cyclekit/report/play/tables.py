@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from cyclekit.report.inputs import PageInputs
 
     Arrays = dict[str, NDArray[Any]]
+    Tables = tuple[dict[str, Any], Arrays]
 
 SEED = 0
 """Of the estimates on the page."""
@@ -69,7 +70,7 @@ def _played(page: PageInputs) -> list[CycleEstimate]:
     return [each for each in page.ranked if each.estimator == "rollout" and not each.plan and each.operator is None]
 
 
-def tables_of(page: PageInputs, model: SafetyModel) -> tuple[dict[str, Any], Arrays]:
+def tables_of(page: PageInputs, model: SafetyModel) -> Tables:
     """Return facts (plain JSON values) and arrays of a page's sequences.
 
     Args:
@@ -85,10 +86,21 @@ def tables_of(page: PageInputs, model: SafetyModel) -> tuple[dict[str, Any], Arr
     legs = nominal_tasks(dataset)
     nominal_s = max(each.nominal_s + each.dwell_s + each.wait_s for each in shown)
     tracks = operator_tracks(dataset, horizon_s=LONGER * nominal_s, phases=check.phases if check else None, model=model)
+    arrays: Arrays = {}
+    told, points = field_of(model, dataset, legs, tracks, arrays)
+    facts = rest_of(page, model, dataset, tracks) | told
+    facts["kind"] = "robot"
+    facts["sequences"] = [{"name": each.name, "robot": list(each.places)} for each in shown]
+    facts["legs"] = _legs(points, arrays, len(tracks.executions), [each.places for each in shown])
+    facts["check"] = _corrected(check, dataset, tracks, points, arrays)
+    return facts, arrays
+
+
+def rest_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: OperatorTracks) -> dict[str, Any]:
+    """Return names, takt, the grid of the tracks, and in which steps and with which response cycles are walked."""
     dynamics = Dynamics.of(dataset.card.dynamics, model)
-    facts = {
-        "sequences": [{"name": each.name, "places": list(each.places)} for each in shown],
-        "labels": {name: dataset.label(name) for name in dataset.places},
+    return {
+        "labels": {name: dataset.label(name) for name in (*dataset.places, *dataset.human_places)},
         "takt_s": page.takt_s,
         "tracks": {
             "count": len(tracks.executions),
@@ -102,16 +114,22 @@ def tables_of(page: PageInputs, model: SafetyModel) -> tuple[dict[str, Any], Arr
         "often": asked_often(model),
         "away": {"part": AWAY, "points": LOOKED_AT},
     }
-    arrays: Arrays = {}
+
+
+def field_of(
+    model: SafetyModel, dataset: Dataset, legs: Mapping[str, NominalTask], tracks: OperatorTracks, arrays: Arrays
+) -> tuple[dict[str, Any], Mapping[str, NominalTask]]:
+    """Put what gives the scaling into `arrays`; return its facts, and the tasks with the points that the page has.
+
+    Raises:
+        EstimateError: The tables would be too large.
+    """
     if isinstance(model, RuleSafety) and TO_LINK not in distances_of(model.rule):
-        facts |= _positions(dataset, legs, tracks, arrays) | {"rule": _rule(model)}
-    else:
-        legs = legs if isinstance(model, OnStates) else thinned(legs)
-        paths = [leg.xyz_m for leg in legs.values()]
-        facts["rule"] = scaling_table(model, dynamics, dataset, paths, tracks, arrays)
-    facts["legs"] = _legs(legs, arrays, len(tracks.executions), [each.places for each in shown])
-    facts["check"] = _corrected(check, dataset, tracks, legs, arrays)
-    return facts, arrays
+        return _positions(dataset, legs, tracks, arrays) | {"rule": _rule(model)}, legs
+    legs = legs if isinstance(model, OnStates) else thinned(legs)
+    dynamics = Dynamics.of(dataset.card.dynamics, model)
+    paths = [leg.xyz_m for leg in legs.values()]
+    return {"rule": scaling_table(model, dynamics, dataset, paths, tracks, arrays)}, legs
 
 
 def _positions(

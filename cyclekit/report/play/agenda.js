@@ -1,0 +1,150 @@
+// ---- what each agent does in a plan: `joint.legs`, `joint.plans`, `joint.drawn`
+
+const APART = "\n"; // of the parts of an event: whose, where, what, the how manieth
+const gateOf = (agent, at, place) => facts.gates.find((gate) => gate.agent === agent && gate.at === at && gate.place === place);
+const conditionsOf = (gate, asked) => {
+  if (!gate || asked.without.includes(gate.name)) return [];
+  return gate.conditions;
+};
+const needsOf = (agent, at, place, turn, asked) => conditionsOf(gateOf(agent, at, place), asked).flatMap((one) => {
+  const { every, first, event_every: eventEvery, event_first: eventFirst } = one.turns;
+  const back = one.back ? one.back + (asked.more[one.place] || 0) : 0;
+  const passage = Math.floor(turn / every);
+  if (turn % every !== first || passage < back) return [];
+  const number = (passage - back) * eventEvery + eventFirst;
+  return [{ event: [one.agent, one.place, one.kind, number].join(APART), said: one.said, lag_s: one.lag_s, needed: one.needed }];
+});
+const ownOf = (agent, place, asked) => {
+  const gate = gateOf(agent, "leave", place);
+  if (!gate || !(Math.max(...gate.own_s) > 0)) return null;
+  return agent === "operator" ? gate.own_s.map((seconds) => seconds / asked.pace) : gate.own_s;
+};
+const NOTHING_S = [0];
+
+const agendaOf = (agent, start, at, asked) => { // _Builder: legs one behind the other
+  const blank = { task: -1, path: null, way_s: 0, start: null, own_s: NOTHING_S, name: "", needs: [], arrives: [], passes: [], hold: false };
+  const legs = [{ ...blank, place: start, path: at }];
+  const visits = new Map(start ? [[start, 1]] : []);
+  const done = new Map();
+  const passes = (what, place) => legs[legs.length - 1].passes.push([agent, place, what, (visits.get(place) || 0) - 1].join(APART));
+  const go = (task, name, told) => {
+    const here = legs[legs.length - 1].place;
+    const { place } = told;
+    const turn = visits.get(place) || 0;
+    const gate = gateOf(agent, "approach", place);
+    const approach = needsOf(agent, "approach", place, turn, asked);
+    const phase = agent === "robot" && gate ? gate.phase : 0;
+    const midway = phase > 0 ? approach : [];
+    const before = phase > 0 ? [] : approach;
+    if (before.length) {
+      const { path } = legs[legs.length - 1];
+      const stays = path && { ...path, low: path.high };
+      legs.push({ ...blank, task, place: here, path: stays, name: `hold ${place}`, needs: before, passes: [], hold: true });
+    }
+    if (here) for (const what of ["leaves", "cleared"]) passes(what, here);
+    const times = done.get(name) || 0;
+    const last = {
+      ...blank, ...told, task, needs: needsOf(agent, "leave", place, turn, asked),
+      arrives: [[agent, place, "arrives", turn].join(APART)],
+      passes: [[agent, name, "done", times].join(APART), [agent, place, "set", turn].join(APART)],
+    };
+    if (midway.length) {
+      const { path } = told;
+      const row = Math.min(Math.max(1, halfToEven(phase * path.high)), path.high);
+      const first = { ...path, high: row };
+      legs.push({ ...blank, task, place, path: first, way_s: phase * told.way_s, name: `approach ${place}`, needs: midway, passes: [] });
+      legs.push({ ...last, path: { ...path, low: row }, way_s: (1 - phase) * told.way_s });
+    } else legs.push(last);
+    visits.set(place, turn + 1);
+    done.set(name, times + 1);
+  };
+  const ended = (tasks) => {
+    passes("leaves", legs[legs.length - 1].place);
+    return { agent, legs, tasks };
+  };
+  return { go, ended };
+};
+const halfToEven = (value) => { // as Python rounds
+  const below = Math.floor(value);
+  if (value - below !== 0.5) return Math.round(value);
+  return below % 2 ? below + 1 : below;
+};
+
+const robotAgenda = (places, asked) => {
+  const names = places.slice(1).map((place, n) => `${places[n]}->${place}`);
+  const pathOf = (name) => ({ leg: facts.legs[name], low: 0, high: facts.legs[name].rows - 1 });
+  const agenda = agendaOf("robot", places[0], { ...pathOf(names[0]), high: 0 }, asked);
+  names.forEach((name, number) => {
+    const leg = facts.legs[name];
+    const place = places[number + 1];
+    agenda.go(number, name, { place, path: pathOf(name), way_s: leg.nominal_s, own_s: ownOf("robot", place, asked) || leg.stands_s, name });
+  });
+  return agenda.ended(names);
+};
+
+const operatorAgenda = (places, asked) => {
+  const agenda = agendaOf("operator", "", null, asked);
+  const waits = facts.gates.some((gate) => gate.agent === "operator" && conditionsOf(gate, asked).length);
+  places.forEach((place, number) => {
+    const stays = facts.work_s[place];
+    const own = waits ? ownOf("operator", place, asked) : null;
+    const work = stays ? own || stays.map((seconds) => seconds / asked.pace) : NOTHING_S;
+    agenda.go(number, place, { place, start: number ? places[number - 1] : "", own_s: work, name: place });
+  });
+  return agenda.ended(places);
+};
+
+const sourceAgenda = (source, robot, asked) => { // JointCell.source
+  const taken = robot.legs.flatMap((leg) => [...leg.arrives, ...leg.passes]).map((event) => event.split(APART))
+    .filter(([, where, what]) => where === source.taken_by && what === "leaves");
+  const count = 1 + Math.max(-1, ...taken.map((event) => Number(event[3])));
+  const buffer = asked.buffer[source.signal] || source.buffer;
+  const legs = Array.from({ length: count }, (_, part) => ({
+    task: part, place: "", path: null, way_s: 0, start: null, hold: false, name: source.signal,
+    own_s: part ? source.gap_s : source.first_s,
+    needs: part < buffer ? [] : [{
+      event: ["robot", source.taken_by, "leaves", part - buffer].join(APART), said: source.said, lag_s: NOTHING_S, needed: 1,
+    }],
+    arrives: [],
+    passes: [["signal", source.signal, "set", part].join(APART)],
+  }));
+  return count ? { agent: "signal", legs, tasks: [] } : null;
+};
+
+const drawnOf = (agenda, number) => { // Drawn: levels of own work, lags, walks and stays, by cycle; events by number
+  const turns = new Map();
+  const turnOf = (key) => {
+    const turn = turns.get(key) || 0;
+    turns.set(key, turn + 1);
+    return turn;
+  };
+  return agenda.legs.map((leg) => {
+    const key = `${agenda.agent} ${leg.name}`;
+    const turn = turnOf(key);
+    const found = {
+      ...leg,
+      arrives: leg.arrives.map(number),
+      passes: leg.passes.map(number),
+      work: leg.own_s.length > 1 ? levelsOf(key, turn) : null,
+      due: leg.needs.map((need) => ({
+        ...need,
+        event: number(need.event),
+        level: need.lag_s.length > 1 ? levelsOf(`${key} after ${need.said}`, turn) : null,
+        chance: need.needed < 1 ? levelsOf(`${key} needs ${need.said}`, turn) : null,
+      })),
+    };
+    if (agenda.agent !== "operator") return found;
+    const way = `walk ${leg.start === null ? "None" : leg.start}->${leg.place}`;
+    const again = turnOf(way);
+    if (leg.start !== null) [found.walks, found.walking] = [facts.walks[leg.start][leg.place], levelsOf(way, again)];
+    if (leg.place) [found.stays, found.staying] = [facts.stays[leg.place], levelsOf(`stay ${way}`, again)];
+    return found;
+  });
+};
+const drawnFrom = (values, level, cycle) => { // drawn.quantile
+  if (!level) return values[0];
+  const place = level[cycle] * (values.length - 1);
+  const below = Math.min(Math.floor(place), values.length - 2);
+  return values[below] + (values[below + 1] - values[below]) * (place - below);
+};
+const chosen = (numbers, level, cycle) => numbers[Math.min(Math.floor(level[cycle] * numbers.length), numbers.length - 1)];

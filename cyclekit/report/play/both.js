@@ -1,0 +1,203 @@
+// ---- one cycle of both agents: `joint.walk`; times of legs and events, s
+
+const set = (events, numbers, time_s) => { for (const number of numbers) events[number] = time_s; };
+const rowsOf = (drawn, cycle, events, asked) => { // what is drawn for one cycle of one agent
+  for (const leg of drawn) {
+    set(events, leg.arrives, Infinity);
+    set(events, leg.passes, Infinity);
+  }
+  return drawn.map((leg) => ({
+    leg,
+    own_s: Math.max(drawnFrom(leg.own_s, leg.work, cycle), 0),
+    lags: leg.due.map((need) => (need.chance && need.chance[cycle] >= need.needed ? -Infinity : drawnFrom(need.lag_s, need.level, cycle))),
+    walk_s: leg.walks ? (facts.segments[chosen(leg.walks, leg.walking, cycle)][1] - 1) * STEP_S / asked.pace : 0,
+    walk: leg.walks ? chosen(leg.walks, leg.walking, cycle) : 0,
+    stay: leg.stays ? chosen(leg.stays, leg.staying, cycle) : 0,
+    arrives_s: Infinity, works_s: Infinity, passes_s: Infinity, lost_s: 0,
+  }));
+};
+const opensAt = (row, events, works_s) => { // when it may go on; infinite: not known yet
+  let latest = works_s;
+  for (let n = 0; n < row.lags.length; n += 1) { // of an event that comes in no agenda nobody waits for it: -Infinity
+    if (row.lags[n] !== -Infinity) latest = Math.max(latest, events[row.leg.due[n].event] + row.lags[n]);
+  }
+  return latest;
+};
+
+const unhindered = (rows, events) => { // the operator, or a source of parts: he goes on as far as is known
+  let at = 0;
+  let ended = false;
+  const arrive = (departs_s) => {
+    const row = rows[at];
+    row.arrives_s = departs_s + row.walk_s;
+    row.works_s = row.arrives_s + row.own_s;
+    set(events, row.leg.arrives, row.arrives_s);
+  };
+  arrive(0);
+  return () => {
+    let moved = false;
+    while (!ended) {
+      const row = rows[at];
+      const open_s = opensAt(row, events, row.works_s);
+      if (open_s === Infinity) break;
+      row.passes_s = open_s;
+      set(events, row.leg.passes, open_s);
+      moved = true;
+      if (at === rows.length - 1) ended = true;
+      else { at += 1; arrive(open_s); }
+    }
+    return moved;
+  };
+};
+
+const operatorAt = (rows, pace) => { // OperatorPositions.at: between which samples he is, and how far
+  const starts = Math.max(rows.findIndex((row) => row.leg.start !== null), 0);
+  let at = 0;
+  return (t_s, found) => {
+    while (at < rows.length - 1 && rows[at].passes_s <= t_s) at += 1;
+    const row = rows[at];
+    const still = at < starts;
+    const walks = t_s < row.arrives_s;
+    const segment = still ? rows[starts].walk : (walks ? row.walk : row.stay);
+    const departs_s = at > 0 ? rows[at - 1].passes_s : 0;
+    const since_s = still ? 0 : (walks ? (t_s - departs_s) * pace : t_s - row.arrives_s);
+    const [first, count] = facts.segments[segment];
+    const place = Math.min(since_s / STEP_S, count - 1);
+    const whole = Math.floor(place);
+    found.from = first + whole;
+    found.weight = place - whole;
+  };
+};
+
+const followerOf = (dynamics, step_s) => { // Follower: s of one cycle over time
+  const { latency_s: latency, hold_s: holds, ramp_down_per_s: down, ramp_up_per_s: up } = dynamics;
+  const delay = halfToEven((latency || 0) / step_s);
+  const hold = 1 + halfToEven((holds || 0) / step_s);
+  const [recent, queue] = [[], []];
+  let held, s, told;
+  return (asks) => {
+    if (asks) {
+      told = field.scaling(false);
+      if (facts.rule.lags) {
+        const rising = field.scaling(true);
+        told = Math.max(told, rising);
+        held = held === undefined ? told : Math.min(Math.max(held, rising), told);
+        told = held;
+      }
+    }
+    let wanted = told;
+    if (hold > 1) {
+      recent.push(wanted);
+      if (recent.length > hold) recent.shift();
+      wanted = Math.min(...recent);
+    }
+    if (delay > 0) {
+      queue.push(wanted);
+      wanted = queue.length > delay ? queue.shift() : queue[0];
+    }
+    if (s !== undefined) {
+      if (down && wanted < s - down * step_s) wanted = s - down * step_s;
+      if (up && wanted > s + up * step_s) wanted = s + up * step_s;
+    }
+    s = wanted;
+    return s;
+  };
+};
+
+const [MOVES, WORKS, WAITS, ENDED] = [0, 1, 2, 3];
+const walkBoth = (robot, operator, sources, events, asked, until_s) => { // one cycle to its end
+  const { step } = facts;
+  const step_s = step.fine_s;
+  const dynamics = { ...facts.dynamics, ...(asked.ramp === null ? {} : { ramp_up_per_s: asked.ramp }) };
+  const follows = facts.follows || Object.values(dynamics).some((value) => value);
+  const asksAfter = facts.often ? 1 : Math.round(step.coarse_s / step_s);
+  const looksAfter = Math.round(step.support_s / step_s);
+  const others = [operator, ...sources].map((rows) => unhindered(rows, events));
+  const settle = () => { while (others.map((goOn) => goOn()).some(Boolean) && others.length > 1); };
+  const person = operatorAt(operator, asked.pace);
+  const follow = follows ? followerOf(dynamics, step_s) : null;
+  const human = { from: 0, weight: 0 };
+  const ahead_s = (asksAfter * step_s) / 2;
+  const steps = Math.trunc(until_s / step_s);
+  const found = { known: 0, looked: 0, stuck: false };
+  let [leg, part, at, clock, scaling, end] = [0, MOVES, 0, 0, 1, robot[0].leg.way_s];
+  const look = (number) => {
+    const { low, high, leg: task } = robot[leg].leg.path;
+    const gone = part === MOVES ? Math.min(at + ahead_s * scaling, end) / Math.max(end, NOTHING) : 1;
+    const row = low + Math.floor(gone * (high - low) + 0.5);
+    const phase = task.rows === task.points ? row : (row * (task.points - 1)) / Math.max(task.rows - 1, 1);
+    const point = Math.floor(phase + 1e-6);
+    const far = Math.max(phase - point, 0);
+    person(number * step_s + ahead_s, human);
+    field.at(task.first + point, task.first + (far > 0 ? point + 1 : point), far, human.from, human.from + 1, human.weight);
+    if (number % looksAfter !== 0) return;
+    found.looked += 1;
+    if (field.known()) found.known += 1;
+  };
+  const next = () => { // what follows on a way, its own work or a wait
+    const row = robot[leg];
+    at = 0;
+    if (part === MOVES) {
+      row.arrives_s = clock;
+      set(events, row.leg.arrives, clock);
+      [part, end] = [WORKS, row.own_s];
+    } else if (part === WORKS) {
+      row.works_s = clock;
+      part = WAITS;
+    } else {
+      row.passes_s = clock;
+      set(events, row.leg.passes, clock);
+      if (leg === robot.length - 1) part = ENDED;
+      else { leg += 1; [part, end] = [MOVES, robot[leg].leg.way_s]; }
+    }
+  };
+  const advance = (until) => { // to a time; returns whether a new part began
+    let touched = false;
+    while (part !== ENDED) {
+      const rate = part === MOVES ? scaling : 1;
+      const toGo = end - at;
+      let takes = toGo <= NOTHING ? 0 : toGo / Math.max(rate, 1e-12);
+      if (part === WAITS) takes = opensAt(robot[leg], events, clock) - clock;
+      const left = until - clock;
+      const done = takes <= left;
+      if (part === WAITS) {
+        if (done) clock += takes;
+      } else {
+        const spent = Math.min(takes, left);
+        clock += spent;
+        at += rate * spent;
+        if (part === MOVES) robot[leg].lost_s += (1 - rate) * spent;
+      }
+      if (!done) break;
+      touched = true;
+      next();
+    }
+    return touched;
+  };
+  settle();
+  for (let number = 0; number < steps; number += 1) {
+    const asks = number % asksAfter === 0;
+    const mayMove = part === MOVES || part === WAITS || end - at < step_s;
+    if (asks && (follows || mayMove || number % looksAfter === 0)) look(number);
+    if (follow) scaling = follow(asks);
+    else if (asks) scaling = mayMove ? field.scaling(false) : 1;
+    if (advance((number + 1) * step_s)) settle();
+    if (part === ENDED) break;
+    let soon = number + 1;
+    if (part === WAITS) {
+      const open_s = opensAt(robot[leg], events, 0);
+      found.stuck = open_s === Infinity;
+      if (found.stuck) break;
+      soon = Math.floor(open_s / step_s) - asksAfter;
+    } else if (part === WORKS) soon = Math.floor((clock + end - at) / step_s) - asksAfter;
+    if (follow || soon <= number + 1) continue; // nothing hangs on s meanwhile: go on to where the robot moves again
+    soon = Math.min(soon, steps - 1);
+    for (let each = number + 1; each < soon; each += 1) if (each % asksAfter === 0 && each % looksAfter === 0) look(each);
+    if (part === WORKS) {
+      at += soon * step_s - clock;
+      clock = soon * step_s;
+    }
+    number = soon - 1;
+  }
+  return found;
+};

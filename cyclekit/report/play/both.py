@@ -1,0 +1,186 @@
+"""What the script needs where robot and operator wait for each other: gates, walks and stays, tasks and the rule.
+
+The script puts the agendas of `estimate.joint` together itself, draws the same numbers, and walks every cycle.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.cards import CouplingCard
+from cyclekit.estimate.joint.answer import CYCLES, RESAMPLES, resample_counts
+from cyclekit.estimate.joint.judged import JointCheck
+from cyclekit.estimate.joint.legs import Gates, event_kind
+from cyclekit.estimate.joint.plans import Planner
+from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, TIMES, JointCell
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.tracks import OperatorTracks
+from cyclekit.estimate.whatif.coupled import shown as wait_name
+from cyclekit.learning.out_of_core import in_memory
+from cyclekit.report.play.tables import SEED, field_of, rest_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from cyclekit.dataset.cards import SourceCard
+    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.joint.visits import Segments
+    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.report.inputs import PageInputs
+    from cyclekit.report.play.tables import Arrays, Tables
+    from cyclekit.schema import Floats
+
+PACES = (0.8, 1.5)
+"""The operator may be made so many times as fast."""
+MOST_PARTS = 10
+"""So many parts of a source may be in advance, or as many as the cell has."""
+
+
+def played_together(page: PageInputs) -> list[CycleEstimate]:
+    """Return the sequences that both agents were rolled out for, without those that name starts or predecessors."""
+    rolled = (each for each in page.ranked if each.estimator == "rollout")
+    return [each for each in rolled if not any(task.after or task.not_before_s for task in each.asked)]
+
+
+def tables_of_both(page: PageInputs, model: SafetyModel) -> Tables:
+    """Return facts (plain JSON values) and arrays of sequences of both agents.
+
+    Raises:
+        CyclekitError: There is no operator track, or the tables would be too large.
+    """
+    shown, card = played_together(page), model.card.coupling or CouplingCard()
+    dataset, _ = in_memory(page.dataset)
+    legs = nominal_tasks(dataset)
+    cell = JointCell(model, dataset, card)
+    arrays: Arrays = {}
+    planner = Planner(cell, legs)
+    sequences = [_sequence(each, planner) for each in shown]
+    went = [{"robot": robot, "operator": operator} for robot, operator in planner.logged_orders]
+    orders = [each["operator"] for each in sequences]
+    places = {place for order in orders for place in order or ()}
+    if None in orders:
+        places |= {place for each in went for place in each["operator"]}
+    walks, stays = _drawn(cell.segments, sorted(places))
+    xyz_m, segments = _used(cell.segments, walks, stays)
+    nothing = np.zeros((1, len(xyz_m)), np.int64)
+    tracks = OperatorTracks(xyz_m[None], nothing, (), np.array([len(xyz_m)]), ("",), 1.0 / dataset.rate_hz)
+    facts = rest_of(page, model, dataset, tracks) | {
+        "kind": "both",
+        "seed": SEED,
+        "executions": cell.executions,
+        "cycles": CYCLES,
+        "rest_s": REST_S,
+        "times": TIMES,
+        "endless": ENDLESS_PART,
+        "sequences": sequences,
+        "gates": _gates(card),
+        "sources": [_source(each) for each in card.sources],
+        "work_s": {place: np.round(works, 4).tolist() for place, works in cell.work_s.items()},
+        "walks": walks,
+        "stays": stays,
+        "segments": segments,
+        "went": went if None in orders else [],
+        "waited_for": sorted(planner.waited_for),
+        "paces": PACES,
+        "most_parts": MOST_PARTS,
+    }
+    told, tasks = field_of(model, dataset, legs, tracks, arrays)
+    gates = Gates(card)
+    facts |= told | {"legs": _legs(legs, tasks, gates), "check": _corrected(shown[0].check, cell.executions, arrays)}
+    return facts, arrays
+
+
+def _sequence(each: CycleEstimate, planner: Planner) -> dict[str, Any]:
+    """Return what each agent does; `operator` None: whatever was logged beside this work."""
+    if not each.asked:
+        return {"name": each.name, "robot": each.places, "operator": each.operator, "both": False}
+    plan = TaskSequence.of_plan(each.name, each.asked)
+    names = [task.name for task in plan.plan if task.agent == "robot"]
+    operator = [task.name for task in plan.plan if task.agent == "operator"]
+    return {"name": each.name, "robot": planner.chained(names, plan.shown), "operator": operator, "both": True}
+
+
+def _drawn(segments: Segments, places: list[str]) -> tuple[dict[str, dict[str, list[int]]], dict[str, list[int]]]:
+    """Return the numbers of the walks between any two places, and of the stays at each."""
+    walks: dict[str, dict[str, list[int]]] = {start: {} for start in ("", *places)}
+    for start, goal in product(("", *places), places):
+        walks[start][goal] = segments.walk(start, goal).tolist()
+    return walks, {place: segments.stay(place).tolist() for place in places}
+
+
+def _used(
+    segments: Segments, walks: dict[str, dict[str, list[int]]], stays: dict[str, list[int]]
+) -> tuple[Floats, list[list[int]]]:
+    """Return the positions of these walks and stays (M, 3), with first row and count of each; number them anew."""
+    xyz_m, first, count = segments.table()
+    lists = [*(numbers for goals in walks.values() for numbers in goals.values()), *stays.values()]
+    used = sorted({0, *(number for numbers in lists for number in numbers)})
+    anew = {number: n for n, number in enumerate(used)}
+    for numbers in lists:
+        numbers[:] = [anew[number] for number in numbers]
+    rows = [xyz_m[first[number] : first[number] + count[number] + 1] for number in used]
+    begins = np.cumsum([0, *(len(each) for each in rows[:-1])])
+    return np.concatenate(rows), [[int(begin), int(count[number])] for begin, number in zip(begins, used, strict=True)]
+
+
+def _said(*event: str) -> str:
+    """Return an event as the draws name it."""
+    return str(event)
+
+
+def _source(source: SourceCard) -> dict[str, Any]:
+    told = {name: getattr(source, name) for name in ("signal", "gap_s", "first_s", "buffer", "taken_by")}
+    return {**told, "said": _said("robot", source.taken_by, "leaves")}
+
+
+def _gates(card: CouplingCard) -> list[dict[str, Any]]:
+    found = []
+    for gate in card.gates:
+        conditions = [
+            {
+                **{name: getattr(one, name) for name in ("agent", "place", "back", "needed", "lag_s")},
+                "kind": event_kind(one),
+                "said": _said(one.agent, one.place, event_kind(one)),
+                "turns": {name: getattr(one.turns, name) for name in ("every", "first", "event_every", "event_first")},
+            }
+            for one in gate.conditions
+        ]
+        told = {name: getattr(gate, name) for name in ("agent", "at", "place", "phase", "own_s")}
+        found.append({**told, "name": wait_name(gate), "conditions": conditions})
+    return found
+
+
+def _legs(legs: Mapping[str, NominalTask], thinned: Mapping[str, NominalTask], gates: Gates) -> dict[str, Any]:
+    """Return each task with its place in the points; `rows` is how many points the library has."""
+    found, first = {}, 0
+    for name, leg in legs.items():
+        points = len(thinned[name].xyz_m)
+        own = gates.own_s("robot", name.partition("->")[2])
+        found[name] = {
+            "nominal_s": leg.nominal_s,
+            "first": first,
+            "points": points,
+            "rows": len(leg.xyz_m),
+            "stands_s": np.round(leg.stands_s, 4).tolist() if own is None else [],
+            "logged": len(leg.stands_s),
+        }
+        first += points
+    return found
+
+
+def _corrected(check: Check | None, executions: int, arrays: Arrays) -> dict[str, float]:
+    """Return what corrects a rollout; how cycles are drawn again as finite logs give them goes into `arrays`."""
+    judged = len(check.residuals) if check else 2
+    arrays["drawn"] = resample_counts(SEED, executions).astype(np.uint8)
+    arrays["errors"] = np.random.default_rng(SEED + 1).standard_t(max(judged - 1, 1), RESAMPLES).astype(np.float32)
+    if not isinstance(check, JointCheck):
+        return {"factor": 1.0, "model_error": 0.0, "doubted_bias": 0.0}
+    if check.scores:
+        arrays["scores"] = np.array(check.scores, np.float32)
+    return {name: getattr(check, name) for name in ("factor", "model_error", "doubted_bias")}

@@ -1,0 +1,160 @@
+// ---- plans for both agents, and places of the robot beside operators who wait: `joint.roll`, `joint.answer`
+
+const fittingOrders = (places) => { // Planner._fitting: what operators did while the robot did the same work
+  const counted = (went, only) => went.slice(1).filter((place) => !only || only.includes(place)).sort().join("\n");
+  for (const only of [null, facts.waited_for]) {
+    const mine = counted(places, only);
+    const found = facts.went.filter((each) => counted(each.robot, only) === mine);
+    if (found.length) return found.map((each) => each.operator);
+  }
+  return [];
+};
+
+const AT_LEAST = 100; // cycles before anything is said
+const rollerOf = (places, operators, both, asked) => { // JointCell.roll: walks until told to stop, and goes on later
+  const robot = robotAgenda(places, asked);
+  const agendas = new Map(operators.map((order) => [order.join("\n"), operatorAgenda(order, asked)]));
+  const sources = facts.sources.map((source) => sourceAgenda(source, robot, asked)).filter(Boolean);
+  const numbers = new Map();
+  const number = (event) => numbers.get(event) ?? numbers.set(event, numbers.size).get(event);
+  const drawn = [robot, ...sources].map((agenda) => drawnOf(agenda, number));
+  const theirs = operators.map((order) => order.join("\n"));
+  const theirDrawn = new Map([...agendas].map(([name, agenda]) => [name, drawnOf(agenda, number)]));
+  const first = agendas.get(theirs[0]);
+  const work_s = [robot, first].flatMap((agenda) => agenda.legs)
+    .reduce((sum, leg) => sum + Math.max(...leg.own_s, 0) + leg.way_s + 5, 0);
+  const until_s = facts.rest_s + facts.times * work_s;
+  const events = new Float64Array(numbers.size);
+  const beginOf = (rows) => {
+    const begins = rows.findIndex(({ leg }) => leg.task >= 0 && !leg.hold);
+    return begins > 0 ? rows[begins - 1].passes_s : Infinity;
+  };
+  const endOf = (rows) => rows[rows.length - 1].passes_s;
+  const one = (cycle) => {
+    events.fill(-Infinity);
+    const [mine, ...parts] = drawn.map((each) => rowsOf(each, cycle, events, asked));
+    const operator = rowsOf(theirDrawn.get(theirs[cycle % theirs.length]), cycle, events, asked);
+    const walked = walkBoth(mine, operator, parts, events, asked, until_s);
+    const begins_s = Math.min(beginOf(mine), beginOf(operator));
+    const begin_s = begins_s === Infinity ? 0 : begins_s;
+    const duration_s = both ? Math.max(endOf(mine), endOf(operator)) - begin_s : endOf(mine);
+    return { ...walked, robot: mine, operator, begin_s, duration_s };
+  };
+  let cycles = [];
+  let entry = null;
+  return (deadline) => {
+    field.moved(asked.moved);
+    while (cycles.length < facts.cycles && !entry && (performance.now() < deadline || cycles.length < AT_LEAST)) {
+      cycles.push(one(cycles.length));
+    }
+    if (entry) return entry;
+    const found = summedUp(cycles, robot.tasks, agendas.size === 1 ? first.tasks : null);
+    if (cycles.length === facts.cycles) [entry, cycles] = [found, []];
+    return found;
+  };
+};
+const summedUp = (all, robot, operator) => {
+  const going = all.filter((each) => !each.stuck);
+  if (!going.length) return { unknown: say("stuck") };
+  const cycles = going.filter((each) => each.duration_s < Infinity);
+  if (cycles.length < (1 - facts.endless) * going.length) return { unknown: say("endless") };
+  return { ...entryOfBoth({ cycles, robot, operator }), walked: all.length };
+};
+
+const spansOf = (cycles, who, tasks, tell) => { // shares._spans: start, end and wait of each task in each cycle
+  const legs = cycles[0][who].map((row) => row.leg);
+  const last = legs.length - 1;
+  let before = 0;
+  const found = [];
+  legs.forEach((leg, n) => {
+    if (leg.task < 0 || leg.hold) return;
+    const from = before;
+    const at = (choose) => cycles.map((each) => choose(each[who], each.begin_s));
+    const start_s = at((rows, begin_s) => rows[n - 1].passes_s - begin_s);
+    const end_s = at((rows, begin_s) => (n === last ? rows[n].passes_s : rows[n].works_s) - begin_s);
+    const wait_s = at((rows, begin_s) => Math.max(rows[n - 1].passes_s - Math.max(rows[from].works_s, begin_s), 0));
+    found.push({ agent: who, name: tasks[leg.task], task: leg.task, ...tell(start_s, end_s, wait_s) });
+    before = n;
+  });
+  return found;
+};
+
+const sharesOf = (cycles, factor) => { // shares.task_shares, as `answer._slowed` corrects them
+  const rows = cycles[0].robot;
+  const found = [];
+  rows.forEach(({ leg }, n) => {
+    if (leg.task < 0) return;
+    const share = found[leg.task] || { nominal_s: 0, lost_s: 0, dwell_s: 0, wait_s: 0 };
+    found[leg.task] = share;
+    share.nominal_s += leg.way_s;
+    share.lost_s += mean(cycles.map((each) => each.robot[n].lost_s));
+    share.dwell_s += mean(cycles.map((each) => each.robot[n].works_s - each.robot[n].arrives_s));
+    share.wait_s += mean(cycles.map((each) => each.robot[n].passes_s - each.robot[n].works_s));
+  });
+  const sum = (part) => found.reduce((all, share) => all + part(share), 0);
+  const open_s = sum((share) => share.lost_s + share.wait_s);
+  const more_s = (factor - 1) * sum((share) => share.nominal_s + share.lost_s + share.dwell_s + share.wait_s);
+  const times = open_s > 0 ? Math.max(1 + more_s / open_s, 0) : 1;
+  return found.map((share) => ({ ...share, lost_s: share.lost_s * times, wait_s: share.wait_s * times }));
+};
+
+const spreadOf = (values) => Math.sqrt(covariance(values, values));
+const conformalOf = (values, level) => { // JointCheck.quantile
+  if (!tables.scores) return quantile(sorted(values), level);
+  return mean(values) + quantile(sorted(tables.scores), level, true) * spreadOf(values);
+};
+const inDraws = (values) => Float64Array.from(tables.errors, (_, row) => { // as finite logs give them, drawn again
+  let [sum, count] = [0, 0];
+  for (let n = 0; n < values.length; n += 1) {
+    const drawn = tables.drawn[row * values.length + n];
+    sum += drawn * values[n];
+    count += drawn;
+  }
+  return sum / count;
+});
+
+const entryOfBoth = ({ cycles, robot, operator }) => { // JointAnswers._entry
+  const { factor, model_error: error, doubted_bias: bias } = facts.check;
+  const durations = Float64Array.from({ length: facts.cycles }, (_, n) => cycles[n % cycles.length].duration_s * factor);
+  const expected = mean(durations);
+  const spread = sorted(inDraws(durations).map((value, row) => value * (1 + error * tables.errors[row])));
+  const tell = (start_s, end_s, wait_s) => ({
+    start_s: factor * mean(start_s), end_s: factor * mean(end_s), wait_s: factor * mean(wait_s),
+    ends_s: [0.05, 0.95].map((level) => conformalOf(end_s.map((value) => value * factor), level)),
+  });
+  const shares = sharesOf(cycles, factor);
+  const mine = spansOf(cycles, "robot", robot, tell);
+  const theirs = operator ? spansOf(cycles, "operator", operator, tell) : [];
+  const [knownLooks, looks] = ["known", "looked"].map((part) => cycles.reduce((sum, each) => sum + each[part], 0));
+  return {
+    expected_s: expected,
+    durations_s: durations,
+    low_s: quantile(spread, 0.025) - bias * expected,
+    high_s: quantile(spread, 0.975) + bias * expected,
+    quantiles_s: [0.05, 0.5, 0.95].map((level) => conformalOf(durations, level)),
+    safety_s: shares.reduce((sum, share) => sum + share.lost_s, 0),
+    support: looks ? knownLooks / looks : null,
+    tasks: [...mine.map((span) => ({ ...span, share: shares[span.task] })), ...theirs],
+  };
+};
+
+const withinOfBoth = (durations, takt_s) => { // share_within
+  const within = (by) => durations.map((value) => Number(value * (1 + by) <= takt_s));
+  const bias = facts.check.doubted_bias;
+  return [mean(within(0)), quantile(sorted(inDraws(within(bias))), 0.025), quantile(sorted(inDraws(within(-bias))), 0.975)];
+};
+
+const answerBoth = (asked_for, asked, takt_s, deadline = Infinity) => {
+  const { robot: places, operator, both } = asked_for;
+  if (places.length < 2) return { unknown: say("no_visit") };
+  const legs = places.slice(1).map((place, n) => `${places[n]}->${place}`);
+  const missing = [...new Set(legs.filter((name) => !(name in facts.legs)))];
+  if (missing.length) return { unknown: say("never_logged", { tasks: missing.map(shown).join(", ") }), missing };
+  const operators = operator ? [operator] : fittingOrders(places);
+  if (!operators.length) return { unknown: say("no_operator") };
+  const roll = remembered(JSON.stringify(["both", asked_for, asked]), () => rollerOf(places, operators, both, asked));
+  const entry = roll(deadline);
+  if (entry.unknown) return entry;
+  if (entry.support !== null && entry.support < 0.5) return { unknown: say("thin", { share: percent(entry.support) }) };
+  return { ...entry, takt: takt_s > 0 ? withinOfBoth(entry.durations_s, takt_s) : null };
+};

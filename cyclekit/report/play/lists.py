@@ -1,0 +1,73 @@
+"""What the script needs to roll out plans of task lists: what was learned of each task, and what corrects results."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit.estimate.task_times import CYCLES, LEVELS, SURE
+from cyclekit.learning.task_times.roll import agent_of
+from cyclekit.report.play.tables import SEED
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.dataset.cards.task_model import NeedCard, TaskModelCard
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.report.play.tables import Arrays, Tables
+
+PACES = (0.8, 1.5)
+"""An agent may be made so many times as fast."""
+
+
+def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s: float | None) -> Tables:
+    """Return facts (plain JSON values) and arrays of plans.
+
+    Args:
+        card: What was learned from task lists.
+        shown: Estimates of plans.
+        takt_s: Takt time that the cycles are held against, s.
+    """
+    judged, first = card.held_out, 0
+    tasks, values = [], list[float]()
+    for task in card.tasks:
+        told = {name: getattr(task, name) for name in ("agent", "task", "usual_s", "rates", "after", "turns")}
+        found = {**told, "needs": [_need(need) for need in task.needs], "first": first, "work": len(task.work_s)}
+        tasks.append({**found, "lags": len(task.lags_s)})
+        values += [*task.work_s, *task.lags_s]
+        first = len(values)
+    arrays: Arrays = {"values": np.array(values, np.float32)}
+    if judged is not None:
+        arrays["deviations"] = np.array(judged.deviations, np.float32)
+    names = ("bias", "within", "order_error", "learning_error")
+    facts = {
+        "kind": "list",
+        "seed": SEED,
+        "cycles": CYCLES,
+        "levels": LEVELS.tolist(),
+        "sure": SURE,
+        "takt_s": takt_s,
+        "labels": {},
+        "agents": dict(card.agents),
+        "tasks": tasks,
+        "sequences": [_plan(card, each) for each in shown],
+        "executions": card.executions,
+        "check": None if judged is None else {name: getattr(judged, name) for name in names},
+        "paces": PACES,
+    }
+    return facts, arrays
+
+
+def _need(need: NeedCard) -> dict[str, Any]:
+    return {name: getattr(need, name) for name in ("agent", "task", "back")}
+
+
+def _plan(card: TaskModelCard, each: CycleEstimate) -> dict[str, Any]:
+    """Return the tasks of a plan, each with its agent's name in the logs and as it was asked for."""
+    tasks = [
+        {"agent": agent_of(card, task, each.name), "asked": task.agent, "name": task.name, "after": task.after}
+        | ({} if task.not_before_s is None else {"not_before_s": task.not_before_s})
+        for task in each.asked
+    ]
+    return {"name": each.name, "tasks": tasks}

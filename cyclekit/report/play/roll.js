@@ -1,0 +1,191 @@
+// ---- plans of task lists: `learning.task_times.roll` and `estimate.task_times`
+
+const beforeEach = (tasks) => { // number of the agent's own task before each task; -1: it is the first
+  const last = new Map();
+  return tasks.map((task, number) => {
+    const before = last.has(task.asked) ? last.get(task.asked) : -1;
+    last.set(task.asked, number);
+    return before;
+  });
+};
+const keyOf = (agent, task) => JSON.stringify([agent, task]);
+
+const laidOut = (tasks, asked) => {
+  const known = new Map(facts.tasks.map((card) => [keyOf(card.agent, card.task), card]));
+  const cards = tasks.map((task) => known.get(keyOf(task.agent, task.name)));
+  const turns = new Map();
+  const turn = tasks.map((task, number) => {
+    const key = keyOf(task.agent, task.name);
+    if (!turns.has(key)) turns.set(key, []);
+    return turns.get(key).push(number) - 1;
+  });
+  const unknown = [];
+  const needs = tasks.map((task, number) => {
+    const nth = turn[number];
+    const mine = cards[number].needs.filter((need) => !asked.without.includes(waitName(cards[number], need))).flatMap((need) => {
+      const theirs = turns.get(keyOf(need.agent, need.task)) || [];
+      const which = nth - need.back;
+      return which >= 0 && which < theirs.length ? [theirs[which]] : [];
+    });
+    for (const told of task.after) {
+      const able = tasks.map((other, n) => n).filter((n) => tasks[n].name === told && n !== number);
+      const ordered = [...turns.values()].flat().filter((n) => able.includes(n));
+      if (ordered.length) mine.push(ordered[Math.min(nth, ordered.length - 1)]);
+      else unknown.push(told);
+    }
+    return mine;
+  });
+  const log = (rates, name) => Math.log(name in rates ? rates[name] : 1);
+  return {
+    cards, turn, needs, unknown, before: beforeEach(tasks),
+    notBefore_s: tasks.map((task) => task.not_before_s || 0),
+    logRate: cards.map((card) => cards.map((other) => log(card.rates, `${other.agent}: ${other.task}`))),
+    alone: cards.map((card) => log(card.rates, "")),
+  };
+};
+const waitName = (card, need) => `${card.task} for ${need.task}`;
+
+const DRAWS = new Map();
+const drawsOf = (plan, tasks) => { // roll._drawn: which repetition each task draws, alike in every order of the same tasks
+  const text = (a, b) => (a < b ? -1 : Number(a > b));
+  const names = tasks.map((task, number) => ({ number, agent: task.agent, task: task.name, turn: plan.turn[number] }))
+    .sort((a, b) => byCode(a.agent, b.agent, text) || byCode(a.task, b.task, text) || a.turn - b.turn);
+  const key = JSON.stringify(names.map(({ agent, task, turn }) => [agent, task, turn]));
+  if (!DRAWS.has(key)) {
+    const { below } = generator(facts.seed);
+    const drawn = (count) => Uint16Array.from({ length: facts.cycles }, () => below(count));
+    DRAWS.set(key, names.map(({ number }) => [drawn(plan.cards[number].work), drawn(plan.cards[number].lags)]));
+  }
+  const found = [];
+  DRAWS.get(key).forEach((drawn, n) => { found[names[n].number] = drawn; });
+  return found;
+};
+const byCode = (one, other, compare) => { // by code points, as Python sorts
+  const [a, b] = [[...one], [...other]];
+  for (let n = 0; n < Math.min(a.length, b.length); n += 1) {
+    const found = compare(a[n].codePointAt(0), b[n].codePointAt(0));
+    if (found) return found;
+  }
+  return a.length - b.length;
+};
+
+const rolledPlan = (tasks, asked) => {
+  const plan = laidOut(tasks, asked);
+  if (plan.unknown.length) return { unknown: say("left_out", { tasks: [...new Set(plan.unknown)].join(", ") }) };
+  const [count, cycles] = [tasks.length, facts.cycles];
+  const draws = drawsOf(plan, tasks);
+  const factor = plan.cards.map((card, n) => {
+    const previous = plan.before[n] < 0 ? "" : plan.cards[plan.before[n]].task;
+    return (previous in card.after ? card.after[previous] : 1) * (card.turns[plan.turn[n]] || 1) / (asked.paces[card.agent] || 1);
+  });
+  const start = tasks.map(() => new Float64Array(cycles));
+  const end = tasks.map(() => new Float64Array(cycles));
+  const decides = tasks.map(() => new Int16Array(cycles));
+  const [work, lag, begins, ends, rate, due] = Array.from({ length: 6 }, () => new Float64Array(count));
+  const running = new Uint8Array(count);
+  const readyAt = (n) => {
+    let ready = Math.max(plan.before[n] < 0 ? 0 : ends[plan.before[n]], plan.notBefore_s[n]);
+    for (const need of plan.needs[n]) ready = Math.max(ready, ends[need]);
+    return ready;
+  };
+  for (let cycle = 0; cycle < cycles; cycle += 1) {
+    let [t, left] = [0, count];
+    for (let n = 0; n < count; n += 1) {
+      const card = plan.cards[n];
+      work[n] = factor[n] * tables.values[card.first + draws[n][0][cycle]];
+      lag[n] = Math.max(tables.values[card.first + card.work + draws[n][1][cycle]], 0);
+      [begins[n], ends[n], running[n]] = [Infinity, Infinity, 0];
+    }
+    while (left) {
+      let step = Infinity;
+      let on = 0;
+      for (let n = 0; n < count; n += 1) on += running[n];
+      for (let n = 0; n < count; n += 1) {
+        if (running[n]) {
+          let sum = on > 1 ? 0 : plan.alone[n];
+          if (on > 1) for (let m = 0; m < count; m += 1) if (running[m] && m !== n) sum += plan.logRate[n][m];
+          rate[n] = Math.exp(sum);
+          due[n] = work[n] / rate[n];
+        } else due[n] = ends[n] < Infinity ? Infinity : Math.max(readyAt(n) + lag[n] - t, 0);
+        step = Math.min(step, due[n]);
+      }
+      if (step === Infinity) return { unknown: say("stuck") };
+      t += step;
+      for (let n = 0; n < count; n += 1) {
+        const now = due[n] <= step + 1e-9;
+        if (running[n]) {
+          work[n] -= rate[n] * step;
+          if (now) { ends[n] = t; running[n] = 0; left -= 1; }
+        } else if (now) { begins[n] = t; running[n] = 1; }
+      }
+    }
+    for (let n = 0; n < count; n += 1) {
+      [start[n][cycle], end[n][cycle]] = [begins[n], ends[n]];
+      let [latest, who] = [plan.before[n] < 0 ? 0 : ends[plan.before[n]], -1];
+      if (plan.notBefore_s[n] > latest) [latest, who] = [plan.notBefore_s[n], -2];
+      for (const need of plan.needs[n]) if (ends[need] > latest) [latest, who] = [ends[need], need];
+      decides[n][cycle] = who;
+    }
+  }
+  return { plan, start, end, decides };
+};
+
+const singleOf = (values) => { // task_times._single: ascending where it is corrected by held-out executions
+  const deviations = tables.deviations;
+  if (!deviations || deviations.length < facts.levels.length) return values;
+  const [middle, spread] = [mean(values), spreadOf(values)];
+  const ordered = sorted(deviations);
+  const off = facts.levels.map((level) => quantile(ordered, level, true));
+  return values.map((_, n) => middle + spread * drawnFrom(off, [n / (values.length - 1)], 0));
+};
+
+const entryOfList = (tasks, rolled) => {
+  const { plan, start, end, decides } = rolled;
+  const began = start[0].map((_, cycle) => Math.min(...start.map((times) => times[cycle])));
+  const durations = began.map((begin_s, cycle) => Math.max(...end.map((times) => times[cycle])) - begin_s);
+  const { check, sure } = facts;
+  const usual = mean(durations);
+  let [expected, error] = [usual, spreadOf(durations) / usual / Math.sqrt(facts.executions)];
+  if (check) {
+    const biased = Math.abs(check.bias) > sure * check.within;
+    expected = usual / (1 + (biased ? check.bias : 0));
+    error = Math.hypot(Math.sqrt(Math.max(check.order_error ** 2 - (biased ? check.bias ** 2 : 0), 0)), check.learning_error);
+  }
+  const factor = expected / usual;
+  const single = singleOf(durations.map((value) => value * factor));
+  const ordered = sorted(single);
+  return {
+    expected_s: expected,
+    durations_s: single,
+    low_s: expected * (1 - sure * error),
+    high_s: expected * (1 + sure * error),
+    quantiles_s: [0.05, 0.5, 0.95].map((level) => quantile(ordered, level)),
+    tasks: tasks.map((task, n) => {
+      const from = (values) => values.map((value, cycle) => value - began[cycle]);
+      const ends = plan.before[n] < 0 ? began : end[plan.before[n]];
+      const ordered_s = sorted(singleOf(from(end[n]).map((value) => value * factor)));
+      const counts = new Map();
+      for (const who of decides[n]) counts.set(who, (counts.get(who) || 0) + 1);
+      const [cause, times] = [...counts].sort((a, b) => b[1] - a[1])[0];
+      return {
+        agent: task.agent, asked: task.asked, name: task.name, logged: plan.cards[n].work,
+        start_s: factor * mean(from(start[n])), end_s: factor * mean(from(end[n])),
+        wait_s: factor * mean(start[n].map((value, cycle) => value - ends[cycle])),
+        ends_s: [0.05, 0.95].map((level) => quantile(ordered_s, level)),
+        after: cause < 0 ? null : `${tasks[cause].asked}: ${tasks[cause].name}`, part: times / decides[n].length,
+      };
+    }),
+  };
+};
+
+const answerList = (tasks, asked, takt_s) => {
+  if (!tasks.length) return { unknown: say("no_visit") };
+  const entry = remembered(JSON.stringify(["list", tasks, asked]), () => {
+    const rolled = rolledPlan(tasks, asked);
+    return rolled.unknown ? rolled : entryOfList(tasks, rolled);
+  });
+  if (entry.unknown) return entry;
+  const within = (by) => mean(entry.durations_s.map((value) => Number(value + by <= takt_s)));
+  const by = entry.high_s - entry.expected_s;
+  return { ...entry, takt: takt_s > 0 ? [within(0), within(by), within(-by)] : null };
+};

@@ -1,0 +1,268 @@
+"""The part to play with where robot and operator wait for each other, and for task lists: the library's own numbers."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from itertools import pairwise
+
+import browser
+import numpy as np
+import pytest
+from known_cells import logged
+from msgspec import structs
+from played import STAIRS, Network, staircase
+
+from cyclekit import TaskSequence, estimate_cycles, train_task_times, what_if, write_report
+from cyclekit.config.sequences import PlannedTask, load_sequences
+from cyclekit.dataset.cards import ConditionCard, CouplingCard, DynamicsCard, GateCard, SourceCard, TrainingCard
+from cyclekit.dataset.cards.coupling import Turns
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.whatif import what_if as try_changes
+from cyclekit.estimate.whatif.change import Change
+from cyclekit.ingest.ingest import ingest
+from cyclekit.report import compose_report
+from cyclekit_sim.task_lists import ListOptions, random_order, simulate_task_lists
+
+__all__ = ["logged"]
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(browser.why_not() is not None, reason=str(browser.why_not())),
+]
+TAKT_S = 45.0
+ROBOT = ("home", "conveyor", "left_2", "conveyor", "right_3", "conveyor", "left_4")
+OPERATOR = ("rest", "inbound", "out_left_1", "inbound", "rest")
+
+
+def _waits(place: str, agent: str, after: str, *, event: str = "leaves", **told: object) -> ConditionCard:
+    return ConditionCard(agent=agent, place=after, event=event, lag_s=(0.1, 0.3, 0.9), **told)  # type: ignore[arg-type]
+
+
+CARD = CouplingCard(
+    gates=(
+        GateCard(
+            agent="robot", at="leave", place="conveyor", own_s=(0.5, 0.7, 1.4),
+            conditions=(
+                _waits("conveyor", "operator", "inbound", back=1, needed=0.7),
+                ConditionCard(agent="signal", place="part", event="set", lag_s=(0.1,)),
+            ),
+        ),
+        GateCard(agent="robot", at="approach", place="right_3", phase=0.4,
+                 conditions=(_waits("right_3", "operator", "out_left_1", event="arrives"),)),
+        GateCard(agent="operator", at="approach", place="out_left_1",
+                 conditions=(_waits("out_left_1", "robot", "left_2", turns=Turns(every=1)),)),
+        GateCard(agent="operator", at="leave", place="inbound", own_s=(1.0, 2.0, 4.0)),
+        GateCard(agent="robot", at="leave", place="left_4", own_s=(0.4,)),
+    ),
+    sources=(SourceCard(signal="part", gap_s=(4.0, 5.0, 9.0), first_s=(0.5, 2.0), buffer=2, taken_by="conveyor"),),
+)  # fmt: skip
+
+
+def both(robot: tuple[str, ...], operator: tuple[str, ...], name: str) -> TaskSequence:
+    goals = [PlannedTask("robot", f"{a}->{b}") for a, b in pairwise(robot)]
+    return TaskSequence.of_plan(name, [*goals, *(PlannedTask("operator", place) for place in operator)])
+
+
+TURNED = ("home", "conveyor", "left_4", "conveyor", "left_2", "conveyor", "right_3")
+ORDERS = [both(ROBOT, OPERATOR, "given"), both(TURNED, OPERATOR[1:], "turned"),
+          TaskSequence("places", ROBOT, OPERATOR)]  # fmt: skip
+ASKED = {"given": (ROBOT, OPERATOR, True), "turned": (TURNED, OPERATOR[1:], True), "places": (ROBOT, OPERATOR, False)}
+CHANGES = {
+    "faster": ({"pace": 1.3}, Change("p", faster={"operator": 1.3})),
+    "no wait": ({"without": ["robot approach right_3"]}, Change("n", without_waits=("robot approach right_3",))),
+    "parts": ({"buffer": {"part": 3}}, Change("b", buffer={"part": 3})),
+    "ramp": STAIRS["ramp"],
+    "threshold": STAIRS["threshold"],
+}
+CELLS = {
+    "staircase": (staircase, DynamicsCard(), list(CHANGES)),
+    "network": (Network, DynamicsCard(latency_s=0.2, ramp_up_per_s=0.5, hysteresis_m=0.2), ["faster", "ramp"]),
+}
+
+
+@pytest.fixture(scope="module")
+def tab():
+    with browser.open_browser() as tab:
+        yield tab
+
+
+@pytest.fixture(scope="module", params=list(CELLS))
+def cell(request, logged, tmp_path_factory):
+    """The library's answers by order and change, and the page of the first order."""
+    make, dynamics, changes = CELLS[request.param]
+    model, data = make(), Dataset.open(logged.path)
+    card = TrainingCard(coupling=CARD)
+    if request.param == "network":
+        model.card = card
+    else:
+        model = type(model)(model.rule, card)
+    data.card = structs.replace(data.card, dynamics=dynamics)
+    asked = {"other_cell": True, "extrapolate": True}
+    given = {each.name: each for each in estimate(model, data, ORDERS, takt_s=TAKT_S, **asked)}
+    check, changed = given["given"].check, {}
+    for name in changes:
+        for found in try_changes(model, data, ORDERS[:2], [CHANGES[name][1]], check=check, **asked):
+            changed[found.after.name, name] = found.after
+    page = tmp_path_factory.mktemp("together") / f"{request.param}.html"
+    facts = compose_report(data, model, page, estimates=[given["given"]], check=check, takt_s=TAKT_S)
+    assert facts.missing == ()
+    return page, given, changed
+
+
+def ask(tab, played, changes, takt_s="null"):
+    script = f"JSON.stringify(cyclekitPlay.answer({json.dumps(played)}, {json.dumps(changes)}, {takt_s}))"
+    return json.loads(tab.ask(script))
+
+
+def same(found, wanted, *, within=2e-3):
+    """Mean, intervals and quantiles, the takt, and every task's start, end and wait; part of the cycle time."""
+    assert "unknown" not in found
+    means = [wanted.expected_s, wanted.expected_low_s, wanted.expected_high_s, *wanted.quantiles_s.values()]
+    assert [found[name] for name in ("expected_s", "low_s", "high_s")] + found["quantiles_s"] == pytest.approx(
+        means, rel=within
+    )
+    if wanted.takt_probability is not None:
+        assert found["takt"] == pytest.approx(list(wanted.takt_probability), abs=0.02)
+    mine = [(task["name"], task["start_s"], task["end_s"], task["wait_s"], *task["ends_s"]) for task in found["tasks"]]
+    theirs = [(t.task, t.start_s, t.end_s, t.wait_s, t.end_low_s, t.end_high_s) for t in wanted.plan]
+    assert [task[0] for task in mine] == [task[0] for task in theirs]
+    for one, other in zip(mine, theirs, strict=True):
+        assert one[1:] == pytest.approx(other[1:], abs=2 * within * wanted.expected_s)
+
+
+def test_orders_and_changes_of_both_agents_have_the_numbers_of_the_library(tab, cell):
+    page, given, changed = cell
+    tab.events.clear()
+    tab.show(page)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    for name, (robot, operator, plan) in ASKED.items():
+        played = {"robot": robot, "operator": operator, "both": plan}
+        found = ask(tab, played, {}, TAKT_S)
+        same(found, given[name])
+        assert found["safety_s"] == pytest.approx(given[name].safety_loss_s, abs=2e-3 * given[name].expected_s)
+        assert found["support"] == pytest.approx(given[name].support, abs=0.02)
+        for (whose, change), wanted in changed.items():
+            if whose == name:
+                same(ask(tab, played, CHANGES[change][0]), wanted)
+    assert changed["given", "faster"].expected_s < given["given"].expected_s - 0.2  # or nothing would be shown by it
+    assert tab.said() == []
+    assert set(tab.requests()) == {page.resolve().as_uri()}
+
+
+@pytest.fixture(scope="module")
+def lists(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lists")
+    simulate_task_lists(folder / "logs", executions=40, seed=1, options=ListOptions())
+    ingest([folder / "logs" / "tasks.csv"], folder / "dataset")
+    model = train_task_times(folder / "dataset")
+    orders = {name: random_order(np.random.default_rng(seed)) for name, seed in (("one", 7), ("other", 8))}
+    plans = {
+        name: [PlannedTask(agent, str(task)) for agent, tasks in order.items() for task in tasks]
+        for name, order in orders.items()
+    }
+    plans["less"] = [task for number, task in enumerate(plans["one"]) if number != 1]
+    plans["planned"] = [as_planned(task, number) for number, task in enumerate(plans["one"])]
+    sequences = [TaskSequence.of_plan(name, plan) for name, plan in plans.items()]
+    page = folder / "page.html"
+    facts = write_report(folder / "dataset", page, model=model, sequences=sequences[:1], takt_s=TAKT_S)
+    assert not any("played" in text for text in facts.missing)
+    return page, model, Dataset.open(folder / "dataset"), {each.name: each for each in sequences}
+
+
+def as_planned(task: PlannedTask, number: int) -> PlannedTask:
+    return PlannedTask(task.agent, task.name, not_before_s=12.0) if number == 2 else task
+
+
+def as_played(model, sequence):
+    name = {kind: agent for agent, kind in model.card.agents.items()}
+    return [
+        {"agent": name.get(task.agent, task.agent), "asked": task.agent, "name": task.name, "after": task.after}
+        | ({} if task.not_before_s is None else {"not_before_s": task.not_before_s})
+        for task in sequence.plan
+    ]
+
+
+def test_plans_of_task_lists_have_the_numbers_of_the_library(tab, lists):
+    page, model, data, sequences = lists
+    tab.events.clear()
+    tab.show(page)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    for wanted in estimate_cycles(model, data, list(sequences.values()), takt_s=TAKT_S):
+        same(ask(tab, as_played(model, sequences[wanted.name]), {}, TAKT_S), wanted, within=1e-5)
+    operator = next(agent for agent, kind in model.card.agents.items() if kind == "operator")
+    wait = next((task.task, need.task) for task in model.card.tasks for need in task.needs)
+    changes = {
+        "faster": ({"paces": {operator: 1.3}}, Change("faster", faster={"operator": 1.3})),
+        "no wait": ({"without": [f"{wait[0]} for {wait[1]}"]}, Change("no wait", no_wait=(wait,))),
+    }
+    for changed, change in changes.values():
+        (found,) = what_if(model, data, [sequences["other"]], [change])
+        same(ask(tab, as_played(model, sequences["other"]), changed), found.after, within=1e-5)
+    assert tab.said() == []
+    assert set(tab.requests()) == {page.resolve().as_uri()}
+
+
+def shown(tab, part):
+    return tab.ask(f"document.querySelector('#play [data-play={part}]').textContent").replace("\u00a0", " ")
+
+
+def test_tasks_of_a_plan_are_moved_left_out_and_copied(tab, lists, tmp_path):
+    page, model, data, sequences = lists
+    tab.show(page, width=1200, height=1400)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    before = shown(tab, "mean")
+    tab.ask("document.querySelectorAll('#play ol')[1].querySelectorAll('li button')[1].click()")  # a later first task
+    tab.ask("document.querySelectorAll('#play ol')[0].querySelectorAll('li input')[1].click()")  # and without another
+    tab.ask("document.querySelector('#play [data-play=copy]').click()")
+    file = tmp_path / "sequences.toml"
+    file.write_text(tab.ask("document.querySelector('#play textarea').value"), "utf-8")
+    (sequence,) = load_sequences(file)
+    given = sequences["one"].plan
+    agents = list(dict.fromkeys(task.agent for task in given))
+    first, second = ([task.name for task in given if task.agent == agent] for agent in agents)
+    assert [task.name for task in sequence.plan] == [first[0], *first[2:], second[1], second[0], *second[2:]]
+    (wanted,) = estimate_cycles(model, data, [sequence])
+    assert shown(tab, "mean") == f"{wanted.expected_s:.1f} s" != before
+    titles = tab.ask("[...document.querySelectorAll('#play .play-lane')].map(bar => bar.lastChild?.title)")
+    ends = [f"\u2013{task.end_s:.1f} s;" for task in wanted.plan]
+    assert all(end in title for end, title in zip(ends, filter(None, titles), strict=True))
+    tab.ask("document.querySelector('#play [data-play=reset]').click()")
+    assert shown(tab, "mean") == before
+
+
+@pytest.mark.parametrize("cell", ["staircase"], indirect=True)
+def test_the_operators_visits_are_moved_and_a_wait_removed(tab, cell, tmp_path):
+    page, given, changed = cell
+    tab.show(page, width=1200, height=1400)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    whole = (
+        "new Promise(done => { const look = () => (document.getElementById('play').dataset.whole === 'yes'"
+        " ? done(1) : setTimeout(look, 20)); look(); })"
+    )
+    tab.ask(whole)
+    assert shown(tab, "mean") == f"{given['given'].expected_s:.1f} s"
+    tab.ask("[...document.querySelectorAll('.play-switch input')]"
+            ".find(each => each.value === 'robot approach right_3').click()")  # fmt: skip
+    tab.ask(whole)
+    assert shown(tab, "mean") == f"{changed['given', 'no wait'].expected_s:.1f} s"
+    tab.ask("document.querySelectorAll('#play ol')[1].querySelectorAll('li button')[1].click()")
+    tab.ask("document.querySelector('#play [data-play=copy]').click()")
+    file = tmp_path / "sequences.toml"
+    file.write_text(tab.ask("document.querySelector('#play textarea').value"), "utf-8")
+    (sequence,) = load_sequences(file)
+    assert [task.name for task in sequence.plan if task.agent == "operator"] != list(OPERATOR)
+    assert sorted(task.name for task in sequence.plan if task.agent == "operator") == sorted(OPERATOR)
+
+
+@pytest.mark.parametrize("width", [390, 1180])
+def test_the_part_fits_its_window_and_axe_finds_nothing(tab, lists, cell, width):
+    for page in (lists[0], cell[0]):
+        tab.show(page, width=width, height=900, phone=width < 500)
+        tab.ask("cyclekitPlay.ready.then(() => 1)")
+        assert tab.ask("document.documentElement.scrollWidth") <= width
+        tab.call("Runtime.evaluate", expression=files("axe_core_python").joinpath("axe.min.js").read_text("utf-8"))
+        found = tab.ask("axe.run('#play', {resultTypes: ['violations']}).then(r => JSON.stringify("
+                        "r.violations.map(v => [v.id, v.nodes[0].html.slice(0, 200)])))")  # fmt: skip
+        assert json.loads(found) == []

@@ -10,7 +10,6 @@ from cyclekit.api.given import Sequences, sequences_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.answers import CycleEstimates
-from cyclekit.estimate.resample import least_wide
 from cyclekit.estimate.result import CycleEstimate
 from cyclekit.estimate.safety import SafetyModel
 from cyclekit.learning.task_times.saved import TaskTimesModel
@@ -78,7 +77,7 @@ class GateVerdict(Result):
 
 def _share(one: CycleEstimate) -> tuple[float, float, float]:
     """Return which part of the cycles is within the takt, with a 95 % interval."""
-    return least_wide(one.takt_probability or (0.0, 0.0, 1.0), one.executions)
+    return one.takt_probability or (0.0, 0.0, 1.0)
 
 
 @checked

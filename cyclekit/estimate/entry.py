@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.estimate.estimators import ESTIMATORS
-from cyclekit.estimate.resample import share_within
+from cyclekit.estimate.resample import least_wide, share_within
 from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, CycleEstimate, TaskShare
 from cyclekit.estimate.safety import OnStates
 
@@ -60,7 +60,8 @@ def entry_of(
     low, high = means.interval(bias_s=bias * expected, seed=ask.seed)
     activities = [*tracks.activities, "unknown"] if tracks else []
     by_activity = zip(activities, (cycles.by_activity_s * slower).tolist(), strict=False)
-    logged = tracks.executions if tracks else tuple(ask.dataset.executions["execution"])
+    logged = len(set(tracks.executions if tracks else ask.dataset.executions["execution"]))
+    within = None if ask.takt_s is None else share_within(durations, ask.takt_s, weights, bias=bias)
     return CycleEstimate(
         name=sequence.name,
         places=sequence.places,
@@ -80,10 +81,10 @@ def entry_of(
         durations_s=tuple(durations.tolist()),
         estimator=ask.estimator,
         why=_why(ask, means.combined),
-        executions=len(set(logged)),
+        executions=logged,
         calibrated=check is not None and check.coverage is not None,
         takt_s=ask.takt_s,
-        takt_probability=None if ask.takt_s is None else share_within(durations, ask.takt_s, weights, bias=bias),
+        takt_probability=within and least_wide(within, logged),
         extrapolated=cycles.support < LEAST_SUPPORT,
         operator=sequence.operator,
         check=check,

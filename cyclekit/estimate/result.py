@@ -99,7 +99,8 @@ class CycleEstimate(Result):
         executions: Number of logged executions it rests on; `tracks` can be more, entered at several instants of each.
         calibrated: Whether `quantiles_s` and the interval of the mean were corrected by logged executions.
         takt_s: Takt time that was asked about, seconds.
-        takt_probability: Part of the cycles that meet it, and its 95 % interval from resampling executions.
+        takt_probability: Part of the cycles that meet it, and its 95 % interval from resampling executions, no narrower
+            than Wilson's of so many executions.
         beats: Probability that its mean is below that of another sequence of the same work
             (`cyclekit.estimate.same_work`), by name, over common resampled executions.
         extrapolated: Marked: most of it runs through positions that were never logged.

@@ -9,6 +9,7 @@ import numpy as np
 
 from cyclekit.errors import CyclekitError, EstimateError
 from cyclekit.estimate.conformal import conformal
+from cyclekit.estimate.resample import least_wide
 from cyclekit.estimate.result import CycleEstimate, PlannedShare, TaskShare
 from cyclekit.estimate.same_work import by_work
 from cyclekit.learning.task_times.roll import RolledPlan, agent_of, roll_plan
@@ -82,6 +83,7 @@ def _estimated(
     parts = ("nominal_s", "safety_loss_s", "wait_s")
     nominal, beside, waited = (sum(getattr(share, part) for share in mine) for part in parts)
     within = None if takt_s is None else _within(single, takt_s, (high - low) / (2 * SURE))
+    within = within and least_wide(within, model.executions)
     return CycleEstimate(
         name=sequence.name,
         places=sequence.places,

@@ -58,7 +58,7 @@ _NUMBER = re.compile(rf"[-−]?\d|-$|{UNKNOWN}$")
 
 @dataclass(frozen=True)
 class Part:
-    """One part of the page: sentences, a picture, and a table, `folded` under the picture."""
+    """One part of the page: sentences, a picture, and a table, which may be `folded`."""
 
     title: str
     sentences: Sequence[str] = ()
@@ -214,9 +214,8 @@ def _plan(one: CycleEstimate) -> Part:
         waits = [fixed(task.wait_s, 1), f"{cause} ({percent(task.decided[cause])})"]
         named = [task.agent, str(turn[task.agent]), task.task]
         rows.append([*named, fixed(task.start_s, 1), fixed(task.end_s, 1), *waits])
-    return Part(
-        one.name, heads=["agent", "no.", "task", "start, s", "end, s", "wait, s", "start decided by"], rows=rows
-    )
+    heads = ["agent", "no.", "task", "start, s", "end, s", "wait, s", "start decided by"]
+    return Part(one.name, heads=heads, rows=rows, folded=True)
 
 
 def _order(planned: TaskOrderPlan | None) -> list[Part]:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from cyclekit.errors import UnknownName
 from cyclekit.estimate.baseline import today_of
-from cyclekit.estimate.resample import least_wide
 from cyclekit.estimate.same_work import by_work, work_of
 from cyclekit.report.numbers import count, fixed, given, percent, signed_percent, with_uncertainty
 from cyclekit.report.tried import share_of
@@ -86,7 +85,7 @@ class TaktVerdict:
         if best is None or self.takt_s is None or not best.durations_s:
             return None
         if best.takt_probability is not None and best.takt_s == self.takt_s:
-            return least_wide(best.takt_probability, best.executions)
+            return best.takt_probability
         return share_of(best, self.takt_s)
 
     def saves_s(self, expected_s: float | None) -> float | None:

@@ -18,6 +18,7 @@ from cyclekit.estimate.limits import doubts_of, limits_of_cycles
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.ranked import ranked
+from cyclekit.estimate.resample import wilson
 from cyclekit.estimate.rollout import estimate as estimate_validated
 from cyclekit.estimate.tracks import ENTRIES, operator_tracks, phase_is_free
 from cyclekit.estimate.transit import transit_table
@@ -79,8 +80,11 @@ def test_sequences_are_compared_on_the_same_operators(logged: Dataset, staircase
 
 def test_sequences_that_do_different_work_are_not_held_against_each_other(logged: Dataset, staircase: Any, routes: Any):
     asked = [TaskSequence("long", routes[0]), TaskSequence("short", routes[0][:9]), TaskSequence("twin", routes[0])]
-    found = estimate(staircase, logged, asked)
+    found = estimate(staircase, logged, asked, takt_s=1e4)
     assert [entry.name for entry in found] == ["short", "long", "twin"]
+    share, low, high = found[0].takt_probability
+    assert (share, high) == (1.0, 1.0)
+    assert low == pytest.approx(wilson(1.0, found[0].executions)[0])  # 16 executions within it do not prove all
     assert [set(entry.beats) for entry in found] == [set(), {"twin"}, {"long"}]
     assert found[0].per_visit_s == found[0].expected_s / 8
 

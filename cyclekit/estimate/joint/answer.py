@@ -24,7 +24,7 @@ from cyclekit.estimate.limits import (
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.question import Altered, Question
 from cyclekit.estimate.ranked import ranked
-from cyclekit.estimate.resample import interval_of_mean, share_within
+from cyclekit.estimate.resample import interval_of_mean, least_wide, share_within
 from cyclekit.estimate.result import CycleEstimate, TaskShare
 from cyclekit.learning.out_of_core import in_memory
 
@@ -117,7 +117,7 @@ class JointAnswers:
         """Return the estimate of each sequence that can be answered, and its mean in each resample (RESAMPLES,), s."""
         plans = {sequence: plan for sequence in sequences if (plan := self._plan(sequence, refuse)) is not None}
         rolled = self._rolled(plans, refuse, tell)
-        drawn = resample_counts(self._ask.seed, len(self._cell.segments.orders))
+        drawn = resample_counts(self._ask.seed, self._cell.executions)
         weights = drawn / drawn.sum(axis=1, keepdims=True)
         found = []
         for sequence, cycles in rolled.items():
@@ -203,10 +203,10 @@ class JointAnswers:
             durations_s=tuple(durations.tolist()),
             estimator=ask.estimator,
             why=WHY,
-            executions=len(self._cell.segments.orders),
+            executions=self._cell.executions,
             calibrated=check is not None and check.coverage is not None,
             takt_s=ask.takt_s,
-            takt_probability=within,
+            takt_probability=within and least_wide(within, self._cell.executions),
             extrapolated=cycles.support < LEAST_SUPPORT,
             operator=sequence.operator,
             asked=sequence.plan,

@@ -100,7 +100,7 @@ const showNumbers = (entry, before) => {
     safety: known && say("seconds", { value: fixed(entry.safety_s || 0) }),
     support: known && entry.support !== null && percent(entry.support),
     takt: known && entry.takt
-      && say("within", Object.fromEntries(["share", "low", "high"].map((name, n) => [name, percent(leastWide(entry.takt)[n])]))),
+      && say("within", Object.fromEntries(["share", "low", "high"].map((name, n) => [name, percent(entry.takt[n])]))),
     waits: known && facts.kind !== "robot"
       && state.blocks.map(({ agent }) => say("waits_of", { agent, value: fixed(waitsOf(entry, agent)) }).replaceAll(" ", "\u00a0")).join(", "),
   };

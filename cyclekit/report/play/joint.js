@@ -141,7 +141,8 @@ const entryOfBoth = ({ cycles, robot, operator }) => { // JointAnswers._entry
 const withinOfBoth = (durations, takt_s) => { // share_within
   const within = (by) => durations.map((value) => Number(value * (1 + by) <= takt_s));
   const bias = facts.check.doubted_bias;
-  return [mean(within(0)), quantile(sorted(inDraws(within(bias))), 0.025), quantile(sorted(inDraws(within(-bias))), 0.975)];
+  const [slower, quicker] = [bias, -bias].map((by) => sorted(inDraws(within(by))));
+  return leastWide([mean(within(0)), quantile(slower, 0.025), quantile(quicker, 0.975)]);
 };
 
 const answerBoth = (asked_for, asked, takt_s, deadline = Infinity) => {

@@ -99,9 +99,9 @@ const entryOf = (cycles, means, legs, takt_s) => { // entry_of: what the cycles 
     low_s: quantile(spread, 0.025) - bias * expected,
     high_s: quantile(spread, 0.975) + bias * expected,
     quantiles_s: [0.05, 0.5, 0.95].map((level) => quantile(single, level, conformal)),
-    takt: takt && [
+    takt: takt && leastWide([
       mean(takt[0]), quantile(sorted(inResamples(takt[1])), 0.025), quantile(sorted(inResamples(takt[2])), 0.975),
-    ],
+    ]),
     safety_s: lost * slower,
     support: cycles.known / cycles.looked,
     tasks: legs.map((name, n) => {

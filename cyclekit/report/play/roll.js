@@ -187,5 +187,5 @@ const answerList = (tasks, asked, takt_s) => {
   if (entry.unknown) return entry;
   const within = (by) => mean(entry.durations_s.map((value) => Number(value + by <= takt_s)));
   const by = entry.high_s - entry.expected_s;
-  return { ...entry, takt: takt_s > 0 ? [within(0), within(by), within(-by)] : null };
+  return { ...entry, takt: takt_s > 0 ? leastWide([within(0), within(by), within(-by)]) : null };
 };

@@ -58,9 +58,8 @@ class IngestReport(Result):
 
     def _said(self) -> list[str]:
         counts = f"{self.executions} executions, {self.tasks} tasks, {self.samples} samples"
-        read = (
-            f"{self.recordings_new} recordings read, {self.recordings_kept} kept, {len(self.not_read)} files not read"
-        )
+        kept = f", {self.recordings_kept} kept" if self.recordings_kept else ""
+        read = f"recordings: {self.recordings_new} read{kept}; files not read: {len(self.not_read)}"
         return [f"{self.place}: {counts}", read]
 
 

@@ -54,7 +54,9 @@ class Result:
 
 
 def html_table(title: str, frame: pl.DataFrame) -> str:
-    """Return a title and the first rows of a frame as HTML, escaped."""
+    """Return a title and the first rows of a frame as HTML, escaped; of a frame without rows the title alone."""
+    if frame.is_empty():
+        return f"<p>{escape(title)}</p>"
     head = "".join(f"<th>{escape(name)}</th>" for name in frame.columns)
     rows = ["".join(f"<td>{escape(_cell(value))}</td>" for value in row) for row in frame.head(SHOWN_ROWS).rows()]
     more = f"<p>{frame.height - SHOWN_ROWS} more rows</p>" if frame.height > SHOWN_ROWS else ""

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -19,7 +20,10 @@ from cyclekit.plots.colours import scaling_hex
 from cyclekit.report import findings
 from cyclekit.report.floor import floor_plan
 from cyclekit.report.judged import calibration
+from cyclekit.report.inputs import PageInputs
 from cyclekit.report.maps import lost_map, zone_map
+from cyclekit.report.texts import load_texts
+from cyclekit.report.why import section
 
 
 def test_the_levels_and_distances_of_the_true_staircase_are_read_back(dataset):
@@ -31,6 +35,13 @@ def test_the_levels_and_distances_of_the_true_staircase_are_read_back(dataset):
         if level in by_level:
             assert low <= by_level[level].low_m <= by_level[level].high_m <= high
     assert np.abs(found.predicted - found.logged).mean() < 0.02
+
+
+def test_a_robot_that_never_stood_for_safety_is_said_to_be_so_in_words(dataset):
+    page = PageInputs(load_texts(), dataset)
+    for halted, said in ((0.0, "and never at speed 0 %."), (0.1, "and at speed 0 % for 10 %.")):
+        page.__dict__["seen"] = replace(page.seen, slowed=0.5, halted=halted)
+        assert section(page)["sentences"][0].replace("\N{NO-BREAK SPACE}", " ").endswith(said)
 
 
 def test_where_speed_does_not_follow_distance_the_page_says_so(dataset, tmp_path):

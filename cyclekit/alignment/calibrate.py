@@ -108,7 +108,7 @@ def _read(path: Path) -> pl.DataFrame:
     except OSError as error:
         raise LogError(path, f"cannot be read ({error.strerror or error})", cure="Check the path.") from error
     except UnicodeDecodeError as error:
-        raise DamagedLog(path, "is no text in UTF-8", cure="Save the table as CSV.") from error
+        raise DamagedLog(path, "is not text in UTF-8", cure="Save the table as CSV.") from error
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
         raise DamagedLog(path, "is empty", cure="Write a header and one row per point.")
@@ -134,7 +134,7 @@ def _points(path: Path, table: pl.DataFrame, side: str) -> Floats:
         bad = (values.is_null() | ~values.is_finite().fill_null(value=False)).to_numpy()
         if bad.any():
             row = int(bad.argmax())
-            cause = f"point {row + 1}: {name} = {table[name][row]!r} is no number"
+            cause = f"point {row + 1}: {name} = {table[name][row]!r} is not a number"
             raise DamagedLog(path, cause, cure="Write metres with a decimal point, or remove the row.")
         columns.append(values.to_numpy() * UNITS[unit])
     return np.column_stack(columns) if table.height else np.empty((0, 3))

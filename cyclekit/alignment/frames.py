@@ -95,7 +95,7 @@ def fit_frame(log_m: Floats, base_m: Floats, *, up: Literal["y", "z"] = "z") -> 
     if not (np.isfinite(log_m).all() and np.isfinite(base_m).all()):
         raise ShapeError("log_m and base_m must be finite")
     if len(log_m) < 3:
-        raise ConfigError(f"{len(log_m)} points do not tell a frame", cure="Touch four or more, well apart.")
+        raise ConfigError(f"{len(log_m)} points are too few for a frame", cure="Touch four or more, well apart.")
     here = stood_up(log_m, up)
     a, b = here - here.mean(axis=0), base_m - base_m.mean(axis=0)
     scale = _scale(a, b)
@@ -147,7 +147,7 @@ def _refuse_line(a: Floats, b: Floats) -> None:
         if across < LEAST_SPREAD_M:
             seen = f"the points of the {whose} lie within {1000 * across:.0f} mm of one line"
             raise ConfigError(
-                f"{seen}, which does not tell how the frame is turned about it",
+                f"{seen}: the rotation of the frame about that line is unknown",
                 cure="Touch points off the line as well, half a metre or more.",
             )
 

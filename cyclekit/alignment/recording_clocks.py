@@ -269,7 +269,7 @@ def _by_start(log: ClockStart, main: ClockStart, start: str, robot: Source | Non
         began_s = main.first_s
     else:
         cure = "Add start = … to the robot's source as well, or use sync."
-        raise ConfigError("start is given, and the robot log tells no time of day", cure=cure)
+        raise ConfigError("start is given, but the robot log holds no time of day", cure=cure)
     apart = datetime.fromisoformat(start).timestamp() - began_s
     return ClockFit("start-text", apart - log.first_s, warnings=(note("clock-by-start"),), residual_s=START_GOOD_TO_S)
 

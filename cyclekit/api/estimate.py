@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import Sequences, estimator_model, path_of, place_of, sequences_of
@@ -86,10 +87,8 @@ def estimate_cycles(
     check_output(chart, "picture", inputs, option="--gantt", endings=KINDS)
     wanted = sequences_of(sequences)
     refused: list[Refusal] = []
+    refuse = partial(refusing, refused)
     opened = estimator_model(model)
-
-    def refuse(sequence: TaskSequence, error: EstimateError) -> None:
-        refusing(refused, sequence.name, error)
 
     logs = Dataset.of(dataset)
     if isinstance(opened, TaskTimesModel):

@@ -131,6 +131,6 @@ def gate_takt(
     ).require_all()  # fmt: skip
     for one in found:
         if one.takt_probability is None:
-            cure = "Log more executions, so that single cycles can be told."
+            cure = "Log more executions: too few to estimate single cycles."
             raise EstimateError(f"{one.name}: the {one.estimator} estimate has no distribution of cycles", cure=cure)
     return GateVerdict(takt_s, confidence, sure, found)

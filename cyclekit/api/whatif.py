@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import Changes, Sequences, changes_of, estimator_model, path_of, place_of, sequences_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
-from cyclekit.errors import EstimateError
 from cyclekit.estimate.answers import Refusal, refusing, together
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.safety import SafetyModel
 from cyclekit.estimate.whatif.answer import what_if as compare
 from cyclekit.estimate.whatif.answers import WhatIfAnswers
 from cyclekit.estimate.whatif.both import what_if_tasks
-from cyclekit.estimate.whatif.change import Change
 from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.storage.atomic import write_text
 from cyclekit.text.plain_json import json_text
@@ -62,10 +62,8 @@ def what_if(
     check_output(file, "what-if", inputs, endings=(".json",))
     wanted, changed = sequences_of(sequences), changes_of(changes)
     refused: list[Refusal] = []
+    refuse = partial(refusing, refused)
     opened, logs = estimator_model(model), Dataset.of(dataset)
-
-    def refuse(change: Change, error: EstimateError) -> None:
-        refusing(refused, change.name, error)
 
     if isinstance(opened, TaskTimesModel):
         found = what_if_tasks(opened.card, wanted, changed, seed=seed, refused=refuse)

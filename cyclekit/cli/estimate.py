@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = "cyclekit estimate model sequences.toml --dataset dataset"
 CAPTION = "seconds: motion at full speed + slow-down for safety + dwell + wait = expected"
-OF_LISTS = "seconds of the robot: its tasks as usual + what differs here, as other tasks go on beside them + wait"
+OF_LISTS = "seconds of the robot: usual task times + effect of simultaneous tasks + wait"
 IDLE = "seconds: motion at full speed + slow-down for safety + dwell + wait"
 UNTIL_DONE = " + idle until the operator is done = expected"
 DOUBTED = "* "

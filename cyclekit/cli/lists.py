@@ -174,7 +174,7 @@ def coupling_table(found: CouplingCard | None) -> str:
                 [who, told(one) + back, f"{middle:.1f}", f"{low:.1f} to {high:.1f}", percent(one.held), decided]
             )
     if not rows:
-        return f"nobody waits for anybody, by {found.executions} executions"
+        return f"no waits for each other found in {found.executions} executions"
     parts = [table(["who waits ", "until ", "lag, s", "5-95%", "held", "decided"], rows)]
     for source in found.sources:
         gap = f"{_quantile(source.gap_s, 0.05):.1f} to {_quantile(source.gap_s, 0.95):.1f} s"

@@ -62,7 +62,7 @@ def new_app() -> typer.Typer:
     frame = typer.Typer(
         name="cyclekit",
         help=(
-            "From the logs of a robot that works beside people to the cycle time of task sequences.\n\n"
+            "Cycle times of human-robot cells, estimated from their logs.\n\n"
             "The way: ingest logs, train on the dataset, estimate sequences; then replay and report."
         ),
         epilog="\b\nStart here:\n  cyclekit demo --out out/",

@@ -26,9 +26,7 @@ def replay(
         typer.Option(help="Name of the execution, or its number from 1; repeat for several.", metavar="ID"),
     ],
     out: Annotated[Path, typer.Option(help="Recording to write (.rrd).")],
-    model: Annotated[
-        str | None, typer.Option(help="Model whose prediction and learned zones are shown beside the log.")
-    ] = None,
+    model: Annotated[str | None, typer.Option(help="Model whose prediction and learned zones are also shown.")] = None,
     at: Annotated[
         str, typer.Option(help="What plays first: slowdown (the costliest), error (the model's worst), or a time.")
     ] = "slowdown",

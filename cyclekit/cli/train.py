@@ -49,7 +49,7 @@ def train(
     ] = "auto",
     people: Annotated[
         Literal["auto", "positions", "signals"],
-        typer.Option(help="What tells of people; auto: what more executions have."),
+        typer.Option(help="Information on people; auto: the kind that more executions have."),
     ] = "auto",
     horizon: Annotated[str | None, typer.Option(help="How far ahead, such as 14s (ahead and average).")] = None,
     norm: Annotated[
@@ -69,7 +69,7 @@ def train(
     ] = "auto",
     optimiser: Annotated[
         Literal["auto", "muon", "adamw"],
-        typer.Option(help="Optimiser; auto: muon where it was measured better."),
+        typer.Option(help="Optimiser; auto: the one that measured best for the data."),
     ] = "auto",
     balance: Annotated[
         Literal["none", "classes"], typer.Option(help="classes: rare levels weigh as much as common ones.")

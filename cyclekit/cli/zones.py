@@ -31,7 +31,8 @@ def zones(
     dataset: DatasetPlace,
     out: Annotated[Path | None, typer.Option(help="Also draw it here, as SVG.")] = None,
     cost: Annotated[
-        Path | None, typer.Option(help="Sequence file: also tell what each centimetre costs.", metavar="SEQUENCES.toml")
+        Path | None,
+        typer.Option(help="Sequence file: also print what each centimetre costs.", metavar="SEQUENCES.toml"),
     ] = None,
     reaction_time_s: Annotated[
         float | None, typer.Option(help="T_r, for the separation distance S_p (with --cost; give all below).")
@@ -208,7 +209,7 @@ def _margins(found: Margins | None) -> str:
         ]
         for row in found.thresholds
     ]
-    title = f"Thresholds beside the protective separation distance S_p. {found.safety}"
+    title = f"Thresholds compared with the protective separation distance S_p. {found.safety}"
     text = table(["speed ", "threshold, m", "S_p, m", "margin, m", "costs, s/cm"], rows)
     late = f"where every threshold follows S_p, 10 ms of reaction time cost {found.reaction_costs_s_per_10_ms:+.3f} s"
     return "\n".join([bullet([title], mark=""), text, bullet([late, *found.notes])])

@@ -87,7 +87,7 @@ _PLACES = ("cell", "dataset", "model", "sequences", "jobs", "estimates", "report
 _SAID = {
     "logs": "files and folders, as they come from the cell",
     "name": "title of the report; else the name of this folder",
-    "cell": "what the logs cannot say; else the cell.toml beside the logs, if there is one",
+    "cell": "what the logs do not hold; default: cell.toml beside the logs, if it exists",
     "dataset": "made by ingest",
     "model": "made by train",
     "sequences": "the orders whose cycle time is estimated",

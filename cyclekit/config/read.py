@@ -68,10 +68,10 @@ def _check_wait(where: str, wait: Wait) -> None:
     if (wait.before is None) == (wait.leaving is None):
         raise ConfigError(f"{where}: needs one of before and leaving", cure='before = "fixture"')
     if wait.until is None and not wait.never:
-        raise ConfigError(f"{where}: until what it waits is not said", cure='until = "operator leaves fixture"')
+        raise ConfigError(f"{where}: no until: what does it wait for?", cure='until = "operator leaves fixture"')
     if wait.event is not None and not wait.event[0]:
         cure = 'Write "operator leaves PLACE", "robot arrives PLACE", "SIGNAL set" or "SIGNAL cleared".'
-        raise ConfigError(f"{where}: until = {wait.until!r} is no event", cure=cure)
+        raise ConfigError(f"{where}: until = {wait.until!r} is not an event", cure=cure)
     if wait.event is not None and wait.event[0] == wait.agent:
         raise ConfigError(f"{where}: {wait.agent} waits for itself", cure="Name what the other agent or a signal does.")
 
@@ -124,7 +124,7 @@ def _one_clock(where: str, entry: Mapping[str, Any]) -> None:
     if len(said) > 1:
         raise ConfigError(f"{where}: both {said[0]} and {said[1]} set how its clock runs", cure="Keep one of them.")
     if "clock_rate" in entry and said and "clock_offset_s" not in entry:
-        raise ConfigError(f"{where}: clock_rate beside {said[0]}, which finds it", cure="Remove clock_rate.")
+        raise ConfigError(f"{where}: clock_rate with {said[0]}, which sets it", cure="Remove clock_rate.")
     if "sees_as" in entry and "sees" not in entry:
         raise ConfigError(f"{where}: sees_as without sees", cure='Add sees = "tcp".')
 

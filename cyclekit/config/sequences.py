@@ -148,11 +148,11 @@ def _plan(where: str, entry: _Entry, index: int, path: Path) -> TaskSequence:
         ConfigError: It names places too, or an earliest start is no time.
     """
     if any(part is not None for part in (entry.places, entry.tasks, entry.operator)):
-        msg = f"{where}: [[sequence.task]] beside places, tasks or operator"
+        msg = f"{where}: [[sequence.task]] together with places, tasks or operator"
         raise ConfigError(msg, cure="Write either: a plan names the tasks of both agents itself.")
     for task in entry.task:
         if task.not_before_s is not None and not -EARLY_S <= task.not_before_s < MOST_S:
-            msg = f"{where}: not_before_s = {task.not_before_s} of {task.name!r} is no time from the start of the cycle"
+            msg = f"{where}: not_before_s = {task.not_before_s} of {task.name!r} is not a time since the cycle's start"
             raise ConfigError(msg, cure="Give seconds after the start of the cycle, 0 or more.")
     plan = [
         PlannedTask(

@@ -43,7 +43,7 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
         lines += [_proposed(proposal) for proposal in draft.source] if draft else []
         role = _role(source, draft)
         if role == "people" and source.frame is None:
-            lines.append("# frame = { xyz_m = [0.0, 0.0, 0.0], yaw_deg = 0.0 }  # where the tracker stands")
+            lines.append("# frame = { xyz_m = [0.0, 0.0, 0.0], yaw_deg = 0.0 }  # pose of the tracker")
         if role in {"people", "events", "tasks"} and all(getattr(source, key) in (None, ()) for key in CLOCK_KEYS):
             lines.append("# clock_offset_s = 0.0  # add to this log's time to get the robot log's time")
         lines += _drafted_map(draft) if draft else []

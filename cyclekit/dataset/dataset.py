@@ -328,7 +328,7 @@ class Dataset:
         """
         cure = f"Ingest the logs again: cyclekit ingest LOGS --out {self.path}"
         if self._files.listed is None:
-            raise DatasetError(f"{self.path}: keeps no checksums of its files, so they cannot be checked", cure=cure)
+            raise DatasetError(f"{self.path}: has no checksums of its files, so they cannot be verified", cure=cure)
         if damaged := self.damaged():
             some = "; ".join(f"{name} is {what}" for name, what in list(damaged.items())[:3])
             more = f"; and {len(damaged) - 3} more" if len(damaged) > 3 else ""

@@ -222,9 +222,9 @@ def _in_folder(
             f"{folder or 'the logs'}: {len(robots)} robot logs and {len(others)} others, unclear which belong together"
         )
         cure = (
-            f"Put each session into a folder of its own ({', '.join(every[:4])}, …). Logs whose times count since 1970 "
-            "are put together by their time, where no two robots run at once; a log of events also by sync in its "
-            "source of the cell file."
+            f"Put each session into its own folder ({', '.join(every[:4])}, …). Logs whose times count since 1970 "
+            "are matched by time, if no two robots run at once; a log of events also by sync in its source of the cell "
+            "file."
         )
         raise ConfigError(msg, cure=cure)
     return [[log] for log in robots] + _at_one_time(others)

@@ -223,7 +223,7 @@ def _few(table: StoredTable, column: str) -> tuple[Vector, Vector, Ints, Ints] |
 def _bit(where: str, signal: str) -> int:
     bit = signal.removeprefix(OUTPUT)
     if not bit.isdigit() or int(bit) > 62:
-        raise ConfigError(f"{where}: {signal!r} is no output", cure=f'Write "{OUTPUT}0" to "{OUTPUT}62".')
+        raise ConfigError(f"{where}: {signal!r} is not an output", cure=f'Write "{OUTPUT}0" to "{OUTPUT}62".')
     return int(bit)
 
 

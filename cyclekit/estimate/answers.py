@@ -15,7 +15,9 @@ from cyclekit.text.results import Result
 if TYPE_CHECKING:
     import polars as pl
 
+    from cyclekit.config.sequences import TaskSequence
     from cyclekit.estimate.check import Check
+    from cyclekit.estimate.whatif.change import Change
     from cyclekit.plots.drawing import Drawing
 
 Answer = TypeVar("Answer")
@@ -138,7 +140,7 @@ def together(refused: Sequence[Refusal]) -> EstimateError:
     return EstimateError(first.seen, cure="\n".join([first.cure or "", *map(str, others)]).strip())
 
 
-def refusing(refused: list[Refusal], name: str, error: EstimateError) -> None:
+def refusing(refused: list[Refusal], asked: TaskSequence | Change, error: EstimateError) -> None:
     """Keep what cannot be answered, once."""
-    if name not in {one.name for one in refused}:
-        refused.append(Refusal(name, error))
+    if asked.name not in {one.name for one in refused}:
+        refused.append(Refusal(asked.name, error))

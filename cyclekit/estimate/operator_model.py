@@ -49,8 +49,8 @@ class OperatorModel:
         if not self.as_logged:
             return None
         return (
-            f"operators entered at any instant of their logs give cycles {self.bias:+.1%} beside their logged tracks "
-            f"({self.z:+.1f} standard errors): logged tracks are used from their beginning"
+            f"entering operator tracks at any instant changes logged cycle times by {self.bias:+.1%} "
+            f"({self.z:+.1f} standard errors): tracks are used from their beginning"
         )
 
     def to_dict(self) -> dict[str, float | bool]:

@@ -28,7 +28,7 @@ from cyclekit.estimate.safety import OnStates
 from cyclekit.people.tracks import OCCLUDED_S
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -155,7 +155,7 @@ def operator_tracks(
         raise EstimateError(seen, cure="Ingest the tracker's log together with the robot's.")
     if operator is not None:
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
-    free, length = _is_free(tracks), int(np.ceil(horizon_s / step)) + 2
+    free, length = phase_is_free(tracks), int(np.ceil(horizon_s / step)) + 2
     after, mine = _after(dataset), {name: tracks[name] for name in begins}
     anywhere = operator is None and free and phases is None
     parts = [_on_circles(mine, after, step, length)] if anywhere and not on_states else []
@@ -231,17 +231,13 @@ def _runs_on(dataset: Dataset) -> bool:
     return bool((pause <= RUN_ON_S).sum() >= 0.8 * max(len(pause) - order["session"].n_unique(), 1))
 
 
-def phase_is_free(dataset: Dataset) -> bool:
+def phase_is_free(tracks: Mapping[str, LoggedTrack]) -> bool:
     """Tell whether a cycle may begin at any instant of the operator's day.
 
-    So where he does at the beginning, a third and two thirds of the shortest execution what he does at any time in so
-    long: he is away and at each of his tasks as often (CHANCE), the mean of his position is within SURE_Z standard
+    That is so if at the beginning, a third and two thirds of the shortest execution he behaves as at any time within
+    it: he is away and at each of his tasks as often (CHANCE), the mean of his position is within SURE_Z standard
     errors, its spread within these or SAME_SPREAD.
     """
-    return _is_free(_names_and_tracks(dataset, goals=False)[1])
-
-
-def _is_free(tracks: dict[str, LoggedTrack]) -> bool:
     usual = [track for track in tracks.values() if track.followed]
     if len(usual) < LEAST_FREE:
         return False

@@ -171,7 +171,7 @@ def _check_learnable(dataset: Dataset, found: DividedRows, spec: ModelSpec) -> N
     seen = (learn.step >= 0) & np.isfinite(learn.X[:, GROUPS["human"]].sum(axis=1))  # nobody there teaches no zone
     count = int(seen.sum()) if spec.kind.names_levels else len(learn)
     if count < samples_in(LEAST_S / 2, dataset.rate_hz):
-        what = "samples on a level beside an operator" if spec.kind.names_levels else "usable samples"
+        what = "samples on a level with an operator seen" if spec.kind.names_levels else "usable samples"
         msg = f"{dataset.path}: the training executions have only {count} {what}"
         raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
     for rows, purpose in ((found.check, "for validation"), (found.held_out, "for the test")):

@@ -38,20 +38,19 @@ if TYPE_CHECKING:
 
 PAGE = "tasks.html.jinja"
 NOT_KNOWN = (
-    "Task lists hold starts and ends alone. Nothing is known of positions, distances, zones and the safety function: "
-    "this page does not say how near the operator comes to the robot, and no time in it is lost time of a safety "
-    "system by name.",
-    "What slows a task beside another one is learned as a rate, whatever the reason.",
+    "Task lists hold only starts and ends. Positions, distances, zones and the safety function are unknown: this page "
+    "does not show how near the operator comes to the robot, and attributes no lost time to the safety system.",
+    "A task's slow-down during another one is learned as a rate, whatever the reason.",
 )
 
 
 NO_MODEL = (
-    "No model was given: other plans are not estimated here, and who waits for what is not told. "
+    "No model was given: other plans are not estimated here, and who waits for what is unknown. "
     "Train one: cyclekit train DATASET --out MODEL"
 )
 _WHICH = {
     "most": "Mean times of the order that was run most.",
-    "middle": "Every order was run once: the shortest execution, that of middle length, and the longest.",
+    "middle": "Every order was run once: the shortest, the median and the longest execution.",
 }
 _NUMBER = re.compile(rf"[-−]?\d|-$|{UNKNOWN}$")
 
@@ -249,7 +248,7 @@ def _learned(card: TaskModelCard) -> Part:
             [task.agent, task.task, str(len(task.work_s)), fixed(task.usual_s, 1), waits, ", ".join(beside) or "-"]
         )
     drift = [f"{pace.said(agent)}." for agent, pace in card.pace.items()]
-    heads = ["agent", "task", "times", "mean, s", "waits for", "speed beside other tasks"]
+    heads = ["agent", "task", "times", "mean, s", "waits for", "speed during other tasks"]
     return Part("Who waits for what", drift, heads, rows)
 
 

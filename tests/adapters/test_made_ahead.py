@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cyclekit_adapters.text.delimited import TextLayout, rows_of
+from cyclekit_adapters.text.delimited import TextLayout, joined, row_blocks
 from cyclekit_adapters.text.made_ahead import AT_ONCE, BEGUN, made_ahead
 
 if TYPE_CHECKING:
@@ -87,8 +87,8 @@ def test_the_line_and_row_of_each_row_do_not_depend_on_how_a_log_is_cut_into_blo
         end = rest.find(b"\n", min(size, len(rest) - 1)) + 1 or len(rest)
         blocks.append(rest[:end])
         rest = rest[end:]
-    whole = rows_of([text], layout := TextLayout(("t", "x"), ",", 1), numbers=["t", "x"])
-    found = rows_of(blocks, layout, numbers=["t", "x"])
+    whole = joined(row_blocks([text], layout := TextLayout(("t", "x"), ",", 1), numbers=["t", "x"]))
+    found = joined(row_blocks(blocks, layout, numbers=["t", "x"]))
     assert found.frame.equals(whole.frame)
     assert found.set_aside.equals(whole.set_aside)
     assert found.rows_read == whole.rows_read == 92

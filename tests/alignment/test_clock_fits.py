@@ -198,7 +198,7 @@ def test_a_robot_that_repeats_itself_is_ambiguous_one_cycle_apart_and_this_is_sa
     assert abs(fit.second_best_s or 0.0) % 15.0 == pytest.approx(0.0, abs=0.1) or abs(
         fit.second_best_s or 0.0
     ) % 15.0 == pytest.approx(15.0, abs=0.1)
-    assert "one cycle" in "; ".join(texts(fit.warnings))
+    assert "repeats its motion" in "; ".join(texts(fit.warnings))
 
 
 def test_two_bodies_that_have_nothing_to_do_with_each_other_are_refused():

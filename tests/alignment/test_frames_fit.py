@@ -162,7 +162,7 @@ def test_the_wrong_upward_axis_shows_in_the_residual_or_not_at_all_but_the_frame
         ("log_x_m,log_y_m\n1,2\n", MissingColumns, "log_z_m"),
         ("log_x_m,log_y_m,log_z_m,base_x_m,base_y_m,base_z_m\n1,2,3,4,5\n", DamagedLog, "line 2"),
         ("log_x_m,log_y_m,log_z_m,base_x_m,base_y_m,base_z_m\n1,2,3,4,5,x\n", DamagedLog, "point 1"),
-        ("log_x_m,log_y_m,log_z_m,base_x_m,base_y_m,base_z_m\n1,2,3,4,5,inf\n", DamagedLog, "no number"),
+        ("log_x_m,log_y_m,log_z_m,base_x_m,base_y_m,base_z_m\n1,2,3,4,5,inf\n", DamagedLog, "not a number"),
         ("log_x_m,log_x_m\n1,2\n", DamagedLog, "one name"),
         ("log_x_m,log_y_m,log_z_m,base_x_m,base_y_m,base_z_m\n", ConfigError, "0 points"),
     ],

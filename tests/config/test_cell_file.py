@@ -330,8 +330,8 @@ until = "digital-input 3 cleared"
     [
         ('until = "operator leaves a"', "one of before and leaving"),
         ('before = "a"\nleaving = "b"\nuntil = "operator leaves a"', "one of before and leaving"),
-        ('before = "a"', "until what it waits is not said"),
-        ('before = "a"\nuntil = "operator sings"', "is no event"),
+        ('before = "a"', "no until: what does it wait for?"),
+        ('before = "a"\nuntil = "operator sings"', "is not an event"),
         ('before = "a"\nuntil = "robot leaves a"', "waits for itself"),
     ],
 )

@@ -101,8 +101,8 @@ def test_the_zero_of_a_planner_is_zero(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "seen"),
     [
-        ('places = ["a", "b"]', "beside places"),
-        ("", "is no time from the start of the cycle"),
+        ('places = ["a", "b"]', "together with places"),
+        ("", "is not a time since the cycle's start"),
     ],
 )
 def test_a_plan_that_cannot_be_followed_is_refused(tmp_path: Path, more: str, seen: str) -> None:

@@ -135,7 +135,7 @@ def test_a_tracker_without_a_robot_log_is_told_what_is_missing(tmp_path):
     made = logs(tmp_path / "logs", 1, people="tracker")
     (made / "session_000" / "robot.csv").unlink()
     report = ingest(made, tmp_path / "dataset")
-    assert any(text.startswith("no log is of the robot") for text in report.warnings)
+    assert any(text.startswith("there is no robot log") for text in report.warnings)
     with pytest.raises(DatasetError, match="no log of the robot was ingested") as refused:
         train_model(tmp_path / "dataset")
     assert "log of the robot's controller beside the tracker's" in refused.value.cure

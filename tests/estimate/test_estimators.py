@@ -20,7 +20,7 @@ from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.ranked import ranked
 from cyclekit.estimate.resample import wilson
 from cyclekit.estimate.rollout import estimate as estimate_validated
-from cyclekit.estimate.tracks import ENTRIES, operator_tracks, phase_is_free
+from cyclekit.estimate.tracks import ENTRIES, operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import Rolled, roll_all, roll_out
 
@@ -146,11 +146,11 @@ def test_a_cycle_that_does_not_end_within_its_track_is_not_made_up(logged: Datas
 def test_an_operator_who_roams_is_entered_at_any_phase_and_one_who_begins_with_the_robot_is_not(
     hand_made: Any, logged: Dataset
 ):
-    assert not phase_is_free(logged)
+    assert not operator_tracks(logged, horizon_s=6.0).phase_free
     t_s = np.arange(0.0, 80.0, 0.5)
     way = {float(t): (2.5 + np.sin(t / 2.3), np.cos(t / 3.1)) for t in t_s}
     found = hand_made({"a": ([0.0] * 13, way)})
-    assert phase_is_free(found)
+    assert operator_tracks(found, horizon_s=6.0).phase_free
     tracks = operator_tracks(found, horizon_s=6.0)
     count = found.executions.height
     assert len(tracks.executions) == ENTRIES * count

@@ -12,7 +12,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.rollout import estimate
-from cyclekit.estimate.tracks import ENTRIES, LoggedTrack, _is_free, phase_is_free
+from cyclekit.estimate.tracks import ENTRIES, LoggedTrack, operator_tracks, phase_is_free
 from cyclekit.estimate.whatif import Change, what_if
 
 AND_BACK = TaskSequence("and back", ("place_1", "place_2", "place_1"))
@@ -40,7 +40,9 @@ def test_where_the_model_gives_other_cycles_than_the_logged_tracks_these_are_use
 ):
     """He loses nothing for the robot at the time he keeps; entered at any instant he would be in its way."""
     following = operators(hand_made, follows=True)
-    assert phase_is_free(following)  # where he is at some instants tells nothing of that with so few executions
+    assert operator_tracks(
+        following, horizon_s=6.0
+    ).phase_free  # where he is at some instants tells nothing of that with so few executions
     (found,) = estimate(staircase, following, [AND_BACK])
     assert found.check is not None
     assert found.check.operator is not None
@@ -49,18 +51,18 @@ def test_where_the_model_gives_other_cycles_than_the_logged_tracks_these_are_use
     assert found.check.to_dict()["operator"]["as_logged"] is True
     assert found.tracks == EXECUTIONS
     assert found.safety_loss_s < 0.01
-    assert "logged tracks are used from their beginning" in "".join(found.warnings)
+    assert "tracks are used from their beginning" in "".join(found.warnings)
     unchecked = replace(found.check, operator=replace(found.check.operator, z=0.0))
     (model,) = estimate(staircase, following, [AND_BACK], check=unchecked)
     assert model.tracks == ENTRIES * EXECUTIONS
     assert model.safety_loss_s > 0.2
-    assert "logged tracks" not in "".join(model.warnings)
+    assert "tracks are used" not in "".join(model.warnings)
 
 
 def test_a_change_and_a_plan_rest_on_the_same_tracks_as_the_estimate(hand_made: Any, staircase: Any):
     following = operators(hand_made, follows=True)
     check = check_rollout(staircase, following)
-    assert phase_is_free(following)
+    assert operator_tracks(following, horizon_s=6.0).phase_free
     change = Change("slower", (0.0, 0.5), (1.2,))
     (changed,) = what_if(staircase, following, [AND_BACK], [change], check=check)
     assert changed.before.tracks == changed.after.tracks == EXECUTIONS
@@ -72,13 +74,13 @@ def test_a_change_and_a_plan_rest_on_the_same_tracks_as_the_estimate(hand_made: 
 
 def test_an_operator_who_keeps_no_time_with_the_cycle_is_entered_at_any_instant(hand_made: Any, staircase: Any):
     roaming = operators(hand_made, follows=False)
-    assert phase_is_free(roaming)
+    assert operator_tracks(roaming, horizon_s=6.0).phase_free
     (found,) = estimate(staircase, roaming, [AND_BACK])
     assert found.check is not None
     assert found.check.operator is not None
     assert not found.check.operator.as_logged
     assert found.tracks == ENTRIES * EXECUTIONS
-    assert "logged tracks" not in "".join(found.warnings)
+    assert "tracks are used" not in "".join(found.warnings)
 
 
 def who_comes_and_goes(count: int) -> dict[str, LoggedTrack]:
@@ -100,7 +102,7 @@ def who_comes_and_goes(count: int) -> dict[str, LoggedTrack]:
 
 
 def test_long_executions_do_not_make_an_operator_seem_to_start_with_the_cycle() -> None:
-    assert _is_free(who_comes_and_goes(200))
+    assert phase_is_free(who_comes_and_goes(200))
 
 
 def who_roams(count: int, seed: int) -> dict[str, LoggedTrack]:
@@ -116,4 +118,4 @@ def who_roams(count: int, seed: int) -> dict[str, LoggedTrack]:
 
 
 def test_chance_seldom_makes_an_operator_who_roams_seem_to_start_with_the_cycle() -> None:
-    assert all(_is_free(who_roams(20, seed)) for seed in range(100))
+    assert all(phase_is_free(who_roams(20, seed)) for seed in range(100))

@@ -56,7 +56,7 @@ def test_a_cell_is_answered_from_the_robots_log_alone(
     durations = robot_alone.executions["duration_s"]
     assert found.expected_s == pytest.approx(durations.mean(), rel=0.15)
     assert NOBODY_SEEN in found.doubts
-    assert any("one logged bit" in text for text in found.warnings)
+    assert any("log one bit" in text for text in found.warnings)
     assert not any("full speed assumed" in text for text in found.warnings)
     low, high = found.expected_low_s, found.expected_high_s
     assert found.check is not None

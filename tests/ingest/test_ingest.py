@@ -309,7 +309,7 @@ def test_two_robots_and_their_trackers_in_one_folder_are_refused_with_the_cure(
         motive_log(tmp_path / "logs" / f"operator_{number}.csv", WALK)
     with pytest.raises(ConfigError, match="unclear which belong together") as caught:
         ingest([tmp_path / "logs"], tmp_path / "dataset")
-    assert "folder of its own" in str(caught.value.cure)
+    assert "its own folder" in str(caught.value.cure)
     assert not (tmp_path / "dataset").exists()
 
 

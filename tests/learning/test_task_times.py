@@ -327,7 +327,7 @@ def test_the_report_has_a_time_chart_and_who_waits_for_what_and_what_is_not_know
     words = (tmp_path / "page.md").read_text(encoding="utf-8")
     assert "operator: mount (" in words
     assert "| arm | weld | 120 |" in words
-    assert "Nothing is known of positions, distances, zones and the safety function" in words
+    assert "Positions, distances, zones and the safety function are unknown" in words
     assert "| faster | plan 3 |" in words
 
 

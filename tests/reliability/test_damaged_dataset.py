@@ -171,7 +171,7 @@ def test_a_dataset_without_checksums_is_read_as_before_and_damage_is_one_message
     del card["files"], card["card_blake3"]
     (dataset / CARD).write_text(json.dumps(card), encoding="utf-8")
     assert same(everything(dataset)[:-1], true[:-1])
-    with pytest.raises(DatasetError, match="keeps no checksums"):
+    with pytest.raises(DatasetError, match="has no checksums"):
         Dataset.open(dataset).verify()
     for name in ("samples/run_0.parquet", "tasks.parquet", "quarantine.parquet", RECORDED):
         whole = (dataset / name).read_bytes()

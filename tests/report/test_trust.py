@@ -110,4 +110,4 @@ def test_the_page_says_what_to_log_next(dataset, tmp_path):
 
 def test_a_page_on_enough_logs_lacks_nothing(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(RecordingPlan, "in_words", lambda _plan, _shown: [])
-    assert "Nothing is lacking: each task was logged" in text_of(dataset, tmp_path / "r.html")
+    assert "Nothing is missing: each task was logged" in text_of(dataset, tmp_path / "r.html")

@@ -23,6 +23,9 @@ from cyclekit_adapters.text.text_rows import INDEX, SET_ASIDE, TextRows, Wanted,
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
+    from typing import Unpack
+
+    from cyclekit_adapters.text.text_rows import ColumnArguments
 
 __all__ = [
     "INDEX",
@@ -36,46 +39,29 @@ __all__ = [
     "read_blocks",
     "read_rows",
     "row_blocks",
-    "rows_of",
     "unique",
 ]
 
 
-def read_rows(
-    path: Path,
-    layout: TextLayout,
-    *,
-    numbers: Sequence[str],
-    texts: Sequence[str] = (),
-    required: Sequence[str] = (),
-    any_of: Sequence[str] = (),
-) -> TextRows:
+def read_rows(path: Path, layout: TextLayout, **columns: Unpack[ColumnArguments]) -> TextRows:
     """Read the columns `numbers` (Float64) and `texts` (String) of every trustworthy row, the whole log at once.
 
     Args:
         path: The log.
         layout: How it is written.
-        numbers: Columns of numbers; an empty cell, NaN and infinity become null: unknown.
-        texts: Columns of text; an empty cell becomes null.
-        required: Columns without whose value a row is useless (its time): such rows are set aside.
-        any_of: Columns of which a row needs at least one value, where any are given.
+        columns: Which are read, as the attributes of `Wanted`.
 
     Raises:
         DamagedLog: A column asked for has its name twice, or a line is longer than any logger writes.
         LogError: The file cannot be opened.
     """
-    blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=required, any_of=any_of)
-    return joined(blocks, numbers, texts)
+    return joined(read_blocks(path, layout, **columns), columns["numbers"], columns.get("texts", ()))
 
 
 def read_blocks(
     path: Path,
     layout: TextLayout,
-    *,
-    numbers: Sequence[str],
-    texts: Sequence[str] = (),
-    required: Sequence[str] = (),
-    any_of: Sequence[str] = (),
+    **columns: Unpack[ColumnArguments],
 ) -> Iterator[TextRows]:
     """Yield what `read_rows` returns, some tens of thousands of rows at a time, for logs of any size.
 
@@ -83,7 +69,7 @@ def read_blocks(
         DamagedLog: A column asked for has its name twice, or a line is longer than any logger writes.
         LogError: The file cannot be opened.
     """
-    wanted = Wanted(numbers, texts, required, any_of)
+    wanted = Wanted(**columns)
     for name in wanted.columns:
         if f"{name}#2" in layout.names:
             cause = f"two columns are called {name!r}: the name is ambiguous"
@@ -96,40 +82,18 @@ def read_blocks(
         raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its permissions.") from error
 
 
-def rows_of(
-    blocks: Iterable[bytes],
-    layout: TextLayout,
-    *,
-    numbers: Sequence[str],
-    texts: Sequence[str] = (),
-    required: Sequence[str] = (),
-    first_line: int = 1,
-) -> TextRows:
-    """Read rows as `read_rows` does, out of lines with their line ends: a section of a file of several tables.
+def row_blocks(
+    blocks: Iterable[bytes], layout: TextLayout, *, first_line: int = 1, **columns: Unpack[ColumnArguments]
+) -> Iterator[TextRows]:
+    """Yield rows as `read_blocks` does, from lines with their line ends: a section of a file of several tables.
 
     Args:
         blocks: Whole lines of UTF-8 text, in pieces of any size; the first `layout.header_lines` of them are no rows.
         layout: How they are written.
-        numbers: As in `read_rows`.
-        texts: As in `read_rows`.
-        required: As in `read_rows`.
         first_line: Line of the file that the first of these is.
+        columns: As in `read_rows`.
     """
-    rows = row_blocks(blocks, layout, numbers=numbers, texts=texts, required=required, first_line=first_line)
-    return joined(rows, numbers, texts)
-
-
-def row_blocks(
-    blocks: Iterable[bytes],
-    layout: TextLayout,
-    *,
-    numbers: Sequence[str],
-    texts: Sequence[str] = (),
-    required: Sequence[str] = (),
-    first_line: int = 1,
-) -> Iterator[TextRows]:
-    """Yield what `rows_of` returns, piece by piece."""
-    parser = RowParser(layout, Wanted(numbers, texts, required), line=first_line, skip=layout.header_lines)
+    parser = RowParser(layout, Wanted(**columns), line=first_line, skip=layout.header_lines)
     yield from parser.rows(blocks)
 
 

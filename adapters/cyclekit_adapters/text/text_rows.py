@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Required, TypedDict
 
 import polars as pl
 
@@ -50,6 +50,15 @@ class Wanted:
     def columns(self) -> list[str]:
         """Return each column once."""
         return list(dict.fromkeys([*self.numbers, *self.texts]))
+
+
+class ColumnArguments(TypedDict, total=False):
+    """The attributes of `Wanted` as arguments."""
+
+    numbers: Required[Sequence[str]]
+    texts: Sequence[str]
+    required: Sequence[str]
+    any_of: Sequence[str]
 
 
 @dataclass(frozen=True)

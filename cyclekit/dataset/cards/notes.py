@@ -135,7 +135,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "a device's and its host's stamps drift apart by more than clocks do, and no linear fit describes them"
     ),
     "clock-stamps-late": (
-        "its stamps typically lie {late_s:.2g} s above the line that aligns its clock: delays, or a poor fit"
+        "its stamps are typically {late_s:.2g} s later than the line that aligns its clock: delays, or a poor fit"
     ),
     "clock-of-host-differs": (
         "its clock runs at {rate:.4f} times the speed of its host's, which no real clock does: if its time is "
@@ -154,29 +154,29 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "aligned by the time of day of its start: accurate to about a second, so no delay can be read from it"
     ),
     "clock-motion-ambiguous": (
-        "its motion fits the robot's almost as well {away_s:+.2f} s away ({height:.0%} of the correlation): "
-        "a robot that repeats itself cannot tell one cycle from the next; log a motion that occurs once, or give sync"
+        "its motion fits the robot's almost as well {away_s:+.2f} s away ({height:.0%} of the correlation), "
+        "probably because the robot repeats its motion: log a motion that occurs only once, or give sync"
     ),
-    "clock-motion-rough": "its motion fits the robot's only roughly (correlation {correlation:.2f})",
+    "clock-motion-rough": "its motion fits the robot's poorly (correlation {correlation:.2f})",
     "clock-events-few": _events,
     "clock-events-disagree": "the events that align its clock disagree by {residual_s:.2g} s: check the pairs",
-    "clock-events-alone": "of {events} events only {used} align its clock: the others have no match",
+    "clock-events-alone": "only {used} of {events} events align its clock: the others have no match",
     "clock-events-ambiguous": (
         "its events fit the robot's almost as well {away_s:+.2f} s away ({pairs:.0%} as many pairs): "
         "the clock may be off by that; record events at uneven intervals, or give sync_events"
     ),
-    "clock-events-unmatched": "only {used} of {events} events place its clock: the others have no match",
+    "clock-events-unmatched": "only {used} of {events} events align its clock: the others have no match",
     # operator
     "tracks-linked": (
         "{ids} track ids in {frames} frames last only a frame or two: linked by motion into {tracks} tracks"
     ),
-    "positions-too-fast": "{count} positions are implausible: a person does not move faster than 20 m/s: unknown there",
+    "positions-too-fast": "{count} positions are unknown, because they imply a person faster than 20 m/s",
     "height-changes": (
         "the height of a person changes by {height_m:.1f} m: check which axis points up, and frame in cell.toml"
     ),
     "heights-unknown": "heights are unknown: distances are horizontal",
     # task lists
-    "listed-of-robot": "{tasks} tasks of the robot are not used: its log shows its tasks",
+    "listed-of-robot": "{tasks} tasks of the robot are not used: its log already shows them",
     "listed-outside": "{outside} of {tasks} tasks of the operator are outside of every execution",
     # the dataset
     "made-anew": "the existing dataset was damaged, or of another version, and was made again",
@@ -184,12 +184,12 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "source-without-log": "source {path!r} of the cell file matches no log",
     "no-positions": ("no positions of robot and people, so no motion or safety can be learned"),
     "no-robot-log": (
-        "no log is of the robot, whose motion and speed scaling are what is learned and estimated: put the log of its "
-        "controller beside the tracker's, in the folder of its session, and ingest both"
+        "there is no robot log, which training and estimates need: put the robot controller's log into the session's "
+        "folder, and ingest both"
     ),
     "logs-unpaired": (
-        "{robots} robot logs ({robot}, …) are without people, {others} logs ({other}, …) without a "
-        "robot: unclear which belong together. Put each session into a folder of its own, or give its logs the "
+        "{robots} robot logs ({robot}, …) have no log of people, {others} logs ({other}, …) no robot log: unclear "
+        "which belong together. Put each session into its own folder, or give its logs the "
         "same name in their folders (robot/a.csv, tracker/a.csv)"
     ),
     # the speed scaling
@@ -204,28 +204,30 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         f"(median), at best {_later(values)}; if the clocks are farther apart, give clock_offset_s or sync in cell.toml"
     ),
     "override-not-compared": lambda values: (
-        f"{_overrides(values)} not taken for the robot's speed scaling: its motion tells too little to compare"
+        f"{_overrides(values)} not taken for the robot's speed scaling: too little motion to compare them"
     ),
-    "input-slows": "while {signal} is {state}, the robot runs at {percent} % speed at most, wherever the operator is",
+    "input-slows": (
+        "while {signal} is {state}, the robot runs at {percent} % speed at most, independent of the operator's position"
+    ),
     "operator-signal": (
-        "{signal} = {occupied} is taken as a person's presence: the speed answers {delay_s:.2f} s later, and with it "
-        "{explained:.0%} of the lost time is explained; if it tells of nobody, name the right ones: "
+        "{signal} = {occupied} is taken as a person's presence: the speed responds {delay_s:.2f} s later, and "
+        "{explained:.0%} of the lost time is explained; if that is wrong, name the right signals: "
         "[[operator_signals]] in cell.toml"
     ),
     "signals-follow": (
-        "no signal was found that tells of people; {signals} change with the speed, but {late_s:.2f} s after it, as a "
-        "lamp does: a field that is logged so late is taken where [[operator_signals]] in cell.toml names it"
+        "no signal of people was found; {signals} change {late_s:.2f} s after the speed, as a lamp does: "
+        "if it is a field that is logged late, name it under [[operator_signals]] in cell.toml"
     ),
     "people-mixed": (
         "positions of people are known in {positions} executions, signals of them in {signals}, neither in {neither}: "
-        "`train` learns from what more executions have, and says so"
+        "`train` uses the kind that more executions have"
     ),
     "tracker-empty": lambda values: (
         f"tracker logs with a header and no rows: {values['absent']} sessions count as nobody there"
         + (f", {values['unknown']} as unknown (silence in cell.toml says which)" if values["unknown"] else "")
     ),
     "people-learned": (
-        "learned from {what} of people in {used} executions; {left} executions hold {other} alone and are left out: "
+        "learned from {what} of people in {used} executions; {left} executions with {other} only are left out: "
         "train --people {other} learns from those"
     ),
     "operator-unseen": (

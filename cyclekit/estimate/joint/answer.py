@@ -222,9 +222,7 @@ class JointAnswers:
 def _left_out(cycles: RolledBoth, cell: JointCell) -> list[str]:
     """Return what the cycles of a plan leave out, one sentence each."""
     until_s, part = longest_s(cycles.plan), cycles.left_out
-    ended = (
-        f"{part:.1%} of the cycles are left out: nobody can go on in them, or they do not end within {until_s:.0f} s"
-    )
+    ended = f"{part:.1%} of the cycles are left out: they end in a deadlock or do not end within {until_s:.0f} s"
     return [*([ended] if part else []), *unbrought(cycles.plan, cell.coupling)]
 
 

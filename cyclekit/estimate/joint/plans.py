@@ -90,9 +90,9 @@ class Planner:
             found = [name for name, went in self._went.items() if self._counted(went) == mine]
         if not found:
             visits = ", ".join(f"{place} {n} times" for place, n in sorted(self._counted(sequence.places).items()))
-            seen = f"{sequence.shown}: in no logged execution the robot went to {visits or 'these places'}"
+            seen = f"{sequence.shown}: in no logged execution did the robot visit {visits or 'these places'}"
             raise EstimateError(
-                f"{seen}, so it is not known what the operator does meanwhile",
+                f"{seen}, so the operator's tasks during this work are unknown",
                 cure='Name his places, operator = ["...", "..."], or plan for both: [[sequence.task]].',
             )
         return [tuple(visit.place for visit in self._cell.segments.orders[name]) for name in found]

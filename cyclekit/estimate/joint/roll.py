@@ -265,7 +265,7 @@ def _stuck(plan: Plan, walked: JointCycles, row: int, columns: EventColumns) -> 
             missing = [need.event for need in leg.needs if np.isinf(walked.events_s[row, columns.needed(need.event)])]
             where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
             told.append(f"{agenda.agent} waits {where} until {' and '.join(shown(event) for event in missing)}")
-    return "nobody can go on: " + "; ".join(told)
+    return "deadlock: " + "; ".join(told)
 
 
 def unbrought(plan: Plan, coupling: CouplingCard | None) -> list[str]:

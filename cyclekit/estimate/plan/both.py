@@ -136,7 +136,7 @@ def best_of_both(
     pairs, looked = both.pairs()
     if not pairs:
         raise EstimateError(
-            f"{jobs.shown}: in none of the orders both can go on to the end",
+            f"{jobs.shown}: every order ends in a deadlock of robot and operator",
             cure="Give the operator the jobs that the robot waits for, and the other way round.",
         )
     tell(0.5, f"rolling out the best {len(pairs)}, and {RANDOM} drawn ones")

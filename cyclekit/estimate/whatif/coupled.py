@@ -23,17 +23,15 @@ def altered_coupling(change: Change, card: CouplingCard | None) -> CouplingCard 
     where = f"change {change.name!r}"
     if card is None or not card.coupled:
         if change.waits_change:
-            seen = f"{where}: in these logs nobody waits for anybody"
+            seen = f"{where}: these logs show no waits of robot or operator for each other"
             raise EstimateError(seen, cure="Train on a dataset with tracks of both: cyclekit train DATASET --out MODEL")
         return None
     if change.frequency is not None or change.base_m is not None:
-        seen = f"{where}: frequency or base, and the operator of this cell works with the robot"
+        seen = f"{where}: frequency and base are not supported in cells where robot and operator wait for each other"
         raise EstimateError(seen, cure="Change faster, places or the safety function.")
     if change.no_wait or set(change.faster) - {"operator"}:
-        seen = f"{where}: no_wait and a faster robot are of task lists, and this cell has positions"
-        raise EstimateError(
-            seen, cure="Name a wait in without_waits; how fast the robot moves is what its levels allow."
-        )
+        seen = f"{where}: no_wait and a faster robot are for models of task lists, but this cell has positions"
+        raise EstimateError(seen, cure="Name a wait in without_waits; change the levels for a faster robot.")
     known = {shown(gate): gate for gate in card.gates if gate.conditions}
     if missing := [name for name in change.without_waits if name not in known]:
         raise UnknownName(where, "wait", missing[0], known)

@@ -173,13 +173,15 @@ def _beyond(rule: RuleCard, limit: LimitCard, distance: str, metres: float) -> f
 
 
 def _notes(rule: RuleCard, given: Separation, rows: Sequence[Margin], latency_s: float | None) -> list[str]:
-    told = ["thresholds are between logged points, TCP or link to tracked point; other parts of either may be nearer"]
+    told = ["thresholds are between logged points, TCP or link to tracked point; other parts of both may be nearer"]
     if any(limit.within.rectangles for limit in rule.limits):
         told.append("rectangles are not compared: their distance to the robot depends on where it is")
     if any(row.margin_m is None for row in rows):
-        told.append("distances to the robot's base are not compared: the robot's reach is not in them")
+        told.append("distances to the robot's base are not compared: they do not include the robot's reach")
     if latency_s is not None and latency_s > given.reaction_time_s + 0.02:
         told.append(f"the logs show a reaction time of {latency_s:.2f} s, the one given is {given.reaction_time_s:g} s")
     if any(len(each) == 1 < len(rows) for each in (given.stopping_time_s, given.stopping_distance_m)):
-        told.append("one stopping time or distance is taken for every speed; give one for each threshold if it is less")
+        told.append(
+            "one stopping time or distance is used for every speed; give one for each threshold if lower ones apply"
+        )
     return told

@@ -27,14 +27,14 @@ def with_other_signals(change: Change, model: SafetyModel) -> RuleSafety:
         EstimateError: The model has no rule on signals, or the rule does not ask this signal.
     """
     if not isinstance(model, RuleSafety) or not model.card.operator_signals:
-        seen = f"change {change.name!r}: signals are of a rule on signals of people, and the model has none"
+        seen = f"change {change.name!r}: signals needs a rule on signals of people, and the model has none"
         raise EstimateError(seen, cure="Train with --model auto on logs with signals of people, or leave signals out.")
     asked = [(limit.scaling, signal) for limit in model.rule.limits for signal in limit.within.signals]
     for wanted in change.signals:
         known = list(dict.fromkeys(signal.signal for _, signal in asked))
         if wanted.signal not in known:
-            seen = f"change {change.name!r}: the rule does not ask signal {wanted.signal!r}"
-            raise EstimateError(seen, cure=f"It asks: {', '.join(known)}.")
+            seen = f"change {change.name!r}: the rule does not use signal {wanted.signal!r}"
+            raise EstimateError(seen, cure=f"It uses: {', '.join(known)}.")
         asked = [_changed(wanted, level, card) if card.signal == wanted.signal else (level, card)
                  for level, card in asked]  # fmt: skip
     scalings = sorted({level for level, _ in asked})

@@ -153,7 +153,7 @@ class ModelSpec:
             or not (self.weight_decay or 0) >= 0
         ):
             msg = f"test, validation and freezing part {parts}, seed {self.seed}, weight decay {self.weight_decay}"
-            raise ConfigError(msg, cure="Parts lie between 0 and 1; seed and weight decay are not negative.")
+            raise ConfigError(msg, cure="Shares must be between 0 and 1; seed and weight decay must not be negative.")
 
     def _check_extras(self) -> None:
         for name, kinds in (("balance", Balance), ("optimiser", Optimiser), ("features", Features), ("target", Target)):

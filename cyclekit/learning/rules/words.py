@@ -57,7 +57,7 @@ def verdict(found: RuleSearch) -> str:
         said = f"{kind_of(found.rule)} explains {found.rule.explained:.2%} of held-out samples"
         return f"{said} (commanded level{rival})"
     if not found.explained:
-        return "no rule was looked for: too few executions"
+        return "no rule was searched: too few executions"
     best = max(found.explained, key=lambda name: found.explained[name])
     return f"no simple rule explains the commanded level; best: {best} ({found.explained[best]:.1%}{rival})"
 
@@ -75,8 +75,8 @@ def _law(law: LawCard) -> list[str]:
         f"does not exceed the distance of the operator {_TO[law.distance]}",
         f"{_speed(law.lowest)} nearer than {slowest_m:.3f} m, full speed from {full_m:.3f} m on",
         f"by ISO/TS 15066: C + v_h T_r = {law.stop.value:.3f} m, v_p (T_r + v_h / a) = {law.linear.value:.3f} m, "
-        f"v_p^2 / (2 a) = {law.square.value:.3f} m with v_p the programmed speed; logs of the scaling do not tell more",
-        f"reaction time {law.latency_s:.3f} s; rate of change {', '.join(limited) or 'not limited as far as was seen'}",
+        f"v_p^2 / (2 a) = {law.square.value:.3f} m with v_p the programmed speed; the log determines no more",
+        f"reaction time {law.latency_s:.3f} s; rate of change {', '.join(limited) or 'no limit seen'}",
     ]
 
 

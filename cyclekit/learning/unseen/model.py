@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 XYZ = ["robot_x_m", "robot_y_m", "robot_z_m"]
 NOBODY_SEEN = (
-    "ROBOT LOG ALONE: no log shows people, so the logged speed stands for an unseen operator, whose place is not "
-    "known, and with it most of what the order of tasks changes"
+    "ROBOT LOG ALONE: no log shows people; the operator's position is unknown, and so is most of the effect of the "
+    "task order"
 )
 ONE_BIT = (
-    "one logged bit of a scanner, light curtain or door (log it as an input of the robot) would tell when people "
-    "come and go apart from where the robot is, and narrow the intervals"
+    "for narrower intervals, log one bit of a scanner, light curtain or door as an input of the robot: it shows when "
+    "people come and go"
 )
 UNSEEN_ERROR = 0.4
 """What an order changes as people are where they are is not told by a robot's log alone. In cells in which it is known

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -114,6 +115,16 @@ def test_every_room_stands_on_a_floor() -> None:
     assert rooms - {"__init__", "__main__"} == set(FLOOR), (
         "say in FLOORS where the new room stands, and in docs/architecture.md"
     )
+
+
+def test_the_page_of_the_architecture_shows_these_floors_and_modules_that_exist() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \d+ \| (.*?) \|", page, re.MULTILINE)
+    assert [set(re.findall(r"`(\w+)/?`", row)) for row in rows] == FLOORS
+    asked = page.partition("## Where is")[2].partition("\n## ")[0]
+    named = {name for name in re.findall(r"`([\w/]+(?:\.py|/))`", asked) if "/" in name}
+    assert named
+    assert [name for name in sorted(named) if not any((ROOT / top / name).exists() for top in ("", "cyclekit"))] == []
 
 
 def test_the_house_stays_small() -> None:

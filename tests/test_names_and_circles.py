@@ -63,6 +63,22 @@ def test_no_module_leads_back_to_itself() -> None:
         raise AssertionError(" -> ".join(error.args[1])) from None
 
 
+def test_no_room_leads_back_to_itself() -> None:
+    """A drawing of the rooms of cyclekit shows one way down; imports within functions count too."""
+    rooms = defaultdict[str, set[str]](set)
+    for module in modules():
+        package, _, path = module.partition(".")
+        if package == "cyclekit" and path:
+            imports = [node for node in ast.walk(modules()[module]) if isinstance(node, ast.ImportFrom)]
+            names = [str(node.module).split(".") for node in imports]
+            rooms[path.split(".")[0]] |= {name[1] for name in names if name[0] == "cyclekit" and len(name) > 1}
+    graph = {room: {other for other in others if other != room} for room, others in rooms.items()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        raise AssertionError(" -> ".join(error.args[1])) from None
+
+
 def test_values_without_a_type_stay_where_files_are_read_and_written() -> None:
     folder = PACKAGES["cyclekit"]
     files = {file.relative_to(folder).as_posix(): file for file in folder.rglob("*.py")}

@@ -1,1 +1,6 @@
-"""Expected cycle time per task sequence, out of a learned safety function and logged operator tracks."""
+"""Expected cycle times of task sequences: from a learned safety function and logged operator tracks.
+
+In: a dataset, a model, sequences. Out: estimates with intervals (`rollout`), the best order (`plan`), cycle times of a
+changed cell (`whatif`); cells with waits and task lists in `joint` and `task_times`. `estimators` lists the estimators.
+Used by `api`, `report` and `inspect`.
+"""

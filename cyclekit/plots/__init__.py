@@ -1,4 +1,5 @@
-"""Pictures of what was learned, as SVG or PNG files: levels, calibration, accuracy. matplotlib is imported here only.
+"""Pictures that stand alone, as SVG, PNG or PDF files or from `.plot()`: levels, zones, time charts, trainings.
 
-Figures of the report are the report's own; these stand alone.
+In: arrays and plain values. Out: matplotlib figures. Also the one colour scale of speed and the labels of places. The
+report's own figures are in `report.figures`. Every room above may use it.
 """

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from cyclekit.config import Furniture
-    from cyclekit.dataset.dataset import Place
 
 CLOSE_M = 0.6
 """Neighbours of one family further apart than this keep their own labels."""
@@ -32,25 +31,37 @@ class PlaceLabel:
     xyz_m: tuple[float, float, float]
 
 
+class ShownPlace(Protocol):
+    """What a picture needs of a place."""
+
+    @property
+    def shown(self) -> str:
+        """Its text."""
+
+    @property
+    def xyz_m(self) -> tuple[float, float, float]:
+        """Its centre, base frame."""
+
+
 @dataclass(frozen=True)
 class CellOnFloor:
     """What stands in a cell: places of the robot and of the operator, boxes of the cell file; by name, base frame."""
 
-    places: Mapping[str, Place] = field(default_factory=dict)
-    human_places: Mapping[str, Place] = field(default_factory=dict)
+    places: Mapping[str, ShownPlace] = field(default_factory=dict)
+    human_places: Mapping[str, ShownPlace] = field(default_factory=dict)
     furniture: Mapping[str, Furniture] = field(default_factory=dict)
 
 
-def place_labels(places: Mapping[str, Place]) -> list[PlaceLabel]:
+def place_labels(places: Mapping[str, ShownPlace]) -> list[PlaceLabel]:
     """Return the labels of `places`, families of close numbered places under one."""
-    families: dict[str, list[Place]] = {}
+    families: dict[str, list[ShownPlace]] = {}
     for place in places.values():
         found = _NUMBERED.match(place.shown)
         families.setdefault(f"{found['stem']}#" if found else place.shown, []).append(place)
     return [label for family in families.values() for label in _labels(family)]
 
 
-def _labels(family: list[Place]) -> list[PlaceLabel]:
+def _labels(family: list[ShownPlace]) -> list[PlaceLabel]:
     family = sorted(family, key=lambda place: (len(place.shown), place.shown))
     points = np.array([place.xyz_m for place in family])
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -17,14 +17,33 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.plots.drawing import Drawing
-    from cyclekit.scaling.levels import Staircase
 
 _SHOWN_S = 120.0
 """Length of the stretch that is drawn over time."""
 
 
-def levels_figure(scaling: NDArray[np.float64], found: Staircase, *, rate_hz: float) -> Drawing:
-    """Return a picture of a stretch of the scaling with its levels, and of the time on each level beside it.
+class FoundLevels(Protocol):
+    """What a picture needs of a staircase, as in `cyclekit.scaling.levels.Staircase`."""
+
+    @property
+    def levels(self) -> NDArray[np.float64]:
+        """Shape (P,), ascending."""
+
+    @property
+    def label(self) -> NDArray[np.int32]:
+        """Level of each sample, shape (T,); -1 = none."""
+
+    @property
+    def share(self) -> NDArray[np.float64]:
+        """Share of the samples on each level, shape (P,)."""
+
+    @property
+    def slider(self) -> NDArray[np.float64] | None:
+        """The operator's slider, shape (T,); None = not in use."""
+
+
+def levels_figure(scaling: NDArray[np.float64], found: FoundLevels, *, rate_hz: float) -> Drawing:
+    """Return a picture of a stretch of the scaling with its levels, and of the time on each level.
 
     Args:
         scaling: What the staircase was found in, shape (T,); NaN = unknown.
@@ -48,7 +67,7 @@ def levels_figure(scaling: NDArray[np.float64], found: Staircase, *, rate_hz: fl
     return figure
 
 
-def _over_time(axes: Axes, values: NDArray[np.float64], found: Staircase, rate_hz: float) -> None:
+def _over_time(axes: Axes, values: NDArray[np.float64], found: FoundLevels, rate_hz: float) -> None:
     """Every sample of the liveliest stretch in the colour of its speed; in transition it is small and grey."""
     part = slice(*_liveliest(values, round(_SHOWN_S * rate_hz)))
     at_s, shown = np.arange(part.stop - part.start) / rate_hz, values[part]
@@ -61,7 +80,7 @@ def _over_time(axes: Axes, values: NDArray[np.float64], found: Staircase, rate_h
     axes.set(xlabel="time, s", ylabel="robot speed (scaling)", title=f"{at_s[-1] if at_s.size else 0:.0f} s of the log")
 
 
-def _shares(axes: Axes, found: Staircase) -> None:
+def _shares(axes: Axes, found: FoundLevels) -> None:
     """A bar per level: its part of all samples."""
     share = 100 * np.asarray(found.share)
     gaps = np.diff(found.levels)
@@ -77,7 +96,7 @@ def _shares(axes: Axes, found: Staircase) -> None:
     axes.set_title(f"{found.levels.size} levels;\n{rest:.0f} % in transition or unknown", loc="left")
 
 
-def draw_levels(path: Path, scaling: NDArray[np.float64], found: Staircase, *, rate_hz: float) -> None:
+def draw_levels(path: Path, scaling: NDArray[np.float64], found: FoundLevels, *, rate_hz: float) -> None:
     """Write that picture to `path`, `.svg`, `.png` or `.pdf`; the other arguments as of `levels_figure`."""
     write_figure(path, levels_figure(scaling, found, rate_hz=rate_hz))
 

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from cyclekit.dataset.cards import TrainingCard
     from cyclekit.plots.gantt import Block
 
 CHART_IN = 11.0
@@ -53,33 +52,42 @@ def executions_figure(duration_s: Sequence[float], parts: Mapping[str, Sequence[
     return figure
 
 
-def training_figure(card: TrainingCard) -> Drawing:
-    """Return the error over the epochs of a training, and how much of the time the logs spend on each level."""
+def training_figure(
+    epochs: Sequence[tuple[int, float]],
+    levels: Sequence[tuple[float, float]],
+    *,
+    held_out: float | None,
+    constant: float | None,
+) -> Drawing:
+    """Return the error over the epochs of a training, and how much of the time the logs spend on each level.
+
+    Args:
+        epochs: Number of each, and mean squared error on the validation part after it.
+        levels: Level, and its share of the samples learned from.
+        held_out: Mean squared error on the executions held out; None = unknown.
+        constant: That of the mean of all samples.
+    """
     with plain_style():
         figure = Drawing(9.0, 3.4)
-        error, levels = figure.subplots(1, 2, width_ratios=(3, 2))
-        _error(error, card)
-        shares = card.levels or ()
-        speed = [each.value for each in shares]
+        error, shares = figure.subplots(1, 2, width_ratios=(3, 2))
+        _error(error, epochs, held_out, constant)
+        speed = [level for level, _ in levels]
         gap = float(np.diff(speed).min()) if len(speed) > 1 else 0.2
-        levels.barh(speed, [each.share for each in shares], height=0.7 * gap, color=[*map(colours.scaling_hex, speed)])
-        levels.xaxis.set_major_formatter(PercentFormatter(1.0))
-        levels.yaxis.set_major_formatter(PercentFormatter(1.0))
-        levels.set(ylim=(-0.15, 1.15), xlabel="part of the samples learned from", ylabel="robot speed (scaling)")
-        levels.set_yticks(speed or [0, 0.5, 1])
+        shares.barh(speed, [share for _, share in levels], height=0.7 * gap, color=[*map(colours.scaling_hex, speed)])
+        shares.xaxis.set_major_formatter(PercentFormatter(1.0))
+        shares.yaxis.set_major_formatter(PercentFormatter(1.0))
+        shares.set(ylim=(-0.15, 1.15), xlabel="share of the training samples", ylabel="robot speed (scaling)")
+        shares.set_yticks(speed or [0, 0.5, 1])
     return figure
 
 
-def _error(axes: Axes, card: TrainingCard) -> None:
-    history = card.history or ()
-    epochs = [each.epoch for each in history]
-    axes.plot(
-        epochs, [each.validation_mse for each in history], "o-", color=colours.NOMINAL, label="validation executions"
-    )
-    if card.metrics is not None:
-        axes.axhline(card.metrics.mse_mean, color=colours.PREDICTED, linewidth=1.2, label="executions held out")
-        if card.metrics.mse_constant is not None:
-            axes.axhline(card.metrics.mse_constant, color=MUTED, linestyle="--", label="always the mean")
+def _error(axes: Axes, epochs: Sequence[tuple[int, float]], held_out: float | None, constant: float | None) -> None:
+    numbers, errors = [number for number, _ in epochs], [error for _, error in epochs]
+    axes.plot(numbers, errors, "o-", color=colours.NOMINAL, label="validation executions")
+    if held_out is not None:
+        axes.axhline(held_out, color=colours.PREDICTED, linewidth=1.2, label="held-out executions")
+    if constant is not None:
+        axes.axhline(constant, color=MUTED, linestyle="--", label="mean of all samples")
     axes.set(xlabel="epoch", ylabel="mean squared error", ylim=(0, None))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(axis="y")

@@ -3,8 +3,8 @@
     facts = compose_report(dataset, model, Path("report.html"), estimates=estimates, evaluation=evaluation)
     write_pdf(facts.path, Path("report.pdf"))
 
-The page names what is missing; that is not an error. Besides `plots`, only this package imports matplotlib; only it
-imports jinja2.
+In: a dataset, and a model, estimates and their validation if there are any. Out: a page (`page`), or its content as
+data. The page names what is missing; that is not an error. A figure is one module in `figures`. Used by `api` and `fleet`.
 """
 
 from __future__ import annotations

@@ -86,7 +86,13 @@ class TrainedModel(Result):
         """Return the error over the epochs and the levels of the logs learned from, as a matplotlib figure."""
         from cyclekit.plots.results import training_figure
 
-        return training_figure(self.card)
+        metrics = self.card.metrics
+        return training_figure(
+            [(one.epoch, one.validation_mse) for one in self.card.history or ()],
+            [(one.value, one.share) for one in self.card.levels or ()],
+            held_out=None if metrics is None else metrics.mse_mean,
+            constant=None if metrics is None else metrics.mse_constant,
+        )
 
     @one_thread()
     def predict(self, X: NDArray[np.floating[Any]]) -> Floats:

@@ -15,7 +15,7 @@ class AdapterList(Result):
 
     Attributes:
         adapters: Of each: name, package, version, and what it reads.
-        left_out: Those that could not be used, with the reason.
+        left_out: Adapters that could not be used, with the reason.
     """
 
     adapters: tuple[dict[str, str], ...]

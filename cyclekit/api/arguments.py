@@ -1,4 +1,4 @@
-"""Arguments of public functions are checked by their annotations, so that a wrong one is named where it was given."""
+"""Arguments of public functions are checked by their annotations, and a wrong one is named."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def checked(function: Callable[P, R], home: str | None = None, name: str | None 
 
     Raises:
         WrongType: An argument is not of the annotated type.
-        UnknownName: A text is none of those of a `Literal`.
+        UnknownName: A text is not one of a `Literal`.
     """
     known = signature(function)
 
@@ -56,7 +56,7 @@ def _check(function: str, name: str, value: object, kind: Any) -> None:  # noqa:
 
 
 def fits(value: object, kind: Any) -> bool:  # noqa: ANN401
-    """Tell whether a value is of an annotated type; items of sequences are looked at too."""
+    """Tell whether a value has an annotated type, including items of sequences."""
     origin = get_origin(kind)
     if origin in (Union, UnionType):
         return any(fits(value, one) for one in get_args(kind))
@@ -76,7 +76,7 @@ def fits(value: object, kind: Any) -> bool:  # noqa: ANN401
 
 
 def expected(kind: Any) -> str:  # noqa: ANN401
-    """Return an annotated type as a person reads it: `str, Path or Dataset`."""
+    """Return an annotated type as text: `str, Path or Dataset`."""
     names = list(dict.fromkeys(_named(one) for one in _members(kind)))
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
 

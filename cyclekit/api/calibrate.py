@@ -1,4 +1,4 @@
-"""`calibrate_tracker`: where the tracker stands, from points that robot and tracker both touched."""
+"""`calibrate_tracker`: the pose of the tracker, from points that robot and tracker both touched."""
 
 from __future__ import annotations
 

@@ -55,19 +55,19 @@ def estimate_cycles(
     Args:
         model: A model, its folder or its URL; one of task times answers plans for robot and operator.
         dataset: Logs that hold the tasks and the operator's tracks; a dataset, its folder or its URL.
-        sequences: What is asked for: sequences, or the sequence file.
+        sequences: Sequences, or the sequence file.
         out: Also write the result here, `.json`, `.csv` or `.xlsx`.
         gantt: Also draw a time chart here, `.svg`, `.png` or `.pdf`.
-        estimator: `rollout`, `average`, `history` or `nominal`; None: what suits the model.
-        quantiles: Levels in (0, 1) of single cycles.
-        takt_s: Also tell the probability that a cycle takes no longer, s.
-        seed: Of the resampling behind the intervals.
-        extrapolate: Answer although most of it was never logged; the number is marked.
+        estimator: `rollout`, `average`, `history` or `nominal`; None: the one that suits the model.
+        quantiles: Quantiles of single cycles, each in (0, 1).
+        takt_s: Takt time, s; adds the share of cycles within it.
+        seed: Of the resampling for the intervals.
+        extrapolate: Answer even if most of the cycle is outside logged positions; the number is marked.
         validate: Validate on logged executions, and correct the bias.
-        check: That validation, if it was made before (`CycleEstimates.check`).
-        other_cell: Answer by a model of another cell too, or one that is far off on these logs.
-        engine: Where sequences are walked; same numbers from each.
-        progress: Told fraction and text.
+        check: An earlier validation (`CycleEstimates.check`).
+        other_cell: Accept a model of another cell, or one with a large bias on these logs.
+        engine: Where sequences are simulated; each gives the same numbers.
+        progress: Called with the fraction done and a text.
 
     Returns:
         The estimates. A sequence that cannot be answered from these logs is in `refused`, with the reason.
@@ -76,7 +76,7 @@ def estimate_cycles(
         EstimateError: None of the sequences can be answered.
         ModelError: The model does not predict what the estimator needs, or is of another cell.
         UnknownName: A place or the estimator does not exist.
-        CyclekitError: Something that was given cannot be read, or the result cannot be written.
+        CyclekitError: An input cannot be read, or the result cannot be written.
     """
     file = path_of(out)
     ending = "" if file is None else file.suffix.lower()
@@ -130,7 +130,7 @@ def estimate_cycles(
 def with_plan(
     error: EstimateError, model: SafetyModel | TaskTimesModel, logs: Dataset, wanted: Sequence[TaskSequence]
 ) -> EstimateError:
-    """Return an error with what to log next in its cure, so that these sequences can be answered."""
+    """Return an error whose cure says what to log to answer these sequences."""
     if isinstance(model, TaskTimesModel) or any(one.plan for one in wanted):
         return error
     try:

@@ -1,4 +1,4 @@
-"""`evaluate_model`: how well a model predicts executions it never saw; `evaluate_models`: several, side by side."""
+"""`evaluate_model`: the errors of a model on held-out executions; `evaluate_models`: of several models."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ def evaluate_model(
     other_cell: bool = False,
     progress: Progress | None = None,
 ) -> Evaluation:
-    """Judge a model on executions that it never saw, beside baselines.
+    """Judge a model on held-out executions, and compare it with baselines.
 
     Args:
         model: A model, its folder or its URL.
-        dataset: With the scaling known: a dataset, its folder or its URL.
-        trained_on: Dataset of the training, where `dataset` is newer: then `drift` says what has changed since.
+        dataset: A dataset with known scaling, its folder or its URL.
+        trained_on: Dataset of the training, if `dataset` is newer; `drift` then says what has changed.
         boosting: Also fit scikit-learn's gradient boosting, which takes a few seconds.
-        other_cell: Judge a model of another cell too.
-        progress: Told fraction and text.
+        other_cell: Accept a model of another cell.
+        progress: Called with the fraction done and a text.
 
     Raises:
         DatasetError: No sample can be judged.
@@ -60,10 +60,10 @@ def evaluate_task_times(
     """Compare a model of task times with logged executions.
 
     Args:
-        model: Of task times: a model, its folder or its URL.
+        model: A model of task times, its folder or its URL.
         dataset: Of task lists.
-        trained_on: Dataset of the training, where `dataset` is newer: then `drift` says whether the pace has changed.
-        progress: Told the fraction done.
+        trained_on: Dataset of the training, if `dataset` is newer; `drift` then says whether the pace has changed.
+        progress: Called with the fraction done.
 
     Raises:
         ModelError: The model is of another kind.
@@ -80,7 +80,7 @@ class ModelComparison(Result, Mapping[str, Evaluation]):
 
     Attributes:
         evaluations: One for each model.
-        together: Whether a folder of models was asked for, be there one in it.
+        together: Whether a folder of models was given, even with only one model.
     """
 
     evaluations: Mapping[str, Evaluation]
@@ -126,16 +126,16 @@ def evaluate_models(
     engine: Engine = LOCAL,
     progress: Progress | None = None,
 ) -> ModelComparison:
-    """Judge the model, or every model of a folder of several, as `evaluate_model` does.
+    """Judge a model, or every model in a folder, as `evaluate_model` does.
 
     Args:
         model: A model or a folder of several, by path or URL.
         dataset: Folder or URL of the dataset.
         trained_on: Dataset of the training.
         boosting: Also fit gradient boosting.
-        other_cell: Judge models of another cell too.
-        engine: Where they are judged, and how many at the same time.
-        progress: Told fraction and text.
+        other_cell: Accept models of another cell.
+        engine: Where, and how many at the same time.
+        progress: Called with the fraction done and a text.
 
     Raises:
         CyclekitError: As of `evaluate_model`.

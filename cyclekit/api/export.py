@@ -19,7 +19,7 @@ class ExportedModel(Result):
 
     Attributes:
         path: The ONNX file.
-        difference: Largest difference between onnxruntime and our own prediction; None where it could not be checked.
+        difference: Largest difference between onnxruntime and our own prediction; None if it could not be checked.
     """
 
     path: Path
@@ -36,7 +36,7 @@ class ExportedModel(Result):
 
 @checked
 def export_model(model: TrainedModel | Place, out: Place) -> ExportedModel:
-    """Write a model as an ONNX file, checked against our own prediction where onnxruntime is installed.
+    """Write a model as an ONNX file, checked against our own prediction if onnxruntime is installed.
 
     Args:
         model: A feed-forward model, its folder or its URL.
@@ -45,7 +45,7 @@ def export_model(model: TrainedModel | Place, out: Place) -> ExportedModel:
     Raises:
         MissingExtra: The package onnx is not installed.
         ModelError: The model is recurrent or has inputs that may be unknown, or the file does not predict the same.
-        OutputError: The file would replace the model, or what is no ONNX file of cyclekit's.
+        OutputError: The file would replace the model, or a file that is not an ONNX file of cyclekit.
     """
     file = Path(out)
     check_output(file, "onnx", [place_of(model)], endings=(".onnx",))

@@ -23,7 +23,7 @@ class GateVerdict(Result):
     Attributes:
         takt_s: The takt time, s.
         confidence: Share of the cycles that must be within the takt.
-        sure: Whether the lower end of the 95 % interval must reach that part, too.
+        sure: Whether the lower end of the 95 % interval must reach that share, too.
         estimates: Of the sequences that were judged.
     """
 
@@ -101,16 +101,16 @@ def gate_takt(
     Args:
         model: As of `estimate_cycles`; so are `dataset`, `sequences`, `seed`, `extrapolate`, `validate`, `other_cell`.
         dataset: The logs.
-        sequences: What is judged: sequences, or the sequence file.
+        sequences: Sequences, or the sequence file.
         takt_s: Takt time, s.
-        confidence: Which part of the cycles must be within it, in (0, 1).
-        sure: The lower end of the 95 % interval of that part must reach it, too.
-        sequence: Judge this one alone, by its name.
+        confidence: Share of the cycles that must be within it, in (0, 1).
+        sure: The lower end of the 95 % interval of that share must reach it, too.
+        sequence: Judge only the sequence of this name.
         seed: Of the resampling.
-        extrapolate: Answer although most of it was never logged.
+        extrapolate: Answer even if most of the cycle is outside logged positions.
         validate: Validate on logged executions, and correct the bias.
-        other_cell: Answer by a model of another cell too.
-        progress: Told fraction and text.
+        other_cell: Accept a model of another cell.
+        progress: Called with the fraction done and a text.
 
     Raises:
         ConfigError: The confidence is not between 0 and 1.

@@ -1,4 +1,4 @@
-"""What was given, opened: a place is read, and what is open already is taken as it is."""
+"""Arguments, opened: paths are read, open objects are taken as they are."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ Changes = Place | Change | Sequence[Change]
 
 
 def model_of(given: SafetyModel | Place) -> SafetyModel:
-    """Return a safety function; of a trained model the rule beside it, if it has one, else its network.
+    """Return a safety function: the rule of a trained model if it has one, else its network.
 
-    One learned from a robot's log alone is a safety function of states.
+    A model of a robot log alone is a safety function of states.
     """
     if isinstance(given, str | Path) and holds_unseen(given):
         return load_unseen(given)
@@ -34,13 +34,13 @@ def model_of(given: SafetyModel | Place) -> SafetyModel:
 
 
 def estimator_model(given: SafetyModel | TaskTimesModel | Place) -> SafetyModel | TaskTimesModel:
-    """Return what an estimate asks: a safety function, or task times learned from task lists."""
+    """Return the model for an estimate: a safety function, or task times learned from task lists."""
     times = times_of(given)
     return times if times is not None else model_of(given)  # type: ignore[arg-type]  # it is no other
 
 
 def times_of(given: object) -> TaskTimesModel | None:
-    """Return a model of task times, opened; None where it is another thing."""
+    """Return a model of task times, opened; None if it is another model."""
     if isinstance(given, str | Path) and holds_task_times(given):
         return load_task_times(given)
     return given if isinstance(given, TaskTimesModel) else None
@@ -52,21 +52,21 @@ def trained_of(given: TrainedModel | Place) -> TrainedModel:
 
 
 def sequences_of(given: Sequences) -> list[TaskSequence]:
-    """Return sequences; those of a file where a path is given."""
+    """Return sequences, read from a file if a path is given."""
     if isinstance(given, str | Path):
         return load_sequences(Path(given))
     return [given] if isinstance(given, TaskSequence) else list(given)
 
 
 def changes_of(given: Changes) -> list[Change]:
-    """Return changes; those of a file where a path is given."""
+    """Return changes, read from a file if a path is given."""
     if isinstance(given, str | Path):
         return load_changes(Path(given))
     return [given] if isinstance(given, Change) else list(given)
 
 
 def jobs_of(given: Jobs | TaskJobs | Place) -> Jobs:
-    """Return what is to be visited; that of a file where a path is given.
+    """Return the jobs, read from a file if a path is given.
 
     Raises:
         ConfigError: These are tasks of both agents.
@@ -78,7 +78,7 @@ def jobs_of(given: Jobs | TaskJobs | Place) -> Jobs:
 
 
 def task_jobs_of(given: Jobs | TaskJobs | Place) -> TaskJobs:
-    """Return the work of both agents; that of a file where a path is given.
+    """Return the work of both agents, read from a file if a path is given.
 
     Raises:
         ConfigError: These are places to visit.
@@ -92,7 +92,7 @@ def task_jobs_of(given: Jobs | TaskJobs | Place) -> TaskJobs:
 
 
 def refuse_baseline(baseline: str | None, names: Sequence[str]) -> None:
-    """Refuse a baseline that is none of the sequences, before anything is computed.
+    """Refuse a baseline that is not one of the sequences, before anything is computed.
 
     Raises:
         UnknownName: There is no sequence of that name.
@@ -102,7 +102,7 @@ def refuse_baseline(baseline: str | None, names: Sequence[str]) -> None:
 
 
 def place_of(given: object) -> Path | str | None:
-    """Return where something lies that an output must not replace; None where it lies nowhere."""
+    """Return the place of an input, which no output may replace; None if it has none."""
     if isinstance(given, str | Path):
         return given
     return given.place if isinstance(given, Dataset) else None

@@ -26,11 +26,11 @@ from cyclekit.text.results import Result
 
 @dataclass(frozen=True, repr=False)
 class StartedProject(Result):
-    """A project that was begun; as a frame one row per log.
+    """A new project; as a frame one row per log.
 
     Attributes:
         file: The project file.
-        project: What it says.
+        project: Its content.
         logs: Of each log found: its name, and the adapter that reads it.
         not_read: Files that no adapter reads, with the reason.
         written: Every file that was written.
@@ -55,19 +55,19 @@ class StartedProject(Result):
 def start_project(
     logs: Place = ".", folder: Place = ".", *, name: str = "", takt: str | None = None, follow_links: bool = False
 ) -> StartedProject:
-    """Look at a folder of logs and write the project file for it, with a cell file where there is none.
+    """Look at a folder of logs and write its project file, and a cell file if there is none.
 
-    Where `folder` holds a dataset already, the sequence file is written as well: the order logged most often.
+    If `folder` already holds a dataset, the sequence file is written too: the order logged most often.
 
     Args:
         logs: Folder of logs.
-        folder: Where the project file goes, and later the dataset, the model and the results.
+        folder: Folder of the project file, and later of the dataset, the model and the results.
         name: Title of the report; empty: the name of the folder.
         takt: Takt time, as `105s`.
-        follow_links: Look at what links in the folder of logs lead to outside of it.
+        follow_links: Follow links that lead out of the folder of logs.
 
     Raises:
-        LogError: There is nothing there, or nothing that can be read.
+        LogError: The path does not exist, or nothing there can be read.
         OutputError: There is a project file already.
         ConfigError: The takt is no duration, or the cell file beside the logs cannot be followed.
     """
@@ -171,10 +171,10 @@ def _shown(path: Path, home: Path) -> str:
 
 
 def first_sequences(dataset: Dataset, project: Project) -> Path | None:
-    """Write the sequence file of a project where none is: the order logged most often; None where one is.
+    """Write the sequence file of a project, with the order logged most often; None if there is one already.
 
     Raises:
-        DatasetError: No whole execution was logged.
+        DatasetError: No complete execution was logged.
     """
     file = Path(project.sequences)
     if file.exists():
@@ -186,12 +186,12 @@ def first_sequences(dataset: Dataset, project: Project) -> Path | None:
 
 
 def first_sequence(dataset: Dataset) -> tuple[TaskSequence, int, int]:
-    """Return the order of tasks that was logged most often, how often, and how many whole executions there are.
+    """Return the order of tasks logged most often, how often, and the number of complete executions.
 
     Task lists alone give a plan for both agents.
 
     Raises:
-        DatasetError: No whole execution was logged.
+        DatasetError: No complete execution was logged.
     """
     if dataset.holds_task_lists_alone:
         orders: list[Any] = _listed(dataset)

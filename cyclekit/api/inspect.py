@@ -1,4 +1,4 @@
-"""`inspect_logs`: what a log, a folder of logs, a dataset or a model is; `draft_cell`: the cell file that fits logs.
+"""`inspect_logs`: a log, a folder of logs, a dataset or a model, described; `draft_cell`: the cell file that fits logs.
 
 `plan_recordings` says what to log next.
 """
@@ -30,7 +30,7 @@ class CellDraft(Result):
     Attributes:
         cell: Its text (TOML).
         unsure: How many of its lines are guesses, marked `# ?`.
-        out: Where it was written; None where it was not.
+        out: Where it was written; None if not written.
     """
 
     cell: str
@@ -58,20 +58,20 @@ def inspect_logs(
     verify: bool = False,
     progress: Progress | None = None,
 ) -> Description:
-    """Say what is at `path`: logs, a dataset or a model, told apart by content.
+    """Describe what is at `path`: logs, a dataset or a model, recognised by content.
 
     Args:
         path: A file, a folder, or the URL of a dataset or model.
-        cell: Cell file that says how logs are read; by default the one beside them.
-        sequences: Of a dataset, what is to be estimated: what to log next is told for these.
-        follow_links: Look at what links in a folder of logs lead to outside of it.
-        verify: Also check that every file of a dataset is as it was written.
-        progress: Told the fraction done and what is being looked at.
+        cell: Cell file with settings for reading the logs; default: the one beside them.
+        sequences: For a dataset: say what to log next to estimate these.
+        follow_links: Follow links that lead out of a folder of logs.
+        verify: Also check that every file of a dataset is unchanged.
+        progress: Called with the fraction done and what is being read.
 
     Raises:
-        LogError: There is nothing there, or nothing that can be read.
+        LogError: The path does not exist, or nothing there can be read.
         ConfigError: The cell file cannot be followed.
-        DatasetError: The dataset is of another schema version, or a file of it is not as it was written.
+        DatasetError: The dataset is of another schema version, or one of its files was changed.
         ModelError: The model is of another schema version, or damaged.
     """
     count = Dataset.open(path).verify() if verify else None
@@ -87,12 +87,12 @@ def inspect_logs(
 
 @checked
 def plan_recordings(dataset: Dataset | Place, sequences: Sequences = (), *, within: float = WITHIN) -> RecordingPlan:
-    """Return what to log next: missing and rare tasks as orders to be logged, and how many executions are needed.
+    """Return what to log next: orders with missing and rare tasks, and the number of executions needed.
 
     Args:
         dataset: The logs so far: a dataset, its folder or its URL.
-        sequences: What is to be estimated: sequences, or the sequence file; without any, the tasks that were logged.
-        within: Half of the 95 % interval of the mean cycle time that is wanted, as a part of the mean.
+        sequences: The sequences to estimate, or the sequence file; default: the logged tasks.
+        within: Wanted half width of the 95 % interval of the mean cycle time, as a share of the mean.
 
     Raises:
         DatasetError: It holds no robot tasks.
@@ -105,15 +105,15 @@ def plan_recordings(dataset: Dataset | Place, sequences: Sequences = (), *, with
 
 @checked
 def draft_cell(logs: Place, out: Place | None = None, *, follow_links: bool = False) -> CellDraft:
-    """Return the cell file that fits logs; a draft where a table is unknown.
+    """Return the cell file for logs; a draft if a table is unknown.
 
     Args:
         logs: A log or a folder of logs.
-        out: Also write it here; a file that is there is never replaced.
-        follow_links: Look at what links in the folder lead to outside of it.
+        out: Also write it here; an existing file is never replaced.
+        follow_links: Follow links that lead out of the folder.
 
     Raises:
-        LogError: There is nothing there, or nothing that can be read.
+        LogError: The path does not exist, or nothing there can be read.
         OutputError: `out` exists.
         CyclekitError: It cannot be written.
     """

@@ -31,12 +31,12 @@ class ScalingLevels(Result):
 
     Attributes:
         method: How they were found.
-        levels: Ascending; rounded where that is no further than their error.
-        means: Mean of the samples on each; empty where it is not known.
-        share: Part of the samples on each.
-        noise: Standard deviation of a sample on a level; None where it is not known.
+        levels: Ascending; rounded if within their error.
+        means: Mean of the samples on each; empty if unknown.
+        share: Share of the samples on each.
+        noise: Standard deviation of a sample on a level; None if unknown.
         is_staircase: Whether the scaling is a staircase at all.
-        picture: Where they were drawn; None where they were not.
+        picture: The picture; None if not drawn.
         warnings: What limits the answer, one sentence each.
     """
 
@@ -68,13 +68,13 @@ def find_levels(dataset: Dataset | Place, *, method: str = "plateau", picture: P
 
     Args:
         dataset: A dataset, its folder or its URL.
-        method: How levels are found, by its name in `scaling.levels.FINDERS`; `plateau` looks at the order in time.
+        method: Name of the method in `scaling.levels.FINDERS`; `plateau` uses the order in time.
         picture: Also draw them: a .svg, .png or .pdf file.
 
     Raises:
         UnknownName: There is no such method.
         DatasetError: There is no dataset, or it has neither positions nor an override.
-        OutputError: The picture would replace the dataset, or what is no picture of cyclekit's.
+        OutputError: The picture would replace the dataset, or a file that is not a picture of cyclekit.
     """
     if method not in (PLATEAU, *FINDERS):
         raise UnknownName("self-labelling", "method", method, (PLATEAU, *FINDERS))

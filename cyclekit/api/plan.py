@@ -1,4 +1,4 @@
-"""`plan_order`: the order of the same work that takes least time."""
+"""`plan_order`: the order of the same work with the least cycle time."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ def plan_order(
     Args:
         model: A model of problem `now` or of task times, its folder or its URL.
         dataset: Logs that hold the tasks of at least one allowed order, and the operator's tracks.
-        jobs: What is to be visited, and what comes first: jobs, or the jobs file. For a model of task times the
-            tasks of both agents.
+        jobs: Places to visit and precedence constraints: jobs, or the jobs file. For a model of task times
+            the tasks of both agents.
         out: Also write the order here, as a sequence file (`.toml`), or all of it as a workbook (`.xlsx`; not for a
             model of task times).
         seed: Of the search and the resampling.
         validate: As of `estimate_cycles`.
         check: As of `estimate_cycles`.
         other_cell: As of `estimate_cycles`.
-        progress: Told fraction and text.
+        progress: Called with the fraction done and a text.
 
     Raises:
-        ModelError: The model predicts something else than the present scaling, or is of another cell.
+        ModelError: The model does not predict the present scaling, or is of another cell.
         UnknownName: A place does not exist.
         EstimateError: Every allowed order needs a task that was never logged, or there is no operator track.
     """

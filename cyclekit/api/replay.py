@@ -27,7 +27,7 @@ def write_replay(
     other_cell: bool = False,
     progress: Progress | None = None,
 ) -> ReplayFacts:
-    """Write the replay of one execution, or of several side by side.
+    """Write the replay of one or several executions.
 
     Args:
         dataset: A dataset, its folder or its URL.
@@ -35,8 +35,8 @@ def write_replay(
         out: The .rrd file; an existing one is replaced when the new one is complete.
         model: Model of problem `now` whose prediction and zones, by its rule if it has one, are shown beside the log.
         at: What plays first: `slowdown` (the costliest), `error` (the model's worst), or a time in s.
-        other_cell: Show the prediction of a model of another cell too.
-        progress: Told fraction and text.
+        other_cell: Accept a model of another cell.
+        progress: Called with the fraction done and a text.
 
     Raises:
         UnknownName: The dataset has no such execution.

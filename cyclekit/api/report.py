@@ -1,4 +1,4 @@
-"""`write_report`: the page that an integrator hands to the customer, with all that is asked for computed for it."""
+"""`write_report`: the page for the customer, with everything it needs computed."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ _ENDINGS: dict[str, Format] = {
 
 
 class Looks(TypedDict, total=False):
-    """How a page looks beside its numbers, by the names of `write_report`."""
+    """The look of a page, by the argument names of `write_report`."""
 
     takt_s: float | None
     baseline: str | None
@@ -123,33 +123,33 @@ def write_report(
     evaluation: Evaluation | None = None,
     progress: Progress | None = None,
 ) -> ReportFacts:
-    """Write one self-contained file: the cycle times, where they go, why, what would help, and how sure that is.
+    """Write one self-contained file: cycle times, where the time goes, why, what would help, and how reliable that is.
 
     Args:
         dataset: The logs: a dataset, its folder or its URL.
         out: The file; an existing one is replaced when the new one is complete.
-        model: Trained model; without it the page is about the logs alone. One of task times has a page of its own.
-        sequences: Whose estimates go into the page: sequences, or the sequence file.
-        what_if: Tried on the sequences: changes, or files of them (`CHANGES.toml`). Or what was computed before:
+        model: Trained model; without it the page covers only the logs. A model of task times gives another page.
+        sequences: The sequences to estimate, or the sequence file.
+        what_if: Changes of the sequences, or files of changes (`CHANGES.toml`). Or earlier results:
             `FILE.json` of `what_if`, `LABEL=FILE.json` of `estimate_cycles`.
-        jobs: Work whose quickest order is searched, estimated and changed with the sequences.
-        takt_s: Takt time that the cycles are held against, s.
-        baseline: Name of the sequence that the others are held against; by default what was logged most.
-        kind: `html`, `json`, `csv`, `md` or `xlsx`; by default by the ending of `out`.
-        pdf: Also print the page here, by an installed browser.
-        template: Folder whose files take the place of the page's own.
+        jobs: Work whose fastest order is searched; it is estimated and changed like the sequences.
+        takt_s: Takt time to compare the cycles with, s.
+        baseline: Name of the sequence to compare the others with; default: the order logged most.
+        kind: `html`, `json`, `csv`, `md` or `xlsx`; default: by the suffix of `out`.
+        pdf: Also print the page here, with an installed browser.
+        template: Folder with files that replace the page's own.
         cell_name: Title of the page; the dataset's name where not given.
         validate: Validate on logged executions, and correct the bias.
-        extrapolate: Answer although most of it was never logged.
-        other_cell: The model may be of another cell.
+        extrapolate: Answer even if most of the cycle is outside logged positions.
+        other_cell: Accept a model of another cell.
         play: Let the reader of the HTML page try other orders, thresholds, recovery rates and visits per hour.
-        estimates: Of `sequences`, if they were asked for before: they are not computed again.
-        evaluation: Of the model, if it was judged before.
-        progress: Told fraction and text.
+        estimates: Earlier estimates of `sequences`, which are then not computed again.
+        evaluation: An earlier evaluation of the model.
+        progress: Called with the fraction done and a text.
 
     Raises:
-        ConfigError: Estimates are asked for without a model, or changes without sequences.
-        CyclekitError: Something that was asked for cannot be computed or read, or the file cannot be written.
+        ConfigError: Estimates without a model, or changes without sequences.
+        CyclekitError: A requested part cannot be computed or read, or the file cannot be written.
     """
     file, printed = Path(out), None if pdf is None else Path(pdf)
     chosen: Format = kind or _ENDINGS.get(file.suffix.lower(), "html")

@@ -1,4 +1,4 @@
-"""`simulate_logs`: vendor-format logs of a simulated cell, with the truth beside them."""
+"""`simulate_logs`: vendor-format logs of a simulated cell, with the ground truth."""
 
 from __future__ import annotations
 
@@ -47,16 +47,16 @@ def simulate_logs(
         scene: Which cell: box-picking, pick-and-package, laser-zones, scanner-visits; scanner-fields, light-curtain;
             shared-fixture, handover, fed-line.
         out: Folder for the logs.
-        executions: How many times the process runs.
-        seed: Of everything that is drawn.
+        executions: Number of executions.
+        seed: Of all random draws.
         settings: Fields of `cyclekit_sim.SimulationOptions`, such as `delta_m` (tracker noise) or `robot_rate_hz`;
-            `causes`: True for all causes of lost time beside the operator; `rule` may be the path of a rule file.
-        progress: Told fraction and text.
+            `causes`: True for all causes of lost time other than the operator; `rule` may be the path of a rule file.
+        progress: Called with the fraction done and a text.
 
     Raises:
         MissingExtra: What the simulator needs is not installed.
         CyclekitError: The simulator refuses the settings, or the logs cannot be written.
-        OutputError: The folder holds what is no simulation.
+        OutputError: The folder holds something other than a simulation.
     """
     need("the simulator", "simulate")
     from cyclekit_sim import MixedCauses, SimulationOptions, read_rule, simulate

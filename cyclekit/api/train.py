@@ -39,20 +39,20 @@ def train_model(
     """Learn from a dataset when the robot slows down.
 
     Args:
-        dataset: With a speed scaling, logged or inferred, and positions of robot and operator. Where no log shows
-            people the model is one of an unseen operator: it answers estimates, and knows no positions of people.
+        dataset: A dataset with speed scaling, logged or inferred, and positions of robot and operator. If no log shows
+            people, the model is one of an unseen operator: it gives estimates, but knows no positions of people.
         spec: What to train; None: `ModelSpec.of()`.
-        rules: Also look for the simplest rule that explains the commanded level, for the problem now; where there is
-            one, estimates ask it in place of the network.
-        people: What tells of people: positions, signals, or what more executions have.
-        out: Also put it there: a folder or a URL.
+        rules: For problem `now`, also search the simplest rule that explains the commanded level; if there is one,
+            estimates use it instead of the network.
+        people: Information on people: positions, signals, or the kind that more executions have.
+        out: Also write it there: a folder or a URL.
         engine: Where it is trained, if `out` is given; else in this process.
-        progress: Told the fraction done and the validation error after every epoch.
+        progress: Called after every epoch with the fraction done and the validation error.
 
     Raises:
         DatasetError: The dataset lacks what training needs; the message says what.
         MissingExtra: torch is not installed.
-        OutputError: The model would replace what is no model, or lie in the dataset.
+        OutputError: The model would replace something other than a model, or be inside the dataset.
         CyclekitError: The model cannot be written.
     """
     wanted = spec or ModelSpec.of()
@@ -77,17 +77,17 @@ def train_seeds(
     engine: Engine = LOCAL,
     progress: Progress | None = None,
 ) -> dict[str, TrainedModel | UnseenOperator]:
-    """Train one model for each seed, and put each into `out`/seed-N; by that place, in the order of the seeds.
+    """Train one model per seed and write each to `out`/seed-N; return them by that place, in the order of the seeds.
 
     Args:
         dataset: As of `train_model`.
         seeds: Of the splits and the trainings.
         out: A folder or a URL for all of them.
-        spec: What to train; its seed does not count.
+        spec: What to train; its seed is ignored.
         rules: As of `train_model`.
         people: As of `train_model`.
-        engine: Where they are trained, and how many at the same time.
-        progress: Told the fraction done.
+        engine: Where, and how many at the same time.
+        progress: Called with the fraction done.
 
     Raises:
         CyclekitError: As of `train_model`.
@@ -104,17 +104,17 @@ def train_seeds(
 def train_task_times(
     dataset: Dataset | Place, *, out: Place | None = None, seed: int = 0, progress: Progress | None = None
 ) -> TaskTimesModel:
-    """Learn from task lists how long tasks take beside each other, and what each waits for.
+    """Learn from task lists how long tasks take during each other, and what each waits for.
 
     Args:
-        dataset: Made of task lists of both agents; positions are not needed.
-        out: Also put it there: a folder or a URL.
-        seed: Of what is drawn.
-        progress: Told the fraction done.
+        dataset: A dataset of task lists of both agents; positions are not needed.
+        out: Also write it there: a folder or a URL.
+        seed: Of the random draws.
+        progress: Called with the fraction done.
 
     Raises:
         DatasetError: It holds too few complete executions.
-        OutputError: The model would replace what is no model, or lie in the dataset.
+        OutputError: The model would replace something other than a model, or be inside the dataset.
     """
     if out is not None:
         check_output(str(out), "model", [_place(dataset)])

@@ -39,15 +39,15 @@ def what_if(
     Args:
         model: A model of problem `now` or of task times, its folder or its URL.
         dataset: The logs.
-        sequences: What is asked for: sequences, or the sequence file.
-        changes: Each by itself: changes, or the file of changes.
+        sequences: Sequences, or the sequence file.
+        changes: Changes, each applied separately, or the file of changes.
         out: Also write the result here, `.json`.
         seed: As of `estimate_cycles`; so are `extrapolate`, `validate`, `check` and `other_cell`.
-        extrapolate: Answer although most of it was never logged.
-        validate: Validate on logged executions; what it finds corrects all that rests on the learned safety function.
-        check: That validation, if it was made before.
-        other_cell: Answer by a model of another cell too.
-        progress: Told fraction and text.
+        extrapolate: Answer even if most of the cycle is outside logged positions.
+        validate: Validate on logged executions; the bias corrects results of the learned safety function.
+        check: An earlier validation.
+        other_cell: Accept a model of another cell.
+        progress: Called with the fraction done and a text.
 
     Returns:
         The answers. A change that cannot be answered from these logs is in `refused`, with the reason.
@@ -55,7 +55,7 @@ def what_if(
     Raises:
         EstimateError: A sequence as it is, or none of the changes, can be answered.
         ModelError: As of `estimate_cycles`.
-        UnknownName: A place does not exist; a change that names it is named.
+        UnknownName: A place does not exist.
     """
     file = path_of(out)
     inputs = [place_of(given) for given in (model, sequences, changes, dataset)]

@@ -28,7 +28,7 @@ _SPLIT = ("expected_s", "nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
 def need_workbook(file: Path | None) -> None:
-    """Refuse to begin where a workbook is to be written and cannot be.
+    """Fail early if a workbook is wanted and cannot be written.
 
     Raises:
         MissingExtra: XlsxWriter is not installed.

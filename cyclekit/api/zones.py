@@ -1,4 +1,4 @@
-"""`read_safety_function`: levels, thresholds and zones, read back; `cost_of_safety_function`: what each costs."""
+"""`read_safety_function`: levels, thresholds and zones, read back; `cost_of_safety_function`: their cost."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ def read_safety_function(
     seed: int = 0,
     other_cell: bool = False,
 ) -> SafetyFunction:
-    """Read the safety function back: thresholds in metres where a distance explains it, a map of the floor else.
+    """Read the safety function back: the rule or thresholds in metres if they explain it, else a map of the floor.
 
     Args:
         model: A model of problem `now` with levels, its folder or its URL.
         dataset: Logs with positions and scaling.
         out: Also draw it here, `.svg`, `.png` or `.pdf`.
-        seed: Of the resampling behind the intervals.
-        other_cell: Ask a model of another cell too.
+        seed: Of the resampling for the intervals.
+        other_cell: Accept a model of another cell.
 
     Raises:
-        ModelError: The model predicts something else than the present scaling, knows no levels, or is of another cell.
+        ModelError: The model does not predict the present scaling, knows no levels, or is of another cell.
         DatasetError: Too few samples have positions and a scaling.
     """
     file = path_of(out)
@@ -69,13 +69,13 @@ def cost_of_safety_function(
     Args:
         model: A model of problem `now` with levels, its folder or its URL.
         dataset: Logs with positions and scaling.
-        sequences: What is produced: sequences, or the sequence file.
-        found: The rule, where `read_safety_function` has read it (`SafetyFunction.commanded`); else it is read.
+        sequences: Sequences, or the sequence file.
+        found: The rule from `read_safety_function` (`SafetyFunction.commanded`); default: it is read.
         separation: Also compare the thresholds with the protective separation distance computed from this.
         seed: As of `estimate_cycles`; so are `extrapolate` and `other_cell`.
-        extrapolate: Answer although most of it was never logged.
-        other_cell: Ask a model of another cell too.
-        progress: Told fraction and text.
+        extrapolate: Answer even if most of the cycle is outside logged positions.
+        other_cell: Accept a model of another cell.
+        progress: Called with the fraction done and a text.
 
     Raises:
         ModelError: No rule explains the logs, or its distance is not known in an estimate.

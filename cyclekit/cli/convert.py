@@ -30,7 +30,7 @@ def convert(
 ) -> None:
     """Write one table of a log as Parquet or CSV: SI units, the log's own clock and frame.
 
-    For a look with other tools; `ingest` is what makes a dataset.
+    For use in other tools; to make a dataset, use `ingest`.
     """
     from cyclekit.api.convert import convert_log
 

@@ -56,8 +56,8 @@ def demo(
 ) -> None:
     """Run every step once, on a simulated cell.
 
-    Plant logs are simulated and ingested, a model is trained, three sequences are estimated; a replay and a report
-    are written. The same demo again gives the same numbers.
+    Simulates and ingests plant logs, trains a model, estimates three sequences, and writes a replay and a report.
+    Repeated, it gives the same numbers.
     """
     settings: dict[str, object] = {"operator_log": operator_log, "operator_yaw_deg": operator_yaw}
     if operator_xyz is not None:

@@ -71,8 +71,8 @@ def estimate(
     """Estimate the cycle time of task sequences, ranked among those that do the same work.
 
     Per sequence: the mean, the range of single cycles, where the time goes, and the basis of the number. A sequence
-    that cannot be answered from these logs is named with the reason, and the others are answered; if none can be, that
-    is an error.
+    that cannot be answered from these logs is listed with the reason, and the others are answered; if none can be
+    answered, the command fails.
     """
     from cyclekit.api.estimate import estimate_cycles
     from cyclekit.api.given import refuse_baseline, sequences_of

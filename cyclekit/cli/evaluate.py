@@ -32,9 +32,9 @@ def evaluate(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure a model on held-out executions, beside baselines.
+    """Measure a model on held-out executions, compared with baselines.
 
-    On newer logs with --trained-on: whether safety function or habits changed.
+    On newer logs, --trained-on shows whether the safety function or the operator's habits have changed.
     """
     from cyclekit.api.evaluate import evaluate_models, evaluate_task_times
     from cyclekit.learning.task_times.saved import holds_task_times

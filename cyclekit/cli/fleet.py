@@ -31,7 +31,7 @@ def fleet(
 ) -> int:
     """Process the new logs of every cell of a fleet.
 
-    WHAT is ingest, train, report or all. A cell that fails is reported and the others go on; the exit code is then 1.
+    WHAT is ingest, train, report or all. A failed cell is reported and the others continue; the exit code is then 1.
     """
     from cyclekit.fleet import run_fleet
 

@@ -42,7 +42,7 @@ def gate(
 ) -> int:
     """Judge whether enough cycles are within the takt.
 
-    For CI: exit code 0 if every sequence in the file passes, 1 if one fails, 2 if that cannot be told.
+    For CI: exit code 0 if every sequence in the file passes, 1 if one fails, 2 if that is unknown.
     """
     from cyclekit.api.gate import gate_takt
 

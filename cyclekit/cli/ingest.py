@@ -47,7 +47,7 @@ def ingest(
 ) -> None:
     """Read logs of any supported kind into one dataset.
 
-    The same command again re-reads nothing that has not changed.
+    Repeated, it reads only what has changed.
     """
     from cyclekit.api.ingest import ingest_logs
     from cyclekit.errors import ConfigError, LogError

@@ -30,8 +30,8 @@ def init(
 ) -> None:
     """Look at a folder of logs and write cyclekit.toml here.
 
-    It says where logs, dataset, model, sequences and report lie. In its folder commands find there what is left out,
-    and `cyclekit run` brings all of it up to date. A cell file is written where none is.
+    The file holds the paths of logs, dataset, model, sequences and report. In its folder, commands take missing
+    arguments from it, and `cyclekit run` brings everything up to date. Also writes a cell file if there is none.
     """
     from cyclekit.api.init import start_project
 

@@ -27,7 +27,7 @@ def levels(
 ) -> None:
     """Find the levels of the speed scaling: how many, at which values.
 
-    Each execution is looked at for itself, never across a gap. Levels fixed in the cell file are only counted.
+    Each execution is searched separately, never across a gap. Levels set in the cell file are only counted.
     """
     from cyclekit.api.levels import find_levels
 

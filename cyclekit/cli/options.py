@@ -63,7 +63,7 @@ def new_app() -> typer.Typer:
         name="cyclekit",
         help=(
             "Cycle times of human-robot cells, estimated from their logs.\n\n"
-            "The way: ingest logs, train on the dataset, estimate sequences; then replay and report."
+            "Workflow: ingest logs, train on the dataset, estimate sequences; then replay and report."
         ),
         epilog="\b\nStart here:\n  cyclekit demo --out out/",
         rich_markup_mode=None,

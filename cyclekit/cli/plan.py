@@ -34,8 +34,8 @@ def plan(
 ) -> None:
     """Search the order of tasks with the least cycle time.
 
-    All orders where they are few; else greedy, Monte Carlo and a local search.
-    Says what the order saves against the logged ones.
+    Tries all orders if they are few; else a greedy, Monte Carlo and local search.
+    Prints what the order saves compared with the logged ones.
     """
     from cyclekit.api.plan import plan_order
     from cyclekit.estimate.plan.task_orders import TaskOrderPlan

@@ -45,9 +45,9 @@ def replay(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a Rerun recording of one execution, or of several side by side.
+    """Write a Rerun recording of one or several executions.
 
-    Robot, operator, places and speed scaling, in 3-D and over time; with the prediction of a model if one is given.
+    Shows robot, operator, places and speed scaling, in 3-D and over time; with the prediction of a model if given.
     """
     from cyclekit.api.replay import write_replay
     from cyclekit.replay import open_viewer, serve

@@ -58,7 +58,7 @@ def report(
 ) -> None:
     """Write the page for the customer.
 
-    One self-contained file: the cycle times, where they go, why, what would help, and how sure that is.
+    One self-contained file: cycle times, where the time goes, why, what would help, and how reliable that is.
     """
     from cyclekit.api.report import write_report
 

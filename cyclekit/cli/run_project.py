@@ -25,8 +25,8 @@ def run(
 ) -> int:
     """Bring a project up to date: ingest, train, estimate, report.
 
-    Only what changed since the last run is done again. A step that fails is reported, and the rest goes on where it
-    can; the exit code is then 1.
+    Repeats only the steps whose inputs changed. A failed step is reported, and the others continue if possible; the
+    exit code is then 1.
     """
     from cyclekit.fleet.project import run_project
 

@@ -28,7 +28,7 @@ def trace(
 ) -> None:
     """Show the lines of the logs that a sample was made from.
 
-    Robot: the row it was taken from. People and events: the rows around it.
+    Robot: the source row. People and events: the rows around it.
     """
     at_s = seconds(at)
     from cyclekit.api.trace import trace_sample

@@ -85,10 +85,10 @@ def train(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Learn from a dataset when the robot slows down.
+    """Learn the safety function from a dataset.
 
-    The override is inferred where it was not logged; its levels are found; a network is trained and judged on
-    executions held out from it.
+    Finds the levels of the speed scaling, searches a rule, trains a network, and measures both on held-out
+    executions.
     """
     horizon_s = None if horizon is None else seconds(horizon)
     if problem == "now" and horizon_s is not None:

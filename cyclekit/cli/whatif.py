@@ -43,9 +43,9 @@ def whatif(
 ) -> None:
     """Estimate cycle times in a changed cell. No safety proof.
 
-    Single thresholds and edges of the model's rule, another staircase or zones, reaction time, ramps and hysteresis, a
-    moved base or place, an operator who comes more or less often. A change that cannot be answered from these logs is
-    named with the reason, and the others are answered; if none can be, that is an error.
+    Changes: thresholds and edges of the model's rule, another staircase or zones, reaction time, ramps and hysteresis,
+    a moved base or place, more or fewer visits of the operator. A change that cannot be answered from these logs is
+    listed with the reason, and the others are answered; if none can be answered, the command fails.
     """
     from cyclekit.api.whatif import what_if
 

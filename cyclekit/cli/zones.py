@@ -29,7 +29,7 @@ And what each centimetre costs, with the margin to S_p:
 def zones(
     model: ModelPlace,
     dataset: DatasetPlace,
-    out: Annotated[Path | None, typer.Option(help="Also draw it here, as SVG.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Also draw it here: SVG, PNG or PDF.")] = None,
     cost: Annotated[
         Path | None,
         typer.Option(help="Sequence file: also print what each centimetre costs.", metavar="SEQUENCES.toml"),
@@ -56,8 +56,8 @@ def zones(
 ) -> None:
     """Read the safety function back: levels, thresholds, zones.
 
-    The rule in words where a simple one explains the commanded level; else the best thresholds on a distance and a map
-    of the floor. --cost: what each number of the rule costs. No safety proof.
+    Prints the rule if a simple one explains the commanded level; else the best thresholds on a distance and a map of
+    the floor. --cost: what each number of the rule costs. No safety proof.
     """
     from cyclekit.api.zones import cost_of_safety_function, read_safety_function
 

@@ -4,7 +4,7 @@
     write_pdf(facts.path, Path("report.pdf"))
 
 In: a dataset, and a model, estimates and their validation if there are any. Out: a page (`page`), or its content as
-data. The page names what is missing; that is not an error. A figure is one module in `figures`. Used by `api` and `fleet`.
+data. The page names what is missing; that is not an error. A figure is one module in `figures`. Used by `api`, `fleet`.
 """
 
 from __future__ import annotations

@@ -45,8 +45,8 @@ def test_a_note_is_read_as_it_was_written(values: dict[str, Any]) -> None:
 
 def test_a_number_that_was_taken_out_leaves_a_gap_in_the_sentence() -> None:
     late = note("clock-stamps-late", late_s=0.25)
-    assert "lie 0.25 s above" in late.text
-    assert "lie … s above" in changed(late, str.upper, lambda number: "…").text
+    assert "typically 0.25 s later" in late.text
+    assert "typically … s later" in changed(late, str.upper, lambda number: "…").text
 
 
 @pytest.fixture

@@ -83,7 +83,7 @@ def test_the_other_kind_is_chosen_by_name_and_a_model_keeps_to_its_own(partly_tr
     learned = partly_tracked.by_people("positions")
     assert not by_signals(learned)
     assert not by_signals(learned.only(["session_a.001", "session_b.001"]))
-    assert texts(mixed(learned))[0].endswith("8 executions hold signals alone and are left out: train --people signals "
+    assert texts(mixed(learned))[0].endswith("8 executions with signals only are left out: train --people signals "
                                              "learns from those")  # fmt: skip
     of_positions, of_signals = TrainingCard(), TrainingCard(operator_signals=partly_tracked.card.operator_signals)
     assert not by_signals(as_learned_by(of_positions, partly_tracked))

@@ -11,6 +11,7 @@ with the speed v_h of a person, the reaction time T_r, the deceleration a of the
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import pairwise
 
 import msgspec
@@ -25,6 +26,7 @@ Points = tuple[tuple[float, float], ...]
 
 DISTANCES = ("tcp", "tcp-floor", "base", "link")
 """Of the operator: to the TCP, to the TCP on the floor, to the base on the floor, to the nearest link of the arm."""
+_SLACK_M = 1e-6
 
 
 class Rectangle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -36,9 +38,10 @@ class Rectangle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def holds(self, point_m: Array, margin_m: float) -> Bools:
         """Return which points (B, 3) lie in it, its edges moved outwards."""
-        turn = np.deg2rad(self.turned_deg)
-        along = point_m[:, 0] * np.cos(turn) + point_m[:, 1] * np.sin(turn)
-        across = point_m[:, 1] * np.cos(turn) - point_m[:, 0] * np.sin(turn)
+        along, across = point_m[:, 0], point_m[:, 1]
+        if self.turned_deg:
+            turn = np.deg2rad(self.turned_deg)
+            along, across = along * np.cos(turn) + across * np.sin(turn), across * np.cos(turn) - along * np.sin(turn)
         inside = (along >= self.x_m[0] - margin_m) & (along <= self.x_m[1] + margin_m)
         return np.asarray(inside & (across >= self.y_m[0] - margin_m) & (across <= self.y_m[1] + margin_m))
 
@@ -99,10 +102,9 @@ class Limit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             found &= apart(self.distance, at) <= self.below_m + margin_m
         if self.rectangle is not None:
             found &= self.rectangle.holds(at.person_m, margin_m)
-        if self.polygon_m:
-            found &= in_polygon(self.polygon_m, at.person_m, margin_m)
-        if self.robot_polygon_m:
-            found &= in_polygon(self.robot_polygon_m, at.tcp_m, margin_m)
+        for polygon, point_m in ((self.polygon_m, at.person_m), (self.robot_polygon_m, at.tcp_m)):
+            if polygon and found.any():  # polygons are dear: only where all else holds
+                found[found] = in_polygon(polygon, point_m[found], margin_m)
         return found
 
 
@@ -194,16 +196,43 @@ def apart(distance: str, at: SafetyInputs) -> Array:
 
 def in_polygon(corners: Points, point_m: Array, margin_m: float) -> Bools:
     """Return which points (B, 3) lie in a polygon on the floor, or at most `margin_m` outside of it."""
-    x, y = point_m[:, 0], point_m[:, 1]
-    inside = np.zeros(len(x), np.bool_)
-    beside_m = np.full(len(x), np.inf)
-    for (ax, ay), (bx, by) in pairwise((*corners, corners[0])):
+    edges = _edges(corners)
+    low, high = edges.low_m - margin_m, edges.high_m + margin_m
+    near = ((point_m[:, :2] >= low) & (point_m[:, :2] <= high)).all(axis=1)
+    if near.any():
+        inside = edges.around(point_m[near])
+        if not inside.all():
+            inside |= edges.beside_m(point_m[near]) <= margin_m
+        near[near] = inside
+    return np.asarray(near)
+
+
+class _Edges:
+    """The edges of a polygon, side by side: (E, 1), m; and what it lies between, a little farther out."""
+
+    def __init__(self, corners: Points) -> None:
+        pairs = list(pairwise((*corners, corners[0])))
+        self._from, self._to = (np.array([pair[end] for pair in pairs]).T[..., None] for end in (0, 1))
+        self._square = np.array([max((bx - ax) ** 2 + (by - ay) ** 2, 1e-12) for (ax, ay), (bx, by) in pairs])[:, None]
+        self.low_m, self.high_m = np.min(corners, axis=0) - _SLACK_M, np.max(corners, axis=0) + _SLACK_M
+
+    def around(self, point_m: Array) -> Bools:
+        """Return which points (B, 3) lie inside."""
+        (ax, ay), (bx, by), x, y = self._from, self._to, point_m[:, 0], point_m[:, 1]
         with np.errstate(divide="ignore", invalid="ignore"):
-            inside ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
-        length = max((bx - ax) ** 2 + (by - ay) ** 2, 1e-12)
-        part = np.clip(((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / length, 0.0, 1.0)
-        beside_m = np.minimum(beside_m, np.hypot(x - ax - part * (bx - ax), y - ay - part * (by - ay)))
-    return np.asarray(inside | (beside_m <= margin_m))
+            crossed = ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
+        return np.asarray(np.logical_xor.reduce(crossed, axis=0))
+
+    def beside_m(self, point_m: Array) -> Array:
+        """Return how far points (B, 3) are from the nearest edge, m."""
+        (ax, ay), (bx, by), x, y = self._from, self._to, point_m[:, 0], point_m[:, 1]
+        part = np.clip(((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / self._square, 0.0, 1.0)
+        return np.asarray(np.hypot(x - ax - part * (bx - ax), y - ay - part * (by - ay)).min(axis=0))
+
+
+@lru_cache(maxsize=64)
+def _edges(corners: Points) -> _Edges:
+    return _Edges(corners)
 
 
 def _to_links(points_m: Array, person_m: Array) -> Array:

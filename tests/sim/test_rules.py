@@ -75,6 +75,23 @@ def test_a_rectangle_is_the_polygon_of_its_corners(
         assert allowed(Rule((Limit(0.5, polygon_m=zone.corners()),)), (x, y)) == nearly[0]
 
 
+def test_cells_side_by_side_are_each_judged_by_itself(tmp_path: Path) -> None:
+    (tmp_path / "rule.toml").write_text(WRITTEN)
+    rule, rng = read_rule(tmp_path / "rule.toml"), np.random.default_rng(1)
+    person_m, tcp_m = (
+        np.round(rng.uniform(low, 3.2, (400, 3)), 1) for low in (-1.2, -0.4)
+    )  # also on edges, at corners
+    for margin_m in (0.0, 0.1):
+        together = rule.allowed(SafetyInputs(tcp_m, person_m, lambda: person_m[:, None]), margin_m)
+        pairs = zip(person_m.tolist(), tcp_m.tolist(), strict=True)
+        alone = [
+            rule.allowed(SafetyInputs(np.array([tcp]), np.array([person]), lambda: tcp_m), margin_m)[0]
+            for person, tcp in pairs
+        ]
+        assert together.tolist() == alone
+        assert set(alone) == {0.0, 0.3, 1.0}
+
+
 @given(st.floats(0.05, 1.0), st.floats(0.0, 2.0), st.floats(0.0, 0.5), st.floats(0.5, 10.0), st.floats(0.2, 3.0))
 def test_the_law_allows_the_speed_whose_protective_separation_distance_is_the_distance(
     scaling: float, person: float, reaction: float, deceleration: float, programmed: float

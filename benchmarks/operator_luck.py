@@ -7,7 +7,7 @@ known exactly, and so are the operators, as long as their executions lasted. Eac
 half as long, as long and twice as long as those executions. `beginning`: each track from its beginning. `estimate`:
 all logs joined to circles, entered at even steps, as `estimate` does. `itself`: each log a circle of its own, entered
 at 8 instants. Truth is the mean beside all operators, entered at four instants of tracks that really go on. Chance is
-the standard error of a mean of so many cycles of the logged length.
+the mean error of a mean of so many cycles of the logged length.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.program import Program
 
 STEP_S, LENGTH, SPAN, LATER, TURNS = 0.1, 2200, 1600, (0, 200, 400, 600), 8
+MEAN_OF_SIZE = (2 / np.pi) ** 0.5
 SAFETY = true_function(SCENE)
 RESPONSE = Dynamics(HARD.latency_s, HARD.ramp_down_per_s, HARD.ramp_up_per_s, HARD.hysteresis_m)
 
@@ -122,7 +123,7 @@ def main() -> None:
                 off = np.array([each.duration_s.mean() / true_s[number] - 1 for each, _ in cycles])
                 bounds = [interval_of_mean(each.resampled_means(w), model_error=0.0, seed=0) for each, w in cycles]
                 held = np.mean([low <= true_s[number] <= high for low, high in bounds])
-                sizes = np.abs(off).mean(), off.std(ddof=1), spread / count**0.5
+                sizes = np.abs(off).mean(), off.std(ddof=1), MEAN_OF_SIZE * spread / count**0.5
                 told = [f"{100 * each:.2f}" for each in sizes]
                 table.add_row(str(count), str(len(sets)), name, way, *told, f"{held:.0%}")
     OUT.print(table)

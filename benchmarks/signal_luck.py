@@ -91,25 +91,32 @@ def courses(scene: str, count: int, seed: int) -> np.ndarray:
     return found
 
 
-def rolled(scene: str, programs: Sequence[Program], states: np.ndarray, seed: int = 0) -> list[Rolled]:
-    """Return the cycles of programs beside courses, shape (K, T)."""
+def rolled(
+    scene: str,
+    programs: Sequence[Program],
+    states: np.ndarray,
+    seed: int = 0,
+    *,
+    owner: Sequence[int] | None = None,
+    logged: np.ndarray | None = None,
+) -> list[Rolled]:
+    """Return the cycles of programs beside courses, shape (K, T); `owner`: whose each is, `logged`: samples of it."""
     cell, model, count = BUILT_IN[scene], TrueFields(scene), len(states)
-    names, all_of_it = tuple(f"{k:06}" for k in range(count)), np.full(count, states.shape[1])
+    names = tuple(f"{k:06}" for k in (range(count) if owner is None else owner))
+    all_of_it = np.full(count, states.shape[1]) if logged is None else logged
     where, state = np.zeros((*states.shape, 3)), states[..., None].astype(np.float64)
     people = OperatorTracks(where, states, model.states, all_of_it, names, STEP_S, phase_free=True, state=state)
     response = Dynamics(cell.latency_s, cell.ramp_down_per_s, cell.ramp_up_per_s)
     return list(roll_all(model, programs, people, None, dynamics=response, seed=seed))
 
 
-def entered(logs: Sequence[np.ndarray], phases: int) -> np.ndarray:
-    """Return courses entered at so many instants and continued, shape (K, LENGTH)."""
+def entered(logs: Sequence[np.ndarray], phases: int) -> tuple[np.ndarray, list[int], np.ndarray]:
+    """Return courses entered at so many instants and continued, shape (K, LENGTH), whose they are, samples of these."""
     pool = [Stretch(np.zeros((len(log), 3)), log) for log in logs]
-    begun = [
-        Stretch(log.where[at:], log.activity[at:])
-        for at in _instants([len(log) for log in logs])[:phases]
-        for log in pool
-    ]
-    return continued(begun, pool, LENGTH)[1]
+    instants = _instants([len(log) for log in logs])[:phases]
+    begun = [Stretch(log.where[at:], log.activity[at:]) for at in instants for log in pool]
+    logged = np.array([len(one.activity) for one in begun])
+    return continued(begun, pool, LENGTH)[1], [*range(len(pool))] * len(instants), logged
 
 
 def main() -> None:
@@ -169,7 +176,7 @@ def of_seed(
     for first in range(0, len(states), size):
         some = range(first, first + size)
         for way, phases in (("one entry", 1), ("signals", PHASES)):
-            courses_of = entered([logs[k] for k in some], phases)
+            courses_of, _, _ = entered([logs[k] for k in some], phases)
             found[way].append([float(one.duration_s.mean()) for one in rolled(scene, programs, courses_of)])
         total, count = Counter[str](), Counter[str]()
         for k in some:

@@ -170,6 +170,7 @@ def coupling_table(found: CouplingCard | None) -> str:
             back = f", {one.back} earlier" if one.back else ""
             back += ", every 2nd time" if one.turns.every > 1 else ""
             back += f", needed in {one.needed:.0%}" if one.needed < 1.0 else ""
+            back += ", where the other waits too" if one.together else ""
             rows.append(
                 [who, told(one) + back, f"{middle:.1f}", f"{low:.1f} to {high:.1f}", percent(one.held), decided]
             )

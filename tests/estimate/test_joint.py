@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -18,13 +19,18 @@ from cyclekit.config.sequences import PlannedTask, TaskSequence, load_sequences
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard, TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError, UnknownName
+from cyclekit.estimate.joint.legs import Gates, operator_agenda
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, RolledBoth
 from cyclekit.estimate.joint.shares import planned_shares
+from cyclekit.estimate.joint.visits import Segments
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.whatif.change import Change
+
+if TYPE_CHECKING:
+    from simulated_cells import Cells
 
 ROBOT = ("home->conveyor", "conveyor->left_2", "left_2->conveyor", "conveyor->left_5", "left_5->conveyor")
 OWN_S = 1.0
@@ -85,6 +91,21 @@ def test_an_event_that_half_of_the_passages_need_holds_half_of_them_up(logged: D
     assert np.mean(waits_s == 0.0) == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("together", [0, 1])
+def test_waits_of_both_in_the_same_passages_are_drawn_once(logged: Dataset, together: int) -> None:
+    some = {"needed": 0.5, "together": together, "lag_s": (30.0,)}
+    mine, his = (
+        ConditionCard(agent="robot", place="home", event="leaves", **some),  # type: ignore[arg-type]
+        ConditionCard(agent="operator", place="inbound", event="arrives", **some),  # type: ignore[arg-type]
+    )
+    robot = GateCard(agent="robot", at="leave", place="left_2", conditions=(his,))
+    operator = GateCard(agent="operator", at="approach", place="out_left_1", conditions=(mine,))
+    found = rolled(logged, gates(robot, operator), both(("inbound", "out_left_1", "rest")), cycles=100)
+    waits = [each.times.waits_s.max(axis=1) > 5.0 for each in (found.robot, found.operators[0])]
+    assert np.mean(waits, axis=1) == pytest.approx([0.5, 0.5])
+    assert (waits[0] == waits[1]).all() == bool(together)
+
+
 @pytest.mark.parametrize(("needed", "cycles"), [(0.02, 98), (0.5, 100)])
 def test_a_few_cycles_that_do_not_end_are_left_out_and_many_stay(logged: Dataset, needed: float, cycles: int) -> None:
     need = msgspec.structs.replace(AFTER_INBOUND, needed=needed)
@@ -118,6 +139,28 @@ def test_a_signal_that_neither_agent_gives_is_not_left_out_in_silence(logged: Da
         card = msgspec.structs.replace(gates(gate), sources=sources)
         (found,) = estimate(Coupled(card), logged, [both(("inbound", "out_left_1", "rest"))], **asked)
         assert any(doubt.startswith(said) for doubt in found.doubts) is told
+
+
+def test_who_begins_at_a_place_leaves_it_as_late_as_he_did_in_the_logs() -> None:
+    agenda = operator_agenda(
+        ("rest", "inbound", "rest"), Gates(None), {"inbound": np.ones(1)}, {"rest": np.full(1, 0.7)}
+    )
+    assert [float(leg.own_s[0]) for leg in agenda.legs[1:]] == [0.7, 1.0, 0.0]  # at the end nothing is left to do
+    known = operator_agenda(("rest",), Gates(None), {"rest": np.ones(1)}, {"rest": np.full(1, 0.7)})
+    assert float(known.legs[1].own_s[0]) == 1.0  # of a place where he works the whole work is asked for
+
+
+@pytest.mark.slow
+def test_a_first_stay_too_short_to_be_seen_is_part_of_the_cycle(cells: Cells) -> None:
+    """In this scene he stands at his rest place for 0.2 to 0.8 s when an execution begins; a stay lasts longer."""
+    cell = cells("shared-fixture", 16, seed=31, signals=True)
+    found = Segments(cell.dataset)
+    stays_s = found.first_stays_s("rest")
+    assert len(stays_s) == 16
+    first = {order[order[0].place == "rest"].place for order in found.orders.values()}
+    whole, walks = (sum(found.durations_s(found.walk(start, to)).sum() for to in first) for start in ("", "rest"))
+    assert stays_s.sum() + walks == pytest.approx(whole, abs=16 * 0.11)
+    assert stays_s.sum() > 16 * 0.5
 
 
 def test_the_operator_waits_where_he_is_until_the_robot_has_left(logged: Dataset) -> None:

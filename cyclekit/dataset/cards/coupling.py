@@ -53,6 +53,8 @@ class ConditionCard(Card, frozen=True, kw_only=True):
             number, or one that never comes in the plan, needs nothing.
         turns: Of passages and events these are counted.
         needed: Part of the passages that need the event at all; the others go on without it.
+        together: Conditions of the same number are needed in the same passages: the k-th of one gate needs its event if
+            the k-th of the other does. 0 = needed by itself.
         lag_s: From the event to going on, if nothing else decides.
         held: Part of the logged passages that came after the event.
         decided: Logged passages that it decided: everything else was there earlier.
@@ -65,6 +67,7 @@ class ConditionCard(Card, frozen=True, kw_only=True):
     back: Turn = 0
     turns: Turns = Turns()
     needed: Fraction = 1.0
+    together: Count = 0
     lag_s: Quantiles
     held: Fraction = 1.0
     decided: Count = 0

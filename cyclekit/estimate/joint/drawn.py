@@ -114,7 +114,8 @@ class Drawn:
                 level = self._level(rows, f"{key} after {need.event[:3]}", turns[key])
                 lag_s = quantile(need.lag_s, level)
                 if need.needed < 1.0:
-                    chance = self._level(rows, f"{key} needs {need.event[:3]}", turns[key])
+                    own = (f"{key} needs {need.event[:3]}", turns[key])
+                    chance = self._level(rows, *((f"together {need.together}", need.passage) if need.together else own))
                     lag_s = np.where(chance < need.needed, lag_s, NEVER)
                 self.lag_s[rows, number, each] = lag_s
             turns[key] += 1

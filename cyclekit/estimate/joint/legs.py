@@ -29,11 +29,21 @@ NONE = np.zeros(1)
 
 @dataclass(frozen=True, eq=False)
 class Need:
-    """An event that must have come, the quantiles of the time from it to going on, s, and how often it is needed."""
+    """An event that must have come.
+
+    Attributes:
+        event: Which.
+        lag_s: Quantiles of the time from it to going on, s.
+        needed: How often it is needed.
+        together: Needs of one number are needed together in passages of one number; 0 = each by itself.
+        passage: Number of the passage.
+    """
 
     event: Event
     lag_s: Vector = field(default_factory=lambda: NONE)
     needed: float = 1.0
+    together: int = 0
+    passage: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +113,13 @@ class Gates:
         """Return what the passage number `turn` of a gate needs."""
         gate = self.at(agent, at, place)
         return tuple(
-            Need((one.agent, one.place, event_kind(one), number), np.array(one.lag_s), one.needed)
+            Need(
+                (one.agent, one.place, event_kind(one), number),
+                np.array(one.lag_s),
+                one.needed,
+                one.together,
+                turn // one.turns.every,
+            )
             for one in (gate.conditions if gate else ())
             if (number := one.turns.event(turn, one.back)) is not None
         )
@@ -237,6 +253,7 @@ def operator_agenda(
     places: Sequence[str],
     gates: Gates,
     work_s: Mapping[str, Vector],
+    first_stays_s: Mapping[str, Vector],
     *,
     told: Mapping[int, tuple[Need, ...]] | None = None,
     not_before_s: Sequence[float] | None = None,
@@ -247,6 +264,7 @@ def operator_agenda(
         places: In order.
         gates: Of the cell.
         work_s: Quantiles of his stays at each place: his work, if he never waits; at others he has none.
+        first_stays_s: Of his stays at the start of an execution, for a place where he is at no other time.
         told: What each of them shall come after, by number.
         not_before_s: Earliest start of each.
     """
@@ -254,6 +272,7 @@ def operator_agenda(
     for number, place in enumerate(places):
         own = gates.own_s("operator", place) if gates.waits("operator") else None
         own = work_s.get(place, NONE) if own is None or place not in work_s else own
+        own = first_stays_s.get(place, own) if number == 0 and place not in work_s else own
         leg = AgendaLeg(number, place, np.empty((0, 3)), start=builder.legs[-1].place, own_s=own, name=place)
         earliest = not_before_s[number] if not_before_s else 0.0
         builder.go(number, place, leg, (told or {}).get(number, ()), earliest)

@@ -69,7 +69,7 @@ class Planner:
         order = tuple(order)
         if order not in self._orders:
             self._check(order, where)
-            self._orders[order] = operator_agenda(order, self._cell.gates, self._cell.work_s)
+            self._orders[order] = operator_agenda(order, self._cell.gates, self._cell.work_s, self._cell.first_stays_s)
         return self._orders[order]
 
     def _check(self, order: Sequence[str], where: str) -> None:
@@ -132,6 +132,7 @@ class Planner:
                     operator.names,
                     self._cell.gates,
                     self._cell.work_s,
+                    self._cell.first_stays_s,
                     told=operator.told,
                     not_before_s=operator.not_before_s,
                 ),

@@ -115,6 +115,12 @@ class JointCell:
         return {place: self.pace * works for place, works in found.items() if len(works)}
 
     @cached_property
+    def first_stays_s(self) -> dict[str, Vector]:
+        """How long the operator stays where he is at the start of an execution."""
+        found = {place: self.segments.first_stays_s(place) for place in self.dataset.human_places}
+        return {place: self.pace * stays for place, stays in found.items() if len(stays)}
+
+    @cached_property
     def support(self) -> Support | None:
         """Where logged positions lie."""
         return None if holds_everywhere(self.model) else logged_support(self.dataset)

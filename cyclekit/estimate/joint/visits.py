@@ -13,6 +13,8 @@ import polars as pl
 from cyclekit.estimate.tracks import logged_tracks
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.tracks import LoggedTrack
     from cyclekit.schema import Floats, Ints, Vector
@@ -53,6 +55,7 @@ class Segments:
         self._ways: dict[tuple[str, str], list[int]] = defaultdict(list)
         self._stays: dict[str, list[int]] = defaultdict(list)
         self._begins: list[Floats] = []
+        self._first_stays: dict[str, list[float]] = defaultdict(list)
         self.orders: dict[str, tuple[OperatorVisit, ...]] = {}
         complete = {one.execution for one in dataset.card.executions if one.complete and not one.reference}
         tracks = logged_tracks(dataset)
@@ -110,6 +113,10 @@ class Segments:
                 return np.sort(single)
         return np.sort([s for _, s in stays])
 
+    def first_stays_s(self, place: str) -> Vector:
+        """Return how long he stood at a place at the start of an execution, ascending, shape (N,), s."""
+        return np.sort(self._first_stays[place])
+
     def _cut(self, name: str, track: LoggedTrack, visits: pl.DataFrame) -> None:
         where, last = track.where[:, :3], len(track.where) - 1
         spans = []
@@ -126,11 +133,27 @@ class Segments:
         for place, first, left in spans:
             self._stays[place].append(self._add(where[first : left + 1]))
         there = at_s[0][1] <= AT_START_S
+        self._begin(where, spans, there=there)
         self._ways["", spans[0][0]].append(self._add(where[spans[0][1] if there else 0 : spans[0][1] + 1]))
         if there and len(spans) > 1:  # a plan may begin with his second place
             self._ways["", spans[1][0]].append(self._add(where[: spans[1][1] + 1]))
         for (start, _, left), (goal, arrives, _) in pairwise(spans):
             self._ways[start, goal].append(self._add(where[left : arrives + 1]))
+
+    def _begin(self, where: Floats, spans: Sequence[tuple[str, int, int]], *, there: bool) -> None:
+        """Keep how long he stood where he began: also where that was too short to be seen as a stay."""
+        goal, arrives, left = spans[0]
+        if there:
+            if len(spans) > 1:
+                self._first_stays[goal].append(left * self._step_s)
+            return
+        for place, card in self._places.items():
+            out = np.linalg.norm(where[: arrives + 1, :2] - np.array(card.xyz_m[:2]), axis=1) > card.radius_m
+            if not out[0] and out.any():
+                left = int(out.argmax())
+                self._first_stays[place].append(left * self._step_s)
+                self._ways[place, goal].append(self._add(where[left : arrives + 1]))
+                return
 
     def _add(self, rows: Floats) -> int:
         self._parts.append(rows)

@@ -13,6 +13,7 @@ import numpy as np
 
 from cyclekit.dataset.cards.coupling import Turns
 from cyclekit.errors import UnknownName
+from cyclekit.learning.coupling.lags import take_apart
 from cyclekit.learning.coupling.passages import SEEN, Condition, Passages, passages_of
 from cyclekit.learning.coupling.visits import Event
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.coupling import Agent
     from cyclekit.learning.coupling.lags import Causes
     from cyclekit.learning.coupling.visits import ExecutionVisits
-    from cyclekit.schema import Floats, Vector
+    from cyclekit.schema import Floats, Ints, Vector
 
 HELD = 0.98
 """Part of the departures that must come after a condition's event, if all of them need it."""
@@ -295,6 +296,16 @@ def early_s(condition: Condition) -> float:
     """Return how much before a condition's event a departure may come, s."""
     of_leaving = condition.event[::2] == ("operator", "leaves") and condition.event.signal is None
     return EARLY_LEAVING_S if of_leaving else EARLY_S
+
+
+def decided_by(since_s: Floats) -> Ints:
+    """Return which cause decided each departure, shape (N,); 0 = own work, where that makes them likelier."""
+    causes = take_apart(since_s)
+    if len(since_s) > 1:
+        waits = take_apart(since_s[1:])
+        if float((causes.log_likelihood - waits.log_likelihood).sum()) < least_gain(since_s.shape[1]):
+            return np.asarray(1 + waits.share.argmax(axis=0))
+    return np.asarray(causes.share.argmax(axis=0))
 
 
 def _by_chance(gate: Passages, times: Times, condition: Condition) -> float:

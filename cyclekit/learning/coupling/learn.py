@@ -13,16 +13,17 @@ from cyclekit.errors import DatasetError
 from cyclekit.learning.coupling.conditions import (
     KEPT,
     LEAST_DECIDED,
+    decided_by,
     early_s,
     find_conditions,
     in_circles,
-    least_gain,
     since_event,
     times_of,
 )
-from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier, take_apart
-from cyclekit.learning.coupling.passages import Condition, Passages
+from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.passages import Condition, Gate, Passages
 from cyclekit.learning.coupling.sources import find_sources
+from cyclekit.learning.coupling.together import NeededTogether, needed_together
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits, courses_of
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Wait
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.schema import Floats, Ints, Vector
+    from cyclekit.schema import Floats, Vector
 
 LEAST_EXECUTIONS, MOST_EXECUTIONS = 5, 400
 """It is learned from so many executions; of more, from some that are evenly spread."""
@@ -86,10 +87,10 @@ def learn_courses(courses: Sequence[ExecutionVisits], told: Sequence[Wait] = ())
             break
         barred[agent].add(event)
         passages[agent] = find_conditions(courses, agent, told, barred[agent])
-    found = []
+    found, together = [], needed_together(*passages.values())
     for mine in passages.values():
         usual_s = _usual_work_s(mine)
-        found += [_gate(courses, gate, told, usual_s) for gate in mine]
+        found += [_gate(courses, gate, told, usual_s, together) for gate in mine]
     gates = tuple(gate for gate in found if gate is not None)
     return CouplingCard(gates=gates, sources=find_sources(courses, gates), executions=len(courses))
 
@@ -100,13 +101,19 @@ def _usual_work_s(gates: Sequence[Passages]) -> float:
     return float(np.median([np.median(gate.left_s - gate.own_s) for gate in never])) if never else float("inf")
 
 
-def _gate(courses: Sequence[ExecutionVisits], found: Passages, told: Sequence[Wait], usual_s: float) -> GateCard | None:
+def _gate(
+    courses: Sequence[ExecutionVisits],
+    found: Passages,
+    told: Sequence[Wait],
+    usual_s: float,
+    together: Mapping[tuple[Gate, Condition], NeededTogether],
+) -> GateCard | None:
     """Return the card of a gate; of one without conditions there is one for leaving alone, with own work."""
     gate = found.gate
     if gate.at == "approach" and not found.found:
         return None
     by_file = any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in told)
-    own_s, cards = _parts(courses, found, usual_s)
+    own_s, cards = _parts(courses, found, usual_s, together)
     cards = [card for card in cards if by_file or card.decided >= LEAST_DECIDED]  # beside the others it says nothing
     if gate.at == "approach" and not cards:
         return None
@@ -122,7 +129,10 @@ def _gate(courses: Sequence[ExecutionVisits], found: Passages, told: Sequence[Wa
 
 
 def _parts(
-    courses: Sequence[ExecutionVisits], found: Passages, usual_s: float
+    courses: Sequence[ExecutionVisits],
+    found: Passages,
+    usual_s: float,
+    together: Mapping[tuple[Gate, Condition], NeededTogether],
 ) -> tuple[tuple[float, ...], list[ConditionCard]]:
     """Return own work by its quantiles, and the conditions.
 
@@ -132,7 +142,7 @@ def _parts(
     """
     step = -(-len(found.left_s) // KEPT)
     since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
-    decided = _decided(since)
+    decided = decided_by(since)
     if (decided == 0).any():
         own_s = _distribution(since[0], decided == 0)
     else:
@@ -148,6 +158,7 @@ def _parts(
         every = found.since_s[gate, condition]
         there, event = ~np.isnan(every), condition.event
         mass = reverse_kaplan_meier(seen, (decided == row) * 1.0, ~np.isnan(seen))
+        alone, shared = min(1.0, round(float(mass.sum()), 4)), together.get((gate, condition))
         cards.append(
             ConditionCard(
                 agent=event.agent,  # type: ignore[arg-type]  # of these three
@@ -155,7 +166,8 @@ def _parts(
                 event=event.event,  # type: ignore[arg-type]  # of these four
                 back=condition.back,
                 turns=condition.turns,
-                needed=min(1.0, round(float(mass.sum()), 4)) if condition.partly else 1.0,
+                needed=shared.needed if shared else alone if condition.partly else 1.0,
+                together=shared.number if shared else 0,
                 lag_s=quantiles(seen, mass, shortest=not condition.partly),
                 held=float((every[there] >= -early_s(condition)).mean()),
                 decided=int((decided == row).sum()) * step,
@@ -163,16 +175,6 @@ def _parts(
             )
         )
     return own_s, cards
-
-
-def _decided(since_s: Floats) -> Ints:
-    """Return which cause decided each departure, shape (N,); 0 = own work, where that makes them likelier."""
-    causes = take_apart(since_s)
-    if len(since_s) > 1:
-        waits = take_apart(since_s[1:])
-        if float((causes.log_likelihood - waits.log_likelihood).sum()) < least_gain(since_s.shape[1]):
-            return np.asarray(1 + waits.share.argmax(axis=0))
-    return np.asarray(causes.share.argmax(axis=0))
 
 
 def _from_leaving(courses: Sequence[ExecutionVisits], found: Passages, condition: Condition) -> Vector:

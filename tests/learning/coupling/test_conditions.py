@@ -75,6 +75,25 @@ def _handed_over(rng: np.random.Generator, name: str) -> ExecutionVisits:
     return ExecutionVisits(name, visits, events_of(visits))
 
 
+def _half_handed_over(rng: np.random.Generator, name: str, together: bool) -> ExecutionVisits:
+    """Return one in which both wait for each other at half of the parts, at the same ones if they do so `together`."""
+    robot, operator, at, free_s = [PlaceVisit("home", 0.0, 0.0)], [PlaceVisit("bench", 0.0, 1.0)], 3.0, 1.0
+    for _ in range(3):
+        robot_waits, operator_waits = rng.random(2) < 0.5
+        operator_waits = robot_waits if together else operator_waits
+        arrives, came = at + 4.6, free_s + rng.uniform(2.0, 6.0)
+        begins = max(came, arrives + rng.uniform(0.3, 0.8)) if operator_waits else came
+        gone = begins + rng.uniform(1.0, 2.0)
+        left = max(arrives + 0.4, gone + rng.uniform(0.1, 0.2)) if robot_waits else arrives + 0.4
+        robot += [PlaceVisit("bin", at + 2.0, at + 2.6), PlaceVisit("handover", arrives, left)]
+        free_s = gone + 2.0 + rng.uniform(1.0, 4.0)
+        operator += [PlaceVisit("handover", came, gone), PlaceVisit("bench", gone + 2.0, free_s)]
+        at = left + rng.uniform(0.0, 9.0)
+    robot.append(PlaceVisit("home", at + 2.0, np.nan))
+    visits: dict[Agent, list[PlaceVisit]] = {"robot": robot, "operator": operator}
+    return ExecutionVisits(name, visits, events_of(visits))
+
+
 def _taken_again(rng: np.random.Generator, name: str) -> ExecutionVisits:
     """Return one in which the robot brings each part, waits short of the fixture, and takes it when it is mounted."""
     robot, operator, at, free_s = [PlaceVisit("home", 0.0, 0.0)], [PlaceVisit("bench", 0.0, np.nan)], 0.0, 0.0
@@ -117,6 +136,18 @@ def test_where_only_half_of_the_passages_wait_it_is_said_how_many(seed: int) -> 
         assert condition.needed == pytest.approx(0.5, abs=0.15)
         assert condition.held < 0.98
         assert np.median(condition.lag_s) == pytest.approx(lag_s, abs=0.1)
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_whether_both_wait_in_the_same_passages_is_seen(together: bool) -> None:
+    rng = np.random.default_rng(16)
+    card = learn_courses([_half_handed_over(rng, str(number), together) for number in range(60)])
+    found = {gate.agent: gate.conditions for gate in card.gates if gate.conditions}
+    (robot,), (operator,) = found["robot"], found["operator"]
+    assert robot.together == operator.together == int(together)
+    assert (robot.needed == operator.needed) is together
+    if together:  # what is seen of either agent counts for both
+        assert robot.needed == pytest.approx(0.5, abs=0.06)
 
 
 def test_who_leaves_just_after_the_robot_that_waited_for_him_does_not_wait_for_it() -> None:

@@ -1,0 +1,78 @@
+"""Whether both agents wait in the same passages, where neither waits in all of them.
+
+Whether a passage needed its event is seen where the event came late: the agent then went just after it, or before it.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cyclekit.learning.coupling.conditions import decided_by
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.learning.coupling.passages import Condition, Gate, Passages
+    from cyclekit.schema import Bools
+
+ALIKE = 0.9
+"""Part of the passages that both agents need, or neither; not all, as what decided is not always clear."""
+LEAST_GAIN = 4.0
+"""By so much the log-likelihood must rise: seven passages alike, of which half are needed."""
+
+
+class NeededTogether(NamedTuple):
+    """Which conditions are needed in the same passages: their common number, and in which part of the passages."""
+
+    number: int
+    needed: float
+
+
+def needed_together(
+    robot: Sequence[Passages], operator: Sequence[Passages]
+) -> dict[tuple[Gate, Condition], NeededTogether]:
+    """Return those conditions of some passages that both agents need in the same ones, two of each number from 1 on."""
+    pairs = [(mine, his, _gain(mine[1], his[1])) for mine, his in product(_partly(robot), _partly(operator))]
+    found: dict[tuple[Gate, Condition], NeededTogether] = {}
+    for (mine, my_needs), (his, his_needs), gain in sorted(pairs, key=lambda pair: -pair[2]):
+        if gain >= LEAST_GAIN and mine not in found and his not in found:
+            every = {key: my_needs.get(key, True) and his_needs.get(key, True) for key in my_needs | his_needs}
+            needed = round(float(np.mean(list(every.values()))), 4)
+            found[mine] = found[his] = NeededTogether(len(found) // 2 + 1, needed)
+    return found
+
+
+_Needed = dict[tuple[int, int], bool]
+"""By execution and number of the passage: whether its event was needed, where that is seen."""
+_Whose = tuple["Gate", "Condition"]
+
+
+def _partly(gates: Sequence[Passages]) -> list[tuple[_Whose, _Needed]]:
+    found: list[tuple[_Whose, _Needed]] = []
+    for gate in gates:
+        if not any(condition.partly for condition in gate.found):
+            continue
+        decided = decided_by(np.array([gate.left_s - gate.own_s, *gate.since_s.values()]))
+        for row, (key, since) in enumerate(gate.since_s.items(), 1):
+            if key[0] == gate.gate and key[1].partly:
+                later = np.isneginf(since)
+                seen = np.flatnonzero(later | (decided == row))
+                which = zip(gate.course[seen].tolist(), (gate.nth[seen] // key[1].turns.every).tolist(), strict=True)
+                found.append((key, dict(zip(which, (~later[seen]).tolist(), strict=True))))
+    return found
+
+
+def _gain(mine: _Needed, his: _Needed) -> float:
+    """Return by how much the log-likelihood of both rises if each is needed where the other one is."""
+    both = [key for key in mine if key in his]
+    a, b = (np.array([needed[key] for key in both], np.bool_) for needed in (mine, his))
+    alike = float(np.log(np.where(a == b, ALIKE, 1.0 - ALIKE)).sum())
+    return alike - 0.5 * (_log_likelihood(a, mine) + _log_likelihood(b, his))
+
+
+def _log_likelihood(needed: Bools, every: _Needed) -> float:
+    share = float(np.clip(np.mean(list(every.values())), 0.01, 0.99)) if every else 0.5
+    return float(np.log(np.where(needed, share, 1.0 - share)).sum())

@@ -178,9 +178,8 @@ def _listed(asked: argparse.Namespace, scene: str, executions: int, seed: int) -
 
 def compared(card: CouplingCard | None, scene: str, kind: str) -> tuple[int, int]:
     """Return how many true conditions were missed, and how many found that are not true; tell what was found."""
-    there = {_true(each) for each in conditions(COUPLED[scene])} if KINDS[kind].coupling else set()
-    if not KINDS[kind].signals:
-        there = {each for each in there if each[2] != "signal"}
+    known = KINDS[kind].signals
+    there = {_true(each, known) for each in conditions(COUPLED[scene])} if KINDS[kind].coupling else set()
     got = set()
     for gate in card.gates if card else ():
         for need in gate.conditions:
@@ -194,12 +193,12 @@ def compared(card: CouplingCard | None, scene: str, kind: str) -> tuple[int, int
     return len(there - got), len(got - there)
 
 
-def _true(condition: dict[str, object]) -> tuple[object, ...]:
+def _true(condition: dict[str, object], signals: bool) -> tuple[object, ...]:
     needs = condition["needs"]
     assert isinstance(needs, dict)
     whose = (condition["agent"], condition["place"])
     if needs["agent"] == "source":
-        return (*whose, "signal", condition["signal"], needs["back"])
+        return (*whose, "signal", condition["signal"] if signals else f"part at {needs['place']}", needs["back"])
     return (*whose, needs["agent"], needs["place"], needs["back"])
 
 

@@ -48,7 +48,7 @@ class ConditionCard(Card, frozen=True, kw_only=True):
     Attributes:
         agent: Whose event; `signal` = a signal that neither of them gives, such as a part that comes.
         place: Where: a place of the robot, one of the operator, or the name of the signal.
-        event: `arrives` at it, `leaves` it, or the signal is `set` or `cleared`.
+        event: `arrives` at it, `leaves` it, or the signal is `set` or `cleared`; a part without a signal `arrives`.
         back: The k-th passage of the gate (from 0, in one execution) needs the (k - back)-th such event; a negative
             number, or one that never comes in the plan, needs nothing.
         turns: Of passages and events these are counted.
@@ -108,6 +108,7 @@ class SourceCard(Card, frozen=True, kw_only=True):
         first_s: From the start of the execution to the first.
         buffer: So many may wait; the next then comes after one is taken.
         taken_by: The robot's place at which one is taken.
+        inferred: No signal tells of it: it was learned from the standstills of the robot there.
     """
 
     signal: Name
@@ -115,6 +116,7 @@ class SourceCard(Card, frozen=True, kw_only=True):
     first_s: Quantiles = (0.0,)
     buffer: Annotated[int, Meta(ge=1, le=1000)] = 1
     taken_by: Name
+    inferred: bool = False
 
 
 class CouplingCard(Card, frozen=True, kw_only=True):

@@ -184,7 +184,7 @@ class JointCell:
         for part in range(count):
             needs = (Need(("robot", source.taken_by, "leaves", part - source.buffer)),) if part >= source.buffer else ()
             own = np.array(source.gap_s if part else source.first_s)
-            passes = (("signal", source.signal, "set", part),)
+            passes = (("signal", source.signal, "arrives" if source.inferred else "set", part),)
             legs.append(
                 AgendaLeg(part, "", np.empty((0, 3)), own_s=own, name=source.signal, needs=needs, passes=passes)
             )
@@ -276,13 +276,14 @@ def _stuck(plan: Plan, walked: JointCycles, row: int, columns: EventColumns) -> 
 
 def unbrought(plan: Plan, coupling: CouplingCard | None) -> list[str]:
     """Return what a plan leaves out, one sentence each: waits for a signal that nobody in it gives."""
-    brought = {source.signal for source in (coupling.sources if coupling else ())}
+    sources = coupling.sources if coupling else ()
+    brought = {(source.signal, "arrives" if source.inferred else "set") for source in sources}
     found: dict[str, None] = {}
     for agenda in (plan.robot, *plan.operators):
         for leg in agenda.legs:
             where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
             for who, signal, state, _ in (need.event for need in leg.needs):
-                if who == "signal" and not (signal in brought and state == "set"):
+                if who == "signal" and (signal, state) not in brought:
                     found[
                         f"waits of the {agenda.agent} {where} for '{signal} {state}' are left out: neither agent gives "
                         "that signal, and when it comes was not learned"

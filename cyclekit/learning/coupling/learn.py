@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 from msgspec.structs import replace
 
-from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard
+from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard, SourceCard
 from cyclekit.errors import DatasetError
 from cyclekit.learning.coupling.conditions import (
     KEPT,
@@ -24,6 +24,7 @@ from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
 from cyclekit.learning.coupling.passages import Condition, Gate, Passages
 from cyclekit.learning.coupling.sources import find_sources
 from cyclekit.learning.coupling.together import NeededTogether, needed_together
+from cyclekit.learning.coupling.unseen_parts import find_unseen_parts, with_parts
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits, courses_of
 
 if TYPE_CHECKING:
@@ -80,6 +81,10 @@ def learn_executions(
 def learn_courses(courses: Sequence[ExecutionVisits], told: Sequence[Wait] = ()) -> CouplingCard:
     """Return who waits for whom in some executions; a robot's `phase` of a motion is left open."""
     passages = {agent: find_conditions(courses, agent, told) for agent in AGENTS}
+    unseen = _unseen(courses, passages["robot"], told)
+    if unseen:
+        courses = with_parts(courses, unseen)
+        passages["robot"] = find_conditions(courses, "robot", told)
     barred: dict[Agent, set[Event]] = {agent: set() for agent in AGENTS}
     while circle := next(in_circles(passages["robot"], passages["operator"]), None):
         agent, event = circle
@@ -92,7 +97,20 @@ def learn_courses(courses: Sequence[ExecutionVisits], told: Sequence[Wait] = ())
         usual_s = _usual_work_s(mine)
         found += [_gate(courses, gate, told, usual_s, together) for gate in mine]
     gates = tuple(gate for gate in found if gate is not None)
-    return CouplingCard(gates=gates, sources=find_sources(courses, gates), executions=len(courses))
+    held = {one.place for gate in gates for one in gate.conditions}
+    sources = (*find_sources(courses, gates), *(source for source in unseen if source.signal in held))
+    return CouplingCard(gates=gates, sources=sources, executions=len(courses))
+
+
+def _unseen(
+    courses: Sequence[ExecutionVisits], gates: Sequence[Passages], told: Sequence[Wait]
+) -> tuple[SourceCard, ...]:
+    """Return sources of parts that no signal tells of, at places where the robot waits for no signal."""
+    leaving = {each.gate.place: each for each in gates if each.gate.at == "leave"}
+    by_signal = {place for place, each in leaving.items() if any(one.event.agent == "signal" for one in each.found)}
+    by_file = {wait.leaving for wait in told if wait.agent == "robot"}
+    found = (find_unseen_parts(courses, place) for place in leaving if place not in by_signal | by_file)
+    return tuple(source for source in found if source is not None)
 
 
 def _usual_work_s(gates: Sequence[Passages]) -> float:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import polars as pl
 
+from cyclekit.learning.coupling.unseen_parts import with_parts
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], co
         courses: The executions in them.
         coupling: Who waits for whom.
     """
-    waits = [wait for course in courses for wait in _waits(course, coupling)]
+    waits = [wait for course in with_parts(courses, coupling.sources) for wait in _waits(course, coupling)]
     kinds = {name: tasks.schema[name] for name in ("execution", "index", "agent")}
     columns = kinds | {"ended_s": pl.Float64, "ended_by": pl.String, "short": pl.Boolean}
     ended = pl.DataFrame(waits, schema=columns, orient="row").unique(list(kinds), keep="first")

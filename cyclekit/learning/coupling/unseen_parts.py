@@ -1,0 +1,187 @@
+"""Parts that no signal tells of, seen by the standstills of the robot that takes them alone.
+
+Where the robot waited for a part, that came when its wait ended; where it did not, the part was there before it came.
+Each comes a gap after the one before it, as long as there is room. So the gap is seen wherever the robot waited for the
+part before: exactly, or as shorter than the time that the robot was away. Parts whose coming is not seen are drawn
+(particles): how well they explain the other standstills tells how many parts may wait.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cyclekit.dataset.cards.coupling import SourceCard
+from cyclekit.learning.coupling.conditions import least_gain
+from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.visits import Event
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from cyclekit.learning.coupling.visits import ExecutionVisits
+    from cyclekit.schema import Bools, Floats, Vector
+
+WAITED_S = 0.3
+"""A standstill that is so much longer than the shortest tenth of them was a wait."""
+LEAST = 10
+"""At least so many waits, so many standstills without one, and so many gaps are seen."""
+LONG_S = 10.0
+"""A part that was there before the robot is taken to have come so long before it."""
+BUFFERS = (1, 2, 3, 4, 5)
+"""How many parts may wait."""
+AS_GOOD = 0.5
+"""A smaller buffer that explains the standstills as well, to this, is taken."""
+PARTICLES = 100
+ANY, ANY_S = 0.01, 100.0
+"""Part of gaps and waits that may be anything within so long."""
+
+
+@dataclass(frozen=True)
+class PartVisits:
+    """The visits of the robot to one place, by execution and number, shape (E, K), NaN behind the last; s.
+
+    Attributes:
+        came, left: From when to when, since the start of the execution.
+        own_s: Own work at the place.
+    """
+
+    came: Floats
+    left: Floats
+    own_s: float
+
+    @property
+    def waited(self) -> Bools:
+        """Where the robot waited."""
+        return np.asarray(self.left - self.came > self.own_s + WAITED_S)
+
+    @property
+    def part_s(self) -> Floats:
+        """When the part came that was waited for."""
+        return np.where(self.waited, self.left - self.own_s, np.nan)
+
+
+class _Times(NamedTuple):
+    """A distribution: times of which some may only be known as shorter than that, and their mass."""
+
+    at: Vector
+    mass: Vector
+
+    def density(self, at: Floats) -> Floats:
+        """Return the density at some times, without what was seen at exactly these."""
+        some = self.mass > 0.0
+        times, mass = self.at[some], self.mass[some]
+        low, high = np.quantile(times, (0.25, 0.75))
+        width = max(0.05, 0.8 * (high - low) * len(times) ** -0.2)
+        off = np.abs(at[..., None] - times)
+        kernel = np.where(off < 1e-9, 0.0, np.exp(-0.5 * (off / width) ** 2) / (width * np.sqrt(2.0 * np.pi)))
+        left = np.maximum(mass.sum() - np.where(off < 1e-9, mass, 0.0).sum(axis=-1), 1e-9)
+        return np.asarray((1.0 - ANY) * mass.sum() * (kernel @ mass) / left + ANY / ANY_S)
+
+    def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
+        """Return some times; those shorter than all that were seen are as short as the shortest."""
+        some = self.mass > 0.0
+        times, mass = self.at[some], self.mass[some].copy()
+        mass[times.argmin()] += max(0.0, 1.0 - mass.sum())
+        return np.asarray(rng.choice(times, shape, p=mass / mass.sum()))
+
+
+def find_unseen_parts(courses: Sequence[ExecutionVisits], place: str) -> SourceCard | None:
+    """Return how the parts come that the robot waits for at a place; None: its standstills do not show any."""
+    visits = part_visits(courses, place)
+    waited, seen = visits.waited, np.isfinite(visits.left)
+    if min(waited.sum(), (seen & ~waited).sum()) < LEAST or visits.came.shape[1] < 2:
+        return None
+    first = _times(visits, np.zeros(len(visits.came)), visits.came[:, 0], visits.left[:, 0])
+    gaps = _times(visits, visits.part_s[:, :-1].ravel(), visits.came[:, 1:].ravel(), visits.left[:, 1:].ravel())
+    if min((gaps.mass > 0.0).sum(), (first.mass > 0.0).sum()) < LEAST:
+        return None
+    found = [_likelihood(visits, first, gaps, buffer) for buffer in BUFFERS]
+    if max(found) - _by_chance(visits) < least_gain(int(seen.sum())):
+        return None
+    return SourceCard(
+        signal=f"part at {place}",
+        gap_s=quantiles(gaps.at, gaps.mass),
+        first_s=quantiles(first.at, first.mass),
+        buffer=next(n for n, each in zip(BUFFERS, found, strict=True) if each >= max(found) - AS_GOOD),
+        taken_by=place,
+        inferred=True,
+    )
+
+
+def with_parts(courses: Sequence[ExecutionVisits], sources: Iterable[SourceCard]) -> list[ExecutionVisits]:
+    """Return executions with when the parts came that no signal tells of; long before the robot where it found one."""
+    found = list(courses)
+    for source in sources:
+        if source.inferred:
+            own_s = part_visits(courses, source.taken_by).own_s
+            key = Event("signal", source.signal, "arrives")
+            found = [replace(each, events={**each.events, key: _came(each, source.taken_by, own_s)}) for each in found]
+    return found
+
+
+def _came(course: ExecutionVisits, place: str, own_s: float) -> Vector:
+    stays = np.array([(each.arrived_s, each.left_s) for each in course.visits["robot"] if each.place == place])
+    came, left = stays.reshape(-1, 2).T
+    return np.where(left - came > own_s + WAITED_S, left - own_s, came - LONG_S)
+
+
+def part_visits(courses: Sequence[ExecutionVisits], place: str) -> PartVisits:
+    """Return the visits of the robot to a place; own work takes as long as the shortest tenth of the standstills."""
+    begins = [course.visits["robot"][0].left_s for course in courses]
+    some = [[visit for visit in course.visits["robot"][1:] if visit.place == place] for course in courses]
+    came, left = np.full((2, len(courses), max(map(len, some), default=0)), np.nan)
+    for row, (begin_s, mine) in enumerate(zip(begins, some, strict=True)):
+        known = [visit for visit in mine if np.isfinite(visit.left_s - visit.arrived_s)]
+        came[row, : len(known)] = [visit.arrived_s - begin_s for visit in known]
+        left[row, : len(known)] = [visit.left_s - begin_s for visit in known]
+    stays = (left - came)[np.isfinite(left)]
+    return PartVisits(came, left, float(np.quantile(stays, 0.1)) if len(stays) else 0.0)
+
+
+def _times(visits: PartVisits, since: Vector, came: Vector, left: Vector) -> _Times:
+    """Return the times from some instants to the coming of a part; it came before the robot where that did not wait."""
+    known = np.isfinite(since) & np.isfinite(left)
+    waited = left - came > visits.own_s + WAITED_S
+    at = np.where(waited, left - visits.own_s, came)[known] - since[known]
+    mass = reverse_kaplan_meier(at, waited[known].astype(np.float64), np.ones(len(at), np.bool_))
+    return _Times(at, mass)
+
+
+def _likelihood(visits: PartVisits, first: _Times, gaps: _Times, buffer: int) -> float:
+    """Return the log-likelihood of the standstills if so many parts may wait."""
+    rng, total, waited = np.random.default_rng(0), 0.0, visits.waited
+    came, part_s = visits.came[..., None], visits.part_s[..., None]
+    before = np.zeros((len(came), PARTICLES))
+    for number in range(came.shape[1]):
+        times = gaps if number else first
+        drawn = before + times.drawn(before.shape, rng)
+        if number >= buffer:
+            drawn = np.fmax(drawn, visits.left[:, number - buffer, None])
+        waits, found_one = waited[:, number], np.isfinite(visits.left[:, number]) & ~waited[:, number]
+        there = np.asarray(drawn <= came[:, number])
+        since = (part_s[:, number] - before)[waits]
+        total += float(np.log(times.density(since).mean(axis=1)).sum())
+        total += float(np.log(np.clip(there[found_one].mean(axis=1), ANY, 1.0)).sum())
+        kept = _of_these(drawn, there, rng)
+        before = np.where(there.any(axis=1, keepdims=True), kept, came[:, number])
+        before = np.where(waits[:, None], part_s[:, number], before)
+    return total
+
+
+def _of_these(values: Floats, some: Bools, rng: np.random.Generator) -> Floats:
+    """Return values of which only some are left, drawn again row by row to as many as before."""
+    level = rng.random(values.shape) * some.sum(axis=1, keepdims=True)
+    order = np.argsort(~some, axis=1, kind="stable")
+    return np.take_along_axis(np.take_along_axis(values, order, 1), level.astype(np.int64), 1)
+
+
+def _by_chance(visits: PartVisits) -> float:
+    """Return the log-likelihood of the standstills if each is as long as it happens to be, whatever was before."""
+    seen, waited = np.isfinite(visits.left), visits.waited
+    waits_s = (visits.left - visits.came - visits.own_s)[waited]
+    share = waited.sum() / seen.sum()
+    density = _Times(waits_s, np.full(len(waits_s), 1.0 / len(waits_s))).density(waits_s)
+    return float(np.log(share * density).sum() + (seen & ~waited).sum() * np.log(1.0 - share))

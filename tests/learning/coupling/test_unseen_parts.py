@@ -1,0 +1,97 @@
+"""Parts without a sensor are found by the robot's standstills alone; standstills that merely vary are none."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+
+from cyclekit import schema
+from cyclekit.dataset.cards.coupling import Agent
+from cyclekit.learning.coupling.learn import learn_courses
+from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
+from cyclekit.learning.coupling.waits import with_waits_named
+
+GAP_S = 6.0, 4.0  # at least, and what comes on top on average
+
+
+def _fed(rng: np.random.Generator, name: str, buffer: int | None) -> ExecutionVisits:
+    """Return an execution whose robot takes parts from a belt and sorts others meanwhile.
+
+    They come GAP_S apart, at most `buffer` of them wait; None: a part is always there, and its process varies as much.
+    """
+    at, robot, came = 0.0, [PlaceVisit("home", 0.0, 0.0)], [0.0]
+    for part in range(6):
+        at = _sorted(robot, rng, at, int(rng.choice([1, 1, 10])))
+        came.append(came[-1] + GAP_S[0] + rng.exponential(GAP_S[1]))
+        if buffer is not None and part >= buffer:
+            came[-1] = max(came[-1], [each.left_s for each in robot if each.place == "belt"][part - buffer])
+        waits_s = max(came[-1] - at, 0.0) if buffer is not None else max(rng.normal(0.0, 4.0), 0.0)
+        robot.append(PlaceVisit("belt", at, at + waits_s + rng.uniform(0.6, 0.61)))
+        at = robot[-1].left_s + 2.0
+    robot.append(PlaceVisit("home", at, np.nan))
+    operator, at = [], 0.0
+    for _ in range(6):
+        operator.append(PlaceVisit("bench", at, at + rng.uniform(1.0, 4.0)))
+        operator.append(
+            PlaceVisit("shelf", operator[-1].left_s + 2.0, operator[-1].left_s + 2.0 + rng.uniform(1.0, 4.0))
+        )
+        at = operator[-1].left_s + 2.0
+    visits: dict[Agent, list[PlaceVisit]] = {"robot": robot, "operator": operator}
+    return ExecutionVisits(name, visits, events_of(visits))
+
+
+def _sorted(robot: list[PlaceVisit], rng: np.random.Generator, at: float, count: int) -> float:
+    for _ in range(count):
+        robot.append(PlaceVisit(f"tray {rng.integers(3)}", at, at + 0.5))
+        at += 2.5
+    return at
+
+
+@pytest.mark.parametrize("buffer", [1, 2])
+def test_parts_are_learned_from_standstills_alone(buffer: int) -> None:
+    rng = np.random.default_rng(3)
+    card = learn_courses([_fed(rng, str(number), buffer) for number in range(60)])
+    (gate,) = (gate for gate in card.gates if gate.conditions)
+    (condition,), (source,) = gate.conditions, card.sources
+    assert (gate.agent, gate.at, gate.place) == ("robot", "leave", "belt")
+    assert (condition.agent, condition.place, condition.event) == ("signal", "part at belt", "arrives")
+    assert (source.signal, source.taken_by, source.inferred) == ("part at belt", "belt", True)
+    assert np.mean(source.gap_s) == pytest.approx(sum(GAP_S), rel=0.15)
+    assert np.mean(source.first_s) == pytest.approx(sum(GAP_S), rel=0.15)
+    assert np.median(gate.own_s) == pytest.approx(0.605, abs=0.01)
+    assert source.buffer == buffer
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_dwell_that_merely_varies_is_no_wait_for_parts(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    card = learn_courses([_fed(rng, str(number), None) for number in range(40)])
+    assert card.sources == ()
+    assert not card.coupled
+
+
+def test_a_wait_for_such_a_part_is_named() -> None:
+    rng = np.random.default_rng(3)
+    courses = [_fed(rng, str(number), 2) for number in range(40)]
+    rows = [
+        {
+            "execution": course.name,
+            "index": index,
+            "agent": "robot",
+            "arrival_s": visit.arrived_s,
+            "end_s": visit.left_s,
+            "dwell_s": visit.left_s - visit.arrived_s,
+            "wait_s": 0.0,
+        }
+        for course in courses
+        for index, visit in enumerate(course.visits["robot"][1:])
+    ]
+    tasks = schema.conform(pl.DataFrame(rows), schema.TASKS)
+    found = with_waits_named(tasks, courses, learn_courses(courses))
+    named = found.filter(pl.col("waited_for").is_not_null())
+    assert named["waited_for"].unique().to_list() == ["part at belt arrives"]
+    long = tasks.filter(pl.col("dwell_s").is_between(0.95, 1000.0))
+    assert named.height == long.height
+    assert named["wait_s"].sum() == pytest.approx((long["dwell_s"] - 0.605).sum(), rel=0.02)
+    assert named["dwell_s"].to_numpy() == pytest.approx(np.full(named.height, 0.605), abs=0.02)

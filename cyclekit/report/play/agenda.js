@@ -12,7 +12,8 @@ const needsOf = (agent, at, place, turn, asked) => conditionsOf(gateOf(agent, at
   const passage = Math.floor(turn / every);
   if (turn % every !== first || passage < back) return [];
   const number = (passage - back) * eventEvery + eventFirst;
-  return [{ event: [one.agent, one.place, one.kind, number].join(APART), said: one.said, lag_s: one.lag_s, needed: one.needed }];
+  const event = [one.agent, one.place, one.kind, number].join(APART);
+  return [{ event, said: one.said, lag_s: one.lag_s, needed: one.needed, together: one.together, passage: Math.floor(turn / every) }];
 });
 const ownOf = (agent, place, asked) => {
   const gate = gateOf(agent, "leave", place);
@@ -88,7 +89,8 @@ const operatorAgenda = (places, asked) => {
   places.forEach((place, number) => {
     const stays = facts.work_s[place];
     const own = waits ? ownOf("operator", place, asked) : null;
-    const work = stays ? own || stays.map((seconds) => seconds / asked.pace) : NOTHING_S;
+    const first = number ? null : facts.first_stays_s[place];
+    const work = (stays && own) || (stays || first || NOTHING_S).map((seconds) => seconds / asked.pace);
     agenda.go(number, place, { place, start: number ? places[number - 1] : "", own_s: work, name: place });
   });
   return agenda.ended(places);
@@ -106,11 +108,13 @@ const sourceAgenda = (source, robot, asked) => { // JointCell.source
       event: ["robot", source.taken_by, "leaves", part - buffer].join(APART), said: source.said, lag_s: NOTHING_S, needed: 1,
     }],
     arrives: [],
-    passes: [["signal", source.signal, "set", part].join(APART)],
+    passes: [["signal", source.signal, source.kind, part].join(APART)],
   }));
   return count ? { agent: "signal", legs, tasks: [] } : null;
 };
 
+const chanceOf = (need, key, turn) => // one level for both, where they wait in the same passages
+  (need.together ? levelsOf(`together ${need.together}`, need.passage) : levelsOf(`${key} needs ${need.said}`, turn));
 const drawnOf = (agenda, number) => { // Drawn: levels of own work, lags, walks and stays, by cycle; events by number
   const turns = new Map();
   const turnOf = (key) => {
@@ -130,7 +134,7 @@ const drawnOf = (agenda, number) => { // Drawn: levels of own work, lags, walks 
         ...need,
         event: number(need.event),
         level: need.lag_s.length > 1 ? levelsOf(`${key} after ${need.said}`, turn) : null,
-        chance: need.needed < 1 ? levelsOf(`${key} needs ${need.said}`, turn) : null,
+        chance: need.needed < 1 ? chanceOf(need, key, turn) : null,
       })),
     };
     if (agenda.agent !== "operator") return found;

@@ -82,6 +82,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel) -> Tables:
         "gates": _gates(card),
         "sources": [_source(each) for each in card.sources],
         "work_s": {place: np.round(works, 4).tolist() for place, works in cell.work_s.items()},
+        "first_stays_s": {place: np.round(stays, 4).tolist() for place, stays in cell.first_stays_s.items()},
         "walks": walks,
         "stays": stays,
         "segments": segments,
@@ -136,7 +137,8 @@ def _said(*event: str) -> str:
 
 def _source(source: SourceCard) -> dict[str, Any]:
     told = {name: getattr(source, name) for name in ("signal", "gap_s", "first_s", "buffer", "taken_by")}
-    return {**told, "said": _said("robot", source.taken_by, "leaves")}
+    kind = "arrives" if source.inferred else "set"
+    return {**told, "kind": kind, "said": _said("robot", source.taken_by, "leaves")}
 
 
 def _gates(card: CouplingCard) -> list[dict[str, Any]]:
@@ -144,7 +146,7 @@ def _gates(card: CouplingCard) -> list[dict[str, Any]]:
     for gate in card.gates:
         conditions = [
             {
-                **{name: getattr(one, name) for name in ("agent", "place", "back", "needed", "lag_s")},
+                **{name: getattr(one, name) for name in ("agent", "place", "back", "needed", "together", "lag_s")},
                 "kind": event_kind(one),
                 "said": _said(one.agent, one.place, event_kind(one)),
                 "turns": {name: getattr(one.turns, name) for name in ("every", "first", "event_every", "event_first")},

@@ -15,6 +15,8 @@ from msgspec import structs
 from cyclekit.learning.rules.quantities import outwards, put, quantities
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from cyclekit.dataset.cards.rule import LimitCard, MetresCard
     from cyclekit.learning.rules.quantities import RulePlace
 
@@ -27,11 +29,11 @@ SUREST_M = 0.001
 """No threshold or edge is known better than this."""
 
 
-def with_one_hysteresis(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
+def with_one_hysteresis(limits: tuple[LimitCard, ...], known: Collection[RulePlace] = ()) -> tuple[LimitCard, ...]:
     """Return a rule whose regions to leave are wider than those to enter by one margin, as far as its intervals allow.
 
     Each pair of numbers is drawn to the mean margin of all pairs, weighed by how well each is known; one whose own
-    margin differs by more than its interval stays.
+    margin differs by more than its interval stays, as do those that are `known` already.
     """
     values = quantities(limits)
     places = [place for place in values if not place.until and place._replace(until=True) in values]
@@ -46,6 +48,8 @@ def with_one_hysteresis(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
     found: dict[RulePlace, MetresCard] = {}
     for number in np.flatnonzero(np.abs(margin - mean_m) <= Z95 * error).tolist():
         place, apart_m, (inner, outer) = places[number], ways[number] * mean_m, pairs[number]
+        if place in known and place._replace(until=True) in known:
+            continue
         found[place] = _joined(inner, outer, -apart_m, mean_error)
         found[place._replace(until=True)] = _joined(outer, inner, apart_m, mean_error)
     return put(limits, found)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import structs
 
-from cyclekit.learning.rules.crossings import by_crossings
 from cyclekit.learning.rules.fitting import fit_limits, near_edges
+from cyclekit.learning.rules.hysteresis import Z95
 from cyclekit.learning.rules.polygons import seen_from
 from cyclekit.learning.rules.quantities import changed, quantities
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from cyclekit.dataset.cards.rule import LimitCard, MetresCard, RegionCard
     from cyclekit.learning.rules.families.family import Family
@@ -31,7 +31,8 @@ def with_intervals(
     levels: Sequence[float],
     family: Family,
     *,
-    noisy: bool,
+    known: Collection[RulePlace] = (),
+    noise_m: float = 0.0,
     seed: int,
 ) -> tuple[LimitCard, ...]:
     """Return a rule with the interval of every threshold and edge.
@@ -43,11 +44,13 @@ def with_intervals(
         rows: What it was fitted to.
         levels: Of the speed scaling, ascending.
         family: Its kind.
-        noisy: Thresholds are those of the crossings.
+        known: Those that have one already.
+        noise_m: Of positions, standard deviation: a fit goes by the outermost sample on each side.
         seed: Of the drawing.
     """
+    if set(quantities(limits)) <= set(known):
+        return limits
     lag = any(limit.until is not None for limit in limits)
-    steps = {level: step for step, level in enumerate(levels)}
     near = near_edges(limits, rows)
     rng = np.random.default_rng(seed)
     count = int(rows.execution.max()) + 1
@@ -57,16 +60,18 @@ def with_intervals(
     for _ in range(RESAMPLES):
         times = np.bincount(rng.choice(present, len(present)), minlength=count)[rows.execution].astype(np.float64)
         drawn = fit_limits(rows, levels, family, lag=lag, weight=times * near, start=limits)
-        drawn = by_crossings(drawn, rows, steps, times) if noisy else drawn
         for place, metres in quantities(_aligned(drawn, limits)).items():
             low[place].append(metres.value if metres.low is None else metres.low)
             high[place].append(metres.value if metres.high is None else metres.high)
 
     def bounded(place: RulePlace, metres: MetresCard) -> MetresCard:
+        if place in known:
+            return metres
         ends = [metres.value if end is None else end for end in (metres.low, metres.high)]
         below = float(np.quantile([*low[place], ends[0]], BOUNDS[0], method="lower"))
         above = float(np.quantile([*high[place], ends[1]], BOUNDS[1], method="higher"))
-        return structs.replace(metres, low=min(below, metres.value), high=max(above, metres.value))
+        off_m = 0.0 if place.kind == "robot" else Z95 * noise_m
+        return structs.replace(metres, low=min(below, metres.value) - off_m, high=max(above, metres.value) + off_m)
 
     return changed(limits, bounded)
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.cards.rule import RuleCard
-from cyclekit.learning.rules.crossings import LAG_M, by_crossings, lags
+from cyclekit.learning.rules.crossing_fit import by_crossings
+from cyclekit.learning.rules.crossings import LAG_M, lags
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.families.signal import SIGNALS
 from cyclekit.learning.rules.fitting import few_of, fit_limits, refined
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.learning.rules.fitting import Limits
+    from cyclekit.learning.rules.quantities import RulePlace
     from cyclekit.learning.rules.rows import RuleRows
 
 EXPLAINS = 0.999
@@ -132,7 +134,7 @@ def find_rule(
     best = next(clean, None)
     if best is None:
         best = _simplest(fits, judge, learn, levels, rival)
-    noisy = best is None or _part(best.right, judge) < EXPLAINS
+    noisy = judge.noise_m > NOISE_M or best is None or _part(best.right, judge) < EXPLAINS
     explained = {fit.said: _part(fit.right, judge) for fit in fits}
     seen = (len(rows), len(np.unique(rows.execution)))
     part = None if rival is None else _part(rival, judge)
@@ -289,10 +291,12 @@ def _whole(fit: _Fit, rows: RuleRows, levels: Sequence[float], *, noisy: bool, s
     limits = _evened(refined(fit.limits, rows, levels, family, lag=fit.lag), rows, levels)
     if not limits:
         return None
+    known: Collection[RulePlace] = ()
+    noise_m = rows.noise_m if noisy else 0.0
     if noisy:
-        limits = by_crossings(limits, rows, {level: step for step, level in enumerate(levels)})
-    limits = with_intervals(limits, rows, levels, family, noisy=noisy, seed=seed)
-    return without_doubtful(with_one_hysteresis(limits))
+        limits, known = by_crossings(limits, rows, {level: step for step, level in enumerate(levels)})
+    limits = with_intervals(limits, rows, levels, family, known=known, noise_m=noise_m, seed=seed)
+    return without_doubtful(with_one_hysteresis(limits, known))
 
 
 def _by_execution(right: NDArray[np.bool_], rows: RuleRows) -> NDArray[np.float64]:

@@ -1,0 +1,153 @@
+"""Thresholds and edges with their intervals from where the level changed, all of a rule at once.
+
+The reaction time by which positions were shifted is off by some milliseconds, so who comes fast is seen to cross a
+threshold farther in or out than who comes slowly: how much is fitted as well, one number for the whole rule. Errors
+within one execution hang together, so executions are the unit of what is uncertain.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.special import stdtrit
+
+from cyclekit.dataset.cards.rule import MetresCard
+from cyclekit.learning.rules.crossings import Crossings, crossings_of
+from cyclekit.learning.rules.hysteresis import SUREST_M, Z95
+from cyclekit.learning.rules.quantities import outwards, put
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.cards.rule import LimitCard
+    from cyclekit.learning.rules.quantities import RulePlace
+    from cyclekit.learning.rules.rows import RuleRows
+    from cyclekit.schema import Bools, Ints, Vector
+
+LEAST = 5
+"""Fewer changes say nothing about where a threshold lies."""
+LATE = 0.3
+"""By so many samples the reaction time is off, standard deviation, before anything is seen."""
+FAR_OFF = 4.0
+"""A change so many deviations off is of something else."""
+_ROUNDS = 4
+
+
+class Located(NamedTuple):
+    """P thresholds and edges.
+
+    Attributes:
+        places: Which.
+        at_m: Where, shape (P,).
+        expected, seen: Covariance of `at_m` by the spread of each change, and as executions differ, shape (P, P), m2.
+        executions: How many tell of each, shape (P,).
+    """
+
+    places: Sequence[RulePlace]
+    at_m: Vector
+    expected: NDArray[np.float64]
+    seen: NDArray[np.float64]
+    executions: Ints
+
+    def error_m(self, of: NDArray[np.float64]) -> Vector:
+        """Return the standard errors (K,) of sums `of` (K, P) @ `at_m`: the larger of the two."""
+        squares = [np.einsum("kp,pq,kq->k", of, each, of) for each in (self.expected, self.seen)]
+        return np.sqrt(np.maximum(*squares))
+
+    def cards(self) -> dict[RulePlace, MetresCard]:
+        """Return them with their 95 % intervals."""
+        error_m = np.hypot(self.error_m(np.eye(len(self.at_m))), SUREST_M)
+        half = stdtrit(np.maximum(1, self.executions - 1), 0.975) * error_m
+        ends = zip(self.places, self.at_m.tolist(), half.tolist(), strict=True)
+        return {place: MetresCard(value=at, low=at - way, high=at + way) for place, at, way in ends}
+
+
+def by_crossings(
+    limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, int]
+) -> tuple[tuple[LimitCard, ...], frozenset[RulePlace]]:
+    """Return a rule with its thresholds and edges, and their intervals, from where the level changed; and which.
+
+    With hysteresis where the level fell tells of the region to enter, where it rose of the one to leave, and one margin
+    lies between them (`hysteresis`); without both tell of the same threshold.
+
+    Args:
+        limits: The rule as it was fitted; where changes are too few it stays.
+        rows: What it was fitted to.
+        steps: Index of each level.
+    """
+    lag = {limit.scaling: limit.until is not None for limit in limits}
+    told: dict[RulePlace, Crossings] = {}
+    for place, (down, up) in crossings_of(limits, rows, steps).items():
+        both = Crossings(*(np.concatenate(pair) for pair in zip(down, up, strict=True)))
+        mine = _likely((up if place.until else down) if lag[place.level] else both)
+        if len(mine.value_m) >= LEAST:
+            told[place] = mine
+    if not told:
+        return limits, frozenset()
+    found = with_one_margin(located(told))
+    return put(limits, found.cards()), frozenset(told)
+
+
+def _likely(each: Crossings) -> Crossings:
+    """Return the changes that lie where most of them do."""
+    if not len(each.value_m):
+        return each
+    off = np.abs(each.value_m - np.median(each.value_m))
+    return each.where(off <= FAR_OFF * np.maximum(each.spread_m, 1.4826 * np.median(off)))
+
+
+def located(told: Mapping[RulePlace, Crossings]) -> Located:
+    """Return where thresholds and edges lie, of one regression on all changes of the level.
+
+    Args:
+        told: The changes that each of them caused, at least one.
+    """
+    value, pace, spread, execution = (np.concatenate(parts) for parts in zip(*told.values(), strict=True))
+    counts = [len(each.value_m) for each in told.values()]
+    of = np.repeat(np.arange(len(told)), counts)
+    inputs = np.column_stack([of[:, None] == np.arange(len(told)), pace]).astype(np.float64)
+    keep: Bools = np.ones(len(value), np.bool_)
+    for _ in range(_ROUNDS):
+        weight = np.where(keep, spread**-2.0, 0.0)
+        squares = (inputs * weight[:, None]).T @ inputs
+        squares[-1, -1] += LATE**-2.0
+        expected = np.linalg.pinv(squares)
+        off = value - inputs @ (at_m := expected @ (inputs * weight[:, None]).T @ value)
+        usual = max(1.0, 1.4826 * float(np.median(np.abs(off) / spread)))
+        keep = np.abs(off) <= FAR_OFF * usual * spread
+    units, number = np.unique(execution, return_inverse=True)
+    pull = np.zeros((len(units), inputs.shape[1]))
+    np.add.at(pull, number, inputs * (weight * off)[:, None])
+    seen = expected @ pull.T @ pull @ expected * len(units) / max(1, len(units) - 1)
+    executions = np.array([len(np.unique(each.execution)) for each in told.values()])
+    return Located(list(told), at_m[:-1], expected[:-1, :-1], seen[:-1, :-1], executions)
+
+
+def with_one_margin(found: Located) -> Located:
+    """Return thresholds and edges of which each is left by one margin farther out than it is entered.
+
+    One whose own margin differs by more than its interval keeps it.
+    """
+    number = {place: at for at, place in enumerate(found.places)}
+    pairs = [
+        (number[place], other, outwards(place))
+        for place in found.places
+        if not place.until and (other := number.get(place._replace(until=True))) is not None
+    ]
+    if len(pairs) < 2:
+        return found
+    margins = np.zeros((len(pairs), len(found.places)))
+    for row, (inner, outer, way) in enumerate(pairs):
+        margins[row, [inner, outer]] = (-way, way)
+    own, error = margins @ found.at_m, found.error_m(margins)
+    same = margins[np.abs(own - np.average(own, weights=error**-2.0)) <= Z95 * error]
+    if len(same) < 2:
+        return found
+    apart = same[1:] - same[:1]
+    to_even = found.expected @ apart.T @ np.linalg.pinv(apart @ found.expected @ apart.T)
+    change = np.eye(len(found.places)) - to_even @ apart
+    expected, seen = (change @ each @ change.T for each in (found.expected, found.seen))
+    return found._replace(at_m=change @ found.at_m, expected=expected, seen=seen)

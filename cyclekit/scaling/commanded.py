@@ -38,9 +38,9 @@ UNKNOWN = -1
 _SLOWER = 1.5
 """A way that takes so many times as long as its ramp, and _STALLS_S more, heads for nothing that is known."""
 _STALLS_S = 0.3
-_SURE_S = 0.3
-"""So soon after a ramp to the next level has begun that level is the command; later a slow ramp may have headed for a
-farther one until it is there."""
+SHORT_S = 0.6
+"""In the last part of a way that takes no longer the level it ends at is the command; a longer one may have headed for
+a farther level first."""
 
 
 class Response(Protocol):
@@ -200,10 +200,7 @@ def _on_the_way(
     ]  # fmt: skip
     if way.after is None or way.after == edge or found[-1].level != way.after:
         return found
-    return [
-        *found[:-1],
-        *_last_part(found[-1], top, rises=way.rises, whole=len(found) == 1, reached_s=float(times[-1])),
-    ]
+    return [*found[:-1], _last_part(found[-1], top, rises=way.rises, reached_s=float(times[-1]))]
 
 
 def _reached(hold: Hold, t_s: Vector, scaling: Vector, near: float, rates: RampRates) -> float:
@@ -223,10 +220,8 @@ def _turn_of(way: Way, t_s: Vector, scaling: Vector, rates: RampRates) -> float:
     return float(np.clip(t_s[before] - gone / (came + goes), t_s[before], t_s[after]))
 
 
-def _last_part(last: _Command, top: int, *, rises: bool, whole: bool, reached_s: float) -> list[_Command]:
+def _last_part(last: _Command, top: int, *, rises: bool, reached_s: float) -> _Command:
     """Return what the last part of a way to a level tells: if it takes long, the command may have lain farther on."""
-    if reached_s - last.since_s <= 2 * _SURE_S:
-        return [last]
-    level = last.level
-    hidden = _Command(last.since_s, UNKNOWN, level if rises else 0, top if rises else level)
-    return [last, hidden._replace(since_s=last.since_s + _SURE_S)] if whole else [hidden]
+    if reached_s - last.since_s <= SHORT_S:
+        return last
+    return last._replace(level=UNKNOWN, at_least=last.level if rises else 0, at_most=top if rises else last.level)

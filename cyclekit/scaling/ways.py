@@ -128,9 +128,20 @@ def holds_of(
     for row in np.flatnonzero((label[first] >= 0) & (t_s[last] - t_s[first] >= held_s)).tolist():
         a, b = int(first[row]), int(last[row])
         ends = a == 0 or b == len(label) - 1 or np.isnan(scaling[a - 1]) or np.isnan(scaling[b + 1])
-        if ends or (t_s[b] - t_s[a] >= least_s and not _passes(scaling, a, b, near)):
+        passes = _slopes(t_s[a : b + 1], scaling[a : b + 1], rates) if ends else _passes(scaling, a, b, near)
+        if t_s[b] - t_s[a] >= least_s and not passes:
             found.append(Hold(int(label[a]), a, b))
     return found
+
+
+def _slopes(t_s: Vector, scaling: Vector, rates: RampRates) -> bool:
+    """Tell whether rows near a level, at an end of what is known, are the end of a ramp: as steep as half of one."""
+    if len(t_s) < 2:
+        return False
+    way = t_s - t_s.mean()
+    slope = float(way @ (scaling - scaling.mean()) / (way @ way))
+    rate = rates.of(rises=slope > 0)
+    return rate is not None and abs(slope) > rate / 2
 
 
 def _passes(scaling: Vector, first: int, last: int, near: float) -> bool:

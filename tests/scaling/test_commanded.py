@@ -88,9 +88,19 @@ def test_a_slow_ramp_may_have_headed_farther_than_where_it_ends():
     level = np.repeat([2, 4, 3, 2], [200, 150, 300, 100])  # walks out, and half way back before the robot is at 75 %
     scaling = followed(level, 100, 0.0, 1.0, 0.1)
     found = commanded_levels(np.arange(len(level)) / 100, scaling, LEVELS, response(None, 1.0, 0.1))
-    assert (found.level[250:400] == -1).all()
-    assert (found.at_least[250:400] == 3).all()
+    assert (found.level[202:400] == -1).all()
+    assert (found.at_least[202:400] == 3).all()
     assert (found.level[460:640] == 3).all()
+
+
+def test_a_slow_ramp_cut_off_near_a_level_does_not_hold_it():
+    level = np.repeat([2, 4, 4], [200, 1200, 100])
+    scaling = followed(level, 10, 0.0, 1.0, 0.1)
+    for cut in (slice(0, 227), slice(224, None)):  # the log ends, or begins, at 0.76 or 0.74 on the way to 1
+        found = commanded_levels(np.arange(len(level))[cut] / 10, scaling[cut], LEVELS, response(None, 1.0, 0.1))
+        known = found.level >= 0
+        assert known.any()
+        assert (found.level[known] == level[cut][known]).all()
 
 
 def test_without_ramps_each_row_on_a_level_is_commanded_that() -> None:

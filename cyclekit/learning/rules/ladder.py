@@ -42,7 +42,8 @@ GAINS = 0.005
 """Two conditions at once must explain so much more than one."""
 FAR_M, FAR_NOISE, FAR_PART = 0.05, 4.0, 0.005
 """Noise makes a rule wrong near its edges alone: within FAR_M, and so many times the noise. One that is wrong farther
-off for more than this part of the held-out samples is not the rule, however many of the others it explains."""
+off for more than this part of the held-out samples, by a standard error over executions, is not the rule, however many
+of the others it explains: labels of an inferred scaling are wrong together in a few executions."""
 TEST_PART = 0.2
 LAGS = ", with hysteresis"
 
@@ -196,7 +197,9 @@ class _Search:
     def _judged(self, name: str, limits: Limits, *, lag: bool) -> _Fit:
         agrees = _agrees(limits, self.levels, self.judge)
         near = _agrees(limits, self.levels, self.judge, max(FAR_M, FAR_NOISE * self.judge.noise_m))
-        return _Fit(name, lag, limits, _by_execution(agrees, self.judge), float((~near).mean()))
+        far = _by_execution(~near, self.judge)
+        error = float(np.sqrt(len(far)) * far.std(ddof=1)) if len(far) > 1 else 0.0
+        return _Fit(name, lag, limits, _by_execution(agrees, self.judge), (far.sum() - error) / len(self.judge))
 
 
 def _tried(search: _Search, fits: list[_Fit]) -> Iterator[_Fit]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -273,6 +274,21 @@ def test_labels_that_are_wrong_now_and_then_hide_no_rule(step: Any) -> None:
     truth, seen = quantities(clean.limits), quantities(found.limits)
     assert set(truth) == set(seen)
     assert max(abs(seen[place].value - metres.value) for place, metres in truth.items()) < 0.015
+
+
+def test_labels_that_are_wrong_together_in_one_execution_hide_no_rule() -> None:
+    rows = rows_by(by_distance, noise_m=0.02)
+    held_out = np.arange(6)
+    at = np.flatnonzero((rows.execution == 2) & (rows.apart_m[TO_TCP] > 2.0))[:16]  # of 2400 that are judged: 0.7 %
+    level = rows.level.copy()
+    level[at] = 0
+    found = find_rule(replace(rows, level=level), LEVELS, held_out=held_out)
+    assert found.rule is not None
+    assert found.rule.family == TO_TCP
+    all_over = rows.level.copy()
+    for number in held_out.tolist():  # as wrong in every execution: there is another cause
+        all_over[np.flatnonzero((rows.execution == number) & (rows.apart_m[TO_TCP] > 2.0))[:16]] = 0
+    assert find_rule(replace(rows, level=all_over), LEVELS, held_out=held_out).rule is None
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

@@ -1,6 +1,6 @@
 """Twelve changes of single numbers of a rule, told by `whatif`, against simulating the changed cell.
 
-    python benchmarks/rule_changes.py --executions 60 --fresh 200 --seeds 1 2 --work FOLDER
+    python benchmarks/rule_changes.py --executions 60 --fresh 40 --seeds 1 2 --work FOLDER
 
 Two cells with latency, ramps and hysteresis, tracker noise of 5 mm, and a log without scaling in `scanner-visits`: the
 rule is read from the logs (`rule_of`), and `whatif` changes one threshold, edge or part of the response of it. Truth is
@@ -146,7 +146,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--scenes", nargs="+", default=[VISITS, BOXES])
     parser.add_argument("--sequences", type=int, default=3)
-    parser.add_argument("--fresh", type=int, default=200)
+    parser.add_argument("--fresh", type=int, default=40)
     parser.add_argument("--work", type=Path)
     asked = parser.parse_args()
     table = Table("scene", "change", "saves %", "beside logged %", "off: mean, worst", "beside fresh %", "luck")

@@ -96,7 +96,7 @@ def test_a_slow_ramp_may_have_headed_farther_than_where_it_ends():
 def test_a_slow_ramp_cut_off_near_a_level_does_not_hold_it():
     level = np.repeat([2, 4, 4], [200, 1200, 100])
     scaling = followed(level, 10, 0.0, 1.0, 0.1)
-    for cut in (slice(0, 227), slice(224, None)):  # the log ends, or begins, at 0.76 or 0.74 on the way to 1
+    for cut in (slice(0, 226), slice(223, None)):  # the log ends, or begins, near 0.75 on the way to 1
         found = commanded_levels(np.arange(len(level))[cut] / 10, scaling[cut], LEVELS, response(None, 1.0, 0.1))
         known = found.level >= 0
         assert known.any()

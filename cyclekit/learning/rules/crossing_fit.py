@@ -55,7 +55,7 @@ class Located(NamedTuple):
     def error_m(self, of: NDArray[np.float64]) -> Vector:
         """Return the standard errors (K,) of sums `of` (K, P) @ `at_m`: the larger of the two."""
         squares = [np.einsum("kp,pq,kq->k", of, each, of) for each in (self.expected, self.seen)]
-        return np.sqrt(np.maximum(*squares))
+        return np.asarray(np.sqrt(np.maximum(*squares)))
 
     def cards(self) -> dict[RulePlace, MetresCard]:
         """Return them with their 95 % intervals."""
@@ -80,7 +80,7 @@ def by_crossings(
     """
     lag = {limit.scaling: limit.until is not None for limit in limits}
     told: dict[RulePlace, Crossings] = {}
-    for place, (down, up) in crossings_of(limits, rows, steps).items():
+    for place, (down, up) in crossings_of(limits, rows, steps, dated=True).items():
         both = Crossings(*(np.concatenate(pair) for pair in zip(down, up, strict=True)))
         mine = _likely((up if place.until else down) if lag[place.level] else both)
         if len(mine.value_m) >= LEAST:
@@ -114,7 +114,7 @@ def located(told: Mapping[RulePlace, Crossings]) -> Located:
         weight = np.where(keep, spread**-2.0, 0.0)
         squares = (inputs * weight[:, None]).T @ inputs
         squares[-1, -1] += LATE**-2.0
-        expected = np.linalg.pinv(squares)
+        expected = np.asarray(np.linalg.pinv(squares), np.float64)
         off = value - inputs @ (at_m := expected @ (inputs * weight[:, None]).T @ value)
         usual = max(1.0, 1.4826 * float(np.median(np.abs(off) / spread)))
         keep = np.abs(off) <= FAR_OFF * usual * spread

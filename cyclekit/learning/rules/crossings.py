@@ -33,6 +33,8 @@ CLEAR_M = 0.2
 """So far from the ends of an edge no other edge could have caused the change."""
 LAG_M, LAG_SURE = 0.02, 4.0
 """Hysteresis is believed where it is larger than this and than so many standard errors."""
+APART = 3
+"""After more samples of unknown level it is open when in between it changed: a hold time ends with the change."""
 EXACT_M = 0.005
 """Where a change happened is known no better than this, standard deviation: few slow ones would else count for all."""
 
@@ -54,11 +56,11 @@ class Crossings(NamedTuple):
 
     def where(self, keep: Bools) -> Crossings:
         """Return some of them."""
-        return Crossings(*(part[keep] for part in self))
+        return Crossings(self.value_m[keep], self.pace_m[keep], self.spread_m[keep], self.execution[keep])
 
 
 def crossings_of(
-    limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, int]
+    limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, int], *, dated: bool = False
 ) -> dict[RulePlace, tuple[Crossings, Crossings]]:
     """Return for each threshold and edge where the level fell, and where it rose.
 
@@ -66,7 +68,9 @@ def crossings_of(
         limits: The rule as it was fitted.
         rows: What it was fitted to.
         steps: Index of each level.
+        dated: Only changes of which is known when they were.
     """
+    known = rows.sample - rows.sample[rows.before] <= APART if dated else True
     regions = {(limit.scaling, until): limit.until if until else limit.within for limit in limits for until in (0, 1)}
     found: dict[RulePlace, tuple[Crossings, Crossings]] = {}
     for place in quantities(limits):
@@ -76,7 +80,7 @@ def crossings_of(
         along = _along(region, place, rows.apart_m, rows.floor_m, rows.positions.tcp_m)
         every = _measured(along, rows, 0.0 if place.kind == "robot" else rows.noise_m)
         was, now = rows.level[rows.before], rows.level
-        on = (rows.before >= 0) & _tells(region, place, rows) & np.isfinite(every.value_m + every.pace_m)
+        on = known & (rows.before >= 0) & _tells(region, place, rows) & np.isfinite(every.value_m + every.pace_m)
         down, up = (on & (was == a) & (now == b) for a, b in ((step + 1, step), (step, step + 1)))
         found[place] = (every.where(down), every.where(up))
     return found

@@ -42,8 +42,8 @@ GAINS = 0.005
 """Two conditions at once must explain so much more than one."""
 FAR_M, FAR_NOISE, FAR_PART = 0.05, 4.0, 0.005
 """Noise makes a rule wrong near its edges alone: within FAR_M, and so many times the noise. One that is wrong farther
-off for more than this part of the held-out samples, by a standard error over executions, is not the rule, however many
-of the others it explains: labels of an inferred scaling are wrong together in a few executions."""
+off for more than this part of the held-out samples is not the rule, however many of the others it explains. Where no
+rule is left, those within a standard error over executions are: labels of an inferred scaling are wrong together."""
 TEST_PART = 0.2
 LAGS = ", with hysteresis"
 
@@ -93,6 +93,7 @@ class _Fit:
     limits: Limits
     right: NDArray[np.float64]
     far: float
+    far_error: float
 
     @property
     def said(self) -> str:
@@ -199,7 +200,8 @@ class _Search:
         near = _agrees(limits, self.levels, self.judge, max(FAR_M, FAR_NOISE * self.judge.noise_m))
         far = _by_execution(~near, self.judge)
         error = float(np.sqrt(len(far)) * far.std(ddof=1)) if len(far) > 1 else 0.0
-        return _Fit(name, lag, limits, _by_execution(agrees, self.judge), (far.sum() - error) / len(self.judge))
+        parts = (float(far.sum()) / len(self.judge), error / len(self.judge))
+        return _Fit(name, lag, limits, _by_execution(agrees, self.judge), *parts)
 
 
 def _tried(search: _Search, fits: list[_Fit]) -> Iterator[_Fit]:
@@ -272,11 +274,15 @@ def _simplest(
     seen to rise farther out than it falls.
     """
     steps = {level: step for step, level in enumerate(levels)}
-    able = [fit for fit in fits if fit.limits and fit.lag == lags(fit.limits, learn, steps) and fit.far <= FAR_PART]
-    rivals = [fit.right for fit in able] + ([] if rival is None else [rival])
-    for fit in able:
-        if _part(fit.right, judge) >= NOISY_EXPLAINS and not any(_better(other, fit.right, judge) for other in rivals):
-            return fit
+    found = [fit for fit in fits if fit.limits and fit.lag == lags(fit.limits, learn, steps)]
+    sure = [fit for fit in found if fit.far <= FAR_PART]
+    likely = [fit for fit in found if fit.far - fit.far_error <= FAR_PART]
+    for able in (sure, likely):
+        rivals = [fit.right for fit in able] + ([] if rival is None else [rival])
+        for fit in able:
+            explains = _part(fit.right, judge) >= NOISY_EXPLAINS
+            if explains and not any(_better(other, fit.right, judge) for other in rivals):
+                return fit
     return None
 
 

@@ -45,6 +45,7 @@ class RuleRows:
         before: Row of the sample before in the same unbroken stretch, shape (N,); -1 = there is none.
         execution: Number of the execution, shape (N,).
         at_m: TCP and operator, shape (N, 6), m; NaN where nobody is there.
+        sample: Number of the sample among those with an unknown level too, shape (N,).
     """
 
     positions: Positions
@@ -52,6 +53,7 @@ class RuleRows:
     before: NDArray[np.int64]
     execution: NDArray[np.int64]
     at_m: NDArray[np.float32]
+    sample: NDArray[np.int64]
 
     def __len__(self) -> int:
         """Return N."""
@@ -91,7 +93,8 @@ class RuleRows:
         keep = np.isin(self.execution, executions) & (self.known if known else True)
         stretch = np.cumsum(self.before < 0)[keep]
         before = np.where(np.diff(stretch, prepend=-1) == 0, np.arange(len(stretch)) - 1, -1)
-        return RuleRows(self.positions.where(keep), self.level[keep], before, self.execution[keep], self.at_m[keep])
+        parts = (self.execution[keep], self.at_m[keep], self.sample[keep])
+        return RuleRows(self.positions.where(keep), self.level[keep], before, *parts)
 
     @classmethod
     def made(
@@ -130,7 +133,7 @@ class RuleRows:
         inputs = np.concatenate([robot_m, human_m], axis=1).astype(np.float32)
         values = {name: value[known] for name, value in (signals or {}).items()}
         places = Positions(apart, human_m[:, :2], robot_m[:, :2], values)
-        return cls(places, level.astype(np.float64), before, execution, inputs)
+        return cls(places, level.astype(np.float64), before, execution, inputs, np.flatnonzero(known))
 
 
 def rows_of(

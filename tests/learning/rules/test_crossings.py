@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -129,3 +131,12 @@ def test_where_nobody_crossed_noise_widens_the_interval_of_the_fit() -> None:
     assert plain.low - wide.low == pytest.approx(1.96 * 0.02)
     known = frozenset(quantities(limits))
     assert with_intervals(limits, rows, (0.5, 1.0), FAMILIES[TO_TCP], known=known, seed=0) == limits
+
+
+def test_a_change_within_a_long_time_of_unknown_level_tells_no_threshold() -> None:
+    rows, limits = passes(0.0)
+    held = replace(rows, sample=rows.sample + 8 * np.cumsum(np.diff(rows.level, prepend=rows.level[0]) > 0))
+    every, dated = (crossings_of(limits, held, {0.5: 0, 1.0: 1}, dated=each).popitem()[1] for each in (False, True))
+    assert len(every[1].value_m) > 100
+    assert len(dated[1].value_m) == 0
+    assert len(dated[0].value_m) == len(every[0].value_m)

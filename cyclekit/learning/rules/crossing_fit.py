@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from cyclekit.dataset.cards.rule import MetresCard
-from cyclekit.learning.rules.crossings import Crossings, crossings_of
+from cyclekit.learning.rules.crossings import LevelChanges, crossings_of
 from cyclekit.learning.rules.hysteresis import SUREST_M, Z95
 from cyclekit.learning.rules.quantities import outwards, put
 
@@ -79,9 +79,9 @@ def by_crossings(
         steps: Index of each level.
     """
     lag = {limit.scaling: limit.until is not None for limit in limits}
-    told: dict[RulePlace, Crossings] = {}
+    told: dict[RulePlace, LevelChanges] = {}
     for place, (down, up) in crossings_of(limits, rows, steps, dated=True).items():
-        both = Crossings(*(np.concatenate(pair) for pair in zip(down, up, strict=True)))
+        both = LevelChanges(*(np.concatenate(pair) for pair in zip(down, up, strict=True)))
         mine = _likely((up if place.until else down) if lag[place.level] else both)
         if len(mine.value_m) >= LEAST:
             told[place] = mine
@@ -91,7 +91,7 @@ def by_crossings(
     return put(limits, found.cards()), frozenset(told)
 
 
-def _likely(each: Crossings) -> Crossings:
+def _likely(each: LevelChanges) -> LevelChanges:
     """Return the changes that lie where most of them do."""
     if not len(each.value_m):
         return each
@@ -99,7 +99,7 @@ def _likely(each: Crossings) -> Crossings:
     return each.where(off <= FAR_OFF * np.maximum(each.spread_m, 1.4826 * np.median(off)))
 
 
-def located(told: Mapping[RulePlace, Crossings]) -> Located:
+def located(told: Mapping[RulePlace, LevelChanges]) -> Located:
     """Return where thresholds and edges lie, of one regression on all changes of the level.
 
     Args:

@@ -39,7 +39,7 @@ EXACT_M = 0.005
 """Where a change happened is known no better than this, standard deviation: few slow ones would else count for all."""
 
 
-class Crossings(NamedTuple):
+class LevelChanges(NamedTuple):
     """K changes of the level that one threshold or edge caused.
 
     Attributes:
@@ -54,14 +54,14 @@ class Crossings(NamedTuple):
     spread_m: Vector
     execution: Ints
 
-    def where(self, keep: Bools) -> Crossings:
+    def where(self, keep: Bools) -> LevelChanges:
         """Return some of them."""
-        return Crossings(self.value_m[keep], self.pace_m[keep], self.spread_m[keep], self.execution[keep])
+        return LevelChanges(self.value_m[keep], self.pace_m[keep], self.spread_m[keep], self.execution[keep])
 
 
 def crossings_of(
     limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, int], *, dated: bool = False
-) -> dict[RulePlace, tuple[Crossings, Crossings]]:
+) -> dict[RulePlace, tuple[LevelChanges, LevelChanges]]:
     """Return for each threshold and edge where the level fell, and where it rose.
 
     Args:
@@ -72,7 +72,7 @@ def crossings_of(
     """
     known = rows.sample - rows.sample[rows.before] <= APART if dated else True
     regions = {(limit.scaling, until): limit.until if until else limit.within for limit in limits for until in (0, 1)}
-    found: dict[RulePlace, tuple[Crossings, Crossings]] = {}
+    found: dict[RulePlace, tuple[LevelChanges, LevelChanges]] = {}
     for place in quantities(limits):
         region, step = regions[place.level, int(place.until)], steps[place.level]
         if region is None:
@@ -97,7 +97,7 @@ def lags(limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, in
     return bool(shown) and 2 * sum(shown) > len(shown)
 
 
-def _measured(along: Vector, rows: RuleRows, noise_m: float) -> Crossings:
+def _measured(along: Vector, rows: RuleRows, noise_m: float) -> LevelChanges:
     """Return what each row (N,) tells if the level changed between it and the row before.
 
     The mean of both rows is off where the operator passes at an angle, as a distance then falls and rises again; two
@@ -114,7 +114,7 @@ def _measured(along: Vector, rows: RuleRows, noise_m: float) -> Crossings:
     four = (earlier >= 0) & (after >= 0) & np.isfinite(bent)
     value, pace = np.where(four, bent, value), np.where(four, long, pace)
     spread = np.sqrt(0.7 * noise_m**2 + pace**2 / 12 + EXACT_M**2)
-    return Crossings(value, pace, spread, rows.execution)
+    return LevelChanges(value, pace, spread, rows.execution)
 
 
 def _along(

@@ -9,7 +9,7 @@ import pytest
 
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, RegionCard
 from cyclekit.learning.rules.crossing_fit import by_crossings, located, with_one_margin
-from cyclekit.learning.rules.crossings import Crossings, crossings_of
+from cyclekit.learning.rules.crossings import LevelChanges, crossings_of
 from cyclekit.learning.rules.distances import TO_TCP
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.intervals import with_intervals
@@ -22,12 +22,12 @@ FARTHER, FARTHEST = (RulePlace(0.7, until, "nearer", 0) for until in (False, Tru
 
 def crossed(
     at_m: float, way: int, rng: np.random.Generator, *, late: float = 0.0, count: int = 300, off_m: float = 0.01
-) -> Crossings:
+) -> LevelChanges:
     """Changes of the level at a threshold, seen `late` samples too late, of people who come (-1) or go (1)."""
     pace = way * rng.uniform(0.02, 0.14, count)
     spread = np.sqrt(off_m**2 + pace**2 / 12)
     value = at_m + late * pace + rng.normal(0.0, off_m, count) + pace * rng.uniform(-0.5, 0.5, count)
-    return Crossings(value, pace, spread, np.sort(rng.integers(0, 30, count)))
+    return LevelChanges(value, pace, spread, np.sort(rng.integers(0, 30, count)))
 
 
 def test_a_reaction_time_that_is_off_moves_no_threshold() -> None:

@@ -205,7 +205,10 @@ def test_a_field_that_nobody_enters_during_an_execution_says_that_nobody_is_ther
 
 
 def test_a_signal_without_a_row_in_a_log_of_events_keeps_its_state_where_its_neighbours_agree() -> None:
-    logs = [SimpleNamespace(recordings=(SimpleNamespace(tables=t),)) for t in (["events"], ["events"], ["events"], [])]
+    logs = [
+        SimpleNamespace(silences=[], recordings=(SimpleNamespace(tables=t),))
+        for t in (["events"], ["events"], ["events"], [])
+    ]
     made = cast("list[Made]", logs)
     first = third = SignalChanges(np.array([1.0, 5.0]), np.array(["1", "0"]))
     held = _held_events(made, [first, None, third, None])

@@ -184,7 +184,7 @@ def test_beside_a_robot_log_the_operators_tasks_are_put_into_its_executions(tmp_
     assert dataset.positions == ("robot",)
     entry = next(entry for entry in dataset.recordings if entry.id == "plan")
     assert [text for text in entry.said if text.startswith("task list: ")] == [
-        "task list: 1 tasks of the robot are not used: its log shows its tasks",
+        "task list: 1 tasks of the robot are not used: its log already shows them",
         "task list: 1 of 2 tasks of the operator are outside of every execution",
     ]
     again = ingest([logs], tmp_path / "dataset", rate_hz=5.0)

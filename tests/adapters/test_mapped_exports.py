@@ -50,7 +50,7 @@ def read(tmp_path, maker):
 
 def test_the_guide_shows_these_makers_and_no_other():
     assert re.findall(r"^\*\*(\w+)\*\*", SECTION, re.MULTILINE) == list(EXPORTS)
-    assert "**your own export**" in SECTION
+    assert "replace them by those of your own export" in SECTION
 
 
 @pytest.mark.parametrize("maker", EXPORTS)

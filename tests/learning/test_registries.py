@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from fabricated import fabricate_dataset
 
+from cyclekit import find_levels
 from cyclekit.cli import run
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.estimators import ESTIMATORS, Estimator, by_nominal
-from cyclekit.learning.labelling import staircase_of
 from cyclekit.learning.networks.kinds import NETWORKS, Inputs, Network
 from cyclekit.learning.networks.saved import load_model, save_model
 from cyclekit.learning.networks.spec import ModelSpec
@@ -87,4 +87,4 @@ def test_a_level_finder_of_one_line_is_a_method(
     monkeypatch.setitem(FINDERS, "toy", lambda values, _eps, _least: (values > 0.5).astype(np.int64))
     assert run(["levels", str(cell.path), "--method", "toy"]) == 0
     assert "P = 2 levels by toy" in capsys.readouterr().out
-    assert staircase_of(cell, cell.samples(), "toy").levels.size == 2
+    assert len(find_levels(cell, method="toy").levels) == 2

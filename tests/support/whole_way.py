@@ -12,6 +12,7 @@ from pathlib import Path
 import torch
 from threadpoolctl import threadpool_limits
 
+from cyclekit import find_levels
 from cyclekit.config.sequences import load_sequences
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.check import check_rollout
@@ -19,7 +20,6 @@ from cyclekit.estimate.plan import load_jobs, plan
 from cyclekit.estimate.rollout import estimate
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.evaluation.evaluate import evaluate
-from cyclekit.learning.labelling import staircase_of
 from cyclekit.learning.networks.saved import load_model
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.safety_function import read_zones
@@ -44,7 +44,7 @@ def main(threads: int, cell: Path) -> None:
     answers["estimate"] = [cycle.to_dict() for cycle in estimate(model, dataset, sequences, check=check)]
     answers["zones"] = read_zones(model, dataset).to_dict()
     answers["plan"] = plan(model, dataset, load_jobs(Path("jobs.toml"))).to_dict()
-    answers["levels"] = staircase_of(dataset, dataset.samples(), "kmeans-silhouette").levels.tolist()
+    answers["levels"] = list(find_levels(dataset, method="kmeans-silhouette").levels)
     for name, answer in answers.items():
         Path(f"{name}.json").write_text(json.dumps(answer, indent=2), encoding="utf-8")
 

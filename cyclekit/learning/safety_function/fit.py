@@ -222,4 +222,4 @@ def hysteresis(rows: ScalingSamples, levels: Sequence[float], distance: str) -> 
         return None
     out, into = (by_distance(rows.of(part), levels, distance)[0] for part in (leaving, coming))
     known = np.isfinite(out) & np.isfinite(into)
-    return float(np.median((out - into)[known])) if known.any() else None
+    return float(np.median(out[known] - into[known])) if known.any() else None

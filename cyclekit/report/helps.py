@@ -157,9 +157,9 @@ def _plan(texts: ReportTexts, planned: OrderPlan | None) -> ReportTable | None:
 
 
 def _moments(texts: ReportTexts, samples: pl.DataFrame, seen: Overview) -> ReportTable | None:
-    """Time lost by operator task, with the robot task that lost most."""
+    """Time lost by operator task, with the robot task that lost most; None where no operator task is known."""
     found = losses(samples, seen.executions)
-    if not found:
+    if all(each.human_task is None for each in found):
         return None
     whole = seen.lost_s or sum(each.seconds for each in found)
     rows = [

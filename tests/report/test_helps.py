@@ -4,6 +4,7 @@ import csv
 import json
 import math
 
+import polars as pl
 import pytest
 from report_pages import Page, estimate
 
@@ -12,6 +13,9 @@ from cyclekit.errors import CyclekitError
 from cyclekit.estimate.plan import OrderPlan
 from cyclekit.estimate.whatif import NO_PROOF, WhatIf
 from cyclekit.report import Tried, compose_report, load_tried
+from cyclekit.report.findings import overview
+from cyclekit.report.helps import _moments
+from cyclekit.report.texts import load_texts
 
 pytestmark = pytest.mark.usefixtures("words_only")
 
@@ -128,3 +132,11 @@ def test_changes_and_order_are_in_the_data_too(dataset, tmp_path, kind):
     else:
         assert "| table 0.3 m back | A first | 27.0 |" in text
         assert "Order: right → left." in text
+
+
+def test_where_no_task_of_the_operator_is_known_there_is_no_table_of_them(dataset):
+    samples, seen = dataset.samples(), overview(dataset, dataset.samples(), dataset.tasks())
+    texts = load_texts()
+    assert _moments(texts, samples, seen) is not None
+    unknown = samples.with_columns(human_task=pl.lit(None, pl.String))
+    assert _moments(texts, unknown, seen) is None

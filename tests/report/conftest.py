@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import browser
 import pytest
 from fabricated import fabricate_dataset
 from report_pages import DistanceModel, Judgement, Page, estimate
@@ -22,3 +23,10 @@ def written(dataset, tmp_path_factory):
 @pytest.fixture(scope="session")
 def page(written):
     return Page(written.path.read_text("utf-8"))
+
+
+@pytest.fixture(scope="module")
+def tab():
+    """A tab of the installed browser."""
+    with browser.open_browser() as tab:
+        yield tab

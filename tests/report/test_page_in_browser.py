@@ -74,12 +74,6 @@ def page(tmp_path_factory):
     return facts.path
 
 
-@pytest.fixture(scope="module")
-def tab():
-    with browser.open_browser() as tab:
-        yield tab
-
-
 @pytest.fixture
 def desk(tab, page):
     tab.events.clear()

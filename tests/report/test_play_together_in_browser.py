@@ -82,12 +82,6 @@ CELLS = {
 }
 
 
-@pytest.fixture(scope="module")
-def tab():
-    with browser.open_browser() as tab:
-        yield tab
-
-
 @pytest.fixture(scope="module", params=list(CELLS))
 def cell(request, logged, tmp_path_factory):
     """The library's answers by order and change, and the page of the first order."""

@@ -69,41 +69,6 @@ const operatorAt = (rows, pace) => { // OperatorPositions.at: between which samp
   };
 };
 
-const followerOf = (dynamics, step_s) => { // Follower: s of one cycle over time
-  const { latency_s: latency, hold_s: holds, ramp_down_per_s: down, ramp_up_per_s: up } = dynamics;
-  const delay = halfToEven((latency || 0) / step_s);
-  const hold = 1 + halfToEven((holds || 0) / step_s);
-  const [recent, queue] = [[], []];
-  let held, s, told;
-  return (asks) => {
-    if (asks) {
-      told = field.scaling(false);
-      if (facts.rule.lags) {
-        const rising = field.scaling(true);
-        told = Math.max(told, rising);
-        held = held === undefined ? told : Math.min(Math.max(held, rising), told);
-        told = held;
-      }
-    }
-    let wanted = told;
-    if (hold > 1) {
-      recent.push(wanted);
-      if (recent.length > hold) recent.shift();
-      wanted = Math.min(...recent);
-    }
-    if (delay > 0) {
-      queue.push(wanted);
-      wanted = queue.length > delay ? queue.shift() : queue[0];
-    }
-    if (s !== undefined) {
-      if (down && wanted < s - down * step_s) wanted = s - down * step_s;
-      if (up && wanted > s + up * step_s) wanted = s + up * step_s;
-    }
-    s = wanted;
-    return s;
-  };
-};
-
 const [MOVES, WORKS, WAITS, ENDED] = [0, 1, 2, 3];
 const walkBoth = (robot, operator, sources, events, asked, until_s) => { // one cycle to its end
   const { step } = facts;

@@ -1,15 +1,46 @@
 // ---- the walk: `estimate.walk`, one track after the other
 
+const followerOf = (dynamics, step_s) => { // Follower: s of one cycle over time
+  const { latency_s: latency, hold_s: holds, ramp_down_per_s: down, ramp_up_per_s: up } = dynamics;
+  const delay = halfToEven((latency || 0) / step_s);
+  const hold = 1 + halfToEven((holds || 0) / step_s);
+  const [recent, queue] = [[], []];
+  let held, s, told;
+  return (asks) => {
+    if (asks) {
+      told = field.scaling(false);
+      if (facts.rule.lags) {
+        const rising = field.scaling(true);
+        told = Math.max(told, rising);
+        held = held === undefined ? told : Math.min(Math.max(held, rising), told);
+        told = held;
+      }
+    }
+    let wanted = told;
+    if (hold > 1) {
+      recent.push(wanted);
+      if (recent.length > hold) recent.shift();
+      wanted = Math.min(...recent);
+    }
+    if (delay > 0) {
+      queue.push(wanted);
+      wanted = queue.length > delay ? queue.shift() : queue[0];
+    }
+    if (s !== undefined) {
+      if (down && wanted < s - down * step_s) wanted = s - down * step_s;
+      if (up && wanted > s + up * step_s) wanted = s + up * step_s;
+    }
+    s = wanted;
+    return s;
+  };
+};
+
 const walk = (legs, dynamics, crowd, samples) => {
-  const { rule, step } = facts;
-  const down = dynamics.ramp_down_per_s;
-  const up = dynamics.ramp_up_per_s;
+  const { step } = facts;
   const follows = facts.follows || Object.values(dynamics).some((value) => value);
   const step_s = follows ? step.fine_s : step.coarse_s;
   const asksAfter = facts.often ? 1 : Math.round(step.coarse_s / step_s); // a network is asked more seldom
   const looksAfter = Math.round(step.support_s / step_s);
-  const delay = Math.round((dynamics.latency_s || 0) / step_s);
-  const hold = 1 + Math.round((dynamics.hold_s || 0) / step_s);
   const steps = Math.floor(((samples - 2) * STEP_S) / step_s);
   const count = legs.length;
   const times = {};
@@ -35,12 +66,8 @@ const walk = (legs, dynamics, crowd, samples) => {
     let moving = true;
     let at = 0; // of the motion, nominal; of the stand, elapsed
     let scaling = 1;
-    let s; // as it follows
-    let held;
-    let told_s; // what was asked for last
+    const follow = follows ? followerOf(dynamics, step_s) : null;
     let asked; // at which sample
-    const recent = [];
-    const queue = [];
     let spliced = 0;
     let ownLoss = 0;
     let lost = 0;
@@ -72,29 +99,7 @@ const walk = (legs, dynamics, crowd, samples) => {
         }
       }
       if (follows) {
-        let wanted = asksNow ? field.scaling(false) : told_s;
-        if (rule.lags && asksNow) { // Follower: s falls by one side and rises by the other
-          const rising = field.scaling(true);
-          wanted = Math.max(wanted, rising);
-          held = held === undefined ? wanted : Math.min(Math.max(held, rising), wanted);
-          wanted = held;
-        }
-        told_s = wanted;
-        if (hold > 1) {
-          recent.push(wanted);
-          if (recent.length > hold) recent.shift();
-          wanted = Math.min(...recent);
-        }
-        if (delay > 0) {
-          queue.push(wanted);
-          wanted = queue.length > delay ? queue.shift() : queue[0];
-        }
-        if (s !== undefined) {
-          if (down && wanted < s - down * step_s) wanted = s - down * step_s;
-          if (up && wanted > s + up * step_s) wanted = s + up * step_s;
-        }
-        s = wanted;
-        scaling = wanted;
+        scaling = follow(asksNow);
       } else {
         scaling = asks ? field.scaling(false) : 1;
       }

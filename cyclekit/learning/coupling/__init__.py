@@ -1,6 +1,6 @@
-"""Who waits for whom: conditions of the departures of robot and operator, learned from their visits and signals.
+"""Learns the wait conditions of robot and operator from their visits to places and from signals.
 
-`visits` has when each agent came and went, and the signals; `passages` has the departures, gate by gate; `conditions`
-finds what they wait for; `lags` tells own work from waiting in max(own work, event + lag); `sources` and
-`unseen_parts` learn how parts come, `together` which passages both wait in; `learn` makes the card.
+`visits` holds arrivals, departures and signal changes; `passages` holds the departures per gate; `conditions` finds the
+events that they wait for; `lags` separates own work from waiting in max(own work, event + lag); `sources` and
+`unseen_parts` learn how parts arrive; `together` finds passages in which both agents wait; `learn` builds the card.
 """

@@ -1,7 +1,7 @@
-"""What the departures of an agent wait for: candidates, evidence, choice.
+"""Finds the events that the departures of an agent wait for: candidates, tests, selection.
 
-A condition is believed if the departures hold to it, if it decided several of them, and if they become so much more
-regular by it that neither chance among all candidates nor the same events in another order can have done that.
+A condition is accepted if the departures respect it, if it decides several of them, and if its gain in log-likelihood
+exceeds what multiple testing and the same events in random order can produce.
 """
 
 from __future__ import annotations
@@ -27,47 +27,51 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Vector
 
 HELD = 0.98
-"""Part of the departures that must come after a condition's event, if all of them need it."""
+"""Minimum share of departures after the event, for a condition that all departures need."""
 NEEDED, LEAST_PART = 0.15, 2.0
-"""Of others at least so many departures must need the event; such a condition must gain so many times as much."""
+"""For a condition that only some departures need: minimum share that need it, and factor on the required gain."""
 EARLY_S, EARLY_LEAVING_S = 0.25, 1.0
-"""A departure may come so much before it: clocks of two agents; who leaves is done before he is seen to move."""
+"""Tolerance, s: a departure may precede its event by this much (clock error); the second value is for an operator who
+leaves, because he finishes before his motion is visible."""
 LEAST_DECIDED = 5
-"""So many departures must have been decided by it."""
+"""Minimum number of departures that a condition must decide."""
 GAIN, GAIN_PER_DEPARTURE = 8.0, 0.05
-"""By so much the log-likelihood of the departures must rise, in all and for each of them."""
+"""Minimum gain in log-likelihood: in total, and per departure."""
 AS_GOOD, AS_GOOD_PART = 3.0, 0.1
-"""Of events whose gains differ by no more than this, or this part of it, the one just before the departure is taken."""
+"""Maximum difference in gain, absolute and relative, at which two conditions count as equally good; then the one whose
+event is nearest to the departures is chosen."""
 SAME = 0.7
-"""Two gates are passed by the same departures if so many of those of either pass the other."""
+"""Minimum overlap (share of departures) at which two gates count as one."""
 FOLLOWS = 0.8
-"""An event that is as near to so many of the departures that own work decided follows own work, and is no condition."""
+"""Maximum share of departures decided by own work that follow the event as closely as the others; above it, the event
+is a consequence of own work and no condition."""
 PULSE_S = 1.0
-"""Whoever presses a button sets a signal; that it is cleared so soon afterwards says the same."""
+"""Penalty, s, on the end of a button's pulse, so that the press is chosen as the event."""
 PAIRED = 0.9
-"""Part of the executions in which a gate is passed exactly twice as often as an event comes, or the other way round."""
+"""Minimum share of executions with exactly two passages per event, or two events per passage."""
 SHUFFLES = 6
+"""Number of random orders of the events."""
 MOST = 2
-"""Conditions of one gate."""
+"""Maximum number of conditions per gate."""
 KEPT = 400
-"""Departures by which their lags are learned."""
+"""Maximum number of departures from which lags are learned."""
 Times = dict[Event, "Floats"]
-"""Of each kind of event when it came in each execution; see `times_of`."""
+"""Times of each kind of event per execution, s; see `times_of`."""
 
 
 def find_conditions(
     courses: Sequence[ExecutionVisits], agent: Agent, told: Sequence[Wait] = (), barred: Collection[Event] = ()
 ) -> list[Passages]:
-    """Return the passages of an agent's gates with the conditions that were found, or told.
+    """Return the passages of an agent's gates with the conditions that were found or given.
 
     Args:
         courses: The executions.
-        agent: Whose gates.
-        told: By the cell file.
-        barred: Events that the agent does not wait for.
+        agent: The agent that waits.
+        told: Waits given in the cell file.
+        barred: Events to exclude.
 
     Raises:
-        UnknownName: The cell file tells of a place or event that the logs do not show.
+        UnknownName: The cell file names a place or event that the logs do not contain.
     """
     gates, times = passages_of(courses, agent), times_of(courses)
     told = [wait for wait in told if wait.agent == agent]
@@ -84,14 +88,14 @@ def find_conditions(
     while any(open_to):
         number = max((n for n, found in enumerate(open_to) if found), key=lambda n: open_to[n][2])  # type: ignore[index]
         number = _natural(gates, open_to, number)
-        condition, since, _ = open_to[number]  # type: ignore[misc]  # there is one
+        condition, since, _ = open_to[number]  # not None: it has the largest gain
         for other in _attach(gates, gates[number], condition, since):
             open_to[other] = _best(times, gates[other], allowed[other]) if len(gates[other].found) < MOST else None
     return gates
 
 
 def _candidates(times: Times, gate: Passages, agent: Agent) -> list[Condition]:
-    """Return what the passages of a gate may wait for; twice as many of one as of the other go in pairs."""
+    """Return the possible conditions of a gate; if one side is twice as frequent, also those of every second one."""
     found = []
     passages = np.zeros(len(next(iter(times.values()), ())), np.int64)
     np.maximum.at(passages, gate.course, gate.nth + 1)
@@ -109,22 +113,22 @@ def _candidates(times: Times, gate: Passages, agent: Agent) -> list[Condition]:
 
 
 def _attach(gates: Sequence[Passages], to: Passages, condition: Condition, since: Vector) -> list[int]:
-    """Have all gates know a condition of one; return the numbers of those that it concerns."""
+    """Add a condition to all gates that share passages with its gate; return the numbers of these gates."""
     by_row = dict(zip(to.rows.tolist(), since.tolist(), strict=True))
     concerned = []
     for number, gate in enumerate(gates):
         shared = np.array([by_row.get(row, np.nan) for row in gate.rows.tolist()])
-        if gate.gate.short == to.gate.short and (gate is to or np.isfinite(shared).any()):  # else another instant
+        if gate.gate.short == to.gate.short and (gate is to or np.isfinite(shared).any()):  # otherwise a different time
             gate.since_s[to.gate, condition] = shared
             concerned.append(number)
     return concerned
 
 
 def gate_of(gates: Sequence[Passages], wait: Wait) -> Passages:
-    """Return the gate that the cell file means; of two before one place that short of it.
+    """Return the gate that the cell file names; if a place has two approach gates, the one short of it.
 
     Raises:
-        UnknownName: There is none.
+        UnknownName: There is no such gate.
     """
     at, place = ("approach", wait.before) if wait.before is not None else ("leave", wait.leaving)
     found = [gate for gate in gates if (gate.gate.at, gate.gate.place) == (at, place)]
@@ -135,7 +139,7 @@ def gate_of(gates: Sequence[Passages], wait: Wait) -> Passages:
 
 
 def _told(times: Times, gate: Passages, wait: Wait) -> Condition:
-    """Return the condition that the cell file tells, with the number that the logs agree with best."""
+    """Return the condition given in the cell file; `back` is that of the highest log-likelihood if not given."""
     found = [event for event in times if _means(wait, event)]
     if not found:
         known = sorted({told_event(event) for event in times if event.agent != wait.agent})
@@ -153,7 +157,7 @@ def _told(times: Times, gate: Passages, wait: Wait) -> Condition:
 
 
 def told_event(event: Event) -> str:
-    """Return an event as the cell file names it."""
+    """Return an event as written in the cell file."""
     if event.signal is not None:
         return event.signal
     return f"{event.place} {event.event}" if event.agent == "signal" else f"{event.agent} {event.event} {event.place}"
@@ -174,11 +178,11 @@ _Found = tuple[Condition, "Vector", float]
 
 
 def _natural(gates: Sequence[Passages], open_to: Sequence[_Found | None], number: int) -> int:
-    """Return the gate that a condition belongs to, of all that the same departures pass and that it explains.
+    """Return the gate to which a condition is assigned, among gates with the same departures that it also explains.
 
-    Who waits until another has left may not approach; who waits until he came, or something is set, may not leave.
+    A wait until someone leaves belongs to an approach gate; a wait for an arrival or a signal belongs to a leave gate.
     """
-    event = open_to[number][0].event  # type: ignore[index]  # there is one
+    event = open_to[number][0].event  # not None: chosen by the caller
     at = "approach" if event.event == "leaves" else "leave"
     mine = gates[number]
     for other, (gate, found) in enumerate(zip(gates, open_to, strict=True)):
@@ -190,7 +194,7 @@ def _natural(gates: Sequence[Passages], open_to: Sequence[_Found | None], number
 
 
 def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Found | None:
-    """Return the best condition that passes all tests, from its event to each departure, and its gain."""
+    """Return the best condition that passes all tests, the time from its event to each departure in s, and its gain."""
     if len(gate.left_s) < LEAST_DECIDED:
         return None
     before = float(gate.causes().log_likelihood.sum())
@@ -198,7 +202,7 @@ def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Fou
     free = [one for one in candidates if one.event[:2] not in taken]
     least = least_gain(min(len(gate.left_s), SEEN)) + np.log(max(len(candidates), 1))
     always = _best_of(times, gate, free, before, least)
-    rival = 0.0 if always is None else (1.0 + AS_GOOD_PART) * always[2] / gate.step  # one that all need is likelier
+    rival = 0.0 if always is None else (1.0 + AS_GOOD_PART) * always[2] / gate.step  # prefer one that all need
     partly = [one._replace(partly=True) for one in free]
     return _best_of(times, gate, partly, before, max(rival, LEAST_PART * least)) or always
 
@@ -206,7 +210,7 @@ def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Fou
 def _best_of(
     times: Times, gate: Passages, candidates: Sequence[Condition], before: float, least: float
 ) -> _Found | None:
-    """Return the best of some conditions that raise the log-likelihood from `before` by at least so much."""
+    """Return the best condition whose gain in log-likelihood over `before` is at least `least`."""
     tried: list[_Found] = []
     for condition in candidates:
         since = since_event(times, gate, condition)
@@ -227,12 +231,12 @@ def _best_of(
 
 
 def least_gain(departures: int) -> float:
-    """Return by how much the log-likelihood of some departures must rise for a cause to be believed."""
+    """Return the minimum gain in log-likelihood at which a cause is accepted, for a number of departures."""
     return GAIN + GAIN_PER_DEPARTURE * departures
 
 
 def _follows(causes: Causes, since: Vector) -> bool:
-    """Tell whether an event is a consequence of the agent's own work: where that decided it is just as near."""
+    """Return whether an event is a consequence of own work: departures decided by own work follow it as closely."""
     decided = causes.share.argmax(axis=0)
     own, by_event = since[decided == 0], since[decided == len(causes.share) - 1]
     own = own[np.isfinite(own)]
@@ -242,13 +246,13 @@ def _follows(causes: Causes, since: Vector) -> bool:
 
 
 def _ahead(gate: Passages, causes: Causes, since: Vector) -> bool:
-    """Tell whether an operator goes before most of the events that he would react to: nobody does."""
+    """Return whether an operator leaves before most of the events that would decide his departure: implausible."""
     by_event = since[causes.share.argmax(axis=0) == len(causes.share) - 1]
     return gate.gate.agent == "operator" and len(by_event) > 0 and float(np.median(by_event)) < 0.0
 
 
 def _before(condition: Condition, since: Vector) -> float:
-    """Return how far before the departures an event comes, s; the end of a button's pulse counts as later."""
+    """Return the time from event to departures, s (10 % quantile), plus PULSE_S for a cleared signal."""
     known = since[np.isfinite(since)]
     if not len(known):
         return float("inf")
@@ -256,7 +260,7 @@ def _before(condition: Condition, since: Vector) -> float:
 
 
 def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
-    """Return the time from a condition's event to each passage, shape (N,), s; NaN where none is needed."""
+    """Return the time from a condition's event to each passage, shape (N,), s; NaN if the passage needs none."""
     at, turns = times[condition.event], condition.turns
     turn, rest = np.divmod(gate.nth, turns.every)
     number = (turn - condition.back) * turns.event_every + turns.event_first
@@ -265,7 +269,7 @@ def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
 
 
 def times_of(courses: Sequence[ExecutionVisits]) -> Times:
-    """Return when each kind of event came in each execution, shape (executions, at least 1), NaN behind the last."""
+    """Return the times of each kind of event per execution, s, shape (executions, at least 1), padded with NaN."""
     found: Times = {}
     for event in sorted({event for course in courses for event in course.events}, key=str):
         every = [course.events.get(event, np.empty(0)) for course in courses]
@@ -276,11 +280,11 @@ def times_of(courses: Sequence[ExecutionVisits]) -> Times:
 
 
 def _holds(gate: Passages, condition: Condition, since: Vector) -> bool:
-    """Tell whether the passages come after the events, and several events so late that they can have decided."""
+    """Return whether enough passages come after their events, and enough events come late enough to have decided."""
     known = np.isfinite(since)
     if np.count_nonzero(known) < LEAST_DECIDED:
         return False
-    late = since < gate.left_s - gate.own_s  # later than where own work began
+    late = since < gate.left_s - gate.own_s  # the event came after the agent was free to go
     held = known & (since >= -early_s(condition))
     share = np.count_nonzero(held) / np.count_nonzero(known)
     enough = NEEDED <= share < HELD if condition.partly else share >= HELD
@@ -288,18 +292,18 @@ def _holds(gate: Passages, condition: Condition, since: Vector) -> bool:
 
 
 def _later(condition: Condition, since: Vector) -> Vector:
-    """Return the time from an event to each passage; -inf where it came later, if not all passages need it."""
+    """Return the time from event to passage; if not all passages need it, -inf where the event came later."""
     return np.where(since < -early_s(condition), -np.inf, since) if condition.partly else since
 
 
 def early_s(condition: Condition) -> float:
-    """Return how much before a condition's event a departure may come, s."""
+    """Return the time by which a departure may precede a condition's event, s."""
     of_leaving = condition.event[::2] == ("operator", "leaves") and condition.event.signal is None
     return EARLY_LEAVING_S if of_leaving else EARLY_S
 
 
 def decided_by(since_s: Floats) -> Ints:
-    """Return which cause decided each departure, shape (N,); 0 = own work, where that makes them likelier."""
+    """Return the index of the cause that decided each departure, shape (N,); 0 = own work, if that improves the fit enough."""
     causes = take_apart(since_s)
     if len(since_s) > 1:
         waits = take_apart(since_s[1:])
@@ -309,10 +313,10 @@ def decided_by(since_s: Floats) -> Ints:
 
 
 def _by_chance(gate: Passages, times: Times, condition: Condition) -> float:
-    """Return the best log-likelihood with the same events in another order among the departures."""
+    """Return the highest log-likelihood with the same events in random order."""
     rng, since = np.random.default_rng(0), since_event(times, gate, condition)
     known = np.flatnonzero(np.isfinite(since))
-    ahead = (gate.left_s - gate.own_s) - since  # of the event since own work began
+    ahead = (gate.left_s - gate.own_s) - since  # lead of own work over the event
     found = [-np.inf]
     for _ in range(SHUFFLES):
         other = np.full(len(since), np.nan)
@@ -323,7 +327,7 @@ def _by_chance(gate: Passages, times: Times, condition: Condition) -> float:
 
 
 def in_circles(robot: Sequence[Passages], operator: Sequence[Passages]) -> Iterator[tuple[Agent, Event]]:
-    """Yield of each two conditions by which each agent waits for the other's next step the one that explains less."""
+    """Yield conditions by which both agents wait for each other's next step; of each pair the one with less gain."""
     for mine in robot:
         for his in operator:
             for a in mine.found:
@@ -334,7 +338,7 @@ def in_circles(robot: Sequence[Passages], operator: Sequence[Passages]) -> Itera
 
 
 def _meets(mine: Passages, a: Condition, his: Passages, b: Condition) -> bool:
-    """Tell whether most of his passages need my passages, which need what he does on or before his."""
+    """Return whether most of his passages need one of mine that in turn needs his event up to the same departure."""
     needed = his.left_s - his.since_s[his.gate, b]
     at = {key: row for row, key in enumerate(zip(mine.course.tolist(), mine.left_s.round(6).tolist(), strict=True))}
     rows = [at.get(key, -1) for key in zip(his.course.tolist(), needed.round(6).tolist(), strict=True)]
@@ -345,6 +349,6 @@ def _meets(mine: Passages, a: Condition, his: Passages, b: Condition) -> bool:
 
 
 def _gain(gate: Passages, condition: Condition) -> float:
-    """Return by how much a condition raises the log-likelihood of a gate's passages."""
+    """Return the gain in log-likelihood of a gate's passages from one condition."""
     without = replace(gate, since_s={key: at for key, at in gate.since_s.items() if key != (gate.gate, condition)})
     return float((gate.causes().log_likelihood - without.causes().log_likelihood).sum()) * gate.step

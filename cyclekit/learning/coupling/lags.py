@@ -1,8 +1,8 @@
-"""What decided each departure: max(own work, event + lag) taken apart.
+"""Separates own work from waiting in departures at max(own work, event + lag).
 
-Of each departure only the latest of its causes is seen; every other one was there earlier, so that its time is known
-to be shorter (left-censored). The distribution of each cause is the reverse Kaplan-Meier estimate, weighted with the
-probability that the cause decided; both are found in turn (EM).
+Only the latest cause of each departure is observed. The time of every other cause is left-censored: it is known only to
+be shorter. The distribution of each cause is the reverse Kaplan-Meier estimate, weighted by the probability that the
+cause decided; distributions and probabilities are estimated alternately (EM).
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Floats, Vector
 
 LEVELS = 51
-"""Quantiles that a distribution is kept as."""
+"""Number of quantiles stored per distribution."""
 REGULAR_S = 0.05
-"""Narrowest kernel: times are not told apart below it."""
+"""Minimum kernel width, s: the resolution of times."""
 WIDE = 8.0
 OF_OWN, OF_LAG = 0.1, 0.01
-"""Part of own work, and of lags, that may be irregular, with a kernel so many times wider."""
+"""Share of irregular times of own work and of lags; their kernel is WIDE times wider."""
 ANY, ANY_S = 1e-3, 100.0
-"""Part of them that may be anything within so long."""
+"""Share of outliers, and the range of their uniform density, s."""
 ROUNDS, SETTLED = 10, 2
-"""Rounds of the estimate; the kernels are those of round SETTLED from then on."""
+"""Number of EM iterations, and the iteration from which the kernels stay fixed."""
 _TINY = 1e-300
 
 
@@ -36,8 +36,8 @@ class Causes:
 
     Attributes:
         share: Probability that each cause decided each departure, shape (C, N).
-        mass: Distribution of each cause: the mass at each of its times, shape (C, N); sums to 1 or less.
-        log_likelihood: Of each departure when the others are known, shape (N,).
+        mass: Probability mass of each cause at each of its times, shape (C, N); sums to at most 1 per cause.
+        log_likelihood: Log-likelihood of each departure given the others, shape (N,).
     """
 
     share: Floats
@@ -46,11 +46,11 @@ class Causes:
 
 
 def take_apart(since_s: Floats) -> Causes:
-    """Return what decided each of N departures, out of C causes.
+    """Return which of C causes decided each of N departures.
 
     Args:
-        since_s: From each cause to the departure, shape (C, N), s; NaN = the cause was not there, -inf = it came later
-            than the departure, which did not need it.
+        since_s: Time from each cause to the departure, shape (C, N), s; NaN = no such cause, -inf = it came after the
+            departure, which did not need it.
     """
     known, there = np.isfinite(since_s), ~np.isnan(since_s)
     since, ranked = np.where(known, since_s, 0.0), np.where(there, since_s, 0.0)
@@ -71,30 +71,30 @@ def take_apart(since_s: Floats) -> Causes:
 
 
 def reverse_kaplan_meier(since_s: Vector, decided: Vector, known: Bools) -> Vector:
-    """Return the mass of a distribution at each of its times, shape (N,); what lies below all decided ones is missing.
+    """Return the probability mass at each time, shape (N,); mass below the shortest deciding time is missing.
 
     Args:
-        since_s: Times, shape (N,): the time itself where it decided, else longer than it; -inf = shorter than all.
-        decided: Weight with which it decided, 0 to 1, shape (N,).
+        since_s: Times, shape (N,): exact where the cause decided, otherwise upper bounds; -inf = shorter than all.
+        decided: Weight with which the cause decided, 0 to 1, shape (N,).
         known: Whether there is a time, shape (N,).
     """
     order = np.argsort(np.where(known, since_s, np.inf), kind="stable")
     weight = np.where(known, decided, 0.0)[order]
     at_risk = np.cumsum(known[order])
     kept = 1.0 - weight / np.maximum(at_risk, 1)
-    above = np.concatenate([np.cumprod(kept[::-1])[::-1][1:], [1.0]])  # not above this time
+    above = np.concatenate([np.cumprod(kept[::-1])[::-1][1:], [1.0]])  # probability of a longer time
     mass = np.zeros(len(order))
     mass[order] = above * (1.0 - kept)
     return mass
 
 
 def quantiles(since_s: Vector, mass: Vector, *, shortest: bool = True) -> tuple[float, ...]:
-    """Return a distribution by its quantiles at evenly spaced levels, s; one value where it does not vary.
+    """Return the quantiles of a distribution at evenly spaced levels, s; a single value if it does not vary.
 
     Args:
         since_s: Times, shape (N,).
-        mass: Their mass, shape (N,).
-        shortest: What is missing to 1 lies at the shortest of them; else it is no part of the distribution.
+        mass: Probability mass of each, shape (N,).
+        shortest: Assign missing mass to the shortest time; otherwise normalise without it.
     """
     some = mass > 1e-9
     if not some.any():
@@ -109,7 +109,7 @@ def quantiles(since_s: Vector, mass: Vector, *, shortest: bool = True) -> tuple[
 
 
 def _first_guess(since_s: Floats) -> Floats:
-    """Return shares by which cause is nearest to its shortest times: where it decides, its time is short."""
+    """Return initial shares: the cause nearest to its shortest times most likely decided."""
     low, some = np.zeros((len(since_s), 1)), np.isfinite(since_s).any(axis=1)
     low[some] = np.nanquantile(np.where(np.isfinite(since_s), since_s, np.nan)[some], 0.05, axis=1, keepdims=True)
     far = np.where(np.isfinite(since_s), np.abs(since_s - low), np.inf)
@@ -119,7 +119,7 @@ def _first_guess(since_s: Floats) -> Floats:
 
 
 def _kernels(times: Vector, mass: Vector, irregular: float) -> tuple[Floats, Floats]:
-    """Return density and distribution function around each time at each other time, both (N, N)."""
+    """Return kernel density and kernel distribution function of each time at every other time, both (N, N)."""
     width = _width(times, mass)
     density, below = np.zeros((len(times), len(times))), np.zeros((len(times), len(times)))
     for part, scale in ((1.0 - irregular, width), (irregular, WIDE * width)):
@@ -131,16 +131,16 @@ def _kernels(times: Vector, mass: Vector, irregular: float) -> tuple[Floats, Flo
 
 
 def _smooth(mass: Vector, known: Bools, there: Bools, kernels: tuple[Floats, Floats]) -> tuple[Vector, Vector]:
-    """Return density, without its own mass, and distribution function of a cause at each departure, both (N,)."""
+    """Return leave-one-out density and distribution function of a cause at each departure, both (N,)."""
     (density, below), total = kernels, float(mass.sum())
     pdf = (1.0 - ANY) * total * (density @ mass) / np.maximum(total - mass, 1e-9) + ANY / ANY_S
-    missing = 1.0 - total  # lies below all times
+    missing = 1.0 - total  # below all observed times
     cdf = np.clip(below @ mass + missing, 1e-9, 1.0)
     return np.where(known, pdf, 0.0), np.where(known, cdf, np.where(there, np.clip(missing, 1e-9, 1.0), 1.0))
 
 
 def _width(times: Vector, mass: Vector) -> float:
-    """Return the width of a kernel: Silverman's rule, s."""
+    """Return the kernel width by Silverman's rule, s."""
     some = mass > 1e-9
     if some.sum() < 2:
         return 10.0 * REGULAR_S

@@ -1,4 +1,4 @@
-"""The card of who waits for whom, learned from a dataset with positions of both agents."""
+"""Learns the wait conditions of robot and operator from a dataset with positions of both."""
 
 from __future__ import annotations
 
@@ -35,16 +35,17 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Vector
 
 LEAST_EXECUTIONS, MOST_EXECUTIONS = 5, 400
-"""It is learned from so many executions; of more, from some that are evenly spread."""
+"""Minimum and maximum number of executions to learn from; if there are more, an evenly spaced subset is used."""
 LEAST_LOST = 10
-"""Motions by which the spot short of a place is found."""
+"""Number of motions, those with the least safety loss, from which the waiting point short of a place is computed."""
 TIE_S = 0.05
-"""Where three tenths of the stays are as short as one tenth, to this, nothing but own work can end them."""
+"""Tolerance, s: if the 10 % and 30 % quantiles of dwell are this close, the shortest dwells are own work without a
+wait."""
 AGENTS: tuple[Agent, ...] = ("robot", "operator")
 
 
 def learn_coupling(dataset: Dataset) -> CouplingCard | None:
-    """Return who waits for whom in a dataset; None where too few complete executions show both agents."""
+    """Return the learned wait conditions; None if too few complete executions show both agents."""
     if dataset.card.coupling is not None and not dataset.is_part:
         return dataset.card.coupling
     if len(dataset.positions) < 2:
@@ -60,15 +61,15 @@ def learn_coupling(dataset: Dataset) -> CouplingCard | None:
 def learn_executions(
     courses: Sequence[ExecutionVisits], tasks: pl.DataFrame, told: Sequence[Wait] = ()
 ) -> CouplingCard | None:
-    """Return who waits for whom in some executions, None in too few.
+    """Return the wait conditions learned from executions; None if there are fewer than LEAST_EXECUTIONS.
 
     Args:
         courses: The executions.
-        tasks: The robot's, table TASKS.
-        told: By the cell file.
+        tasks: Tasks of the robot, table TASKS.
+        told: Waits given in the cell file.
 
     Raises:
-        UnknownName: The cell file tells of a place or event that the logs do not show.
+        UnknownName: The cell file names a place or event that the logs do not contain.
     """
     if len(courses) < LEAST_EXECUTIONS:
         return None
@@ -79,7 +80,7 @@ def learn_executions(
 
 
 def learn_courses(courses: Sequence[ExecutionVisits], told: Sequence[Wait] = ()) -> CouplingCard:
-    """Return who waits for whom in some executions; a robot's `phase` of a motion is left open."""
+    """Return the wait conditions learned from executions, without the `phase` of the robot's approach gates."""
     passages = {agent: find_conditions(courses, agent, told) for agent in AGENTS}
     unseen = _unseen(courses, passages["robot"], told)
     if unseen:
@@ -88,7 +89,7 @@ def learn_courses(courses: Sequence[ExecutionVisits], told: Sequence[Wait] = ())
     barred: dict[Agent, set[Event]] = {agent: set() for agent in AGENTS}
     while circle := next(in_circles(passages["robot"], passages["operator"]), None):
         agent, event = circle
-        if event in barred[agent]:  # told by the cell file
+        if event in barred[agent]:  # given in the cell file
             break
         barred[agent].add(event)
         passages[agent] = find_conditions(courses, agent, told, barred[agent])
@@ -105,7 +106,7 @@ def learn_courses(courses: Sequence[ExecutionVisits], told: Sequence[Wait] = ())
 def _unseen(
     courses: Sequence[ExecutionVisits], gates: Sequence[Passages], told: Sequence[Wait]
 ) -> tuple[SourceCard, ...]:
-    """Return sources of parts that no signal tells of, at places where the robot waits for no signal."""
+    """Return sources of parts that no signal reports, at places where the robot waits for no signal."""
     leaving = {each.gate.place: each for each in gates if each.gate.at == "leave"}
     by_signal = {place for place, each in leaving.items() if any(one.event.agent == "signal" for one in each.found)}
     by_file = {wait.leaving for wait in told if wait.agent == "robot"}
@@ -114,7 +115,7 @@ def _unseen(
 
 
 def _usual_work_s(gates: Sequence[Passages]) -> float:
-    """Return how long an agent works at a place where it never waits, median of such places, s; inf = none."""
+    """Return the median work time at places where an agent never waits, s; inf if there are none."""
     never = [gate for gate in gates if gate.gate.at == "leave" and not gate.since_s]
     return float(np.median([np.median(gate.left_s - gate.own_s) for gate in never])) if never else float("inf")
 
@@ -126,13 +127,13 @@ def _gate(
     usual_s: float,
     together: Mapping[tuple[Gate, Condition], NeededTogether],
 ) -> GateCard | None:
-    """Return the card of a gate; of one without conditions there is one for leaving alone, with own work."""
+    """Return the card of a gate; without conditions, only a `leave` gate has one (with its own work)."""
     gate = found.gate
     if gate.at == "approach" and not found.found:
         return None
     by_file = any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in told)
     own_s, cards = _parts(courses, found, usual_s, together)
-    cards = [card for card in cards if by_file or card.decided >= LEAST_DECIDED]  # beside the others it says nothing
+    cards = [card for card in cards if by_file or card.decided >= LEAST_DECIDED]  # redundant next to the others
     if gate.at == "approach" and not cards:
         return None
     return GateCard(
@@ -152,11 +153,12 @@ def _parts(
     usual_s: float,
     together: Mapping[tuple[Gate, Condition], NeededTogether],
 ) -> tuple[tuple[float, ...], list[ConditionCard]]:
-    """Return own work by its quantiles, and the conditions.
+    """Return the quantiles of own work, and the condition cards.
 
-    Where the agent always waits, its own work ends no stay: it is as long as the shortest stays where many are as
-    short, else it is taken as long as at other places (`usual_s`), or as half of the shortest stay where there are
-    none, and never longer than the shortest stay.
+    If the agent always waits, own work never ends a dwell. It is then estimated as the shortest dwell if many dwells
+    are
+    as short; otherwise as the typical work time at other places (`usual_s`), or half of the shortest dwell if there is
+    none, but never more than the shortest dwell.
     """
     step = -(-len(found.left_s) // KEPT)
     since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
@@ -196,7 +198,7 @@ def _parts(
 
 
 def _from_leaving(courses: Sequence[ExecutionVisits], found: Passages, condition: Condition) -> Vector:
-    """Return the time from when the agent that gives a signal left its place, which is what a plan knows."""
+    """Return the time since the agent that gives the signal left its place: the time that a plan knows."""
     return since_event(times_of(courses), found, condition._replace(event=condition.event._replace(signal=None)))
 
 
@@ -211,7 +213,7 @@ def _short(gate: GateCard, phases: Mapping[str, float]) -> bool:
 
 
 def _phases(tasks: pl.DataFrame) -> dict[str, float]:
-    """Return at which part of its nominal motion the robot may wait short of a place; by those that lost least."""
+    """Return per place the share of the nominal motion at which the robot may wait, from motions with least loss."""
     seen = tasks.filter(pl.col("reached_s").is_not_null() & (pl.col("nominal_s") > 0.0)).sort("safety_loss_s")
     part = ((pl.col("reached_s") - pl.col("start_s")) / pl.col("nominal_s")).clip(0.0, 1.0)
     phases = seen.group_by("goal_place").agg(part.head(LEAST_LOST).median())

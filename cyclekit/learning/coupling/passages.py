@@ -1,4 +1,4 @@
-"""Gates of an agent, and their logged passages: since when it was free to go, when it went, what it came after."""
+"""Gates of an agent and their logged passages: when it was free to go, when it went, and after which events."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
 
 SEEN = 120
-"""Departures by which conditions are compared."""
+"""Maximum number of departures by which conditions are compared."""
 
 
 @dataclass(frozen=True)
 class Gate:
-    """Where an agent may have to wait, as in `GateCard`; `short` of the place, or where it starts from."""
+    """Where an agent may have to wait, as in `GateCard`; `short`: short of the place, otherwise where it comes from."""
 
     agent: Agent
     at: Literal["leave", "approach"]
@@ -32,7 +32,7 @@ class Gate:
 
 
 class Condition(NamedTuple):
-    """An event, and the how-many-th of them a passage needs (`ConditionCard`); `partly`: not all passages need it."""
+    """An event and which occurrence of it a passage needs (`ConditionCard`); `partly`: only some passages need it."""
 
     event: Event
     back: int
@@ -45,12 +45,13 @@ class Passages:
     """All logged passages of one gate.
 
     Attributes:
-        gate: Which.
-        rows: Of each: its number among all departures of the agent, shape (N,).
-        course, nth: Of each: number of the execution, and how many passages of the gate came before it there, (N,).
-        own_s, left_s: Since when nothing of its own kept the agent, or it came there, and when it went on, (N,).
-        since_s: From the event of each condition that was found to going on, shape (N,); NaN = none was needed, -inf =
-            it came later.
+        gate: The gate.
+        rows: Number of each passage among all departures of the agent, shape (N,).
+        course, nth: Number of the execution, and of the passage within it from 0, shape (N,).
+        own_s, left_s: When the agent was free to go or arrived, and when it went on, shape (N,).
+        since_s: Time from the event of each condition to the departure, shape (N,), s; NaN = no event needed, -inf =
+            the
+            event came later.
     """
 
     gate: Gate
@@ -68,17 +69,17 @@ class Passages:
 
     @property
     def step(self) -> int:
-        """Every how-many-th passage serves to compare conditions."""
+        """Stride of the passages by which conditions are compared."""
         return -(-len(self.left_s) // SEEN)
 
     def causes(self, more: Vector | None = None) -> Causes:
-        """Return what decided each passage (of SEEN of them), own work first, then conditions as in `since_s`."""
+        """Return which cause decided each passage (at most SEEN): own work first, then conditions as in `since_s`."""
         columns = [self.left_s - self.own_s, *self.since_s.values(), *([] if more is None else [more])]
         return take_apart(np.array([column[:: self.step] for column in columns]))
 
 
 def passages_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Passages]:
-    """Return the passages of every gate that an agent may have; own work of different places is made comparable."""
+    """Return the passages of every possible gate of an agent, with own work comparable between places."""
     rows: dict[Gate, list[tuple[int, int, int, float, float]]] = {}
     number = 0
     for index, course in enumerate(courses):
@@ -88,7 +89,7 @@ def passages_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Passag
             for gate, own_s, left_s in _passed(agent, before, after):
                 nth = counts.get(gate, 0)
                 counts[gate] = nth + 1
-                began = agent == "robot" and not gate.short and left_s <= own_s  # it stood there at the start
+                began = agent == "robot" and not gate.short and left_s <= own_s  # at this place from the start
                 if np.isfinite(own_s) and np.isfinite(left_s) and not began:
                     rows.setdefault(gate, []).append((number, index, nth, own_s, left_s))
             number += 1
@@ -99,7 +100,7 @@ def passages_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Passag
 def _passed(agent: Agent, before: PlaceVisit | None, after: PlaceVisit | None) -> Iterator[tuple[Gate, float, float]]:
     if after is not None:
         yield Gate(agent, "approach", after.place, short=True), after.reached_s, after.went_on_s
-    if before is not None and after is not None:  # where nobody knows whither, another gate may have decided
+    if before is not None and after is not None:  # without a known destination another gate may have decided
         yield Gate(agent, "leave", before.place), before.arrived_s, before.left_s
         yield Gate(agent, "approach", after.place), before.arrived_s, before.left_s
 
@@ -111,7 +112,7 @@ def _passages(gate: Gate, some: list[tuple[int, int, int, float, float]]) -> Pas
 
 
 def _comparable(found: list[Passages]) -> list[Passages]:
-    """Return the passages; those on leaving different places for one count own work from its usual end at each."""
+    """Return the passages; approaches from several places count own work from its typical end at each place."""
     usual = np.full(1 + max((int(each.rows.max()) for each in found), default=0), 0.0)
     for each in found:
         if each.gate.at == "leave":

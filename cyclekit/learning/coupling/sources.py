@@ -1,4 +1,4 @@
-"""How parts come that the robot waits for: their gaps, and how many may wait."""
+"""Learns the arrival of parts that the robot waits for: gaps between parts, and buffer size."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 MOST_GAPS = 400
+"""Maximum number of gaps to learn from."""
 FULL = 0.98
-"""Part of the parts at whose coming no more than the buffer wait."""
+"""Share of the parts at whose arrival no more parts than the buffer size are waiting."""
 
 
 def find_sources(courses: Sequence[ExecutionVisits], gates: Sequence[GateCard]) -> tuple[SourceCard, ...]:
@@ -55,13 +56,13 @@ def _source(courses: Sequence[ExecutionVisits], signal: str, place: str) -> Sour
 
 
 def _waiting(came: Vector, taken: Vector) -> Vector:
-    """Return how many parts wait when each has come, itself among them, shape (N,)."""
+    """Return the number of waiting parts when each part arrives, including itself, shape (N,)."""
     gone = np.searchsorted(np.sort(taken[np.isfinite(taken)]), came, side="right")
     return np.asarray(np.arange(1.0, len(came) + 1.0) - gone)
 
 
 def _since(came: Vector, taken: Vector, buffer: int) -> Vector:
-    """Return for each part but the first the time since the one before came, and since there was room, (2, N), s."""
+    """Return for each part after the first the time since the previous part, and since room, shape (2, N), s."""
     room = np.full(max(len(came) - 1, 0), np.nan)
     for part in range(max(buffer, 1), len(came)):
         if part - buffer < len(taken):

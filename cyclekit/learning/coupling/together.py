@@ -1,6 +1,6 @@
-"""Whether both agents wait in the same passages, where neither waits in all of them.
+"""Finds whether robot and operator wait in the same passages, if neither waits in all of them.
 
-Whether a passage needed its event is seen where the event came late: the agent then went just after it, or before it.
+Passages with a late event show whether they needed it: the agent left just after the event, or before it.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools
 
 ALIKE = 0.9
-"""Part of the passages that both agents need, or neither; not all, as what decided is not always clear."""
+"""Probability that both agents need their event in the same passage; below 1, as the deciding cause can be unclear."""
 LEAST_GAIN = 4.0
-"""By so much the log-likelihood must rise: seven passages alike, of which half are needed."""
+"""Minimum gain in log-likelihood: equal to seven matching passages of which half are needed."""
 
 
 class NeededTogether(NamedTuple):
-    """Which conditions are needed in the same passages: their common number, and in which part of the passages."""
+    """Conditions needed in the same passages: their shared number, and the share of passages that need them."""
 
     number: int
     needed: float
@@ -34,7 +34,7 @@ class NeededTogether(NamedTuple):
 def needed_together(
     robot: Sequence[Passages], operator: Sequence[Passages]
 ) -> dict[tuple[Gate, Condition], NeededTogether]:
-    """Return those conditions of some passages that both agents need in the same ones, two of each number from 1 on."""
+    """Return the conditions of both agents that are needed in the same passages, as pairs numbered from 1."""
     pairs = [(mine, his, _gain(mine[1], his[1])) for mine, his in product(_partly(robot), _partly(operator))]
     found: dict[tuple[Gate, Condition], NeededTogether] = {}
     for (mine, my_needs), (his, his_needs), gain in sorted(pairs, key=lambda pair: -pair[2]):
@@ -46,7 +46,7 @@ def needed_together(
 
 
 _Needed = dict[tuple[int, int], bool]
-"""By execution and number of the passage: whether its event was needed, where that is seen."""
+"""Whether a passage needed its event, where known; key: execution and number of the passage."""
 _Whose = tuple["Gate", "Condition"]
 
 
@@ -66,7 +66,7 @@ def _partly(gates: Sequence[Passages]) -> list[tuple[_Whose, _Needed]]:
 
 
 def _gain(mine: _Needed, his: _Needed) -> float:
-    """Return by how much the log-likelihood of both rises if each is needed where the other one is."""
+    """Return the gain in log-likelihood of both conditions if each is needed in the same passages as the other."""
     both = [key for key in mine if key in his]
     a, b = (np.array([needed[key] for key in both], np.bool_) for needed in (mine, his))
     alike = float(np.log(np.where(a == b, ALIKE, 1.0 - ALIKE)).sum())

@@ -1,9 +1,10 @@
-"""Parts that no signal tells of, seen by the standstills of the robot that takes them alone.
+"""Learns the arrival of parts that no signal reports from the robot's standstills.
 
-Where the robot waited for a part, that came when its wait ended; where it did not, the part was there before it came.
-Each comes a gap after the one before it, as long as there is room. So the gap is seen wherever the robot waited for the
-part before: exactly, or as shorter than the time that the robot was away. Parts whose coming is not seen are drawn
-(particles): how well they explain the other standstills tells how many parts may wait.
+If the robot waited for a part, the part arrived at the end of the wait; otherwise it arrived before the robot. Each
+part
+arrives a gap after the previous one, provided there is room. So the gap is observed after each part that the robot
+waited for: exactly, or left-censored by the robot's absence. Unobserved arrivals are sampled (particle filter); the
+likelihood of the other standstills gives the buffer size.
 """
 
 from __future__ import annotations
@@ -25,26 +26,27 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Floats, Vector
 
 WAITED_S = 0.3
-"""A standstill that is so much longer than the shortest tenth of them was a wait."""
+"""A standstill is a wait if it exceeds the 10 % quantile of standstills by more than this, s."""
 LEAST = 10
-"""At least so many waits, so many standstills without one, and so many gaps are seen."""
+"""Minimum number of waits, of standstills without a wait, and of observed gaps."""
 LONG_S = 10.0
-"""A part that was there before the robot is taken to have come so long before it."""
+"""Assumed lead, s, of a part that was present before the robot."""
 BUFFERS = (1, 2, 3, 4, 5)
-"""How many parts may wait."""
+"""Buffer sizes tried: maximum number of waiting parts."""
 AS_GOOD = 0.5
-"""A smaller buffer that explains the standstills as well, to this, is taken."""
+"""Tolerance in log-likelihood: the smallest buffer within this of the best is chosen."""
 PARTICLES = 100
+"""Number of particles per execution."""
 ANY, ANY_S = 0.01, 100.0
-"""Part of gaps and waits that may be anything within so long."""
+"""Share of outliers among gaps and waits, and the range of their uniform density, s."""
 
 
 @dataclass(frozen=True)
 class PartVisits:
-    """The visits of the robot to one place, by execution and number, shape (E, K), NaN behind the last; s.
+    """Visits of the robot to one place, by execution and number, shape (E, K), padded with NaN; s.
 
     Attributes:
-        came, left: From when to when, since the start of the execution.
+        came, left: Arrival and departure, since the start of the execution.
         own_s: Own work at the place.
     """
 
@@ -54,23 +56,23 @@ class PartVisits:
 
     @property
     def waited(self) -> Bools:
-        """Where the robot waited."""
+        """Whether the robot waited, shape (E, K)."""
         return np.asarray(self.left - self.came > self.own_s + WAITED_S)
 
     @property
     def part_s(self) -> Floats:
-        """When the part came that was waited for."""
+        """Arrival time of the part if the robot waited for it, shape (E, K), s; otherwise NaN."""
         return np.where(self.waited, self.left - self.own_s, np.nan)
 
 
 class _Times(NamedTuple):
-    """A distribution: times of which some may only be known as shorter than that, and their mass."""
+    """A distribution: times, some only known as upper bounds, and their probability mass."""
 
     at: Vector
     mass: Vector
 
     def density(self, at: Floats) -> Floats:
-        """Return the density at some times, without what was seen at exactly these."""
+        """Return the kernel density at given times, leaving out observations at exactly these times."""
         some = self.mass > 0.0
         times, mass = self.at[some], self.mass[some]
         low, high = np.quantile(times, (0.25, 0.75))
@@ -81,7 +83,7 @@ class _Times(NamedTuple):
         return np.asarray((1.0 - ANY) * mass.sum() * (kernel @ mass) / left + ANY / ANY_S)
 
     def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-        """Return some times; those shorter than all that were seen are as short as the shortest."""
+        """Return random times; mass below all observed times is assigned to the shortest."""
         some = self.mass > 0.0
         times, mass = self.at[some], self.mass[some].copy()
         mass[times.argmin()] += max(0.0, 1.0 - mass.sum())
@@ -89,7 +91,7 @@ class _Times(NamedTuple):
 
 
 def find_unseen_parts(courses: Sequence[ExecutionVisits], place: str) -> SourceCard | None:
-    """Return how the parts come that the robot waits for at a place; None: its standstills do not show any."""
+    """Return how parts arrive that the robot waits for at a place; None if its standstills do not show it."""
     visits = part_visits(courses, place)
     waited, seen = visits.waited, np.isfinite(visits.left)
     if min(waited.sum(), (seen & ~waited).sum()) < LEAST or visits.came.shape[1] < 2:
@@ -112,7 +114,7 @@ def find_unseen_parts(courses: Sequence[ExecutionVisits], place: str) -> SourceC
 
 
 def with_parts(courses: Sequence[ExecutionVisits], sources: Iterable[SourceCard]) -> list[ExecutionVisits]:
-    """Return executions with when the parts came that no signal tells of; long before the robot where it found one."""
+    """Return executions with the inferred arrivals of parts; LONG_S before the robot if it did not wait."""
     found = list(courses)
     for source in sources:
         if source.inferred:
@@ -129,7 +131,7 @@ def _came(course: ExecutionVisits, place: str, own_s: float) -> Vector:
 
 
 def part_visits(courses: Sequence[ExecutionVisits], place: str) -> PartVisits:
-    """Return the visits of the robot to a place; own work takes as long as the shortest tenth of the standstills."""
+    """Return the visits of the robot to a place; own work is the 10 % quantile of the standstills."""
     begins = [course.visits["robot"][0].left_s for course in courses]
     some = [[visit for visit in course.visits["robot"][1:] if visit.place == place] for course in courses]
     came, left = np.full((2, len(courses), max(map(len, some), default=0)), np.nan)
@@ -142,7 +144,7 @@ def part_visits(courses: Sequence[ExecutionVisits], place: str) -> PartVisits:
 
 
 def _times(visits: PartVisits, since: Vector, came: Vector, left: Vector) -> _Times:
-    """Return the times from some instants to the coming of a part; it came before the robot where that did not wait."""
+    """Return the times from given instants to a part's arrival, left-censored if the robot did not wait for it."""
     known = np.isfinite(since) & np.isfinite(left)
     waited = left - came > visits.own_s + WAITED_S
     at = np.where(waited, left - visits.own_s, came)[known] - since[known]
@@ -151,7 +153,7 @@ def _times(visits: PartVisits, since: Vector, came: Vector, left: Vector) -> _Ti
 
 
 def _likelihood(visits: PartVisits, first: _Times, gaps: _Times, buffer: int) -> float:
-    """Return the log-likelihood of the standstills if so many parts may wait."""
+    """Return the log-likelihood of the standstills for a buffer size."""
     rng, total, waited = np.random.default_rng(0), 0.0, visits.waited
     came, part_s = visits.came[..., None], visits.part_s[..., None]
     before = np.zeros((len(came), PARTICLES))
@@ -172,14 +174,14 @@ def _likelihood(visits: PartVisits, first: _Times, gaps: _Times, buffer: int) ->
 
 
 def _of_these(values: Floats, some: Bools, rng: np.random.Generator) -> Floats:
-    """Return values of which only some are left, drawn again row by row to as many as before."""
+    """Return values resampled row by row from those marked in `some`, as many as before."""
     level = rng.random(values.shape) * some.sum(axis=1, keepdims=True)
     order = np.argsort(~some, axis=1, kind="stable")
     return np.take_along_axis(np.take_along_axis(values, order, 1), level.astype(np.int64), 1)
 
 
 def _by_chance(visits: PartVisits) -> float:
-    """Return the log-likelihood of the standstills if each is as long as it happens to be, whatever was before."""
+    """Return the log-likelihood of the standstills if they are independent of each other."""
     seen, waited = np.isfinite(visits.left), visits.waited
     waits_s = (visits.left - visits.came - visits.own_s)[waited]
     share = waited.sum() / seen.sum()

@@ -1,4 +1,4 @@
-"""When robot and operator came to their places and left them, and when signals changed, execution by execution."""
+"""Arrivals and departures of robot and operator at their places, and signal changes, per execution."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ if TYPE_CHECKING:
     Bits = Callable[[RecordingCard], Mapping[str, SignalChanges]]
 
 NOT_WAITED_FOR = ("goal",)
-"""Signals whose names hold these words are no conditions: they tell what the operator is about to do."""
+"""Words in signal names that exclude a signal as a condition: these signals announce what the operator will do."""
 WITHIN_S = 0.5
-"""A signal that an agent gives at a place may change so long after he is seen to leave."""
+"""Tolerance, s: a signal given at a place may change this long after the operator is seen to leave."""
 GIVEN = 0.9
-"""Part of a signal's changes that must be made during visits of one place, if the agent gives it there."""
+"""Minimum share of a signal's changes during visits to one place, if the agent gives the signal there."""
 ANSWER_S, ANSWERS, RARE = 0.5, 0.9, 0.3
-"""An input answers an output (a gripper that tells it is closed) if this part of its changes comes so soon after one of
-that output, and these times make up no more than that part of the log."""
+"""An input answers an output (a gripper reports that it is closed) if at least this share (second value) of its changes
+follow a change of the output within this time, s (first), and these times cover at most this share of the log
+(third)."""
 
 
 class Event(NamedTuple):
@@ -42,12 +43,12 @@ class Event(NamedTuple):
 
 
 class PlaceVisit(NamedTuple):
-    """One agent at one place; session seconds, NaN = not known.
+    """A visit of one agent to one place; session seconds, NaN = unknown.
 
     Attributes:
-        place: Where.
-        arrived_s, left_s: From when to when.
-        reached_s, went_on_s: When it reached the spot short of the place where it may wait, and went on.
+        place: Name of the place.
+        arrived_s, left_s: Arrival and departure.
+        reached_s, went_on_s: Arrival at and departure from the waiting point short of the place.
     """
 
     place: str
@@ -59,12 +60,12 @@ class PlaceVisit(NamedTuple):
 
 @dataclass(frozen=True)
 class ExecutionVisits:
-    """One execution.
+    """The visits and events of one execution.
 
     Attributes:
-        name: Its name.
-        visits: Of each agent, in order; the place where it begins has its start as arrival.
-        events: When each kind of event came, ascending, s.
+        name: Name of the execution.
+        visits: Visits of each agent in order; the first has the start of the execution as arrival.
+        events: Times of each kind of event, ascending, s.
     """
 
     name: str
@@ -81,14 +82,14 @@ def courses_of(
 ) -> list[ExecutionVisits]:
     """Return the complete executions in which both agents were seen.
 
-    An input of the robot counts where the operator gives it: most inputs tell of grippers, conveyors and doors.
+    Digital inputs of the robot count only if the operator gives them; most come from grippers, conveyors and doors.
 
     Args:
-        executions: Which.
+        executions: Cards of the executions.
         tasks: Table TASKS.
-        recordings: Of their sessions.
-        read: Returns a native table of a recording (id, table), None if it has none.
-        bits: Returns the inputs and outputs of a recording, its own clock.
+        recordings: Recordings of their sessions.
+        read: Returns a native table of a recording (id, table), None if there is none.
+        bits: Returns the inputs and outputs of a recording, in its own clock.
     """
     cards = {card.execution: card for card in executions if card.complete}
     mine = tasks.filter(pl.col("agent_name").is_null(), pl.col("execution").is_in(list(cards)))
@@ -132,7 +133,7 @@ def _of_operator(rows: pl.DataFrame, begin_s: float) -> list[PlaceVisit]:
 
 
 def events_of(visits: Mapping[Agent, Sequence[PlaceVisit]]) -> dict[Event, Vector]:
-    """Return when each agent arrived at each place and left it, ascending, s."""
+    """Return the arrivals at and departures from each place, ascending, s."""
     found: dict[Event, list[float]] = {}
     for agent, some in visits.items():
         for visit in some:
@@ -142,7 +143,7 @@ def events_of(visits: Mapping[Agent, Sequence[PlaceVisit]]) -> dict[Event, Vecto
 
 
 def _signals(recordings: Sequence[RecordingCard], session: str, read: Read) -> dict[tuple[str, str], Vector]:
-    """Return when each signal was `set` and `cleared`, session seconds; one that has no two states is only set."""
+    """Return when each signal was `set` and `cleared`, session seconds; a signal without two states is only set."""
     found: dict[tuple[str, str], Vector] = {}
     for record in recordings:
         events = read(record.id, "events") if record.session == session and record.rows.get("events") else None
@@ -164,7 +165,7 @@ def _edges(on: Bools) -> tuple[Bools, Bools]:
 
 
 def _inputs(recordings: Sequence[RecordingCard], session: str, bits: Bits) -> dict[tuple[str, str], Vector]:
-    """Return when each digital input was `set` and `cleared`, session seconds, without those that answer an output."""
+    """Return when each digital input was `set` and `cleared`, session seconds, without inputs that answer an output."""
     found: dict[tuple[str, str], Vector] = {}
     for record in recordings:
         if record.session != session or not record.rows.get("robot"):
@@ -180,7 +181,7 @@ def _inputs(recordings: Sequence[RecordingCard], session: str, bits: Bits) -> di
 
 
 def _answers(at: Vector, output: Vector) -> bool:
-    """Tell whether changes of an input come just after those of an output, which are rare enough for that to tell."""
+    """Return whether changes of an input closely follow those of an output that is rare enough to exclude chance."""
     if not len(output) or len(output) * ANSWER_S > RARE * max(np.ptp(np.concatenate([at, output])), ANSWER_S):
         return False
     last = np.searchsorted(output, at, side="right") - 1
@@ -189,11 +190,11 @@ def _answers(at: Vector, output: Vector) -> bool:
 
 
 def _with_givers(courses: Sequence[ExecutionVisits], doubtful: Collection[Event]) -> list[ExecutionVisits]:
-    """Return the courses; a signal that the operator gives at one place is an event of his arriving or leaving there.
+    """Return the courses; a signal that the operator gives at one place becomes his arrival or departure there.
 
     Args:
         courses: The executions.
-        doubtful: Signals that are left out where he does not give them.
+        doubtful: Signals to drop if the operator does not give them.
     """
     given: dict[Event, Event] = {}
     for kind in sorted({key for course in courses for key in course.events if key.agent == "signal"}):
@@ -215,9 +216,9 @@ def _with_givers(courses: Sequence[ExecutionVisits], doubtful: Collection[Event]
 
 
 def _shares(courses: Sequence[ExecutionVisits], kind: Event, place: str) -> tuple[float, float]:
-    """Return which part of a signal's changes the operator's visits of a place account for, each for one.
+    """Return the shares of a signal's changes explained by the operator's visits to a place, one change per visit.
 
-    Those nearer to his arrival come first, those nearer to his leaving second.
+    First value: changes nearer to his arrival; second value: changes nearer to his departure.
     """
     early, late, total = 0, 0, 0
     for course in courses:

@@ -1,4 +1,4 @@
-"""Which waits there were in logged executions, and what ended each."""
+"""Finds the waits in logged executions and the event that ended each."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard
 
 LEAST_S = 0.1
-"""A shorter wait is none."""
+"""Minimum duration of a wait, s."""
 ABOUT_S = 0.1
-"""What ends a wait comes before its end by the longest lag, and so much more, at most."""
+"""Tolerance, s: an event ended a wait if the time between them lies within the range of its lags plus or minus this."""
 
 
 class _Wait(NamedTuple):
-    """A wait of one agent: execution, number of its task, seconds, what ended it, and whether short of the place."""
+    """A wait of one agent: execution, task number, agent, duration, ending event, whether short of the place."""
 
     execution: str
     task: int
@@ -33,12 +33,12 @@ class _Wait(NamedTuple):
 
 
 def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], coupling: CouplingCard) -> pl.DataFrame:
-    """Return table TASKS with what ended each wait, and with dwell and wait of the tasks at whose ends an agent waits.
+    """Return table TASKS with the event that ended each wait, and with dwell and wait separated at learned gates.
 
     Args:
-        tasks: Of both agents.
-        courses: The executions in them.
-        coupling: Who waits for whom.
+        tasks: Tasks of both agents.
+        courses: The executions of these tasks.
+        coupling: Learned wait conditions.
     """
     waits = [wait for course in with_parts(courses, coupling.sources) for wait in _waits(course, coupling)]
     kinds = {name: tasks.schema[name] for name in ("execution", "index", "agent")}
@@ -48,7 +48,7 @@ def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], co
     own = (pl.col("agent") == "operator") & pl.col("agent_name").is_null()
     stood = pl.col("end_s") - pl.col("arrival_s")
     on_the_way = pl.when(own).then(0.0).otherwise(pl.col("dwell_s") + pl.col("wait_s") - stood)  # paused
-    other = pl.col("wait_s") - pl.col("lost_wait_s").fill_null(pl.col("wait_s"))  # lost to a pause or a stop: it stays
+    other = pl.col("wait_s") - pl.col("lost_wait_s").fill_null(pl.col("wait_s"))  # caused by a pause or a stop: kept
     kept = pl.when(own).then(0.0).otherwise((other - on_the_way).clip(0.0))
     wait = pl.max_horizontal(pl.min_horizontal(pl.col("ended_s").fill_null(0.0), stood), kept)
     split = (stood + on_the_way).is_not_null() & (own | ~pl.col("short").fill_null(value=True))
@@ -68,7 +68,7 @@ def _waits(course: ExecutionVisits, coupling: CouplingCard) -> Iterator[_Wait]:
         if not gate.conditions:
             continue
         agent: Agent = gate.agent
-        first = -1 if agent == "robot" else 0  # its first visit is where it starts, without a task
+        first = -1 if agent == "robot" else 0  # the first visit is the starting place, without a task
         for index, ready_s, left_s, nth in _passages(course, gate, usual):
             found = [one for one in gate.conditions if (at := _opened(course, one, nth, left_s)) and at > ready_s]
             if found and left_s - ready_s > LEAST_S and index + first >= 0:
@@ -82,7 +82,7 @@ def _waits(course: ExecutionVisits, coupling: CouplingCard) -> Iterator[_Wait]:
 def _passages(
     course: ExecutionVisits, gate: GateCard, usual: dict[tuple[Agent, str], float]
 ) -> Iterator[tuple[int, float, float, int]]:
-    """Yield for each passage of a gate: number of the visit that waits, ready since, gone on at, how-many-th."""
+    """Yield for each passage of a gate: number of the waiting visit, time ready, time of going on, count from 0."""
     visits, nth = course.visits[gate.agent], 0
     for number, visit in enumerate(visits):
         if visit.place != gate.place:
@@ -99,7 +99,7 @@ def _passages(
 
 
 def _opened(course: ExecutionVisits, condition: ConditionCard, nth: int, left_s: float) -> float | None:
-    """Return when a condition let a passage go on, None where it did not decide."""
+    """Return when a condition let a passage go on, s; None if the condition did not decide it."""
     event = Event(condition.agent, condition.place, condition.event)
     at = course.events.get(event, np.empty(0))
     number = condition.turns.event(nth, condition.back)
@@ -111,7 +111,7 @@ def _opened(course: ExecutionVisits, condition: ConditionCard, nth: int, left_s:
 
 
 def told(condition: ConditionCard) -> str:
-    """Return a condition in words: `operator leaves fixture (release set)`, `part set`."""
+    """Return a condition as text: `operator leaves fixture (release set)`, `part set`."""
     if condition.agent == "signal":
         return f"{condition.place} {condition.event}"
     signal = "" if condition.signal is None else f" ({condition.signal})"

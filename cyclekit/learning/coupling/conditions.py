@@ -303,7 +303,7 @@ def early_s(condition: Condition) -> float:
 
 
 def decided_by(since_s: Floats) -> Ints:
-    """Return the index of the cause that decided each departure, shape (N,); 0 = own work, if that improves the fit enough."""
+    """Return the cause that decided each departure, shape (N,); 0 = own work, if that improves the fit enough."""
     causes = take_apart(since_s)
     if len(since_s) > 1:
         waits = take_apart(since_s[1:])

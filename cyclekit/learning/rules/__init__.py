@@ -1,11 +1,11 @@
-"""The safety function as a rule that a person can read: which level holds where, the simplest that explains the logs.
+"""The safety function as a readable rule: which level applies where; the simplest rule that explains the logs.
 
 rows        positions and commanded level of each sample (`positions`, `distances`, `links`, `signals`)
 families    the kinds of rules, one module each: presence, distance, rectangle, polygon, region of the robot, signal
-ladder      which kind explains the commanded level on held-out executions
-fitting     one kind fitted: a region for each level, with hysteresis two (`cuts`, `crossings`, `intervals`)
-regions     where a region holds; `quantities` its thresholds and edges one by one
-law         the continuous law in place of levels (`law_rows`); `law_evidence` decides whether it is one
-safety      a rule asked in place of the network
-words       the rule as it would be written into a safety controller; `shapes` as outlines on the floor
+ladder      selects the kind that explains the commanded level on held-out executions
+fitting     fits one kind: one region per level, two with hysteresis (`cuts`, `crossings`, `intervals`)
+regions     tests where a region holds; `quantities` lists its thresholds and edges
+law         fits the continuous law in place of levels (`law_rows`); `law_evidence` decides whether it applies
+safety      predicts the scaling by a rule in place of the network
+words       writes the rule as for a safety controller; `shapes` draws it as outlines on the floor
 """

@@ -1,7 +1,7 @@
-"""Where the level changed: what each change tells of a threshold or edge, for positions that are noisy.
+"""Locates thresholds and edges at changes of the level, for noisy positions.
 
-With noise the fit that leaves the fewest samples unexplained is drawn to the side where the operator is less often.
-When the level changed is known from the scaling alone, so where the operator was then tells where the threshold lies
+With noise, the fit with the fewest unexplained samples is biased to the side where the operator is less often. The time
+of a change is known from the scaling alone, so the operator's position at that time locates the threshold
 (`crossing_fit`).
 """
 
@@ -26,26 +26,26 @@ if TYPE_CHECKING:
 
 
 LEAST = 15
-"""Fewer changes in one direction say nothing about hysteresis."""
+"""Minimum number of changes in each direction for a statement on hysteresis."""
 NEAR_M = 0.35
-"""A change farther than this from an edge is of another one."""
+"""Maximum distance, m, of a change from the edge that caused it."""
 CLEAR_M = 0.2
-"""So far from the ends of an edge no other edge could have caused the change."""
+"""Minimum clearance, m, of a change from the ends of an edge and from other regions that could have caused it."""
 LAG_M, LAG_SURE = 0.02, 4.0
-"""Hysteresis is believed where it is larger than this and than so many standard errors."""
+"""Minimum hysteresis: in m, and in standard errors."""
 APART = 3
-"""After more samples of unknown level it is open when in between it changed: a hold time ends with the change."""
+"""Maximum number of samples between the known levels around a dated change (a hold time ends with the change)."""
 EXACT_M = 0.005
-"""Where a change happened is known no better than this, standard deviation: few slow ones would else count for all."""
+"""Minimum standard deviation, m, of the position of a change, so that slow changes do not dominate."""
 
 
 class LevelChanges(NamedTuple):
-    """K changes of the level that one threshold or edge caused.
+    """K changes of the level caused by one threshold or edge.
 
     Attributes:
-        value_m: Where the operator was along it, shape (K,), in the mean of all instants between two samples.
-        pace_m: By how much that changes from one sample to the next, shape (K,).
-        spread_m: How far `value_m` is off, standard deviation, shape (K,): noise, and the time between two samples.
+        value_m: The operator's coordinate or distance at the change, shape (K,), averaged over the sampling interval.
+        pace_m: Change of that value from one sample to the next, shape (K,).
+        spread_m: Standard deviation of `value_m`, shape (K,), from noise and the time between two samples.
         execution: Number of the execution, shape (K,).
     """
 
@@ -55,20 +55,20 @@ class LevelChanges(NamedTuple):
     execution: Ints
 
     def where(self, keep: Bools) -> LevelChanges:
-        """Return some of them."""
+        """Return a subset."""
         return LevelChanges(self.value_m[keep], self.pace_m[keep], self.spread_m[keep], self.execution[keep])
 
 
 def crossings_of(
     limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, int], *, dated: bool = False
 ) -> dict[RulePlace, tuple[LevelChanges, LevelChanges]]:
-    """Return for each threshold and edge where the level fell, and where it rose.
+    """Return for each threshold and edge the changes by which the level fell, and by which it rose.
 
     Args:
-        limits: The rule as it was fitted.
-        rows: What it was fitted to.
+        limits: The fitted rule.
+        rows: Rows to which it was fitted.
         steps: Index of each level.
-        dated: Only changes of which is known when they were.
+        dated: Only changes whose time is known.
     """
     known = rows.sample - rows.sample[rows.before] <= APART if dated else True
     regions = {(limit.scaling, until): limit.until if until else limit.within for limit in limits for until in (0, 1)}
@@ -87,7 +87,7 @@ def crossings_of(
 
 
 def lags(limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, int]) -> bool:
-    """Tell whether the level rises farther out than it falls, beyond chance: most thresholds and edges must show it."""
+    """Return whether most thresholds and edges show that the level rises farther out than it falls, beyond chance."""
     shown = []
     for place, ways in crossings_of(limits, rows, steps).items():
         down, up = (_mean(each.value_m) for each in ways)
@@ -98,10 +98,11 @@ def lags(limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, in
 
 
 def _measured(along: Vector, rows: RuleRows, noise_m: float) -> LevelChanges:
-    """Return what each row (N,) tells if the level changed between it and the row before.
+    """Return the operator's value at a change of the level, if there is one between each row (N,) and the row before.
 
-    The mean of both rows is off where the operator passes at an angle, as a distance then falls and rises again; two
-    rows more on either side tell by how much. At the ends of a stretch the mean has to do.
+    The mean of both rows is biased if the operator passes at an angle, because a distance then falls and rises again.
+    One
+    more row on each side corrects it; at the ends of a stretch the plain mean is used.
     """
     before, after = rows.before, np.full(len(rows), -1)
     has = np.flatnonzero(before >= 0)
@@ -124,7 +125,7 @@ def _along(
     floor_m: NDArray[np.float64],
     tcp_m: NDArray[np.float64],
 ) -> Vector:
-    """Return the value that a threshold or edge is a value of, shape (N,)."""
+    """Return the coordinate or distance that a threshold or edge bounds, shape (N,)."""
     if place.kind == "nearer":
         return apart_m[region.nearer[place.item].distance]
     if place.kind == "polygon":
@@ -135,7 +136,7 @@ def _along(
 
 
 def _tells(region: RegionCard, place: RulePlace, rows: RuleRows) -> Bools:
-    """Return which rows can tell of this threshold or edge, by where everybody is half way from the row before."""
+    """Return which rows locate this threshold or edge, by the positions half-way from the row before, shape (N,)."""
     floor, tcp = ((at + at[rows.before]) / 2 for at in (rows.floor_m, rows.positions.tcp_m))
     apart = {name: (each + each[rows.before]) / 2 for name, each in rows.apart_m.items()}
     value = _along(region, place, apart, floor, tcp)
@@ -167,7 +168,7 @@ def _tells(region: RegionCard, place: RulePlace, rows: RuleRows) -> Bools:
 
 
 def _at_side(sides: Sequence[SideCard], number: int, floor_m: NDArray[np.float64]) -> Bools:
-    """Return which points are near a side and clear of the others."""
+    """Return which points are near a side and clear of the others, shape (N,)."""
     along = [turned(floor_m, side.angle_rad)[0] for side in sides]
     on = np.abs(along[number] - sides[number].metres.value) < NEAR_M
     for at, (value, side) in enumerate(zip(along, sides, strict=True)):
@@ -176,7 +177,7 @@ def _at_side(sides: Sequence[SideCard], number: int, floor_m: NDArray[np.float64
 
 
 def _outside_m(rectangle: RectangleCard, floor_m: NDArray[np.float64]) -> Vector:
-    """Return how far outside of a rectangle points (N, 2) lie along its axes, negative inside, shape (N,), m."""
+    """Return the distance of points (N, 2) outside of a rectangle along its axes, negative inside, shape (N,), m."""
     found = np.full(len(floor_m), -np.inf)
     for edges, at in zip((rectangle.along, rectangle.across), turned(floor_m, rectangle.angle_rad), strict=True):
         for edge, sign in zip(edges, (-1.0, 1.0), strict=True):
@@ -192,7 +193,7 @@ class _Mean(NamedTuple):
 
 
 def _mean(at: Vector) -> _Mean:
-    """Return the mean without what lies off by more than three deviations."""
+    """Return the mean without values that deviate by more than three robust standard deviations."""
     if not len(at):
         return _Mean(float("nan"), float("inf"), 0)
     off = np.abs(at - np.median(at))

@@ -1,4 +1,4 @@
-"""Which kind of rule explains the commanded level: the simplest that does, judged on held-out executions."""
+"""Selects the simplest kind of rule that explains the commanded level on held-out executions."""
 
 from __future__ import annotations
 
@@ -28,35 +28,37 @@ if TYPE_CHECKING:
     from cyclekit.learning.rules.rows import RuleRows
 
 EXPLAINS = 0.999
-"""Without noise, a rule that names the level of this part of the held-out samples explains them."""
+"""Without noise: minimum share of held-out samples whose level a rule must predict."""
 NOISY_EXPLAINS = 0.9
-"""With noise, a rule that names fewer explains nothing."""
+"""With noise: minimum share of held-out samples whose level a rule must predict."""
 SAME, NOISE_M = 0.001, 0.003
-"""With noise larger than this, rules and networks whose parts differ by less are taken as equal: the simpler is chosen;
-without, by less than what a rule may leave unexplained."""
+"""Tolerance in explained share within which rules and networks count as equal, and the noise, m, above which it
+applies;
+below, the tolerance is what a rule may leave unexplained."""
 CHANCE = 2.0
-"""Nor can they where the difference is less than so many standard errors over executions."""
+"""Standard errors over executions that a difference in explained share must exceed."""
 LIKELY = 0.02
-"""A distance that explains this much less than the best one by itself is not tried together with a rectangle."""
+"""Maximum deficit in explained share, against the best distance, at which a distance is combined with a rectangle."""
 GAINS = 0.005
-"""Two conditions at once must explain so much more than one."""
+"""Minimum gain in explained share of two conditions over one."""
 FAR_M, FAR_NOISE, FAR_PART = 0.05, 4.0, 0.005
-"""Noise makes a rule wrong near its edges alone: within FAR_M, and so many times the noise. One that is wrong farther
-off for more than this part of the held-out samples is not the rule, however many of the others it explains. Where no
-rule is left, those within a standard error over executions are: labels of an inferred scaling are wrong together."""
+"""Noise causes errors only near edges: within FAR_M, or FAR_NOISE times the noise. A rule is rejected if its errors
+farther away exceed the share FAR_PART of the held-out samples. If no rule remains, those within one standard error over
+executions are accepted, because label errors of an inferred scaling are correlated."""
 TEST_PART = 0.2
+"""Share of executions held out for the comparison."""
 LAGS = ", with hysteresis"
 
 
 @dataclass(frozen=True)
 class RuleSearch:
-    """What the ladder found.
+    """Result of the search for a rule.
 
     Attributes:
-        rule: The simplest rule that explains the commanded level; None where none does.
-        explained: Part of the held-out samples that each kind that was fitted explains, in that order.
-        network: The same of the network; None where there is none.
-        rows, executions: What was looked at.
+        rule: The simplest rule that explains the commanded level; None if there is none.
+        explained: Share of held-out samples that each fitted kind explains, in order of fitting.
+        network: The same share for the network; None without a network.
+        rows, executions: Number of samples and executions used.
     """
 
     rule: RuleCard | None
@@ -67,7 +69,7 @@ class RuleSearch:
 
     @property
     def likely(self) -> frozenset[str]:
-        """The kinds that explain nearly as much as the best one, and the single conditions that these join."""
+        """Kinds that explain nearly as much as the best one, and the single conditions that they combine."""
         least = max(self.explained.values(), default=1.0) - LIKELY
         best = {said.removesuffix(LAGS) for said, part in self.explained.items() if part >= least}
         joined = {FAMILIES[name].uses for name in best if FAMILIES[name].mixed}
@@ -82,7 +84,7 @@ class RuleSearch:
 
     @property
     def clean(self) -> bool:
-        """Whether the rule explains the logs as one does whose positions have no noise."""
+        """Whether the rule explains at least the share EXPLAINS, as expected without position noise."""
         return self.rule is not None and self.rule.explained >= EXPLAINS
 
 
@@ -114,14 +116,14 @@ def find_rule(
     """Find the simplest rule that explains the commanded level.
 
     Args:
-        rows: Of at least two executions.
-        levels: Of the speed scaling, ascending.
-        held_out: Numbers of the executions to judge by; None: a fifth of them, drawn by `seed`.
-        network: Level that a network names in each row, shape (N,), which has not seen `held_out`; None = no network.
-        latency_s: By which positions were shifted, kept in the rule.
-        judged_apart: The chosen rule is not fitted again to the executions by which it was judged.
-        kinds: Of rules that are looked at, by name.
-        seed: Of what is drawn.
+        rows: Samples of at least two executions.
+        levels: Levels of the speed scaling, ascending.
+        held_out: Numbers of the executions for the comparison; None: a fifth of them, drawn with `seed`.
+        network: Level predicted by a network that has not seen `held_out`, shape (N,); None = no network.
+        latency_s: Time by which positions were shifted, s; stored in the rule.
+        judged_apart: Do not fit the chosen rule again with the held-out executions.
+        kinds: Names of the kinds of rules to try.
+        seed: Seed of random draws.
     """
     levels = tuple(levels)
     judged = drawn(rows.execution, seed) if held_out is None else held_out
@@ -159,7 +161,7 @@ def find_rule(
 
 
 def _is_wide(fit: _Fit) -> bool:
-    """Return whether a rule with hysteresis has any to speak of: a latency that is off looks like a little."""
+    """Return whether the hysteresis of a rule, if any, is large enough: a wrong latency looks like a small one."""
     values = quantities(fit.limits)
     apart = [
         abs(values[outer].value - at.value)
@@ -170,14 +172,14 @@ def _is_wide(fit: _Fit) -> bool:
 
 
 def drawn(executions: NDArray[np.int64], seed: int) -> NDArray[np.int64]:
-    """Return the numbers of the executions to judge by, of the number of the execution of each row, shape (N,)."""
+    """Return the numbers of randomly held-out executions, given the execution of each row, shape (N,)."""
     every = np.unique(executions)
     return np.random.default_rng(seed).permutation(every)[: max(1, round(TEST_PART * len(every)))]
 
 
 @dataclass(frozen=True)
 class _Search:
-    """Rows to learn from and to judge by, how often each to learn from counts where a rule is looked for, and kinds."""
+    """Rows to fit to and to compare on, weight of each row in the coarse search, and kinds to try."""
 
     learn: RuleRows
     judge: RuleRows
@@ -186,7 +188,7 @@ class _Search:
     kinds: Collection[str]
 
     def fitted(self, name: str, fits: Sequence[_Fit], *, lag: bool) -> _Fit:
-        """Return a kind fitted: with hysteresis from what it is without; to all rows if it may explain the level."""
+        """Return one kind fitted: with hysteresis starting from the fit without; to all rows if it is promising."""
         family, asked = FAMILIES[name], (self.learn, self.levels)
         start = next((fit.limits for fit in fits if fit.name == name), None)
         limits = _evened(fit_limits(*asked, family, lag=lag, weight=self.few, start=start), *asked)
@@ -205,10 +207,11 @@ class _Search:
 
 
 def _tried(search: _Search, fits: list[_Fit]) -> Iterator[_Fit]:
-    """Yield one kind of rule after the other, fitted; `fits` keeps them.
+    """Yield the fits of one kind of rule after the other; `fits` collects them.
 
-    Single conditions come before two of them, and without hysteresis before with it. Of two conditions at once only
-    those are fitted whose distance explains much by itself, and no more of them where two explain no more than one.
+    Single conditions come before combinations, and fits without hysteresis before those with. A combination is fitted
+    only
+    if its distance alone explains much, and the rest only if combinations so far explain more than single conditions.
     """
     judge = search.judge
     known = {*judge.apart_m, *([SIGNALS] if judge.positions.signals else [])}
@@ -235,9 +238,10 @@ def _fitted(names: Sequence[str], search: _Search, fits: list[_Fit], *, lag: boo
 
 
 def _evened(limits: Limits, rows: RuleRows, levels: Sequence[float]) -> Limits:
-    """Return limits with every edge to leave and with even margins, where these explain no less.
+    """Return limits with all edges to leave and with even margins, if these explain as much.
 
-    A missing edge is few samples that nobody left across: their few contradictions do not make it one that is not.
+    An edge to leave is missing if hardly any samples cross it; a few contradicting samples do not prove that there is
+    none.
     """
     for change, less in ((with_edges_to_leave, 1.0 - EXPLAINS), (with_even_margins, 0.0)):
         other = change(limits)
@@ -248,10 +252,10 @@ def _evened(limits: Limits, rows: RuleRows, levels: Sequence[float]) -> Limits:
 
 
 def _agrees(limits: Limits, levels: Sequence[float], rows: RuleRows, least_m: float = 0.0) -> NDArray[np.bool_]:
-    """Return which rows a rule explains, shape (N,), with each edge uncertain by `least_m` at least.
+    """Return which rows a rule explains, shape (N,), with each edge uncertain by at least `least_m`.
 
-    Of a threshold no more is known than that it lies between the last slow and the first fast sample: a row in that gap
-    speaks neither for nor against the rule.
+    A threshold is only known to lie between the last slow and the first fast sample: a row in this gap counts as
+    explained.
     """
     smaller, larger = (with_bounds(limits, larger=each, least_m=least_m) for each in (False, True))
     fastest, slowest = (followed(bound, levels, rows) for bound in (smaller, larger))
@@ -259,7 +263,7 @@ def _agrees(limits: Limits, levels: Sequence[float], rows: RuleRows, least_m: fl
 
 
 def _likely_distances(fits: Sequence[_Fit], judge: RuleRows) -> set[tuple[str, ...]]:
-    """Return the distances that explain nearly as much as the best one does."""
+    """Return the distances that explain nearly as much as the best one."""
     plain = [fit for fit in fits if not fit.lag and set(FAMILIES[fit.name].uses) & set(judge.apart_m)]
     parts = {fit.name: _part(fit.right, judge) for fit in plain}
     return {FAMILIES[name].uses for name, part in parts.items() if part >= max(parts.values()) - LIKELY}
@@ -268,10 +272,10 @@ def _likely_distances(fits: Sequence[_Fit], judge: RuleRows) -> set[tuple[str, .
 def _simplest(
     fits: Sequence[_Fit], judge: RuleRows, learn: RuleRows, levels: Sequence[float], rival: NDArray[np.float64] | None
 ) -> _Fit | None:
-    """Return the simplest rule that no other rule, nor the network, is better than beyond chance.
+    """Return the simplest rule that no other rule, and not the network, beats by more than chance.
 
-    Noise makes any hysteresis look useful, as it holds a level that flickers: it is believed only where the level is
-    seen to rise farther out than it falls.
+    With noise, any hysteresis seems useful because it stabilises a flickering level. It is accepted only if the level
+    measurably rises farther out than it falls.
     """
     steps = {level: step for step, level in enumerate(levels)}
     found = [fit for fit in fits if fit.limits and fit.lag == lags(fit.limits, learn, steps)]
@@ -287,7 +291,7 @@ def _simplest(
 
 
 def _better(one: NDArray[np.float64], other: NDArray[np.float64], judge: RuleRows) -> bool:
-    """Tell whether one names more levels than the other, beyond chance and by more than what is taken as equal."""
+    """Return whether `one` predicts more levels than `other`, by more than chance and tolerance."""
     lead = one - other
     same = SAME if judge.noise_m > NOISE_M else 1.0 - EXPLAINS
     chance = CHANCE * float(np.sqrt(len(lead)) * lead.std(ddof=1)) if len(lead) > 1 else 0.0
@@ -295,7 +299,7 @@ def _better(one: NDArray[np.float64], other: NDArray[np.float64], judge: RuleRow
 
 
 def _whole(fit: _Fit, rows: RuleRows, levels: Sequence[float], *, noisy: bool, seed: int) -> Limits | None:
-    """Return the chosen kind of rule fitted to all rows, with intervals, and without what these make doubtful."""
+    """Return the chosen kind fitted to all rows, with intervals, without the parts that these make doubtful."""
     family = FAMILIES[fit.name]
     limits = _evened(refined(fit.limits, rows, levels, family, lag=fit.lag), rows, levels)
     if not limits:
@@ -309,7 +313,7 @@ def _whole(fit: _Fit, rows: RuleRows, levels: Sequence[float], *, noisy: bool, s
 
 
 def _by_execution(right: NDArray[np.bool_], rows: RuleRows) -> NDArray[np.float64]:
-    """Return the number of rows that are named rightly in each execution, shape (E,)."""
+    """Return the number of correct rows in each execution, shape (E,)."""
     _, number = np.unique(rows.execution, return_inverse=True)
     return np.bincount(number.ravel(), right).astype(np.float64)
 

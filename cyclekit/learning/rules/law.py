@@ -1,12 +1,12 @@
-"""The law of speed and separation monitoring (ISO/TS 15066) behind a scaling that has no levels.
+"""Fits the law of speed and separation monitoring (ISO/TS 15066) to a scaling that has no levels.
 
 The law allows the highest robot speed v at which the protective separation distance does not exceed the distance d:
 v_h (T_r + v / a) + v T_r + v^2 / (2 a) + C <= d, with the speed v_h of a person, the reaction time T_r, the robot's
-deceleration a, and C for all that is constant. With v = s v_p, v_p the programmed speed, it reads
+deceleration a, and a constant C. With v = s v_p, v_p the programmed speed, it reads
 
     stop + linear s + square s^2 <= d,    stop = C + v_h T_r, linear = v_p (T_r + v_h / a), square = v_p^2 / (2 a)
 
-so logs of scaling and distance tell these three lengths and nothing more.
+so logs of scaling and distance determine these three lengths and nothing more.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Vector
 
 LATEST_S, STEP_S = 1.0, 0.1
-"""Reaction times up to this are tried, first in such steps."""
+"""Maximum reaction time tried, and the step of the first search, s."""
 FEW, MANY = 2500, 20_000
-"""Samples by which distance and reaction time are chosen, and by which the law is fitted, at most."""
+"""Maximum number of samples for choosing distance and reaction time, and for fitting the law."""
 SAME = 0.02
-"""Scalings that differ by less are the same."""
+"""Tolerance within which two scalings count as equal."""
 SURE_M = 0.001
-"""No length is known better: the operator's position is a mean over a sample."""
+"""Minimum half-width of a confidence interval, m: the operator's position is a mean over a sample."""
 _SOFT = 0.02
 _RESAMPLES = 40
 _BOUNDS = (0.025, 0.975)
@@ -47,14 +47,14 @@ class LawShape(NamedTuple):
     lowest: float = 0.0
 
     def scaling(self, apart_m: Vector) -> Vector:
-        """Return the scaling at distances (N,), m."""
+        """Return the scaling at distances (N,), m, shape (N,)."""
         left = np.maximum(apart_m - self.stop_m, 0.0)
         root = np.sqrt(self.linear_m**2 + 4 * self.square_m * left)
         return np.clip(2 * left / np.maximum(self.linear_m + root, 1e-12), self.lowest, 1.0)
 
 
 class FittedLaw(NamedTuple):
-    """A law with the response through which it was seen."""
+    """A law with the response (latency and ramps) of the logged scaling."""
 
     distance: str
     shape: LawShape
@@ -62,23 +62,24 @@ class FittedLaw(NamedTuple):
     ramps: RampRates
 
     def rest(self, rows: LawRows) -> tuple[Vector, Bools]:
-        """Return the scaling that the law allows in each row, shape (N,), and where the logged one has reached it."""
+        """Return the scaling that the law allows in each row, and whether the logged one is at rest, shape (N,)."""
         allowed = self.shape.scaling(rows.earlier(rows.apart_m[self.distance], self.latency_s))
         return allowed, np.isfinite(allowed) & resting(rows, self.ramps)
 
 
 def shape_of(law: LawCard) -> LawShape:
-    """Return the numbers of a stored law."""
+    """Return the lengths of a stored law."""
     return LawShape(law.stop.value, law.linear.value, law.square.value, law.lowest)
 
 
 def fit_law(rows: LawRows) -> FittedLaw | None:
-    """Return the law that fits best; None where too few rows are at rest between its bounds.
+    """Return the law that fits best; None if too few rows are at rest between its bounds.
 
-    Rows in which a ramp hides the command are left out; the reaction time is the one at which the rest agrees best.
+    Rows in which a ramp hides the command are left out; the reaction time is the one with the smallest error on the
+    others.
 
     Args:
-        rows: Of the executions to learn from.
+        rows: Rows of the executions to learn from.
     """
     ramps = resting_rates(rows)
     rest = resting(rows, ramps)
@@ -95,7 +96,7 @@ def fit_law(rows: LawRows) -> FittedLaw | None:
         return None
     _, shape, name, lag = min(told, key=lambda each: each[0])
 
-    from scipy.optimize import minimize_scalar  # slow to import, and an estimate asks the law that was found
+    from scipy.optimize import minimize_scalar  # slow to import
 
     def cost(latency_s: float) -> float:
         return _best(rows.scaling[few], rows.earlier(rows.apart_m[name], latency_s)[few], lowest, shape)[0]
@@ -110,7 +111,7 @@ def fit_law(rows: LawRows) -> FittedLaw | None:
 
 
 def law_card(fitted: FittedLaw, rows: LawRows, *, seed: int) -> LawCard:
-    """Return a law with the 95 % confidence intervals of its lengths, from executions drawn again."""
+    """Return a law with 95 % confidence intervals of its lengths, from resampled executions."""
     rng = np.random.default_rng(seed)
     rest = np.flatnonzero(fitted.rest(rows)[1])
     rest = rest[:: max(1, len(rest) // (2 * FEW))]
@@ -133,7 +134,7 @@ def law_card(fitted: FittedLaw, rows: LawRows, *, seed: int) -> LawCard:
 
 
 def _best(scaling: Vector, apart_m: Vector, lowest: float, start: LawShape | None = None) -> tuple[float, LawShape]:
-    """Return the mean cost and the law that fits rows (N,) best; an infinite cost where too few are known."""
+    """Return the mean cost and the law that fits rows (N,) best; infinite cost if too few lie between the bounds."""
     known = np.isfinite(apart_m)
     s, d = scaling[known], apart_m[known]
     between = (s > lowest + SAME) & (s < 1.0 - SAME)
@@ -146,7 +147,7 @@ def _best(scaling: Vector, apart_m: Vector, lowest: float, start: LawShape | Non
         begin = [start.stop_m, start.linear_m + start.square_m, start.square_m / (start.linear_m + start.square_m)]
 
     def shape(x: Vector) -> LawShape:
-        """Return the law of the distance at which it stops, the way to full speed, and the bent part of that."""
+        """Return the law from stop distance, distance from there to full speed, and quadratic share of the latter."""
         return LawShape(float(x[0]), float(x[1] * (1 - x[2])), float(x[1] * x[2]), lowest)
 
     from scipy.optimize import least_squares
@@ -160,7 +161,7 @@ def _best(scaling: Vector, apart_m: Vector, lowest: float, start: LawShape | Non
 
 
 def _checked(fitted: FittedLaw, rows: LawRows) -> FittedLaw:
-    """Return it without ramps during which the law does not lie ahead of the scaling: these are no ramps."""
+    """Return the fit without ramps during which the law is not ahead of the scaling: these are no ramps."""
     allowed, _ = fitted.rest(rows)
     rates = fitted.ramps
     for rises in (False, True):
@@ -177,7 +178,7 @@ def _checked(fitted: FittedLaw, rows: LawRows) -> FittedLaw:
 
 
 def _lowest(scaling: Vector) -> float:
-    """Return the value that many rows share and none is below; 0 where there is none: the law was never seen to end."""
+    """Return the minimum scaling if many rows share it; else 0, because the logs do not show a lower bound."""
     least = float(scaling.min())
     return least if least > SAME and (scaling < least + 2e-3).sum() >= 20 else 0.0
 

@@ -1,8 +1,8 @@
-"""Whether a scaling is truly continuous, by the law, or a staircase seen through ramps: held-out executions decide.
+"""Decides on held-out executions whether a scaling is continuous (the SSM law) or a staircase seen through ramps.
 
-The law is taken where the scaling, ramps left out, lies on many values, and where the law is nearer to it on held-out
-executions than a staircase of many steps on any of the distances and places, and no farther from it than what boosted
-trees learn of the same inputs.
+The law is accepted if the scaling outside of ramps takes many values, and if the law has a smaller error on held-out
+executions than a staircase of many steps on all distances and positions, and no larger error than boosted trees on the
+same inputs.
 """
 
 from __future__ import annotations
@@ -22,38 +22,38 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Floats, Vector
 
 LAW = "speed and separation monitoring"
-"""Its name; the distance follows."""
+"""Name of the rule; the name of the distance follows."""
 STEPS = 16
-"""Of the staircase that is the law's rival."""
+"""Number of steps of the staircase to compare with."""
 NEARER = 0.9
-"""So many times the error of the staircase is the most that the law may have."""
+"""Maximum error of the law, as a multiple of that of the staircase."""
 FARTHER = 1.1
-"""So many times the error of boosted trees is the most that the law may have, if it is not below EXACT."""
+"""Maximum error of the law, as a multiple of that of boosted trees; an error below EXACT always passes."""
 EXACT = 0.01
 MOST = 10_000
-"""Rivals learn from so many rows at most."""
+"""Maximum number of rows from which the compared models learn."""
 STAIRCASE, TREES = f"staircase of {STEPS} steps", "boosted trees"
 
 
 class ScalingNamer(Protocol):
-    """What a law is compared with: a network."""
+    """Interface of a network to compare a law with."""
 
     def predict(self, X: NDArray[np.float32], /) -> Vector:
-        """Return the scaling (N,) for rows x_r, x_h (N, 6), m."""
+        """Return the scaling, shape (N,), for rows x_r, x_h, shape (N, 6), m."""
 
 
 class _Rivals(NamedTuple):
-    """Scalings (M,) of the held-out rows at rest between the bounds: logged, and by each that names one."""
+    """Scalings, shape (M,), of the held-out rows at rest between the bounds: logged, and predicted by each model."""
 
     logged: Vector
     named: dict[str, Vector]
 
     def error(self, name: str) -> float:
-        """Return the root of its mean squared error."""
+        """Return the root mean squared error of a model."""
         return float(np.sqrt(((self.named[name] - self.logged) ** 2).mean()))
 
     def explained(self, name: str) -> float:
-        """Return the part that it names within SAME."""
+        """Return the share of rows that a model predicts within SAME."""
         return float((np.abs(self.named[name] - self.logged) <= SAME).mean())
 
 
@@ -68,11 +68,11 @@ def find_law(
     """Return the law if it explains a scaling without levels, else None.
 
     Args:
-        rows: Of at least two executions, with a scaling that has no levels.
-        held_out: Numbers of the executions to judge by.
-        network: Which has not seen these, to compare with.
-        judged_apart: The law is not fitted again to the executions by which it was judged.
-        seed: Of what is drawn.
+        rows: Samples of at least two executions, with a scaling without levels.
+        held_out: Numbers of the executions for the comparison.
+        network: Network that has not seen these, to compare with.
+        judged_apart: Do not fit the law again with the held-out executions.
+        seed: Seed of random draws.
     """
     learn, judge = rows.of(held_out, others=True), rows.of(held_out)
     fitted = fit_law(learn)
@@ -102,7 +102,7 @@ def find_law(
 
 
 def _between(fitted: FittedLaw, rows: LawRows) -> Bools:
-    """Return the rows at rest whose scaling lies between the bounds, or should by the law, shape (N,)."""
+    """Return the rows at rest whose scaling, logged or by the law, lies between the bounds, shape (N,)."""
     allowed, rest = fitted.rest(rows)
     low, high = fitted.shape.lowest + SAME, 1.0 - SAME
     inside = [(low < values) & (values < high) for values in (allowed, rows.scaling)]
@@ -115,7 +115,7 @@ def _holds(found: _Rivals) -> bool:
 
 
 def _rivals(X: Floats, scaling: Vector, judge: Floats) -> dict[str, Vector]:
-    from sklearn.ensemble import HistGradientBoostingRegressor  # here, so that nobody else waits for the import
+    from sklearn.ensemble import HistGradientBoostingRegressor  # slow import
     from sklearn.tree import DecisionTreeRegressor
 
     some = slice(None, None, max(1, len(X) // MOST))
@@ -130,6 +130,6 @@ def _places(rows: LawRows, by_s: float) -> Floats:
 
 
 def _inputs(rows: LawRows, by_s: float) -> Floats:
-    """Return what rivals see: all distances and places at the reaction time, shape (N, F)."""
+    """Return the inputs of the compared models: all distances and positions at the reaction time, shape (N, F)."""
     apart = [rows.earlier(values, by_s) for values in rows.apart_m.values()]
     return np.column_stack([*apart, _places(rows, by_s)])

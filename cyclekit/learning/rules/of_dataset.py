@@ -1,4 +1,4 @@
-"""The rule behind a dataset: its samples read, the ladder climbed, the network as rival."""
+"""Finds the rule behind a dataset: reads the samples, compares kinds of rules, and compares with the network."""
 
 from __future__ import annotations
 
@@ -33,26 +33,27 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 MOST_ROWS = 60_000
-"""Of more samples, so many of executions drawn at random: their thresholds are known to millimetres already."""
+"""Maximum number of samples; above it, executions are drawn at random (thresholds are then known to millimetres)."""
 LEAST_ROWS, LEAST_EXECUTIONS = 500, 3
 PARTS, EQUAL = 5, 0.002
-"""So many parts of a latency are tried beside a rule with hysteresis; of those that explain as much as the best but for
-this share the middle one is taken."""
+"""Number of partial latencies tried with hysteresis, and the tolerance in explained share within which the middle one
+of
+the best is chosen."""
 _BLOCK = 2048
 
 
 class LevelNamer(Protocol):
-    """What a rule is compared with: a network that names a level for each pair of positions."""
+    """Interface of a network to compare with: it predicts a level for each pair of positions."""
 
     @property
     def card(self) -> TrainingCard:
-        """How it came about."""
+        """Training card of the network."""
 
     def predict(self, X: NDArray[np.float32], /) -> Vector:
-        """Return the scaling (N,) likewise."""
+        """Return the scaling, shape (N,), for rows x_r, x_h, shape (N, 6), m."""
 
     def steps(self, X: NDArray[np.float32], /) -> NDArray[np.int64]:
-        """Return the index of the likeliest level (N,) for rows x_r, x_h (N, 6), m."""
+        """Return the index of the most likely level, shape (N,), for rows x_r, x_h, shape (N, 6), m."""
 
 
 def rule_of(
@@ -67,12 +68,12 @@ def rule_of(
     """Find the simplest rule that explains the commanded level in a dataset.
 
     Args:
-        dataset: With positions and a scaling.
-        levels: Of the speed scaling, ascending.
-        model: A network of the same levels, to compare with on executions that it has not seen.
-        judged_apart: The rule is not fitted again to the executions by which it was judged.
-        signals: Rules may go by signals; no estimate can ask one that does.
-        seed: Of what is drawn.
+        dataset: Dataset with positions and a scaling.
+        levels: Levels of the speed scaling, ascending.
+        model: Network with the same levels, to compare with on its held-out executions.
+        judged_apart: Do not fit the rule again with the held-out executions.
+        signals: Allow rules on signals; an estimate cannot evaluate these.
+        seed: Seed of random draws.
     """
     names = _looked_at(dataset, seed)
     if by_signals(dataset):
@@ -85,17 +86,18 @@ def rule_of(
     search = partial(_searched, dataset, names, unseen, levels, model)
     search = partial(search, judged_apart=judged_apart, seed=seed, signals=signals)
     found = search(latency_s)
-    if latency_s and not found.clean:  # a latency read off the wrong distance hides the rule
+    if latency_s and not found.clean:  # a latency read from the wrong distance hides the rule
         other = search(0.0)
         found = other if other.clean else found if found.rule else less_late(search, latency_s, found, other)
     return _with_poses(found, dataset, names)
 
 
 def less_late(search: Callable[..., RuleSearch], latency_s: float, late: RuleSearch, at_once: RuleSearch) -> RuleSearch:
-    """Return what is found with a part of the latency; what is found with all of it where that is nothing.
+    """Return the rule found with part of the latency, or with all of it if no part gives a rule with hysteresis.
 
-    The latency is read without hysteresis, which looks like one: a hysteresis of 0.2 m like 0.1 to 0.2 s of a person
-    who walks. What is left of it once a rule has hysteresis is what that rule explains most with.
+    The latency is estimated without hysteresis and so absorbs some of it: a hysteresis of 0.2 m looks like 0.1 to 0.2 s
+    of
+    latency of a walking person. The part is chosen that makes a rule with hysteresis explain most.
     """
     if not late.lags and not at_once.lags:
         return late
@@ -116,7 +118,7 @@ def _fields(
     judged_apart: bool,
     seed: int,
 ) -> RuleSearch:
-    """Return which field counts where, for a dataset whose signals tell of people."""
+    """Return the rule on signals for a dataset whose signals detect people."""
     rows = rows_by_signals(dataset, names, levels)
     if _too_few(rows):
         return RuleSearch(None, rows=len(rows))
@@ -133,19 +135,19 @@ def _fields(
 
 
 def _too_few(rows: RuleRows) -> bool:
-    """Tell whether rows are too few to find a rule."""
+    """Return whether there are too few rows, executions or levels to find a rule."""
     return len(rows) < LEAST_ROWS or len(np.unique(rows.execution)) < LEAST_EXECUTIONS or len(np.unique(rows.level)) < 2
 
 
 def _with_poses(found: RuleSearch, dataset: Dataset, names: Sequence[str]) -> RuleSearch:
-    """Return a rule on the nearest link with the poses of the arm, so that it can be asked without joint angles."""
+    """Return a rule on the nearest link with the arm's poses, so that it works without joint angles."""
     if found.rule is None or TO_LINK not in distances_of(found.rule):
         return found
     return replace(found, rule=structs.replace(found.rule, poses=poses_of(dataset, names)))
 
 
 def _looked_at(dataset: Dataset, seed: int) -> list[str]:
-    """Return the names of all executions, or of so many of them as have MOST_ROWS."""
+    """Return the names of all executions, or of a random subset with at most MOST_ROWS samples."""
     names: list[str] = dataset.executions["execution"].to_list()
     if count_rows(dataset) <= MOST_ROWS:
         return names
@@ -156,13 +158,13 @@ def _looked_at(dataset: Dataset, seed: int) -> list[str]:
 def law_of(
     dataset: Dataset, *, model: LevelNamer | None = None, judged_apart: bool = False, seed: int = 0
 ) -> RuleSearch | None:
-    """Return the continuous law behind the scaling; None where there is none.
+    """Return the continuous law of the scaling; None if there is none.
 
     Args:
-        dataset: With positions and a scaling.
-        model: As of `rule_of`.
-        judged_apart: As of `rule_of`.
-        seed: Of what is drawn.
+        dataset: Dataset with positions and a scaling.
+        model: As in `rule_of`.
+        judged_apart: As in `rule_of`.
+        seed: Seed of random draws.
     """
     if by_signals(dataset):
         return None
@@ -200,13 +202,13 @@ def _searched(
 
 
 def _numbers(names: Sequence[str], chosen: Collection[str], executions: NDArray[np.int64]) -> NDArray[np.int64] | None:
-    """Return the numbers of executions that have rows; None where there are fewer than two."""
+    """Return the numbers of the chosen executions that have rows; None for fewer than two, or for all of them."""
     found = np.intersect1d([number for number, name in enumerate(names) if name in chosen], executions)
     return found.astype(np.int64) if 2 <= len(found) < len(np.unique(executions)) else None
 
 
 def _named(model: LevelNamer, rows: RuleRows, levels: Sequence[float]) -> NDArray[np.int64]:
-    """Return the level that the network names in each row; where nobody is there, that of the logs."""
+    """Return the level that the network predicts for each row; without an operator, the level learned from the logs."""
     without = model.card.scaling_without_operator
     alone = len(levels) - 1 if without is None else int(np.abs(np.asarray(levels) - without).argmin())
     found = np.full(len(rows), alone)

@@ -1,4 +1,4 @@
-"""Where a region holds, and which level a rule allows: `RuleCard` asked of rows."""
+"""Tests where a region holds and which level a rule allows."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ NOWHERE = (-np.inf, np.inf)
 
 
 def turned(floor_m: NDArray[np.float64], angle_rad: float) -> tuple[Vector, Vector]:
-    """Return coordinates (N,) along and across a frame turned by `angle_rad`, of points (N, 2), m."""
+    """Return the coordinates (N,), (N,) of points (N, 2), m, in a frame turned by `angle_rad`."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     return floor_m[:, 0] * cos + floor_m[:, 1] * sin, floor_m[:, 1] * cos - floor_m[:, 0] * sin
 
 
 def corners(rectangle: RectangleCard) -> list[tuple[float, float]] | None:
-    """Return the corners of a rectangle, base frame, m, counterclockwise; None where an edge was never seen."""
+    """Return the corners of a rectangle, base frame, m, counterclockwise; None if an edge is unknown."""
     (left, right), (near, far) = rectangle.along, rectangle.across
     if left is None or right is None or near is None or far is None:
         return None
@@ -38,7 +38,7 @@ def corners(rectangle: RectangleCard) -> list[tuple[float, float]] | None:
 
 
 def polygon_corners(polygon: PolygonCard) -> list[tuple[float, float]] | None:
-    """Return the corners of a polygon, base frame, m, counterclockwise; None where it is open to one side."""
+    """Return the corners of a polygon, base frame, m, counterclockwise; None if it is open on one side."""
     sides = [*polygon.sides, polygon.sides[0]]
     found = []
     for one, other in pairwise(sides):
@@ -70,7 +70,7 @@ def inside(region: RegionCard, rows: Positions) -> Bools:
 
 
 def asks_operator(region: RegionCard) -> bool:
-    """Return whether a region asks for more than where the TCP is."""
+    """Return whether a region depends on more than the TCP."""
     return region.anywhere or bool(region.nearer or region.rectangles or region.polygons or region.signals)
 
 
@@ -83,7 +83,7 @@ def within_sides(sides: Sequence[SideCard], floor_m: NDArray[np.float64]) -> Boo
 
 
 def within_rectangle(rectangle: RectangleCard, floor_m: NDArray[np.float64]) -> Bools:
-    """Return which points (N, 2), m, lie in a rectangle; edges never seen do not bound it."""
+    """Return which points (N, 2), m, lie in a rectangle; it is unbounded where an edge is unknown."""
     found = np.isfinite(floor_m[:, 0])
     for edges, at in zip((rectangle.along, rectangle.across), turned(floor_m, rectangle.angle_rad), strict=True):
         low, high = (bound if edge is None else edge.value for edge, bound in zip(edges, NOWHERE, strict=True))
@@ -95,10 +95,10 @@ def allowed(limits: Sequence[LimitCard], levels: Sequence[float], rows: Position
     """Return the level that a rule allows in each row, shape (N,).
 
     Args:
-        limits: Of the rule.
-        levels: Of the speed scaling, ascending.
-        rows: Where everybody is.
-        until: Take the regions that the operator must have left, in place of those that he enters.
+        limits: Limits of the rule.
+        levels: Levels of the speed scaling, ascending.
+        rows: Positions of robot and operator.
+        until: Use the regions that the operator must leave instead of those that he enters.
     """
     found = np.full(len(rows.floor_m), levels[-1])
     for limit in reversed(limits):
@@ -108,9 +108,9 @@ def allowed(limits: Sequence[LimitCard], levels: Sequence[float], rows: Position
 
 
 def followed(limits: Sequence[LimitCard], levels: Sequence[float], rows: RuleRows) -> NDArray[np.int64]:
-    """Return the index of the level that a rule allows in each row, shape (N,), with hysteresis followed in time.
+    """Return the index of the level that a rule allows in each row, shape (N,), with hysteresis applied over time.
 
-    The state at the beginning of a stretch is that of its commanded level.
+    The state at the start of a stretch is that of its commanded level.
     """
     found = np.full(len(rows), len(levels) - 1)
     at, begins = np.arange(len(rows)), rows.before < 0

@@ -1,4 +1,4 @@
-"""A rule asked for the speed scaling, in place of the network of its model."""
+"""Predicts the speed scaling by a rule in place of the network of its model."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RuleSafety:
-    """The safety function of a rule.
+    """Safety function given by a rule.
 
     Attributes:
-        rule: What holds where.
-        card: Of the model that the rule lies beside.
-        side: With hysteresis: what s falls by (`entering`), what s must allow to rise (`leaving`), or, where nothing is
-            known of the time before, the mean of both.
-        problem: It gives the present scaling.
+        rule: The rule.
+        card: Training card of the model with this rule.
+        side: With hysteresis: the regions by which s falls (`entering`), those by which it may rise (`leaving`), or, if
+            the past is unknown, the mean of both.
+        problem: `now`: it predicts the present scaling.
     """
 
     rule: RuleCard
@@ -47,46 +47,46 @@ class RuleSafety:
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """Its levels, ascending."""
+        """Levels of the speed scaling, ascending."""
         return self.rule.levels
 
     @property
     def network(self) -> str:
-        """What answers: no network."""
+        """Name in place of that of a network."""
         return "rule"
 
     @property
     def often(self) -> bool:
-        """That it answers fast: a rollout asks it in every step."""
+        """Whether it is fast enough for every step of a rollout."""
         return True
 
     @property
     def lags(self) -> bool:
-        """Whether it has hysteresis of its own."""
+        """Whether it has hysteresis."""
         return any(limit.until is not None for limit in self.rule.limits)
 
     @property
     def slows_alone(self) -> bool:
-        """Whether a limit holds by where the TCP is, with or without an operator."""
+        """Whether a limit depends on the TCP alone, with or without an operator."""
         return any(region.robot is not None and not asks_operator(region) for region in _regions(self.rule))
 
     def of_side(self, side: Literal["entering", "leaving"]) -> RuleSafety:
-        """Return it as s falls by it, or as s must be allowed to rise."""
+        """Return it with the regions by which s falls, or those by which it may rise."""
         return replace(self, side=side)
 
     def with_hysteresis(self, margin_m: float) -> RuleSafety:
-        """Return it with regions to leave that lie `margin_m` outside of those to enter, m; 0 = none."""
+        """Return it with regions to leave that are larger by `margin_m` than those to enter, m; 0 = no hysteresis."""
         limits = tuple(_widened(limit, margin_m) for limit in self.rule.limits)
         return replace(self, rule=structs.replace(self.rule, limits=limits, hysteresis=margin_m > 0.0))
 
     def with_limits(self, limits: tuple[LimitCard, ...]) -> RuleSafety:
-        """Return it with other limits, the slowest first."""
+        """Return it with other limits, slowest first."""
         return replace(self, rule=structs.replace(self.rule, limits=limits))
 
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
-        """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,).
+        """Return the scaling for rows x_r, x_h, shape (N, 6), m; shape (N,).
 
-        Where signals tell of people, they stand in place of x_h (`signal_inputs`).
+        If signals detect people, columns 3 to 5 hold the signals in place of x_h (`signal_inputs`).
         """
         if asks_signals(self.rule):
             return self.predict_signals(X[:, :3], from_inputs(X[:, 3:6], len(self.card.operator_signals)))
@@ -100,11 +100,11 @@ class RuleSafety:
         return np.asarray(np.mean(found, axis=0))
 
     def predict_signals(self, robot_m: NDArray[np.floating[Any]], signals: NDArray[np.int64]) -> Vector:
-        """Return the commanded scaling where signals tell of people, shape (N,); the response is not in it.
+        """Return the commanded scaling of a rule on signals, shape (N,), without the response.
 
         Args:
             robot_m: The TCP, shape (N, 3), m.
-            signals: Which signals are on, shape (N,): bits as in column `human_signals` of the model's dataset.
+            signals: Bits of the active signals, shape (N,), as in column `human_signals` of the model's dataset.
         """
         robot, nobody = np.asarray(robot_m, np.float64), np.full((len(signals), 2), np.nan)
         rows = Positions({}, nobody, robot[:, :2], values_of_bits(self.card.operator_signals, signals))
@@ -121,9 +121,10 @@ class RuleSafety:
 
 
 def answering(model: TrainedModel) -> TrainedModel | RuleSafety:
-    """Return what answers for a model: the rule beside it if it has one that can be asked, else its network.
+    """Return the predictor of a model: its rule if there is one that can be evaluated, else its network.
 
-    A rule on signals needs those of the model's dataset (`predict_signals`), one on the nearest link the arm's poses.
+    A rule on signals needs those of the model's dataset (`predict_signals`); one on the nearest link needs the arm's
+    poses.
     """
     rule = model.card.rule
     if rule is None or (asks_signals(rule) and not model.card.operator_signals):
@@ -134,19 +135,19 @@ def answering(model: TrainedModel) -> TrainedModel | RuleSafety:
 
 
 def asks_signals(rule: RuleCard) -> bool:
-    """Return whether a rule goes by signals in place of positions of the operator."""
+    """Return whether a rule depends on signals in place of the operator's position."""
     return any(region.signals for region in _regions(rule))
 
 
 def values_of_bits(
     named: Sequence[OperatorSignalCard], signals: NDArray[np.int64]
 ) -> dict[tuple[str, float], NDArray[np.str_]]:
-    """Return the values of signals, as `Positions` has them, of bit fields (N,); empty while nobody is there."""
+    """Return signal values, as in `Positions`, from bit fields (N,); empty text while a signal is off."""
     return {(one.name, 0.0): np.where((signals >> k) & 1, one.occupied, "") for k, one in enumerate(named)}
 
 
 def distances_of(rule: RuleCard) -> set[str]:
-    """Return the distances that a rule goes by."""
+    """Return the names of the distances that a rule uses."""
     law = set() if rule.law is None else {rule.law.distance}
     return law | {near.distance for region in _regions(rule) for near in region.nearer}
 

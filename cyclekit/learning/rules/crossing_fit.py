@@ -1,8 +1,8 @@
-"""Thresholds and edges with their intervals from where the level changed, all of a rule at once.
+"""Estimates all thresholds and edges of a rule, with intervals, from changes of the level.
 
-The reaction time by which positions were shifted is off by some milliseconds, so who comes fast is seen to cross a
-threshold farther in or out than who comes slowly: how much is fitted as well, one number for the whole rule. Errors
-within one execution hang together, so executions are the unit of what is uncertain.
+The reaction time by which positions were shifted has an error of some milliseconds, so a fast operator seems to cross a
+threshold at another distance than a slow one. This error is estimated too, one number for the whole rule. Errors within
+an execution are correlated, so the standard errors are clustered by execution.
 """
 
 from __future__ import annotations
@@ -28,22 +28,24 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Ints, Vector
 
 LEAST = 5
-"""Fewer changes say nothing about where a threshold lies."""
+"""Minimum number of changes to locate a threshold."""
 LATE = 0.3
-"""By so many samples the reaction time is off, standard deviation, before anything is seen."""
+"""Prior standard deviation of the error of the reaction time, samples."""
 FAR_OFF = 4.0
-"""A change so many deviations off is of something else."""
+"""Number of standard deviations beyond which a change is an outlier."""
 _ROUNDS = 4
 
 
 class Located(NamedTuple):
-    """P thresholds and edges.
+    """Estimated positions of P thresholds and edges.
 
     Attributes:
-        places: Which.
-        at_m: Where, shape (P,).
-        expected, seen: Covariance of `at_m` by the spread of each change, and as executions differ, shape (P, P), m2.
-        executions: How many tell of each, shape (P,).
+        places: The thresholds and edges.
+        at_m: Positions, shape (P,), m.
+        expected, seen: Covariance of `at_m`, from the spread of each change and from the differences between
+            executions,
+            shape (P, P), m2.
+        executions: Number of executions with changes of each, shape (P,).
     """
 
     places: Sequence[RulePlace]
@@ -53,12 +55,12 @@ class Located(NamedTuple):
     executions: Ints
 
     def error_m(self, of: NDArray[np.float64]) -> Vector:
-        """Return the standard errors (K,) of sums `of` (K, P) @ `at_m`: the larger of the two."""
+        """Return the standard errors (K,) of sums `of` (K, P) @ `at_m`, from the larger of both covariances."""
         squares = [np.einsum("kp,pq,kq->k", of, each, of) for each in (self.expected, self.seen)]
         return np.asarray(np.sqrt(np.maximum(*squares)))
 
     def cards(self) -> dict[RulePlace, MetresCard]:
-        """Return them with their 95 % intervals."""
+        """Return the positions with their 95 % confidence intervals."""
         error_m = np.hypot(self.error_m(np.eye(len(self.at_m))), SUREST_M)
         half = stdtrit(np.maximum(1, self.executions - 1), 0.975) * error_m
         ends = zip(self.places, self.at_m.tolist(), half.tolist(), strict=True)
@@ -68,14 +70,14 @@ class Located(NamedTuple):
 def by_crossings(
     limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, int]
 ) -> tuple[tuple[LimitCard, ...], frozenset[RulePlace]]:
-    """Return a rule with its thresholds and edges, and their intervals, from where the level changed; and which.
+    """Return a rule with thresholds, edges and intervals estimated from changes of the level, and which these are.
 
-    With hysteresis where the level fell tells of the region to enter, where it rose of the one to leave, and one margin
-    lies between them (`hysteresis`); without both tell of the same threshold.
+    With hysteresis, falls of the level locate the regions to enter and rises those to leave, with one common margin
+    (`hysteresis`); without hysteresis both locate the same threshold.
 
     Args:
-        limits: The rule as it was fitted; where changes are too few it stays.
-        rows: What it was fitted to.
+        limits: The fitted rule; kept where there are too few changes.
+        rows: Rows to which it was fitted.
         steps: Index of each level.
     """
     lag = {limit.scaling: limit.until is not None for limit in limits}
@@ -92,7 +94,7 @@ def by_crossings(
 
 
 def _likely(each: LevelChanges) -> LevelChanges:
-    """Return the changes that lie where most of them do."""
+    """Return the changes without outliers."""
     if not len(each.value_m):
         return each
     off = np.abs(each.value_m - np.median(each.value_m))
@@ -100,10 +102,10 @@ def _likely(each: LevelChanges) -> LevelChanges:
 
 
 def located(told: Mapping[RulePlace, LevelChanges]) -> Located:
-    """Return where thresholds and edges lie, of one regression on all changes of the level.
+    """Return positions of thresholds and edges from one robust regression on all changes of the level.
 
     Args:
-        told: The changes that each of them caused, at least one.
+        told: Changes caused by each of them; at least one.
     """
     value, pace, spread, execution = (np.concatenate(parts) for parts in zip(*told.values(), strict=True))
     counts = [len(each.value_m) for each in told.values()]
@@ -127,9 +129,9 @@ def located(told: Mapping[RulePlace, LevelChanges]) -> Located:
 
 
 def with_one_margin(found: Located) -> Located:
-    """Return thresholds and edges of which each is left by one margin farther out than it is entered.
+    """Return the positions with one common margin between entering and leaving.
 
-    One whose own margin differs by more than its interval keeps it.
+    A threshold whose own margin differs by more than its interval keeps it.
     """
     number = {place: at for at, place in enumerate(found.places)}
     pairs = [

@@ -1,7 +1,7 @@
-"""The fits that every kind of rule is put together from: one cut of one value, and a box of two cuts of each value.
+"""Basic fits of all kinds of rules: one cut of a value, and a box of two cuts per value.
 
-Samples that are slow lie on one side of a cut, the others on the other. Where no sample contradicts that, every cut
-between the last slow and the first fast sample is as good: the middle is taken, and both are the bounds.
+A cut separates slow samples from the others. If no sample contradicts it, every cut between the last slow and the first
+fast sample fits equally well: the middle is used, with both as bounds.
 """
 
 from __future__ import annotations
@@ -28,18 +28,19 @@ if TYPE_CHECKING:
 _ROUNDS, _ABOUT_ROWS = 8, 1500
 _COARSE_DEG, _FINE_DEG = 5.0, (2.0, 0.7, 0.25, 0.1)
 CELLS = 12
+"""Number of cells per axis of the coarse grid."""
 EDGE_PART = 0.005
-"""An edge is drawn first where this part of the slow samples lies beyond it."""
+"""Share of the slow samples left outside each edge of a first box."""
 
 
 @dataclass(frozen=True)
 class LimitRows:
-    """N samples that tell of one limit: slow by it, or not.
+    """N samples by which one limit is fitted.
 
     Attributes:
-        positions: Where everybody is.
+        positions: Positions of robot and operator.
         slow: Whether the limit holds, shape (N,).
-        weight: How often each counts, shape (N,).
+        weight: Weight of each sample, shape (N,).
     """
 
     positions: Positions
@@ -47,31 +48,31 @@ class LimitRows:
     weight: Vector
 
     def where(self, keep: Bools | Ints) -> LimitRows:
-        """Return some rows."""
+        """Return a subset of the rows."""
         return LimitRows(self.positions.where(keep), self.slow[keep], self.weight[keep])
 
     def some(self) -> LimitRows:
-        """Return no more rows than tell about where something lies."""
+        """Return a regular subset of the rows, enough for a coarse search."""
         return self.where(np.arange(0, len(self.slow), max(1, len(self.slow) // _ABOUT_ROWS)))
 
     def wrong(self, region: RegionCard) -> float:
-        """Return how many rows are not as a region says."""
+        """Return the total weight of the rows that a region explains wrongly."""
         return float(self.weight[inside(region, self.positions) != self.slow].sum())
 
 
 class Cut(NamedTuple):
-    """A cut between the last value below and the first above; infinite where there is none."""
+    """A cut between the last value below and the first above; infinite if there is none."""
 
     below: float
     above: float
 
     @property
     def value(self) -> float:
-        """The middle, infinite where one side has no sample."""
+        """The middle; infinite if one side has no sample."""
         return (self.below + self.above) / 2
 
     def card(self, sign: float = 1.0) -> MetresCard | None:
-        """Return it as a quantity with its bounds; None where it was never crossed. `sign` -1: of minus the value."""
+        """Return the cut with its bounds; None if it was never crossed. `sign` -1: of the negated value."""
         if not np.isfinite(self.value):
             return None
         low, high = sorted((sign * self.below, sign * self.above))
@@ -79,21 +80,21 @@ class Cut(NamedTuple):
 
 
 def best_cut(value: Vector, slow: Bools, weight: Vector) -> Cut:
-    """Return the cut with the fewest rows on the wrong side, slow ones lying below it.
+    """Return the cut with the fewest rows on the wrong side; slow rows are below it.
 
-    Of several that are as good, the one in the widest gap.
+    Of equally good cuts, the one in the widest gap is returned.
 
     Args:
         value: Shape (N,), N may be 0; infinite allowed.
         slow: Shape (N,).
-        weight: How often each row counts, shape (N,), not negative.
+        weight: Weight of each row, shape (N,), not negative.
     """
     axis = _Axis.of(value, slow, weight)
     return _cut(axis.value, axis.gain)
 
 
 class _Axis(NamedTuple):
-    """Values in ascending order, and what it gains to have each of them below a cut."""
+    """Values in ascending order, and the gain of each if it is below a cut."""
 
     order: Ints
     value: Vector
@@ -107,11 +108,11 @@ class _Axis(NamedTuple):
 
 
 def _cut(value: Vector, gain: Vector) -> Cut:
-    """Return the best cut of values in ascending order."""
+    """Return the best cut of ascending values."""
     right = np.zeros(len(value) + 1)
     np.cumsum(gain, out=right[1:])
     right[1:-1][value[1:] <= value[:-1]] = -np.inf  # no cut between equal values
-    if len(value) and value[-1] == np.inf:  # nobody there: the last cut would take them in
+    if len(value) and value[-1] == np.inf:  # no operator: the last cut would include them
         right[-1] = -np.inf
     best = np.flatnonzero(right >= right.max() - 1e-9)
     value = np.concatenate([[-np.inf], value, [np.inf]])
@@ -124,13 +125,14 @@ def _cut(value: Vector, gain: Vector) -> Cut:
 def best_box(
     values: Sequence[Vector], slow: Bools, weight: Vector, start: Sequence[Edges] | None = None
 ) -> tuple[Edges, ...] | None:
-    """Return from where to where each value is while the slow rows are; None where there is no such box.
+    """Return the interval of each value that contains the slow rows and no others; None if there is no such box.
 
     Args:
-        values: Shape (N,) each; rows that are NaN in one of them are outside of any box.
+        values: Shape (N,) each; rows with NaN are outside of any box.
         slow: Shape (N,).
-        weight: How often each row counts, shape (N,), not negative.
-        start: Where to begin; None: around the slow samples, around most of them, and where in a plane most are.
+        weight: Weight of each row, shape (N,), not negative.
+        start: Box to start from; None: around all slow rows, around most of them, and in a plane the best of a coarse
+            grid.
     """
     known = (weight > 0) & np.isfinite(values[0])
     if not (slow & known).any():
@@ -147,12 +149,12 @@ def best_box(
 
 
 def best_rectangle(angle_rad: float, rows: LimitRows, start: RectangleCard | None = None) -> RectangleCard | None:
-    """Return the rectangle, turned by `angle_rad`, that fits best in steps of one edge; None where there is none.
+    """Return the rectangle turned by `angle_rad` that fits best, optimised edge by edge; None if there is none.
 
     Args:
-        angle_rad: By which it is turned.
-        rows: What it is to explain.
-        start: Where to begin.
+        angle_rad: Angle of the rectangle.
+        rows: Rows to explain.
+        start: Rectangle to start from.
     """
     begin = None if start is None else (start.along, start.across)
     found = best_box(turned(rows.positions.floor_m, angle_rad), rows.slow, rows.weight, begin)
@@ -160,7 +162,7 @@ def best_rectangle(angle_rad: float, rows: LimitRows, start: RectangleCard | Non
 
 
 def best_turned(rows: LimitRows, start: RectangleCard | None = None) -> RectangleCard | None:
-    """Return the rectangle that fits best at any angle; `start`: one nearby."""
+    """Return the rectangle at any angle that fits best, starting from `start` if given; None if there is none."""
 
     def tried(angle: float, begin: RectangleCard | None, of: LimitRows = rows) -> tuple[float, RectangleCard | None]:
         one = best_rectangle(angle, of, begin)
@@ -179,7 +181,7 @@ def best_turned(rows: LimitRows, start: RectangleCard | None = None) -> Rectangl
         at, other = min(others, key=lambda each: each[1][0])
         if other[0] < best[0]:
             angle, best = at, other
-        elif as_good:  # the middle of all angles that are as good
+        elif as_good:  # mean of all equally good angles
             angle = (angle + sum(as_good)) / (1 + len(as_good))
             best = tried(angle, best[1])
     return best[1]
@@ -191,9 +193,9 @@ def _first_boxes(axes: Sequence[_Axis]) -> list[NDArray[np.float64]]:
 
 
 def _coarse_box(values: Sequence[Vector], gain: Vector, slow: Bools) -> NDArray[np.float64]:
-    """Return the box of cells of a coarse grid, with as many slow rows in each row of cells, that gains most.
+    """Return the box of cells of a coarse grid with the largest gain; grid lines are quantiles of the slow rows.
 
-    Slow rows of another cause, all over the floor, hide a box from one that shrinks around all of them.
+    A box that shrinks from all slow rows misses this one if other slow rows, of another cause, cover the whole floor.
     """
     edges = [np.unique(np.quantile(value[slow], np.linspace(0.0, 1.0, CELLS + 1))) for value in values]
     if min(map(len, edges)) < 2:
@@ -201,7 +203,7 @@ def _coarse_box(values: Sequence[Vector], gain: Vector, slow: Bools) -> NDArray[
     cells = np.histogram2d(values[0], values[1], bins=edges, weights=gain)[0]
     until = np.pad(cells.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     first, last = np.triu_indices(len(until), 1)
-    strips = until[last] - until[first]  # of the first value, from each edge to each later one
+    strips = until[last] - until[first]  # sums over the first value, between each pair of edges
     rise = strips - np.minimum.accumulate(strips, axis=1)
     strip, end = np.unravel_index(int(rise.argmax()), rise.shape)
     begin = int(strips[strip, : end + 1].argmin())
@@ -215,7 +217,7 @@ def _bounds(edges: Edges) -> list[float]:
 def _improved(
     values: Sequence[Vector], axes: Sequence[_Axis], gain: Vector, box: NDArray[np.float64]
 ) -> tuple[float, tuple[Edges, ...] | None]:
-    """Return the box with each edge in turn where it fits best, until none moves, and what it gains."""
+    """Return the gain and the box after optimising each edge in turn until none moves."""
     cuts: dict[int, tuple[Cut, Cut]] = {}
     for _ in range(_ROUNDS):
         was = box.copy()

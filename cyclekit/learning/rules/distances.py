@@ -1,4 +1,4 @@
-"""Distances between robot and operator that a safety function may go by."""
+"""Distances between robot and operator that a safety function may use."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ DISTANCES: Mapping[str, Callable[[NDArray[np.float64], NDArray[np.float64]], Vec
     TO_TCP_FLAT: lambda robot, human: _norm((robot - human)[:, :2]),
     TO_BASE: lambda _robot, human: _norm(human[:, :2]),
 }
-"""Distances gamma by name, of TCP (N, 3) and operator (N, 3) in the base frame, m."""
+"""Distances gamma by name, from TCP (N, 3) and operator (N, 3) in the base frame, m; shape (N,)."""
 
 
 def to_links(points_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
     """Return the distance of the nearest link, shape (N,), m.
 
     Args:
-        points_m: Joints from base to TCP, shape (N, J, 3), m; links are the straight lines between them.
+        points_m: Joints from base to TCP, shape (N, J, 3), m; links are the line segments between them.
         human_m: The operator, shape (N, 3), m.
     """
     start, way = points_m[:, :-1], np.diff(points_m, axis=1)

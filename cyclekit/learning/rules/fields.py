@@ -1,8 +1,8 @@
-"""Which field counts where: rules on signals that tell of people, for cells without a tracker.
+"""Fits rules on signals that detect people, for cells without a tracker.
 
-A level holds while any of some signals is on, each of them everywhere or while the TCP is in a rectangle of its own.
-Signals are added to a level as long as they explain more samples; edges of rectangles that explain next to nothing are
-left out, so that a field that counts everywhere has no rectangle.
+A level applies while any of its signals is on; each signal counts everywhere, or while the TCP is in a rectangle.
+Signals are added to a level while they explain more samples; edges of rectangles that explain almost nothing are
+removed, so a field that counts everywhere has no rectangle.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ if TYPE_CHECKING:
 
 KIND = "table of signals"
 SURE_S = 0.03
-"""So near to a change of the level it is open which one was commanded: delays are known no better."""
+"""Uncertainty of delays, s: this close to a change of the level the commanded level is unknown."""
 FEW_ROWS, GAIN = 5.0, 1e-3
-"""A signal, or an edge of its rectangle, must explain more rows than this, and more than this part of them."""
+"""Minimum gain of a signal, or of an edge of its rectangle: in rows, and as a share of the rows."""
 MOST_SIGNALS = 8
 MARGIN = 0.005
-"""A network that names so much more of the held-out levels is better than the rule."""
+"""Maximum deficit of the rule, in share of held-out levels, against the network."""
 
 
 def rows_by_signals(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]) -> RuleRows:
-    """Return what a rule on signals is fitted to: signals, place of the TCP, and commanded level.
+    """Return the rows to which a rule on signals is fitted: signals, TCP positions and commanded levels.
 
     Args:
-        dataset: Whose signals tell of people.
-        executions: Of these.
-        levels: Of the speed scaling, ascending.
+        dataset: Dataset whose signals detect people.
+        executions: Names of the executions to use.
+        levels: Levels of the speed scaling, ascending.
     """
     frame, _ = without_slider(dataset, dataset.samples(list(executions)))
     level = commanded_in_time(dataset, frame, levels, dataset.card.dynamics, sure_s=SURE_S)
@@ -77,7 +77,7 @@ def find_fields(
     judged_apart: bool = False,
     seed: int = 0,
 ) -> RuleSearch:
-    """Return which field counts where; arguments as of `ladder.find_rule`."""
+    """Return the rule on signals that explains the level; arguments as of `ladder.find_rule`."""
     levels = tuple(levels)
     judged = drawn(rows.execution, seed) if held_out is None else held_out
     learn, judge = rows.of(np.setdiff1d(rows.execution, judged)), rows.of(judged)
@@ -125,9 +125,9 @@ def _fit(rows: LimitRows, start: RegionCard | None) -> RegionCard:
 
 
 def _with_place(name: str, rows: LimitRows, left: Bools) -> list[SignalCard]:
-    """Return a signal that counts everywhere, and in the rectangle of the TCP that fits best to the rows that are left.
+    """Return a signal that counts everywhere, and one with the rectangle of the TCP that fits the remaining rows best.
 
-    None where it is never on.
+    Empty if the signal is never on there.
     """
     values = rows.positions.signals[name, 0.0]
     on = (values != "") & left
@@ -143,12 +143,12 @@ def _with_place(name: str, rows: LimitRows, left: Bools) -> list[SignalCard]:
 
 
 def _middle(edge: MetresCard | None) -> MetresCard | None:
-    """Return an edge without the gap between samples that it lies in the middle of: that is no interval."""
+    """Return an edge without bounds: the gap between samples around it is no confidence interval."""
     return None if edge is None else MetresCard(value=edge.value)
 
 
 def _without_idle(signal: SignalCard, rows: LimitRows) -> SignalCard:
-    """Return a signal without the edges of its rectangle that explain next to nothing."""
+    """Return a signal without the edges of its rectangle that explain almost nothing."""
     least = max(FEW_ROWS, GAIN * float(rows.weight.sum()))
 
     def wrong(one: SignalCard) -> float:

@@ -1,6 +1,6 @@
-"""One kind of rule fitted to rows: a region for each level, with hysteresis two.
+"""Fits one kind of rule to rows: one region per level, two with hysteresis.
 
-Where a rule lies is searched on few rows; all rows near its edges then tell where exactly.
+A coarse search uses few rows; then all rows near the edges determine their exact positions.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     Limits = tuple[LimitCard, ...]
 
 FEW = 4000
-"""So many rows are searched for where a rule lies."""
+"""Number of rows in the coarse search."""
 NEAR_M = 0.25
-"""Rows farther than this from every threshold and edge move none of them."""
+"""Rows farther than this, m, from every threshold and edge do not affect the fit."""
 _BESIDE = 2
-"""Of the few, up to a half are so many rows before and after a change of the level."""
+"""Number of rows before and after each change of the level that the coarse search prefers (up to half of its rows)."""
 
 
 def fit_limits(
@@ -43,16 +43,17 @@ def fit_limits(
 ) -> Limits:
     """Return the limits that explain the commanded levels best.
 
-    The slowest level is fitted first; the next one to the rows that it leaves. With hysteresis the region that slows
-    the robot is fitted to samples before which it was faster, the region to leave to those before which it was not.
+    The slowest level is fitted first, the next one to the remaining rows. With hysteresis, the region that slows the
+    robot
+    is fitted to samples after faster ones, and the region to leave to samples after equally slow or slower ones.
 
     Args:
-        rows: What is known.
-        levels: Of the speed scaling, ascending.
-        family: Which kind.
-        lag: With hysteresis.
-        weight: How often each row counts, shape (N,); None: once.
-        start: Limits of the same kind nearby; levels without one stay without.
+        rows: Samples with their commanded levels.
+        levels: Levels of the speed scaling, ascending.
+        family: Kind of the rule.
+        lag: Fit with hysteresis.
+        weight: Weight of each row, shape (N,); None: 1.
+        start: Limits of the same kind to start from; levels without a limit there stay without.
     """
     counts = np.ones(len(rows)) if weight is None else weight
     earlier = np.where(rows.before >= 0, rows.level[rows.before], -1)
@@ -80,7 +81,7 @@ def fit_limits(
 
 
 def refined(limits: Limits, rows: RuleRows, levels: Sequence[float], family: Family, *, lag: bool) -> Limits:
-    """Return limits that were fitted to few rows, fitted to all of them; arguments as of `fit_limits`."""
+    """Return the limits fitted again to all rows, after a fit to few; arguments as of `fit_limits`."""
     if not quantities(limits):
         return fit_limits(rows, levels, family, lag=lag)
     return fit_limits(rows, levels, family, lag=lag, weight=near_edges(limits, rows), start=limits)
@@ -97,9 +98,9 @@ def near_edges(limits: Limits, rows: RuleRows) -> NDArray[np.float64]:
 
 
 def few_of(rows: RuleRows, seed: int) -> NDArray[np.float64]:
-    """Return how often each row counts in a search, shape (N,), 0 for most: FEW rows that stand for all of them.
+    """Return the weight of each row in the coarse search, shape (N,): FEW rows that represent all, 0 for the others.
 
-    Rows beside a change of the level tell where the edges are, so of these more are taken.
+    Rows around changes of the level locate the edges, so these are sampled more densely.
     """
     if len(rows) <= FEW:
         return np.ones(len(rows))

@@ -1,8 +1,8 @@
-"""One hysteresis for the whole rule, unless its thresholds and edges show several.
+"""Estimates one common hysteresis margin for a rule, unless its thresholds and edges differ.
 
-Where few operators crossed an edge on their way out, where the robot speeds up again is known to decimetres only. A
-safety system widens its fields by one margin, as a rule: what the other thresholds and edges show of that tells where
-such an edge lies.
+If few operators crossed an edge on their way out, the position at which the robot speeds up again is known only to
+decimetres. Safety systems usually enlarge all fields by one margin, so the margins of other thresholds and edges help
+to locate it.
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ if TYPE_CHECKING:
     Edges = tuple[MetresCard | None, MetresCard | None]
 
 Z95 = 1.96
-"""Half a 95 % interval, standard errors."""
+"""Half-width of a 95 % interval, standard errors."""
 FAR_OFF = 4.0
 SUREST_M = 0.001
-"""No threshold or edge is known better than this."""
+"""Minimum standard error of a threshold or edge, m."""
 
 
 def with_one_hysteresis(limits: tuple[LimitCard, ...], known: Collection[RulePlace] = ()) -> tuple[LimitCard, ...]:
-    """Return a rule whose regions to leave are wider than those to enter by one margin, as far as its intervals allow.
+    """Return a rule whose regions to leave are larger than those to enter by one margin, as far as intervals allow.
 
-    Each pair of numbers is drawn to the mean margin of all pairs, weighed by how well each is known; one whose own
-    margin differs by more than its interval stays, as do those that are `known` already.
+    Each pair of values is shifted to the weighted mean margin of all pairs. A pair whose own margin differs by more
+    than
+    its interval keeps it, as do pairs in `known`.
     """
     values = quantities(limits)
     places = [place for place in values if not place.until and place._replace(until=True) in values]
@@ -56,10 +57,10 @@ def with_one_hysteresis(limits: tuple[LimitCard, ...], known: Collection[RulePla
 
 
 def with_even_margins(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
-    """Return a rule in which a margin that is FAR_OFF times the median one of the rule, or negative, is that one.
+    """Return a rule with implausible margins (negative, or above FAR_OFF medians) replaced by the median.
 
-    A level that has another condition as well stays in force far beyond its distance: a fit of the distance alone takes
-    that for hysteresis.
+    A level that has a second condition lasts far beyond its distance; a fit of the distance alone takes this for
+    hysteresis.
     """
     margins = _margins(limits)
     if len(margins) < 2:
@@ -71,14 +72,14 @@ def with_even_margins(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
 
 
 def with_edges_to_leave(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
-    """Return a rule whose rectangles to leave have each edge of those to enter, the median margin of the rule away."""
+    """Return a rule whose rectangles to leave have all edges of those to enter; missing ones by the median margin."""
     margins = _margins(limits)
     usual_m = max(0.0, float(np.median(list(margins.values())))) if margins else 0.0
     return tuple(_with_edges(limit, usual_m) for limit in limits)
 
 
 def _margins(limits: tuple[LimitCard, ...]) -> dict[RulePlace, float]:
-    """Return by how much each region to leave is wider than the one to enter, by the place in the latter, m."""
+    """Return how much larger each region to leave is than the region to enter, m, by the place in the latter."""
     values = quantities(limits)
     places = [place for place in values if not place.until and place._replace(until=True) in values]
     return {
@@ -87,7 +88,7 @@ def _margins(limits: tuple[LimitCard, ...]) -> dict[RulePlace, float]:
 
 
 def _with_edges(limit: LimitCard, margin_m: float) -> LimitCard:
-    """Return a limit whose region to leave has each edge of the one to enter."""
+    """Return a limit whose region to leave has all edges of the region to enter."""
     if limit.until is None or len(limit.until.rectangles) != len(limit.within.rectangles):
         return limit
     pairs = zip(limit.within.rectangles, limit.until.rectangles, strict=True)
@@ -122,7 +123,7 @@ def _error(metres: MetresCard) -> float:
 
 
 def _joined(mine: MetresCard, other: MetresCard, by_m: float, by_error: float) -> MetresCard:
-    """Return a number as it is known by itself and by another one that lies `by_m` off, give or take `by_error`."""
+    """Return the weighted mean of a value and of another one shifted by `by_m` with standard error `by_error`."""
     weights = np.array([_error(mine), np.hypot(_error(other), by_error)]) ** -2.0
     value = float(weights @ [mine.value, other.value + by_m] / weights.sum())
     half_m = Z95 * float(weights.sum() ** -0.5)

@@ -1,4 +1,4 @@
-"""95 % confidence intervals of the thresholds and edges of a rule, from executions drawn again."""
+"""95 % confidence intervals of the thresholds and edges of a rule, from resampled executions."""
 
 from __future__ import annotations
 
@@ -35,18 +35,19 @@ def with_intervals(
     noise_m: float = 0.0,
     seed: int,
 ) -> tuple[LimitCard, ...]:
-    """Return a rule with the interval of every threshold and edge.
+    """Return a rule with the confidence interval of every threshold and edge.
 
-    Where samples leave a gap between slow and fast the interval holds the whole gap: nothing in it is less likely.
+    If there is a gap between slow and fast samples, the interval contains all of it: every value in it is equally
+    likely.
 
     Args:
         limits: The rule, fitted to `rows`.
-        rows: What it was fitted to.
-        levels: Of the speed scaling, ascending.
-        family: Its kind.
-        known: Those that have one already.
-        noise_m: Of positions, standard deviation: a fit goes by the outermost sample on each side.
-        seed: Of the drawing.
+        rows: Rows to which it was fitted.
+        levels: Levels of the speed scaling, ascending.
+        family: Kind of the rule.
+        known: Thresholds and edges that have an interval already.
+        noise_m: Standard deviation of positions, m; added because a fit depends on the outermost sample on each side.
+        seed: Seed of the resampling.
     """
     if set(quantities(limits)) <= set(known):
         return limits
@@ -77,7 +78,7 @@ def with_intervals(
 
 
 def _aligned(drawn: tuple[LimitCard, ...], limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
-    """Return limits with the sides of their polygons as they are seen from those of the rule."""
+    """Return limits whose polygons have the sides of the rule's polygons, for comparison side by side."""
     mine = {limit.scaling: limit for limit in limits}
     return tuple(
         structs.replace(

@@ -1,4 +1,4 @@
-"""Samples of a scaling without levels: distances at earlier times, and which rows a ramp holds back."""
+"""Samples of a scaling without levels: distances at earlier times, and rows limited by a ramp."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Vector
 
 BOUND = 0.02
-"""A scaling so near to its lowest or highest value is there."""
+"""Tolerance within which a scaling counts as being at its lowest or highest value."""
 NARROW, MOST_VALUES = 0.01, 10
-"""A scaling that spends nearly all of its time on so many values of this width has levels."""
+"""Bin width, and number of bins whose values count as levels."""
 CONTINUOUS = 0.15
-"""Part of the time between its bounds that a continuous scaling spends on other values."""
+"""Minimum share of time between the bounds outside of these levels, for a continuous scaling."""
 LEAST = 100
-"""Fewer rows between the bounds say nothing."""
+"""Minimum number of rows between the bounds."""
 _PILE, _BANDS, _PILED = 0.02, 5, 2.5
-"""A rate is shared by those within _PILE of it; so many times as many as in each of so many bands below it."""
+"""A common rate: relative tolerance, number of bands of this width below it, and minimum ratio of its count to the mean
+count of a band."""
 _FASTER = 0.02
 _LEAST_RAMP = 30
 _LEAST_PER_S = 0.02
@@ -40,15 +41,15 @@ _LEAST_PER_S = 0.02
 
 @dataclass(frozen=True)
 class LawRows:
-    """N samples with a known scaling, in the order of time within each stretch.
+    """N samples with a known scaling, ordered by time within each stretch.
 
     Attributes:
-        t_s: Session time, shape (N,).
-        scaling: As logged, the operator's slider taken out, shape (N,).
+        t_s: Session time, shape (N,), s.
+        scaling: Logged scaling divided by the operator's slider, shape (N,).
         run: Number of the unbroken stretch, shape (N,).
         execution: Number of the execution, shape (N,).
-        apart_m: Distances by name, shape (N,) each; NaN where nobody is there.
-        at_m: TCP and operator, shape (N, 6), m; NaN likewise.
+        apart_m: Distances by name, shape (N,) each, m; NaN without an operator.
+        at_m: TCP and operator, shape (N, 6), m; NaN without an operator.
     """
 
     t_s: Vector
@@ -64,7 +65,7 @@ class LawRows:
 
     @property
     def rate_per_s(self) -> Vector:
-        """Change of the scaling per second since the row before, shape (N,); 0 where there is none."""
+        """Change of the scaling since the previous row, shape (N,), 1/s; 0 without one."""
         same = np.diff(self.run, prepend=-1) == 0
         step_s = np.diff(self.t_s, prepend=0.0)
         return np.where(same, np.diff(self.scaling, prepend=0.0) / np.where(same, step_s, 1.0), 0.0)
@@ -76,7 +77,7 @@ class LawRows:
         return LawRows(self.t_s[keep], self.scaling[keep], self.run[keep], self.execution[keep], apart, self.at_m[keep])
 
     def earlier(self, values: Vector, by_s: float) -> Vector:
-        """Return values (N,) as they were earlier, shape (N,); NaN where the stretch had not begun."""
+        """Return values (N,) as they were `by_s` earlier, shape (N,); NaN before the start of the stretch."""
         if by_s <= 0.0:
             return values
         time = self.t_s + 1e7 * self.run
@@ -87,7 +88,7 @@ class LawRows:
 
 
 def law_rows(dataset: Dataset, executions: Sequence[str]) -> LawRows | None:
-    """Return the samples of some executions with a known scaling; None where the scaling has levels."""
+    """Return the samples of some executions with a known scaling; None if the scaling has levels."""
     frame = dataset.samples(list(executions)).with_columns(human_z_m=HUMAN_Z_IN_PLANE)
     frame, _ = without_slider(dataset, frame)
     run = stretches(frame, dataset.rate_hz)
@@ -107,7 +108,7 @@ def law_rows(dataset: Dataset, executions: Sequence[str]) -> LawRows | None:
 
 
 def limited(rows: LawRows, rates: RampRates, *, rises: bool) -> Bools:
-    """Return the rows that a ramp of one direction leads to or from, shape (N,)."""
+    """Return the rows at the start or end of a ramp in one direction, shape (N,)."""
     rate = rates.of(rises=rises)
     if rate is None:
         return np.zeros(len(rows), np.bool_)
@@ -116,13 +117,13 @@ def limited(rows: LawRows, rates: RampRates, *, rises: bool) -> Bools:
 
 
 def resting_rates(rows: LawRows) -> RampRates:
-    """Return the rates at which the scaling is held back: the fastest ones, which many rows share."""
+    """Return the ramp rates that limit the scaling: the fastest rates, if many rows share them."""
     rate = rows.rate_per_s
     return RampRates(_piled(-rate[rate < -_LEAST_PER_S]), _piled(rate[rate > _LEAST_PER_S]))
 
 
 def _piled(rate: Vector) -> float | None:
-    """Return the rate (of N, 1/s) that none exceeds and many more share than rates a little lower."""
+    """Return the maximum of rates (N,), 1/s, if many more rows share it than slightly lower rates; else None."""
     if len(rate) < _LEAST_RAMP:
         return None
     fast = float(np.quantile(rate, 1 - _FASTER))
@@ -139,7 +140,7 @@ def resting(rows: LawRows, ramps: RampRates) -> Bools:
 
 
 def is_continuous(rows: LawRows) -> bool:
-    """Return whether the scaling, where no ramp hides the command, lies on many values between its bounds."""
+    """Return whether the scaling, outside of ramps, takes many values between its bounds."""
     rest = rows.scaling[resting(rows, resting_rates(rows))]
     if not len(rest):
         return False

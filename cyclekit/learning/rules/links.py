@@ -1,4 +1,4 @@
-"""The distance of the nearest link, where the log holds joint angles and they prove which arm it is."""
+"""Distance of the nearest link, for logs with joint angles from which the arm is recognised."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ if TYPE_CHECKING:
 
 _JOINTS = 6
 CUBE_M, MOST_POSES = 0.04, 2000
-"""Side of a cube of positions of the TCP that share a pose, and how many poses are kept at most."""
+"""Edge length, m, of cubes of TCP positions that share a pose, and maximum number of poses stored."""
 _NEAR, _LEAST_M = 4, 1e-3
-"""So many poses near a position are averaged, the nearer the more."""
+"""Number of nearest poses that are averaged with weights 1 / distance, and the offset of that distance, m."""
 _ENOUGH = 400
-"""So many samples tell which arm it is."""
+"""Number of samples by which the arm is recognised."""
 
 
 class ArmPoses:
-    """Where the links are at a position of the TCP, from logged ones near it."""
+    """Positions of the links for a position of the TCP, interpolated between logged poses."""
 
     def __init__(self, poses: Sequence[PoseCard]) -> None:
-        """Keep logged poses; at least one."""
+        """Store logged poses; at least one."""
         from scipy.spatial import cKDTree  # slow to import
 
         self._tree = cKDTree([pose.tcp_m for pose in poses])
         self._joints_m = np.array([pose.joints_m for pose in poses])
 
     def points(self, robot_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return joints from base to TCP, shape (N, J, 3), m, of positions of the TCP (N, 3), m."""
+        """Return the joints from base to TCP, shape (N, J, 3), m, for positions of the TCP, shape (N, 3), m."""
         apart, near = self._tree.query(robot_m, k=min(_NEAR, self._tree.n))
         apart, near = apart.reshape(len(robot_m), -1), near.reshape(len(robot_m), -1)
         weight = 1.0 / (apart + _LEAST_M)
@@ -46,7 +46,7 @@ class ArmPoses:
 
 
 def poses_of(dataset: Dataset, executions: Sequence[str]) -> tuple[PoseCard, ...]:
-    """Return the arm's mean pose in each small cube of positions of the TCP; none where the arm is not known."""
+    """Return the arm's mean pose in each small cube of TCP positions; empty if the arm is not recognised."""
     frame = dataset.samples(list(executions)).drop_nulls(["robot_x_m", "robot_y_m", "robot_z_m"])
     robot_m = frame.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()
     points = arm_points(dataset, frame["execution"].to_numpy(), frame["t_s"].to_numpy(), robot_m)
@@ -76,13 +76,13 @@ def to_nearest_link(
     robot_m: NDArray[np.float64],
     human_m: NDArray[np.float64],
 ) -> NDArray[np.float64] | None:
-    """Return the distance of the nearest link at each sample, shape (N,), m; None where the arm is not known.
+    """Return the distance of the nearest link at each sample, shape (N,), m; None if the arm is not recognised.
 
     Args:
-        dataset: As of `arm_points`.
-        executions: As of `arm_points`.
-        t_s: As of `arm_points`.
-        robot_m: As of `arm_points`.
+        dataset: As in `arm_points`.
+        executions: As in `arm_points`.
+        t_s: As in `arm_points`.
+        robot_m: As in `arm_points`.
         human_m: The operator, shape (N, 3), m.
     """
     points = arm_points(dataset, executions, t_s, robot_m)
@@ -92,13 +92,13 @@ def to_nearest_link(
 def arm_points(
     dataset: Dataset, executions: NDArray[np.object_], t_s: NDArray[np.float64], robot_m: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Return joints from base to TCP at each sample, shape (N, J, 3), m; None where the arm is not known.
+    """Return the joints from base to TCP at each sample, shape (N, J, 3), m; None if the arm is not recognised.
 
     Args:
-        dataset: Whose joint angles at their native rate.
-        executions: Execution of each sample, shape (N,), those of one together.
-        t_s: Session times, shape (N,).
-        robot_m: The TCP, shape (N, 3), m, by which the arm is recognised.
+        dataset: Dataset with joint angles at their native rate.
+        executions: Execution of each sample, shape (N,), grouped.
+        t_s: Session times, shape (N,), s.
+        robot_m: The TCP, shape (N, 3), m, used to recognise the arm.
     """
     first = np.flatnonzero(np.concatenate([[True], executions[1:] != executions[:-1]]))
     angles = np.full((len(t_s), _JOINTS), np.nan)

@@ -1,7 +1,7 @@
-"""The convex polygon on the floor that explains best which samples are slow, side by side.
+"""Fits a convex polygon on the floor to slow samples, side by side.
 
-A side is a cut along its normal. The first sides are those that leave the most fast samples outside; then each is moved
-and turned in turn to where it fits best beside the others.
+A side is a cut along its normal. Sides are added greedily by the number of fast samples that they exclude; then each is
+shifted and rotated in turn for the best fit given the others.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 MOST_SIDES = 6
 _TRIED = 8
-"""So many sides are drawn before those that explain least are left out."""
+"""Maximum number of sides that are added before the least useful ones are removed."""
 _GAIN = 3e-4
-"""A side is kept if it explains this part of the samples more."""
+"""Minimum gain of a side, as a share of the samples."""
 _ANGLES = np.deg2rad(np.arange(0.0, 360.0, 6.0))
 _COARSE_DEG, _FINE_DEG = (4.0, 2.0), (1.0, 0.4, 0.15)
 _ROUNDS = 4
@@ -39,7 +39,7 @@ class _Side(NamedTuple):
 
 
 class _Floor(NamedTuple):
-    """Samples on the floor, (N, 2), m, which of them are slow, and how often each counts."""
+    """Samples on the floor, (N, 2), m, whether each is slow, and its weight."""
 
     floor_m: NDArray[np.float64]
     slow: Bools
@@ -55,12 +55,12 @@ class _Floor(NamedTuple):
         return found
 
     def gain(self, sides: Sequence[_Side]) -> float:
-        """Return how many slow rows lie inside, less the others."""
+        """Return the weight of slow rows inside minus that of fast rows inside."""
         inside = self.within(sides)
         return float(self.weight[inside & self.slow].sum() - self.weight[inside & ~self.slow].sum())
 
     def cut(self, angle_rad: float, on: Bools) -> tuple[float, _Side]:
-        """Return the best side at an angle, and what rows `on` gain by it."""
+        """Return the gain of rows `on` by the best side at an angle, and that side."""
         value = self.along(angle_rad)[on]
         cut = best_cut(value, self.slow[on], self.weight[on])
         below = value < cut.value
@@ -69,11 +69,11 @@ class _Floor(NamedTuple):
 
 
 def best_polygon(rows: LimitRows, start: PolygonCard | None = None) -> PolygonCard | None:
-    """Return the convex polygon of up to six sides that fits best; None where there is none.
+    """Return the convex polygon of up to six sides that fits best; None if there is none.
 
     Args:
-        rows: What it is to explain.
-        start: One nearby, whose sides are kept.
+        rows: Rows to explain.
+        start: Polygon to start from; its number of sides is kept.
     """
     rows = rows.where(np.isfinite(rows.positions.floor_m[:, 0]) & (rows.weight > 0))
     floor, about = (_Floor(of.positions.floor_m, of.slow, of.weight) for of in (rows, rows.some()))
@@ -88,16 +88,16 @@ def best_polygon(rows: LimitRows, start: PolygonCard | None = None) -> PolygonCa
 
 
 def seen_from(other: PolygonCard, polygon: PolygonCard) -> PolygonCard:
-    """Return a polygon with each side as far out as that of another one is in its middle.
+    """Return a polygon with the side angles of `polygon` and the position of `other`, measured at mid-side.
 
-    How far a side that is turned a little lies along its own normal says nothing of how far it has moved.
+    The distance of a slightly rotated side along its own normal does not show how far it has moved.
     """
     corners = polygon_corners(polygon)
     sides = []
     for number, side in enumerate(polygon.sides):
         normal = np.array([np.cos(side.angle_rad), np.sin(side.angle_rad)])
         middle = normal * side.metres.value
-        if corners is not None:  # corner n lies between sides n and n + 1
+        if corners is not None:  # corner n is between sides n and n + 1
             middle = (np.array(corners[number - 1]) + np.array(corners[number])) / 2
         angles = np.array([one.angle_rad for one in other.sides])
         mine = other.sides[int(np.cos(angles - side.angle_rad).argmax())]
@@ -108,9 +108,9 @@ def seen_from(other: PolygonCard, polygon: PolygonCard) -> PolygonCard:
 
 
 def _drawn(floor: _Floor) -> list[_Side]:
-    """Return sides, one after the other the one that leaves out the most fast samples and the fewest slow ones.
+    """Return sides added greedily: each excludes the most fast samples and the fewest slow ones.
 
-    Slow ones count as much as the fast ones together: else the best first side would leave out everything.
+    Slow samples together weigh as much as all samples; otherwise the best first side would exclude everything.
     """
     sides: list[_Side] = []
     slow, every = (float(floor.weight[part].sum()) for part in (floor.slow, slice(None)))
@@ -128,7 +128,7 @@ def _drawn(floor: _Floor) -> list[_Side]:
 
 
 def _fewer(floor: _Floor, sides: list[_Side]) -> list[_Side]:
-    """Return the sides without those that explain next to nothing, and no more than six."""
+    """Return at most six sides, without those whose gain is negligible."""
     while len(sides) > 1:
         others = [[*sides[:at], *sides[at + 1 :]] for at in range(len(sides))]
         best = max(others, key=floor.gain)
@@ -139,7 +139,7 @@ def _fewer(floor: _Floor, sides: list[_Side]) -> list[_Side]:
 
 
 def _moved(floor: _Floor, sides: Sequence[_Side], degrees: Sequence[float]) -> list[_Side]:
-    """Return the sides, each in turn moved and turned to where it fits best, in smaller and smaller steps."""
+    """Return the sides, each in turn shifted and rotated for the best fit, with decreasing steps."""
     sides = list(sides)
     for step in np.deg2rad(degrees).tolist():
         for _ in range(_ROUNDS):
@@ -160,7 +160,7 @@ def _turned(floor: _Floor, side: _Side, on: Bools, step: float) -> _Side:
     as_good = [one.angle_rad for gain, one in tried if gain == best[0]]
     if len(as_good) == 1:
         return tried[0][1]
-    return floor.cut(float(np.mean(as_good)), on)[1]  # the middle of all angles that are as good
+    return floor.cut(float(np.mean(as_good)), on)[1]  # mean of all equally good angles
 
 
 def _card(sides: Sequence[_Side]) -> PolygonCard | None:

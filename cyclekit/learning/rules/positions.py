@@ -1,4 +1,4 @@
-"""Where everybody is, as regions are asked of it."""
+"""Positions and signals by which regions are tested."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Positions:
-    """What a region is asked of: where everybody is at N instants.
+    """Positions of robot and operator at N instants.
 
     Attributes:
-        apart_m: Distances by name, (N,), m; infinite where nobody is there.
-        floor_m: The operator on the floor, (N, 2), m; NaN where nobody is there.
+        apart_m: Distances by name, (N,), m; infinite without an operator.
+        floor_m: The operator on the floor, (N, 2), m; NaN without an operator.
         tcp_m: The TCP on the floor, (N, 2), m.
-        signals: Values by name and delay of each signal, as text, (N,), when that delay is over.
+        signals: Values as text by name and delay of the signal, (N,), delayed by that.
     """
 
     apart_m: Mapping[str, Vector]
@@ -31,7 +31,7 @@ class Positions:
     signals: Mapping[tuple[str, float], NDArray[np.str_]] = field(default_factory=dict)
 
     def where(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Positions:
-        """Return some instants."""
+        """Return a subset of the instants."""
         apart = {name: values[keep] for name, values in self.apart_m.items()}
         signals = {name: values[keep] for name, values in self.signals.items()}
         return Positions(apart, self.floor_m[keep], self.tcp_m[keep], signals)

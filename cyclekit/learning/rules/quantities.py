@@ -1,4 +1,4 @@
-"""The numbers of a rule one by one: read, and put back with other values or intervals."""
+"""Access to the thresholds and edges of a rule one by one: read, and replace values or intervals."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
 
 
 MOST_M = 0.05
-"""A bound farther off than this is no gap between samples but a lack of them."""
+"""Maximum distance, m, of a bound that counts as a gap between samples; beyond, samples are missing."""
 
 BETWEEN_M = 0.01
-"""Nobody comes farther between two samples than a straight line between them, but by this."""
+"""Tolerance, m, for the deviation of an operator's path from the straight line between two samples."""
 
 
 class RulePlace(NamedTuple):
-    """Which number of a rule: of which limit (by its level), which of its two regions, and where in that."""
+    """Key of one value of a rule: its limit (by level), which of the two regions, and the place in that region."""
 
     level: float
     until: bool
@@ -29,12 +29,12 @@ class RulePlace(NamedTuple):
 
     @property
     def lower(self) -> bool:
-        """Whether the region lies above it."""
+        """Whether the region lies above the value."""
         return self.kind in ("rectangle", "robot") and self.edge % 2 == 0
 
 
 def quantities(limits: tuple[LimitCard, ...]) -> dict[RulePlace, MetresCard]:
-    """Return all thresholds and edges of a rule by their place."""
+    """Return all thresholds and edges of a rule by key."""
     found: dict[RulePlace, MetresCard] = {}
 
     def keep(place: RulePlace, metres: MetresCard) -> MetresCard:
@@ -48,7 +48,7 @@ def quantities(limits: tuple[LimitCard, ...]) -> dict[RulePlace, MetresCard]:
 def changed(
     limits: tuple[LimitCard, ...], change: Callable[[RulePlace, MetresCard], MetresCard]
 ) -> tuple[LimitCard, ...]:
-    """Return a rule with every threshold and edge replaced by what `change` makes of it."""
+    """Return a rule with every threshold and edge replaced by the result of `change`."""
     return tuple(
         structs.replace(
             limit,
@@ -60,17 +60,17 @@ def changed(
 
 
 def put(limits: tuple[LimitCard, ...], values: Mapping[RulePlace, MetresCard]) -> tuple[LimitCard, ...]:
-    """Return a rule with some of its thresholds and edges replaced."""
+    """Return a rule with some thresholds and edges replaced."""
     return changed(limits, lambda place, metres: values.get(place, metres))
 
 
 def outwards(place: RulePlace) -> int:
-    """Return 1 where a region becomes larger as this number grows, -1 where it becomes smaller."""
+    """Return 1 if a region grows with this value, -1 if it shrinks."""
     return -1 if place.lower else 1
 
 
 def grown(limits: tuple[LimitCard, ...], by_m: float) -> tuple[LimitCard, ...]:
-    """Return a rule with all its regions larger by `by_m` on every side, smaller where that is negative."""
+    """Return a rule with all regions larger by `by_m` on every side; smaller if negative."""
 
     def moved(place: RulePlace, metres: MetresCard) -> MetresCard:
         return structs.replace(metres, value=metres.value + outwards(place) * by_m)
@@ -79,7 +79,7 @@ def grown(limits: tuple[LimitCard, ...], by_m: float) -> tuple[LimitCard, ...]:
 
 
 def shifted(limits: tuple[LimitCard, ...], place: RulePlace, by_m: float) -> tuple[LimitCard, ...]:
-    """Return a rule with one threshold or edge moved by `by_m`; that of the region to leave moves with it."""
+    """Return a rule with one threshold or edge moved by `by_m`, together with that of the region to leave."""
 
     def moved(at: RulePlace, metres: MetresCard) -> MetresCard:
         return structs.replace(metres, value=metres.value + by_m) if at._replace(until=False) == place else metres
@@ -88,7 +88,7 @@ def shifted(limits: tuple[LimitCard, ...], place: RulePlace, by_m: float) -> tup
 
 
 def released(limits: tuple[LimitCard, ...], by_m: float) -> tuple[LimitCard, ...]:
-    """Return a rule with its regions to leave larger by `by_m`; those to enter stay."""
+    """Return a rule with its regions to leave larger by `by_m`; those to enter are unchanged."""
 
     def moved(place: RulePlace, metres: MetresCard) -> MetresCard:
         return structs.replace(metres, value=metres.value + outwards(place) * by_m) if place.until else metres
@@ -97,10 +97,11 @@ def released(limits: tuple[LimitCard, ...], by_m: float) -> tuple[LimitCard, ...
 
 
 def with_bounds(limits: tuple[LimitCard, ...], *, larger: bool, least_m: float = 0.0) -> tuple[LimitCard, ...]:
-    """Return a rule with each region as large, or as small, as the bounds of its numbers allow, within MOST_M.
+    """Return a rule with each region as large, or as small, as the bounds of its values allow, within MOST_M.
 
-    By `least_m` at least, with hysteresis by BETWEEN_M: who comes so near to a threshold may have crossed it between
-    two samples, and the level is then held until long after.
+    Each value moves by at least `least_m`, with hysteresis by at least BETWEEN_M: an operator so close to a threshold
+    may
+    have crossed it between two samples, and the level is then held for long.
     """
     least = {limit.scaling: max(least_m, 0.0 if limit.until is None else BETWEEN_M) for limit in limits}
 
@@ -115,10 +116,11 @@ def with_bounds(limits: tuple[LimitCard, ...], *, larger: bool, least_m: float =
 
 
 def without_doubtful(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
-    """Return a rule without the rectangles that may have no extent, since the intervals of opposite edges meet.
+    """Return a rule without rectangles whose extent is uncertain because the intervals of opposite edges overlap.
 
-    Only where a distance limits the same level: with slow ramps or noise a strip beside the threshold explains a few
-    samples more.
+    Applies only to levels that also have a distance: with slow ramps or noise, a strip next to the threshold explains a
+    few
+    more samples.
     """
     return tuple(
         structs.replace(limit, within=_sure(limit.within), until=None if limit.until is None else _sure(limit.until))
@@ -134,7 +136,7 @@ def _sure(region: RegionCard) -> RegionCard:
 
 
 def _apart(lower: MetresCard | None, upper: MetresCard | None) -> bool:
-    """Tell whether one edge lies below the other whatever their intervals; an edge never crossed lies far away."""
+    """Return whether one edge is below the other given their intervals; True if one of them is unknown."""
     if lower is None or upper is None or lower.high is None or upper.low is None:
         return True
     return lower.high < upper.low

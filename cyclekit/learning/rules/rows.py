@@ -1,4 +1,4 @@
-"""What rules are fitted to: positions of robot and operator, and the level that the safety system commanded then."""
+"""Samples to which rules are fitted: positions of robot and operator, and the level commanded by the safety system."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ if TYPE_CHECKING:
 
 
 SURE_S = 0.01
-"""The reaction time is read to this: so near to a change it is open which level was commanded."""
+"""Uncertainty of the reaction time, s: this close to a change the commanded level is unknown."""
 HIDDEN_S = 1.0
-"""After a level that a ramp hid for longer, nothing tells where the operator was when it changed."""
+"""Maximum time, s, for which a ramp may hide the level; after longer the position at its change is unknown."""
 _COLUMNS = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
 
 
 @dataclass(frozen=True)
 class RuleRows:
-    """N samples with a known commanded level, in the order of time within each execution.
+    """N samples with a known commanded level, ordered by time within each execution.
 
     Attributes:
-        positions: Where everybody is.
-        level: Index of the commanded level, shape (N,); k + 0.5 where a ramp hides how much faster than level k it is.
-        before: Row of the sample before in the same unbroken stretch, shape (N,); -1 = there is none.
+        positions: Positions of robot and operator.
+        level: Index of the commanded level, shape (N,); k + 0.5 = faster than level k, hidden by a ramp.
+        before: Row of the previous sample in the same unbroken stretch, shape (N,); -1 = none.
         execution: Number of the execution, shape (N,).
-        at_m: TCP and operator, shape (N, 6), m; NaN where nobody is there.
-        sample: Number of the sample among those with an unknown level too, shape (N,).
+        at_m: TCP and operator, shape (N, 6), m; NaN without an operator.
+        sample: Number of the sample, counted with those of unknown level, shape (N,).
     """
 
     positions: Positions
@@ -61,27 +61,27 @@ class RuleRows:
 
     @property
     def apart_m(self) -> Mapping[str, Vector]:
-        """As of `Positions`."""
+        """As in `Positions`."""
         return self.positions.apart_m
 
     @property
     def floor_m(self) -> NDArray[np.float64]:
-        """As of `Positions`."""
+        """As in `Positions`."""
         return self.positions.floor_m
 
     @property
     def known(self) -> Bools:
-        """Where the level is known, and not only which ones it is faster than, shape (N,)."""
+        """Whether the level is known exactly, not only as faster than another, shape (N,)."""
         return np.asarray(self.level % 1.0 == 0.0)
 
     @property
     def present(self) -> Bools:
-        """Where somebody is there, shape (N,)."""
+        """Whether an operator is present, shape (N,)."""
         return np.isfinite(self.floor_m[:, 0])
 
     @property
     def noise_m(self) -> float:
-        """Noise of the operator's position, standard deviation along one axis, m, by how it jumps to and fro."""
+        """Standard deviation of the operator's position along one axis, m, from its second differences."""
         second = np.flatnonzero((self.before >= 0) & (self.before[self.before] >= 0) & self.present)
         first = self.before[second]
         off = self.floor_m[second] - 2 * self.floor_m[first] + self.floor_m[self.before[first]]
@@ -89,7 +89,7 @@ class RuleRows:
         return float(1.4826 * np.median(np.abs(off)) / np.sqrt(6)) if len(off) else 0.0
 
     def of(self, executions: NDArray[np.int64], *, known: bool = False) -> RuleRows:
-        """Return the rows of some executions, with `known` those of known level; no stretch is broken by that."""
+        """Return the rows of some executions, with `known` only those of known level; stretches stay unbroken."""
         keep = np.isin(self.execution, executions) & (self.known if known else True)
         stretch = np.cumsum(self.before < 0)[keep]
         before = np.where(np.diff(stretch, prepend=-1) == 0, np.arange(len(stretch)) - 1, -1)
@@ -108,18 +108,18 @@ class RuleRows:
         to_link_m: Vector | None = None,
         signals: Mapping[tuple[str, float], NDArray[np.str_]] | None = None,
     ) -> RuleRows:
-        """Return rows of positions (N, 3), m, and commanded levels (N,); unknown levels (-1) are left out.
+        """Return rows from positions (N, 3), m, and commanded levels (N,), without rows of unknown level (-1).
 
-        So is a level that one sample alone shows: no safety system lets go so soon.
+        Levels that last a single sample are dropped too: no safety system recovers that fast.
 
         Args:
             robot_m: The TCP.
-            human_m: The operator; NaN where nobody is there.
+            human_m: The operator; NaN if absent.
             level: Index of the level, or k + 0.5: faster than level k.
             execution: Number of the execution, shape (N,).
-            stretch: Number of the unbroken stretch, shape (N,); None: one for each execution.
-            to_link_m: Distance of the nearest link, shape (N,); None = not known.
-            signals: As of `Positions`, shape (N,) each.
+            stretch: Number of the unbroken stretch, shape (N,); None: one per execution.
+            to_link_m: Distance of the nearest link, shape (N,), m; None = unknown.
+            signals: As in `Positions`, shape (N,) each.
         """
         of = execution if stretch is None else stretch
         known = (level >= 0) & ~_alone(level, of)
@@ -139,21 +139,21 @@ class RuleRows:
 def rows_of(
     dataset: Dataset, executions: Sequence[str], levels: Sequence[float], *, latency_s: float, signals: bool = False
 ) -> RuleRows:
-    """Return what rules are fitted to.
+    """Return the rows to which rules are fitted.
 
     Args:
-        dataset: With positions and a scaling.
-        executions: Of these.
-        levels: Of the speed scaling, ascending.
-        latency_s: By which the scaling answers to the positions, s.
-        signals: With the signals that the level may answer to.
+        dataset: Dataset with positions and a scaling.
+        executions: Names of the executions to use.
+        levels: Levels of the speed scaling, ascending.
+        latency_s: Latency of the scaling after the positions, s.
+        signals: Include signals to which the level may react.
     """
     frame = dataset.samples(list(executions)).with_columns(human_z_m=HUMAN_Z_IN_PLANE)
     frame, _ = without_slider(dataset, frame)
     run = stretches(frame, dataset.rate_hz)
     response = dataset.card.dynamics
     sure_s = SURE_S if response.ramp_down_per_s or response.ramp_up_per_s else 0.0
-    # the latency is undone by moving the positions, which hits the instant between two samples
+    # interpolating positions is more exact than shifting levels by whole samples
     response = structs.replace(response, latency_s=None)
     level = commanded_in_time(dataset, frame, levels, response, sure_s=sure_s, or_faster=True)
     hidden = frame.select(pl.col("human_x_m").is_null() & ~nobody_there()).to_series().to_numpy()
@@ -183,7 +183,7 @@ def hidden_for_long(known: Bools, t_s: Vector) -> NDArray[np.int64]:
 
 
 def _alone(level: NDArray[np.int64] | NDArray[np.float64], stretch: NDArray[np.int64]) -> Bools:
-    """Return where one row differs from two before and two after it that agree, shape (N,)."""
+    """Return where a row differs from two equal rows before and two after it, shape (N,)."""
     found = np.zeros(len(level), np.bool_)
     if len(level) < 5:
         return found
@@ -196,7 +196,7 @@ def _alone(level: NDArray[np.int64] | NDArray[np.float64], stretch: NDArray[np.i
 def _earlier(
     places: NDArray[np.float64], t_s: Vector, seen_s: Vector, run: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], Bools]:
-    """Return the positions (N, 6) at `seen_s`, and where they lie before the stretch began."""
+    """Return the positions at `seen_s`, shape (N, 6), and where these times lie before the stretch, shape (N,)."""
     first = np.flatnonzero(np.diff(run, prepend=-1))
     begin_s = np.repeat(t_s[first], np.diff(np.append(first, len(run))))
     after = np.clip(np.searchsorted(t_s + _apart(run), seen_s + _apart(run)), 1, len(t_s) - 1)
@@ -206,5 +206,5 @@ def _earlier(
 
 
 def _apart(run: NDArray[np.int64]) -> Vector:
-    """Return what keeps the times of stretches apart, so that all are searched at once."""
+    """Return offsets that separate the times of stretches, s, so that one search covers all."""
     return np.asarray(run * 1e7)

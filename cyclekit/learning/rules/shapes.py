@@ -1,4 +1,4 @@
-"""A rule as outlines on the floor: rectangles, polygons, regions of the robot, reach of thresholds on a distance."""
+"""Outlines of a rule on the floor: rectangles, polygons, regions of the robot, distance thresholds."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
     Outline = tuple[tuple[float, float], ...]
 
 CORNERS = 72
-"""A curved outline has so many corners."""
+"""Number of corners of a curved outline."""
 POINTS = 400
-"""So many points of the tool's path are looked at."""
+"""Maximum number of points of the TCP's path."""
 
 
 @dataclass(frozen=True)
 class RuleShape:
-    """Where a limit holds on the floor.
+    """Outline on the floor in which a limit holds.
 
     Attributes:
-        level: The speed is at most this inside, 0 to 1.
-        leaving: Whether it is what the operator must leave for the robot to speed up again (dashed in pictures).
-        name: `rectangle`, `polygon`, `TCP in the rectangle`, or the distance; of a distance to the TCP the outline is
-            around its whole path: farther out this limit never holds, nearer it holds where the TCP is near.
+        level: Maximum speed inside, 0 to 1.
+        leaving: Whether the operator must leave it for the robot to speed up again (dashed in pictures).
+        name: `rectangle`, `polygon`, `TCP in the rectangle`, or the distance. The outline of a distance to the TCP
+            encloses its whole path: outside the limit never holds, inside it holds while the TCP is near.
         outline_m: Corners x, y of a closed line, base frame, m.
     """
 
@@ -46,13 +46,13 @@ class RuleShape:
 
 
 def shapes_of(rule: RuleCard, path_m: NDArray[np.float64], *, within_m: float) -> list[RuleShape]:
-    """Return the outlines of a rule, the fastest limit first so that the slowest is drawn last.
+    """Return the outlines of a rule, fastest limit first so that the slowest is drawn last.
 
     Args:
-        rule: Its limits.
-        path_m: Positions of the TCP, x and y, base frame, shape (R, 2), m; NaN where unknown. Without any, only
-            rectangles and distances to the base have an outline.
-        within_m: Edges that were never crossed are drawn at this distance from the base.
+        rule: The rule.
+        path_m: Positions of the TCP, x and y, base frame, shape (R, 2), m; NaN = unknown. Without any, only rectangles,
+            polygons and distances to the base have an outline.
+        within_m: Distance from the base at which unknown edges are drawn, m.
     """
     known = path_m[np.isfinite(path_m).all(axis=1)]
     known = known[:: max(1, len(known) // POINTS)]
@@ -74,7 +74,7 @@ def shapes_of(rule: RuleCard, path_m: NDArray[np.float64], *, within_m: float) -
 
 
 def around(points_m: NDArray[np.float64], by_m: float) -> Outline:
-    """Return the outline of everything nearer than `by_m` to one of some points (R, 2), seen from their middle."""
+    """Return the outline of the area within `by_m` of any of the points (R, 2), as seen from their middle."""
     middle = (points_m.min(axis=0) + points_m.max(axis=0)) / 2
     angles = np.linspace(0.0, 2 * np.pi, CORNERS, endpoint=False)
     way = np.stack([np.cos(angles), np.sin(angles)], axis=1)

@@ -1,8 +1,8 @@
-"""Signals that the speed answers to: the bit of a scanner's field, a door, a mat.
+"""Finds signals to which the speed reacts, such as the bit of a scanner's field, a door or a mat.
 
-What the robot sets itself is no cause: its outputs and its register are not looked at. Of named events, a signal is
-believed where the level changes after nearly every change of it, always the same time later. That of a gripper changes
-whatever the level does; one by which the controller only tells that it is slow changes with the level or after it.
+Outputs and registers of the robot are excluded, because the robot sets them itself. A named signal is accepted if the
+level changes after nearly each of its changes with a constant delay. A gripper's signal changes independently of the
+level; a signal by which the controller reports reduced speed changes with the level or after it.
 """
 
 from __future__ import annotations
@@ -23,25 +23,26 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Ints, Vector
 
 LEAST_CHANGES = 10
+"""Minimum number of changes of a signal."""
 LEAST_DELAY_S, MOST_DELAY_S = 0.02, 1.0
-"""A cause comes before its effect, by more than the error of the mean of some changes."""
+"""Minimum and maximum delay, s, of the level after a signal; the minimum exceeds the error of a mean delay."""
 SPREAD_S = 0.1
-"""A delay is the same within this: the time between two samples."""
+"""Tolerance, s, within which delays count as equal: the time between two samples."""
 FOLLOWED = 0.9
-"""The level must follow this part of the changes of a signal."""
+"""Minimum share of a signal's changes that the level must follow."""
 _TEXT = "U64"
 
 Signals = dict[tuple[str, float], "NDArray[np.str_]"]
 
 
 def signals_of(dataset: Dataset, executions: Sequence[str], frame: pl.DataFrame, level: Ints, stretch: Ints) -> Signals:
-    """Return the values of signals that the level may answer to, by name and delay, shape (N,) each.
+    """Return the values of signals to which the level may react, by name and delay, shape (N,) each.
 
     Args:
-        dataset: Whose events.
-        executions: Of the rows.
+        dataset: Dataset with the events.
+        executions: Executions of the rows.
         frame: Rows of SAMPLES, (N,).
-        level: Index of the commanded level, -1 = unknown, shape (N,).
+        level: Index of the commanded level, shape (N,); -1 = unknown.
         stretch: Number of the unbroken stretch, shape (N,).
     """
     sessions = dict(zip(*(dataset.executions[name].to_list() for name in ("execution", "session")), strict=True))
@@ -64,12 +65,12 @@ def signals_of(dataset: Dataset, executions: Sequence[str], frame: pl.DataFrame,
 
 
 def lags_after(changes: SignalChanges, answers_s: Vector, seen_s: Vector) -> Vector:
-    """Return how long after each change of a signal the level changed, shape (M,), s; NaN where it did not.
+    """Return the time from each change of a signal to a change of the level, shape (M,), s; NaN if there was none.
 
     Args:
-        changes: Of the signal; those outside of `seen_s` tell nothing.
-        answers_s: When the level changed, ascending.
-        seen_s: When the level is known, ascending.
+        changes: Changes of the signal; those outside of `seen_s` are ignored.
+        answers_s: Times at which the level changed, ascending.
+        seen_s: Times at which the level is known, ascending.
     """
     at = changes.t_s[1:][changes.value[1:] != changes.value[:-1]]
     at = at[_near(seen_s, at) & _near(seen_s, at + MOST_DELAY_S)]
@@ -81,10 +82,10 @@ def lags_after(changes: SignalChanges, answers_s: Vector, seen_s: Vector) -> Vec
 
 
 def fixed_delay(lag_s: Vector) -> float | None:
-    """Return after which time the level follows a signal, s; None where it does not, or not always the same later.
+    """Return the delay at which the level follows a signal, s; None if it does not, or not with a constant delay.
 
     Args:
-        lag_s: Of `lags_after`.
+        lag_s: Result of `lags_after`.
     """
     if len(lag_s) < LEAST_CHANGES or not np.isfinite(lag_s).any():
         return None
@@ -94,7 +95,7 @@ def fixed_delay(lag_s: Vector) -> float | None:
 
 
 def _events(dataset: Dataset, sessions: set[str]) -> dict[str, dict[str, SignalChanges]]:
-    """Return the changes of each named event by signal and session, those with few values."""
+    """Return the changes of each event with few distinct values, by signal and session."""
     found: dict[str, dict[str, SignalChanges]] = {}
     for record in dataset.recordings:
         if record.session not in sessions or "events" not in record.tables:
@@ -111,7 +112,7 @@ def _events(dataset: Dataset, sessions: set[str]) -> dict[str, dict[str, SignalC
 
 
 def _near(seen_s: Vector, at_s: Vector) -> Bools:
-    """Return which times lie beside one at which the level is known."""
+    """Return which times are within SPREAD_S of one at which the level is known."""
     if not len(seen_s):
         return np.zeros(len(at_s), np.bool_)
     after = np.searchsorted(seen_s, at_s).clip(1, len(seen_s) - 1)

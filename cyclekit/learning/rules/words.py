@@ -1,4 +1,4 @@
-"""A rule in words, as a person would write it into a safety controller."""
+"""Writes a rule in words, as for a safety controller."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ _TO = {
 
 
 def kind_of(rule: RuleCard) -> str:
-    """Return the kind of a rule in a few words."""
+    """Return the kind of a rule as text."""
     return f"{rule.family}, with hysteresis" if rule.hysteresis else rule.family
 
 
 def sentences(rule: RuleCard) -> list[str]:
-    """Return one sentence for each limit, the slowest first, and one for where none holds; or those of the law."""
+    """Return the sentences of a rule: one per limit, slowest first, and one for the rest; or those of the law."""
     if rule.law is not None:
         return _law(rule.law)
     return [*(_limit(limit) for limit in rule.limits), f"{_speed(rule.levels[-1])} otherwise"]
 
 
 def verdict(found: RuleSearch) -> str:
-    """Say in one line which rule explains the commanded level, or that none does."""
+    """Return one line on which rule explains the commanded level, or that none does."""
     rival = "" if found.network is None else f"; the network {found.network:.2%}"
     if found.rule is not None and found.rule.law is not None:
         others = "".join(f"; {name} {part:.2%}" for name, part in found.rule.others.items())
@@ -63,7 +63,7 @@ def verdict(found: RuleSearch) -> str:
 
 
 def _law(law: LawCard) -> list[str]:
-    """Return the law, what it means in metres, and in the terms of the standard, which the logs do not tell apart."""
+    """Return the law as a formula, in metres, and by the terms of the standard, which the logs do not separate."""
     shape = shape_of(law)
     full_m = sum(shape[:3])
     slowest_m = shape.stop_m + shape.linear_m * law.lowest + shape.square_m * law.lowest**2
@@ -99,7 +99,7 @@ def _region(region: RegionCard, verb: str) -> str:
 
 
 def _asked(region: RegionCard, *, away: bool) -> str:
-    """Return what a region asks for beside the place of the TCP."""
+    """Return the conditions of a region other than the place of the TCP."""
     if region.anywhere:
         return "the operator is in the cell"
     if region.signals:
@@ -122,13 +122,13 @@ FIELD_COLUMNS = "signal ", "occupied at", "while the TCP is", "speed at most"
 
 
 def field_rows(rule: RuleCard) -> list[tuple[str, ...]]:
-    """Return the table: which field, where on the robot's path, which speed; rows of FIELD_COLUMNS."""
+    """Return the table of fields, places on the robot's path and speeds; columns FIELD_COLUMNS."""
     limits = ((limit, one) for limit in rule.limits for one in limit.within.signals)
     return [(one.signal, one.value, place_of(one), f"{100 * limit.scaling:.4g} %") for limit, one in limits]
 
 
 def place_of(signal: SignalCard) -> str:
-    """Return where the TCP is while a signal counts."""
+    """Return where the TCP must be for a signal to count."""
     if signal.robot is None:
         return "anywhere"
     return "at " + ", ".join(
@@ -171,7 +171,7 @@ def _sides(rectangle: RectangleCard) -> tuple[_Edges, _Edges]:
 
 
 def _side(name: str, edges: _Edges) -> str:
-    """Return from where to where the rectangle reaches along one axis; empty where neither edge was crossed."""
+    """Return the extent of a rectangle along one axis; empty if neither edge is known."""
     low, high = edges
     if low is None:
         return "" if high is None else f"{name} up to {_metres(high)}"

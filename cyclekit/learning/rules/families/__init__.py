@@ -1,4 +1,4 @@
-"""The kinds of rules, the simplest first. A kind is a module of this folder and a line here."""
+"""The kinds of rules, simplest first. A new kind is a module of this folder and a line here."""
 
 from __future__ import annotations
 
@@ -27,6 +27,6 @@ FAMILIES: Mapping[str, Family] = {
     **ROBOT,
     **MIXTURE,
 }
-"""By name, in the order in which they are preferred."""
+"""Kinds of rules by name, in order of preference."""
 
 __all__ = ["FAMILIES"]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def nearer(rows: LimitRows, start: RegionCard | None, distance: str) -> RegionCard:
-    """Return the region nearer than the threshold that fits best; empty where none was crossed."""
+    """Return the region nearer than the best threshold; empty if the threshold is never crossed."""
     del start
     metres = best_cut(rows.positions.apart_m[distance], rows.slow, rows.weight).card()
     return RegionCard() if metres is None else RegionCard(nearer=(NearerCard(distance=distance, metres=metres),))

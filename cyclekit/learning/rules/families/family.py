@@ -1,4 +1,4 @@
-"""What the ladder asks of a kind of rule."""
+"""Interface of a kind of rule."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class Family(NamedTuple):
     """One kind of rule.
 
     Attributes:
-        fit: Returns the region that explains best which rows are slow; `start` is one of this kind, nearby,
-            whose conditions are kept: it says where to begin.
+        fit: Returns the region that explains best which rows are slow. The second argument is a region of this kind to
+            start from, whose conditions are kept.
         uses: Distances that it needs.
-        mixed: It joins two conditions.
-        may_lag: It makes sense with hysteresis: two regions, one to enter and one to leave.
+        mixed: Whether it combines two conditions.
+        may_lag: Whether it supports hysteresis: one region to enter and one to leave.
     """
 
     fit: Callable[[LimitRows, RegionCard | None], RegionCard]

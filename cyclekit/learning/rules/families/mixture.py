@@ -1,4 +1,4 @@
-"""Two rules at once: slow while the operator is nearer than a threshold, or stands in a rectangle."""
+"""Two conditions combined: slow while the operator is nearer than a threshold, or in a rectangle."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 _ROUNDS = 10
 _PURE = 0.995
-"""To begin with, so many of the samples nearer than the threshold are slow."""
+"""Minimum share of slow samples nearer than the threshold at the start."""
 _GAIN = 2e-4
-"""A second condition is kept if it explains this part of the samples more."""
+"""Minimum gain of a second condition, as a share of the samples."""
 
 
 def _fit(rows: LimitRows, start: RegionCard | None, distance: str, rectangle: _Rectangle) -> RegionCard:
     if start is not None and not (start.nearer and start.rectangles):
         return rectangle(rows, start) if start.rectangles else nearer(rows, None, distance)
-    if start is not None:  # where the rectangle came about by chance, the distance explains more without it
+    if start is not None:  # a rectangle found by chance explains less than the distance alone
         both = _alternating(rows, RegionCard(nearer=start.nearer), start, distance, rectangle)
         return min(both, nearer(rows, None, distance), key=rows.wrong)
     single = [nearer(rows, None, distance), rectangle(rows, None)]
@@ -44,7 +44,7 @@ def _fit(rows: LimitRows, start: RegionCard | None, distance: str, rectangle: _R
 def _alternating(
     rows: LimitRows, near: RegionCard, start: RegionCard | None, distance: str, rectangle: _Rectangle
 ) -> RegionCard:
-    """Return the union of both, each fitted in turn to what the other leaves."""
+    """Return the union of both conditions, each fitted in turn to the rows that the other leaves."""
     zone, wrong = start, np.inf
     for _ in range(_ROUNDS):
         zone = rectangle(rows.where(~inside(near, rows.positions)), zone if zone and zone.rectangles else None)
@@ -62,7 +62,7 @@ def _near_outside(rows: LimitRows, zone: RegionCard, distance: str) -> RegionCar
 
 
 def _purely_slow(rows: LimitRows, distance: str) -> RegionCard:
-    """Return the farthest threshold within which nearly everything is slow."""
+    """Return the largest threshold within which almost all samples are slow."""
     order = np.argsort(rows.positions.apart_m[distance], kind="stable")
     weight = rows.weight[order]
     share = np.cumsum(weight * rows.slow[order]) / np.maximum(np.cumsum(weight), 1e-9)

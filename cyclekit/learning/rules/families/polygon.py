@@ -1,4 +1,4 @@
-"""A polygon on the floor: slow while the operator stands in it."""
+"""A polygon on the floor: slow while the operator is in it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def polygon(rows: LimitRows, start: RegionCard | None) -> RegionCard:
-    """Return the convex polygon of up to six corners that fits best; empty where none does."""
+    """Return the convex polygon of up to six sides that fits best; empty if there is none."""
     found = best_polygon(rows, start.polygons[0] if start and start.polygons else None)
     return RegionCard() if found is None else RegionCard(polygons=(found,))
 

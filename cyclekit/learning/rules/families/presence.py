@@ -1,4 +1,4 @@
-"""Presence: slow while anybody is in the cell, wherever he stands."""
+"""Presence: slow while an operator is anywhere in the cell."""
 
 from __future__ import annotations
 

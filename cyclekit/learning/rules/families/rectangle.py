@@ -1,4 +1,4 @@
-"""A rectangle on the floor: slow while the operator stands in it."""
+"""A rectangle on the floor: slow while the operator is in it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 def straight(rows: LimitRows, start: RegionCard | None) -> RegionCard:
-    """Return the rectangle along the axes of the base frame that fits best; empty where none does."""
+    """Return the rectangle along the axes of the base frame that fits best; empty if there is none."""
     begin = start.rectangles[0] if start and start.rectangles else None
     found = best_rectangle(0.0, rows, begin)
     return RegionCard() if found is None else RegionCard(rectangles=(found,))
 
 
 def at_any_angle(rows: LimitRows, start: RegionCard | None) -> RegionCard:
-    """Return the rectangle at any angle that fits best; empty where none does."""
+    """Return the rectangle at any angle that fits best; empty if there is none."""
     found = best_turned(rows, start.rectangles[0] if start and start.rectangles else None)
     return RegionCard() if found is None else RegionCard(rectangles=(found,))
 

@@ -1,4 +1,4 @@
-"""A region of the robot: slow while the TCP is in a rectangle on the floor, or a field counts only while it is."""
+"""A region of the robot: slow while the TCP is in a rectangle on the floor, alone or combined with the operator."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 
 def _fit(rows: LimitRows, start: RegionCard | None, *, operator: bool, field: bool) -> RegionCard:
-    """Return the region whose edges fit best, all at once; empty where none does.
+    """Return the region whose edges fit best, all optimised together; empty if there is none.
 
     Args:
-        rows: What it is to explain.
-        start: One nearby.
-        operator: Somebody must be present.
-        field: And stand in a rectangle.
+        rows: Rows to explain.
+        start: Region to start from.
+        operator: The operator must be present.
+        field: The operator must be in a rectangle.
     """
     weight = rows.weight * np.isfinite(rows.positions.floor_m[:, 0]) if operator else rows.weight
     values = (*turned(rows.positions.tcp_m, 0.0), *(turned(rows.positions.floor_m, 0.0) if field else ()))
@@ -38,7 +38,7 @@ def _fit(rows: LimitRows, start: RegionCard | None, *, operator: bool, field: bo
 
 
 def _without_idle(rows: LimitRows, region: RegionCard) -> RegionCard:
-    """Return the region without the edges of the TCP's rectangle that explain next to nothing."""
+    """Return the region without the edges of the TCP's rectangle that explain almost nothing."""
     least = max(_FEW_ROWS, _GAIN * float(rows.weight.sum()))
     for side, number in ((side, number) for side in ("along", "across") for number in (0, 1)):
         if (robot := region.robot) is None:
@@ -56,7 +56,7 @@ def _edges(*rectangles: RectangleCard) -> list[Edges]:
 
 
 _FEW_ROWS, _GAIN = 5.0, 5e-4
-"""The TCP crosses an edge of its rectangle in every execution: one that explains fewer rows than this is none."""
+"""Minimum gain of an edge of the TCP's rectangle, in rows and as a share: the TCP crosses it in every execution."""
 _WHILE = "while the robot is in a rectangle on the floor"
 ROBOT = {
     "robot in a rectangle on the floor": Family(partial(_fit, operator=False, field=False), may_lag=False),

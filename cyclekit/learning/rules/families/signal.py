@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from cyclekit.learning.rules.cuts import LimitRows
 
 SIGNALS = "signals"
-"""What the rows must hold."""
+"""Name of the requirement that rows hold signals."""
 
 
 def _fit(rows: LimitRows, start: RegionCard | None) -> RegionCard:
-    """Return the signal and value that explain best which rows are slow; empty where none explains anything."""
+    """Return the signal and value that explain best which rows are slow; empty if none explains anything."""
     del start
     tried = [
         RegionCard(signals=(SignalCard(signal=name, value=str(value), delay_s=delay_s),))

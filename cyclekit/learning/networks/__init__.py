@@ -1,7 +1,7 @@
-"""The networks: what they are made of (`spec`, `network`), how they are kept (`saved`) and judged (`metrics`).
+"""Networks: definition (`spec`, `network`), storage (`saved`) and evaluation (`metrics`).
 
-Only `network` imports torch. A saved model predicts with numpy alone, so that whoever estimates, replays or reports
-needs no torch.
+torch is imported only for training. A saved model predicts with numpy alone, so estimates, replays and reports need no
+torch.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The best staircase over the distance, and whether a rival beats a model beyond chance.
+"""The best staircase over the distance, and whether a simpler rival beats a model by more than chance.
 
-Samples of one execution are alike, so executions are what is counted: the errors of both in each of them, in pairs.
+Samples of one execution are correlated, so the test pairs the mean errors of both per execution.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
 
 STAIRCASE, BOOSTED, LAST_SECOND = "distance staircase", "gradient boosting", "gradient boosting, last second"
 LEAST = 1.25
-"""A rival is named from this ratio of the mean squared errors on."""
+"""Minimum ratio of the mean squared errors of model and rival at which the rival is reported."""
 CHANCE = 0.01
-"""A rival is named if executions would show such a difference by chance less often than this."""
+"""Significance level of the paired test."""
 LEAST_EXECUTIONS = 3
 _BINS = 4096
 
 
 @dataclass(frozen=True)
 class Better:
-    """A rival that is better than the model beyond chance.
+    """A rival that is better than the model by more than chance.
 
     Attributes:
-        name: Of the rival.
-        mse, model_mse: Mean squared errors of both.
-        executions: By how many they were judged.
-        otherwise: Options of the training that should give a better model.
+        name: Name of the rival.
+        mse, model_mse: Mean squared errors of rival and model.
+        executions: Number of executions compared.
+        otherwise: Training options that should give a better model.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Better:
     otherwise: tuple[str, ...]
 
     def said(self, dataset: object, out: object) -> str:
-        """Say so in one line, with the command that trains again, from the places of dataset and model."""
+        """Return this as one line with the command that trains again; `dataset` and `out` are paths."""
         words = ("train", dataset, "--out", out, *self.otherwise)
         return (
             f"the {self.name} is better than the model beyond chance: MSE {self.mse:.2e} against {self.model_mse:.2e} "
@@ -58,9 +58,9 @@ class Better:
 
 
 def _otherwise(spec: SpecCard | None, rival: str) -> list[str]:
-    """Return the options of a training like that one but with the distance or, if it had that, another seed.
+    """Return training options like those of `spec`, with the distance as input or, if it had that, with another seed.
 
-    Where boosting on the last second is the better, and there is a model of it for the problem, that one.
+    If boosting on the last second is better and available for the problem, it is chosen.
     """
     if spec is None:
         return ["--features", "distance"]
@@ -82,13 +82,13 @@ def _otherwise(spec: SpecCard | None, rival: str) -> list[str]:
 
 
 def staircase_if_better(model: TrainedModel, spec: ModelSpec, learn: Samples, judge: Samples) -> Better | None:
-    """Return the staircase over the distance, fitted to rows to learn from, if it is better than the model.
+    """Return the staircase over the distance, fitted to `learn`, if it is better than the model.
 
     Args:
-        model: The model, its card not yet written.
-        spec: Of its training.
-        learn: Rows to learn from; to rows in files nothing is fitted.
-        judge: Rows that it has not seen.
+        model: The model, without a finished card.
+        spec: Spec of its training.
+        learn: Rows to fit to; None is returned for rows in files.
+        judge: Held-out rows.
     """
     if len(model.levels) < 2 or learn.in_files:
         return None
@@ -99,13 +99,13 @@ def staircase_if_better(model: TrainedModel, spec: ModelSpec, learn: Samples, ju
 
 
 def better_rival(spec: SpecCard | None, model: Floats, rivals: Mapping[str, Floats], execution: Ints) -> Better | None:
-    """Return the rival of least error among those that are better beyond chance; None where there is none.
+    """Return the rival with the smallest error among those significantly better than the model; None if there is none.
 
     Args:
-        spec: Of the training of the model; None = not known.
-        model: Its squared errors, shape (N,).
-        rivals: Those of each rival at the same rows, by its name.
-        execution: Which execution each row is of, shape (N,).
+        spec: Spec of the model's training; None = unknown.
+        model: Squared errors of the model, shape (N,).
+        rivals: Squared errors of each rival on the same rows, by name.
+        execution: Number of the execution of each row, shape (N,).
     """
     from scipy.special import stdtrit
 
@@ -122,9 +122,9 @@ def better_rival(spec: SpecCard | None, model: Floats, rivals: Mapping[str, Floa
 
 
 def fit_thresholds(distance_m: Floats, scaling: Floats, levels: Sequence[float]) -> Floats:
-    """Return the distances at which a rising staircase of given levels fits best.
+    """Return the distances at which an ascending staircase of given levels fits best.
 
-    Exact to one of 4096 equally filled bins of distance: a dynamic programme over bins and levels.
+    Dynamic programming over levels and 4096 equally filled bins of distance; exact to one bin.
 
     Args:
         distance_m: Shape (N,), N > 0.
@@ -132,8 +132,9 @@ def fit_thresholds(distance_m: Floats, scaling: Floats, levels: Sequence[float])
         levels: Ascending, shape (P,).
 
     Returns:
-        Shape (P - 1,), ascending, m: from threshold i on, level i + 1 holds. Minus or plus infinity at an end where
-        a level is never used.
+        Thresholds, shape (P - 1,), ascending, m: level i + 1 applies from threshold i on. Minus or plus infinity at an
+        end
+        where a level is never used.
     """
     order = np.argsort(distance_m, kind="stable")
     ends = np.unique(np.linspace(0, order.size, min(_BINS, order.size) + 1).astype(np.int64))
@@ -141,7 +142,7 @@ def fit_thresholds(distance_m: Floats, scaling: Floats, levels: Sequence[float])
     error = (scaling[order][:, None] - np.asarray(levels)[None, :]) ** 2
     total = np.concatenate([np.zeros((1, len(levels))), np.cumsum(error, axis=0)])[ends]  # (bins + 1, P)
     best, cut = total[:, 0], np.zeros((len(levels), len(ends)), np.int64)
-    for level in range(1, len(levels)):  # best[b]: least error of the first b bins with levels 0..level
+    for level in range(1, len(levels)):  # best[b]: minimum error of the first b bins with levels 0..level
         ahead = best - total[:, level]
         lowest = np.minimum.accumulate(ahead)
         first = np.flatnonzero(np.diff(lowest, prepend=np.inf) < 0)
@@ -155,7 +156,7 @@ def fit_thresholds(distance_m: Floats, scaling: Floats, levels: Sequence[float])
 
 
 def staircase_at(thresholds: Floats, levels: Sequence[float], rows: Samples) -> Floats:
-    """Return the level at each row by its distance, shape (N,)."""
+    """Return the level of each row by its distance, shape (N,)."""
     return np.asarray(np.array(levels)[np.searchsorted(thresholds, distance_of(rows), side="right")])
 
 

@@ -1,6 +1,6 @@
-"""Gradient boosting on the features of the last second: scikit-learn grows the trees, and plain arrays are kept.
+"""Gradient boosting on the features of the last second: trained by scikit-learn, stored as plain arrays.
 
-How many trees are kept is decided by executions that none of them was grown on: neighbouring rows are nearly equal.
+The number of trees is chosen on held-out executions, because neighbouring rows are nearly equal.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ def fit_trees(
     *,
     known: Sequence[str] = (),
 ) -> Fitted:
-    """Grow trees, asked as `fitting.fit` trains a network; `levels` are not used, as trees answer with a value.
+    """Train trees with the interface of `fitting.fit`; `levels` are not used, because trees predict a value.
 
-    Rows come with a history; of very many, some are drawn at random. Validation decides how many trees are kept.
+    Rows have a history; very many are subsampled at random. The validation rows select the number of trees.
     """
     del levels
     grown = grow(rows, seed=spec.seed)
@@ -66,7 +66,7 @@ class Grown:
             return np.clip(np.asarray(self.trees.predict(window_features(rows.model_inputs)), np.float64), 0.0, 1.0)
 
     def staged_errors(self, rows: Samples) -> Floats:
-        """Return the weighted mean squared error on `rows` with one tree, two, ... (trees,)."""
+        """Return the weighted mean squared error on `rows` with 1, 2, ... trees, shape (trees,)."""
         stages = self.trees.staged_predict(window_features(rows.model_inputs))
         squared = ((np.clip(stage, 0.0, 1.0) - rows.scaling) ** 2 for stage in stages)
         with _one_thread():
@@ -84,7 +84,7 @@ class Grown:
 
 
 def grow(rows: Samples, *, seed: int = 0) -> Grown:
-    """Grow `TREES` trees on (some of) the rows; every comparison has the same ones."""
+    """Train `TREES` trees on (a subset of) the rows; all comparisons use these settings."""
     from sklearn.ensemble import HistGradientBoostingRegressor  # slow to import
 
     some = rows.where(_some(len(rows), _MOST_ROWS, seed))
@@ -103,7 +103,7 @@ def grow(rows: Samples, *, seed: int = 0) -> Grown:
 
 
 def _one_thread() -> AbstractContextManager[object]:
-    """Keep scikit-learn to one thread: several wait for each other, and share sums out by number."""
+    """Limit scikit-learn to one thread: several wait for each other, and sums would depend on their number."""
     from threadpoolctl import threadpool_limits
 
     limits: AbstractContextManager[object] = threadpool_limits(1)
@@ -111,7 +111,7 @@ def _one_thread() -> AbstractContextManager[object]:
 
 
 def _some(count: int, most: int, seed: int = 0) -> Bools:
-    """Return which of `count` rows are taken: all, or `most` drawn at random, shape (count,)."""
+    """Return which of `count` rows are used: all, or `most` drawn at random, shape (count,)."""
     taken = np.ones(count, np.bool_)
     if count > most:
         taken[np.random.default_rng(seed).choice(count, count - most, replace=False)] = False
@@ -119,7 +119,7 @@ def _some(count: int, most: int, seed: int = 0) -> Bools:
 
 
 def _columns(nodes: Any) -> Singles:  # noqa: ANN401 - a structured array
-    """Return nodes of scikit-learn as rows of `Trees.nodes`; a threshold becomes the next single at or below it."""
+    """Return scikit-learn's nodes as rows of `Trees.nodes`; thresholds are rounded down to single precision."""
     own, leaf = np.arange(len(nodes)), nodes["is_leaf"].astype(bool)
     threshold = np.where(leaf, 0.0, nodes["num_threshold"])
     single = np.clip(threshold, -3e38, 3e38).astype(np.float32)

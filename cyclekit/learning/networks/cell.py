@@ -1,8 +1,9 @@
-"""The cell that a model was learned in, as its card knows it, and whether a dataset is of the same cell.
+"""The cell that a model was trained in, stored in its card, and the test whether a dataset is of the same cell.
 
-The learned function is one of positions in the base frame of one robot. Beside another cell it answers all the same,
-and wrongly. A dataset is of the same cell where it holds a log that the model was trained on, in the same frame: then
-it may have grown, or have been ingested again or at another rate. Newer logs are judged by places and levels.
+The learned function uses positions in the base frame of one robot; for another cell its predictions are wrong. A
+dataset
+is of the same cell if it contains a log that the model was trained on, in the same frame; it may have grown, or have
+been ingested again or at another rate. Without a common log, places and levels are compared.
 """
 
 from __future__ import annotations
@@ -21,26 +22,26 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
 
     _Spot = tuple[float, float, float, float, bool]
-    """x, y, z and radius of a place, m, and whether it was found in the logs."""
+    """x, y, z and radius of a place, m, and whether it was inferred from the logs."""
 
 PLACE_M = 0.05
-"""A place has not moved where it is found again within this, and the radii of both."""
+"""Maximum displacement, m, in addition to both radii, at which two places count as one."""
 LEVEL = 0.05
-"""Two levels are the same within this."""
+"""Maximum difference at which two levels count as one."""
 SAME = 0.5
-"""The part of the places, and of the levels, that must be found again."""
+"""Minimum share of the places, and of the levels, that must match."""
 FRAME_M, FRAME_TURN = 0.05, 0.05
-"""A frame has moved beyond this many metres, or where an entry of its rotation differs by more than this."""
+"""Maximum displacement of a frame, m, and maximum difference of an entry of its rotation matrix."""
 
 
 def fingerprint(dataset: Dataset) -> str:
-    """Return the SHA-256 of what the dataset says about itself: same fingerprint, same data."""
+    """Return the SHA-256 of the dataset's card: same fingerprint, same data."""
     text = json.dumps(plain(dataset.card), sort_keys=True, ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def cell_of(dataset: Dataset) -> CellCard:
-    """Return what is known of the cell of a dataset."""
+    """Return the card of a dataset's cell."""
     return CellCard(
         name=dataset.card.name or dataset.path.name,
         places={name: (*place.xyz_m, place.radius_m, place.inferred) for name, place in dataset.places.items()},
@@ -55,12 +56,12 @@ def cell_of(dataset: Dataset) -> CellCard:
 
 
 def refuse_other_cell(card: TrainingCard, dataset: Dataset, *, other_cell: bool = False) -> None:
-    """Refuse a model, by its card, that was learned in another cell than that of the dataset, unless that is meant.
+    """Refuse a model that was trained in another cell than the dataset's, unless `other_cell`.
 
-    A model whose card names no cell was written by hand (`load_model` reads no other), and is not judged.
+    A model whose card names no cell was written by hand (`load_model` reads no other) and is accepted.
 
     Raises:
-        ModelError: It was learned in another cell.
+        ModelError: The model was trained in another cell.
         DatasetError: The dataset has no positions.
     """
     dataset.require_positions()
@@ -74,7 +75,7 @@ def refuse_other_cell(card: TrainingCard, dataset: Dataset, *, other_cell: bool 
 
 
 def other_cell_of(card: TrainingCard, dataset: Dataset) -> str | None:
-    """Return by what a dataset shows another cell than the model's; None where it is the same one."""
+    """Return how the dataset's cell differs from the model's; None if it is the same."""
     learned = card.cell
     if learned is None or card.dataset_sha256 == fingerprint(dataset):
         return None
@@ -89,7 +90,7 @@ def other_cell_of(card: TrainingCard, dataset: Dataset) -> str | None:
 
 
 def _other_places(learned: Mapping[str, _Spot], here: Mapping[str, _Spot]) -> str | None:
-    """Return which places are not those of the training; the cell with fewer of them is looked for in the other."""
+    """Return how the places differ; the cell with fewer places may be a subset of the other."""
     if not learned or not here:
         return None
     lost = [name for name in here if not _found(name, here[name], learned)]
@@ -105,7 +106,7 @@ def _other_places(learned: Mapping[str, _Spot], here: Mapping[str, _Spot]) -> st
 
 
 def _found(name: str, place: _Spot, others: Mapping[str, _Spot]) -> bool:
-    """Tell whether a place is among others: under its name where people gave it, else wherever it stands."""
+    """Return whether a place is among others: by name if both were given by people, otherwise by position."""
     there = others.get(name)
     named = there is not None and not there[4] and not place[4]
     candidates = [there] if there is not None and named else list(others.values())

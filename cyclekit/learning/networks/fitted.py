@@ -1,4 +1,4 @@
-"""What a training gives, whatever was trained."""
+"""The result of training a network or trees."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Fitted:
-    """What fitting gives.
+    """The result of training.
 
     Attributes:
-        spec: What was trained, with what was left to the number of rows.
-        weights: The best epoch's network as matrices on raw inputs, or the trees.
+        spec: The training run, with the settings chosen by the number of rows.
+        weights: Weights of the best epoch as matrices on raw inputs, or the trees.
         history: One entry per epoch, or per number of trees.
         mean: Mean of every input, shape (F,), m; empty for trees.
-        scale: 1/deviation of every input, shape (F,), 1/m; 0 for an input that does not vary; empty for trees.
-        temperature: By what the logits of a classifier were divided so that its probabilities hold on the validation
-            part (Guo et al. 2017); 1 for the others.
+        scale: 1/standard deviation of every input, shape (F,), 1/m; 0 for a constant input; empty for trees.
+        temperature: Divisor of a classifier's logits that calibrates its probabilities on the validation part (Guo et
+            al.
+            2017); 1 for the others.
     """
 
     spec: ModelSpec

@@ -1,8 +1,8 @@
-"""The training loop: slices of one tensor, a fused AdamW, one rise and fall of the learning rate, the best epoch kept.
+"""The training loop: batches of one tensor, fused AdamW, one rise and fall of the learning rate, best epoch kept.
 
-A loader that hands out rows one by one is what makes small networks slow; here the rows are one tensor on the device
-and a batch is a pick of it. Same rows, spec and seed give the same weights on a CPU, and torch's global random state is
-left as it was.
+A data loader that returns single rows dominates the training time of small networks, so the rows are one tensor on the
+device and a batch is an index into it. Same rows, spec and seed give the same weights on a CPU; torch's global random
+state is not changed.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 
 _BLOCK = 16_384
 _STEPS, _EPOCHS = 12_000, (8, 100)
-"""Where no number of epochs is asked for: as many as make this many steps, within these bounds."""
+"""Default number of epochs: as many as give this many steps, within these bounds."""
 _CENTRE_ROWS = 200_000
 _DECAY_ROWS, _MOST_DECAY = 3000, 0.1
-"""Where no weight decay is asked for: this many divided by the training rows. Few rows need it, many hardly any."""
+"""Default weight decay: this number divided by the training rows, with a maximum; few rows need more."""
 
 
 class CutOff(ConfigError):
-    """A network answers 0, or 1, for every input: outputs are cut there and have no slope to learn by."""
+    """A network predicts 0, or 1, for every input; the output is clipped there and has no gradient."""
 
 
 def fit(
@@ -58,21 +58,21 @@ def fit(
 
     Args:
         spec: What to train.
-        rows: Rows to learn from; a classifier leaves out those on no level.
-        validation: Rows that decide which epoch is kept, and the temperature of a classifier.
-        levels: Staircase levels, ascending.
-        progress: Told the fraction done and the validation error after each epoch.
+        rows: Training rows; a classifier drops those on no level.
+        validation: Rows that select the best epoch and the temperature of a classifier.
+        levels: Levels of the speed scaling, ascending.
+        progress: Called after each epoch with the share done and the validation error.
         known: Groups of inputs that may be unknown.
 
     Raises:
         ConfigError: Training diverged.
-        CutOff: All outputs were cut off at the end. Where the optimiser was left to the rows, AdamW is tried first:
-            beside Muon the other weights take larger steps, and one of those may throw a whole network.
+        CutOff: All outputs are clipped at the end. If the optimiser was chosen automatically, AdamW is tried first:
+            next to Muon the other weights take larger steps, and one of these may push all outputs out of range.
     """
     standard = standardisation(rows.X)
     device = torch.device("cuda" if torch.cuda.is_available() and not rows.in_files else "cpu")
     names_steps = spec.kind.names_levels
-    if names_steps and not rows.in_files:  # what is in files has been left out before
+    if names_steps and not rows.in_files:  # rows in files were filtered before
         rows = rows.where(rows.step >= 0)
     asked, spec = spec, spec.for_rows(len(rows))
     learn = rows_on(device, rows, spec, standard, known)
@@ -106,11 +106,13 @@ def _fresh(spec: ModelSpec, rows: Samples, levels: Sequence[float], known: Seque
 
 @contextmanager
 def one_fast_thread() -> Iterator[None]:
-    """Keep torch to one core: layers this small gain little from a second, and lose everything if that one is busy.
+    """Limit torch to one thread: layers this small gain little from a second one.
 
-    Threads wait for each other after every layer; with another program on one of the cores, training took 40 times as
-    long. On one core the result does not depend on the machine's number of cores either. Numbers below 1e-38, which the
-    gradients of rows that are quite sure are full of, count as zero: a processor takes many times longer over them.
+    Threads synchronise after every layer; with another program on one of the cores, training took 40 times as long.
+    With
+    one thread, the result does not depend on the number of cores either. Numbers below 1e-38, frequent in the gradients
+    of
+    confident rows, are flushed to zero, because processors handle them many times more slowly.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -130,11 +132,11 @@ def _run(
     levels: torch.Tensor,
     progress: Progress | None,
 ) -> tuple[EpochCard, ...]:
-    """Train in place and leave the weights of the best epoch in `network`."""
+    """Train in place; `network` ends with the weights of the best epoch."""
     batches = max(len(learn) // spec.batch, 1)
     epochs = spec.epochs or min(max(round(_STEPS / batches), _EPOCHS[0]), _EPOCHS[1])
     decay = min(_DECAY_ROWS / len(learn), _MOST_DECAY) if spec.weight_decay is None else spec.weight_decay
-    steps = Steps(network, spec, decay, max(batches * epochs, 20))  # fewer cannot rise and fall
+    steps = Steps(network, spec, decay, max(batches * epochs, 20))  # a shorter schedule cannot rise and fall
     balance = _balance(learn, len(levels)) if spec.balance == "classes" and spec.kind.names_levels else None
     history: list[EpochCard] = []
     spread = _spread(check)
@@ -187,22 +189,22 @@ def _loss(
 
 
 def _balance(learn: TrainingRows, count: int) -> torch.Tensor:
-    """Return the weight of every level with which all count alike, shape (P,); mean over the rows 1."""
+    """Return the weights that give every level the same total weight, shape (P,); mean 1 over the rows."""
     rows = torch.bincount(learn.step, minlength=count).clamp(min=1).to(torch.float32)
     return float(len(learn)) / (count * rows)
 
 
 def freeze_norm(network: nn.Module) -> None:
-    """Let batch normalisation keep the statistics that it has, instead of measuring every batch anew."""
+    """Make batch normalisation keep its present statistics instead of those of each batch."""
     for module in network.modules():
         if isinstance(module, nn.BatchNorm1d):
             module.eval()
 
 
 def _centre(network: nn.Module, spec: ModelSpec, learn: TrainingRows) -> None:
-    """Shift the output so that its mean error over (some of) the rows it learned from is zero.
+    """Shift the output so that its mean error over (a subset of) the training rows is zero.
 
-    One Newton step: rows that are cut to 0 or 1 do not move.
+    One Newton step: rows clipped to 0 or 1 do not move.
     """
     network.eval()
     last = [module for module in network.modules() if isinstance(module, nn.Linear)][-1]
@@ -219,13 +221,13 @@ def _centre(network: nn.Module, spec: ModelSpec, learn: TrainingRows) -> None:
 
 
 def _cut_off(network: nn.Module, check: TrainingRows) -> float | None:
-    """Return the bound that all outputs on the validation part are at or beyond, None if they are not."""
+    """Return the bound that all outputs on the validation part reach or exceed; None if they do not."""
     out = _outputs(network, check)
     return 1.0 if bool((out >= 1.0).all()) else 0.0 if bool((out <= 0.0).all()) else None
 
 
 def _spread(check: TrainingRows) -> float:
-    """Return the weighted variance of the scaling in the validation part: the error of its mean."""
+    """Return the weighted variance of the scaling in the validation part: the MSE of its mean."""
     weight = check.weight / check.weight.sum()
     off = check.scaling[:, 0] - (check.scaling[:, 0] * weight).sum()
     return float((off**2 * weight).sum())

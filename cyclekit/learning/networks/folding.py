@@ -1,4 +1,4 @@
-"""From a trained torch module to plain matrices on raw inputs: nothing of torch is left in the result."""
+"""Converts a trained torch module to plain matrices on raw inputs, without torch."""
 
 from __future__ import annotations
 
@@ -36,13 +36,12 @@ def fold(
     """Return the network as matrices on raw inputs.
 
     Args:
-        network: As `network.build` made it, trained on (x - mean) * scale.
-        mean: Subtracted from every input, shape (F,).
-        scale: Multiplied after that, shape (F,); 0 switches an input off.
-        known: Groups with an input that says whether they are known.
-        temperature: Logits of a classifier are divided by it.
-        distance: Subtracted from the distance, m, and multiplied after that, 1/m, where the distance is an input behind
-            all others; None where it is none.
+        network: Network of `network.build`, trained on (x - mean) * scale.
+        mean: Mean of every input, shape (F,).
+        scale: Factor on every input after subtraction, shape (F,); 0 disables an input.
+        known: Groups with an additional input that indicates whether they are known.
+        temperature: Divisor of a classifier's logits.
+        distance: Offset, m, and factor, 1/m, of the distance if it is the last input; None if it is not.
     """
     apart = [] if distance is None else [distance]
     middle = np.concatenate([mean, np.zeros(len(known)), [offset for offset, _ in apart]])
@@ -72,7 +71,7 @@ def fold(
 
 
 def _layers(modules: Iterable[nn.Module]) -> list[tuple[Vector, ...]]:
-    """Return weight (inputs, outputs) and bias of every linear layer, batch normalisation folded in."""
+    """Return weight (inputs, outputs) and bias of every linear layer, with batch normalisation folded in."""
     layers: list[tuple[Vector, ...]] = []
     for module in modules:
         if isinstance(module, nn.Linear):
@@ -85,7 +84,7 @@ def _layers(modules: Iterable[nn.Module]) -> list[tuple[Vector, ...]]:
 
 
 def _cells(lstm: nn.LSTM) -> list[tuple[Vector, ...]]:
-    """Return the weights of every LSTM layer; torch's two biases are one."""
+    """Return the weights of every LSTM layer, with torch's two biases added."""
     found: list[tuple[Vector, ...]] = []
     for k in range(lstm.num_layers):
         of_input, of_state, bias, more = (
@@ -96,12 +95,12 @@ def _cells(lstm: nn.LSTM) -> list[tuple[Vector, ...]]:
 
 
 def _on_raw(part: tuple[Vector, ...], middle: Vector, factor: Vector) -> tuple[Vector, ...]:
-    """Return a layer (first weight, ..., bias) that takes raw inputs instead of standardised ones."""
+    """Return a layer (first weight, ..., bias) for raw inputs instead of standardised ones."""
     weight = part[0] * factor[:, None]
     return (weight, *part[1:-1], part[-1] - middle @ weight)
 
 
-def _rounded(parts: Sequence[tuple[Vector, ...]]) -> Any:  # noqa: ANN401 - pairs or triples, as they came
+def _rounded(parts: Sequence[tuple[Vector, ...]]) -> Any:  # noqa: ANN401 - pairs or triples, as given
     return tuple(tuple(np.ascontiguousarray(array, np.float32) for array in part) for part in parts)
 
 

@@ -1,8 +1,8 @@
-"""How far predictions are from the logged scaling, and whether a classifier's probabilities hold.
+"""Errors of predictions against the logged scaling, and calibration of a classifier's probabilities.
 
-Where a classifier says 0.8, eight of ten such rows should be on that level (Guo et al., ICML 2017). Dividing the logits
-by one number, the temperature, found on rows that taught nothing, corrects probabilities that are too high or too low;
-the likeliest step stays.
+Of rows predicted with probability 0.8, 80 % should be on that level (Guo et al., ICML 2017). Dividing the logits by one
+number, the temperature, fitted on rows not used in training, corrects over- or underconfident probabilities; the most
+likely level does not change.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from cyclekit.schema import Singles
 
 MUCH_UNEXPLAINED = 0.25
-"""A model that leaves more than this part of the variance of the scaling unexplained has a large error."""
+"""Share of unexplained variance of the scaling above which a model's error counts as large."""
 
 
 def measure(model: TrainedModel, samples: Samples) -> MetricsCard:
-    """Judge `model` by rows that it has not seen; `samples` must be of its problem and not empty."""
+    """Return the metrics of `model` on held-out rows; `samples` must be of its problem and not empty."""
     X, on_level = samples.model_inputs, samples.step >= 0
     error = model.predict(X) - samples.scaling
     mse_argmax = accuracy = calibration = None
@@ -53,11 +53,11 @@ def measure(model: TrainedModel, samples: Samples) -> MetricsCard:
 
 
 def large_error(metrics: MetricsCard, levels: Sequence[float]) -> str:
-    """Say why the error of a model is large, in a sentence; empty where it is not.
+    """Return one sentence on why a model's error is large; empty if it is not.
 
     Args:
-        metrics: Its errors.
-        levels: Of the model, ascending; fewer than two where it has none.
+        metrics: Errors of the model.
+        levels: Levels of the model, ascending; fewer than two if it has none.
     """
     mae, constant = metrics.mae, metrics.mse_constant
     half = (levels[-1] - levels[0]) / (len(levels) - 1) / 2 if len(levels) > 1 else float("inf")
@@ -70,16 +70,17 @@ def large_error(metrics: MetricsCard, levels: Sequence[float]) -> str:
 
 
 BINS = 15
+"""Number of bins of a reliability diagram."""
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """Confidence against truth: rows by how sure the likeliest step was, in bins of equal width.
+    """Reliability of a classifier: rows binned by the probability of the most likely level, in bins of equal width.
 
     Attributes:
-        confidence: Mean probability of the likeliest step in each bin that holds rows.
-        accuracy: Part of them that was right.
-        rows: How many they are.
+        confidence: Mean probability of the most likely level in each non-empty bin.
+        accuracy: Share of correct rows in each bin.
+        rows: Number of rows in each bin.
     """
 
     confidence: tuple[float, ...]
@@ -88,13 +89,13 @@ class Reliability:
 
     @property
     def error(self) -> float:
-        """Expected calibration error: mean distance of confidence and accuracy, weighted by rows."""
+        """Expected calibration error: mean absolute difference of confidence and accuracy, weighted by rows."""
         off = np.abs(np.subtract(self.confidence, self.accuracy))
         return float(np.average(off, weights=self.rows)) if self.rows else 0.0
 
 
 def reliability(probabilities: NDArray[np.floating], step: NDArray[np.integer]) -> Reliability:
-    """Return how sure a classifier was and how often it was right.
+    """Return the reliability of a classifier.
 
     Args:
         probabilities: Shape (N, P).
@@ -111,7 +112,7 @@ def reliability(probabilities: NDArray[np.floating], step: NDArray[np.integer]) 
 
 
 def best_temperature(logits: Singles, step: NDArray[np.integer]) -> float:
-    """Return the temperature under which the true steps are likeliest, between 0.2 and 5.
+    """Return the temperature that maximises the likelihood of the true levels, between 0.2 and 5.
 
     Args:
         logits: Shape (N, P), N > 0.

@@ -1,16 +1,16 @@
-"""The parts that the networks of the paper are put together from: a body and a head (`networks` has each).
+"""Parts of the paper's networks: a body and a head (`kinds` has each network).
 
     body   feed-forward   linear, batch normalisation (or none), ReLU
            lstm-1         two LSTM layers over the history, then feed-forward layers
-           lstm-2         one LSTM layer over the operator's history forecasts where he will be; the feed-forward layers
-                          see that in place of where he is
+           lstm-2         one LSTM layer over the operator's history forecasts his position, which replaces the present
+                          one as input of the feed-forward layers
     head   classifier     P logits
            regressor      one value, Hardtanh into [0, 1] (`Bounded`)
            mixed          softmax over P, then one linear value
 
-Inputs are standardised. For each group of inputs that may be unknown (`samples.GROUPS`) there is one more, which says
-1 = known or 0 = unknown; the unknown values themselves are then 0. Trained, a network is folded into plain matrices on
-raw inputs (`folding`), and torch is needed no more.
+Inputs are standardised. Each group of inputs that may be unknown (`windows.GROUPS`) has an additional input, 1 = known,
+0 = unknown; the unknown values themselves are then 0. A trained network is folded into plain matrices on raw inputs
+(`folding`), which need no torch.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _LEAK = 0.01
 def build(
     spec: ModelSpec, inputs: int, levels: Sequence[float], known: Sequence[str] = (), scale: Floats | None = None
 ) -> nn.Module:
-    """Return the untrained network of `spec`; its first weights come from torch's random state.
+    """Return the untrained network of `spec`; its initial weights come from torch's random state.
 
     Args:
-        spec: Which one.
-        inputs: Number of inputs F, without those that say "known".
-        levels: Staircase levels, ascending.
-        known: Groups that have an input which says whether they are known.
-        scale: 1/deviation of every input, shape (F,): what does not vary (0) is not forecast either. None: all varies.
+        spec: The training run.
+        inputs: Number of inputs F, without the flags of `known`.
+        levels: Levels of the speed scaling, ascending.
+        known: Groups with an additional input that indicates whether they are known.
+        scale: 1/standard deviation of every input, shape (F,); constant ones (0) are not forecast. None: all vary.
 
     Returns:
         A module from (B, F + groups), with a history from (B, K, F + groups), to logits (B, P) of a classifier or
@@ -57,10 +57,10 @@ def build(
 
 
 class Recurrent(nn.Module):
-    """LSTM-1: the first two layers of the regression network are LSTM layers; the last state goes on."""
+    """LSTM-1: the regression network with LSTM layers as its first two layers; the last state is passed on."""
 
     def __init__(self, inputs: int, spec: Widths, head: list[nn.Module]) -> None:
-        """Build it for that many inputs."""
+        """Build it for a number of inputs."""
         super().__init__()
         width = spec.hidden[0]
         self.lstm = nn.LSTM(inputs, width, num_layers=2, batch_first=True)
@@ -74,22 +74,23 @@ class Recurrent(nn.Module):
 
 
 class Forecasting(nn.Module):
-    """LSTM-2: forecast of the operator's position from the past ones; then the regression network.
+    """LSTM-2: forecast of the operator's position from past ones, followed by the regression network.
 
     `forecast` of the last call, shape (B, 3), standardised, is kept for the loss. A coordinate that never varies is
-    forecast as what it always is: left free, it would be no position but one more channel between the two networks.
+    forecast as its constant value; a free output would not be a position but an additional channel between the
+    networks.
     """
 
     varies: torch.Tensor
 
     def __init__(self, inputs: int, spec: Widths, head: list[nn.Module], presence: int, varies: torch.Tensor) -> None:
-        """Build it for that many inputs.
+        """Build it for a number of inputs.
 
         Args:
-            inputs: Of the regressor.
+            inputs: Number of inputs of the regressor.
             spec: Widths and normalisation.
             head: Last layers.
-            presence: Column that says whether the operator is there, 0 for none.
+            presence: Column that indicates the operator's presence; 0 if there is none.
             varies: 1 for each of his coordinates that varies, 0 for the others, shape (3,).
         """
         super().__init__()
@@ -111,24 +112,25 @@ class Forecasting(nn.Module):
 
 
 class Bounded(nn.Hardtanh):
-    """Hardtanh into [0, 1] that lets a network back in: in training a hundredth of what lies beyond comes through.
+    """Hardtanh into [0, 1] with a leak of 1 % beyond its bounds in training.
 
-    Outside of its bounds a Hardtanh has no slope. The networks of the paper, with batch normalisation, can be thrown
-    there with every row at once, and would stay for good.
+    Outside of its bounds a Hardtanh has no gradient. A network with batch normalisation can be pushed there for all
+    rows at
+    once, and would never return.
     """
 
     def __init__(self) -> None:
-        """Take no setting."""
+        """Set the bounds to [0, 1]."""
         super().__init__(0.0, 1.0)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return values (B, 1) in [0, 1], in training about so."""
+        """Return values (B, 1) in [0, 1]; in training slightly beyond."""
         inside = super().forward(x)
         return inside + _LEAK * (x - inside) if self.training else inside
 
 
 def feed_forward(widths: Sequence[int], norm: str) -> list[nn.Module]:
-    """Return the hidden layers between these widths, the first of which is that of the input."""
+    """Return the hidden layers between these widths; the first width is that of the input."""
     layers: list[nn.Module] = []
     for before, after in pairwise(widths):
         layers.append(nn.Linear(before, after))
@@ -139,7 +141,7 @@ def feed_forward(widths: Sequence[int], norm: str) -> list[nn.Module]:
 
 
 def bounded_value(width: int) -> list[nn.Module]:
-    """Return the last layers of a network that answers with one value in [0, 1]."""
+    """Return the last layers of a network that predicts one value in [0, 1]."""
     out = nn.Linear(width, 1)
-    nn.init.constant_(out.bias, 0.5)  # start inside of [0, 1], where the slope is
+    nn.init.constant_(out.bias, 0.5)  # start inside of [0, 1], where the gradient is
     return [out, Bounded()]

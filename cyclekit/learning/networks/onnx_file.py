@@ -1,8 +1,8 @@
-"""A trained model as an ONNX file, for runtimes that know neither numpy nor torch.
+"""Writes a trained model as an ONNX file, for runtimes without numpy and torch.
 
-The graph is written from the folded weights: raw inputs in metres go in, and out come the best estimate of the scaling
-and, for a classifier, the probability of every step. It is checked by the ONNX checker and, where onnxruntime is
-there, against our own prediction before the file takes its place.
+The graph is made from the folded weights. Inputs are raw, in metres; outputs are the best estimate of the scaling and,
+for a classifier, the probability of every level. The file is checked by the ONNX checker and, if onnxruntime is
+installed, against the model's own prediction before it is put in place.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cyclekit.learning.networks.saved import TrainedModel
 
 TOLERANCE = 1e-5
-"""Farthest that onnxruntime may be from our own prediction."""
+"""Maximum difference between onnxruntime and the model's own prediction."""
 _OPSET, _IR = 17, 9
 _CHECKED_ROWS = 2000
 
@@ -33,14 +33,14 @@ def write_onnx(path: Path, model: TrainedModel) -> float | None:
 
     Args:
         path: File to write; an old one is replaced only by a checked new one.
-        model: A feed-forward model all of whose inputs must be known.
+        model: A feed-forward model whose inputs must all be known.
 
     Returns:
-        The largest difference between onnxruntime and our own prediction; None where onnxruntime is not installed.
+        The largest difference between onnxruntime and the model's own prediction; None if onnxruntime is not installed.
 
     Raises:
         MissingExtra: The package onnx is not installed.
-        ModelError: The model is recurrent or has inputs that may be unknown, or the file does not predict the same.
+        ModelError: The model is recurrent or has inputs that may be unknown, or the predictions differ.
     """
     if model.history != (1, 1) or model.weights.known:
         what = "a history" if model.history != (1, 1) else f"inputs that may be unknown {model.weights.known}"
@@ -120,7 +120,7 @@ def _with_distance(nodes: list[Any], constants: list[Any]) -> str:
 
 
 def _difference(data: bytes, model: TrainedModel) -> float | None:
-    """Return the largest difference to onnxruntime over random rows, None where it is not installed."""
+    """Return the largest difference to onnxruntime over random rows; None if it is not installed."""
     try:
         import onnxruntime
     except ImportError:

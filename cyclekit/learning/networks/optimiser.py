@@ -1,4 +1,4 @@
-"""How the weights are moved: AdamW, or Muon for the square matrices, with a learning rate that rises and falls once."""
+"""Optimisers: AdamW, or Muon for the square matrices, with a learning rate that rises and falls once."""
 
 from __future__ import annotations
 
@@ -14,27 +14,29 @@ if TYPE_CHECKING:
     from cyclekit.learning.networks.spec import ModelSpec
 
 _MUON_RATE = 0.04
-"""Highest rate of Muon; its steps are orthogonal matrices, so their size does not depend on the gradient's."""
+"""Maximum learning rate of Muon; its steps are orthogonal matrices, independent of the gradient's size."""
 _FASTER, _RISE = 2.0, (0.2, 0.1)
-"""Beside Muon the other weights move faster by this factor; part of the run in which the rate rises, without and with
-Muon. Chosen together on 1000 executions: 0.84e-4 after 3000 steps, 1.04e-4 with AdamW's own rate and rise."""
+"""Factor on the learning rate of the other weights next to Muon; share of the run in which the rate rises, without and
+with Muon. Chosen together on 1000 executions: 0.84e-4 after 3000 steps, 1.04e-4 with AdamW's own rate and rise."""
 MOST_NORM = 1.0
-"""A recurrent network's gradient is shortened to this (Pascanu et al. 2013); usually it has a tenth of it. One that was
-longer, when batch normalisation was frozen at the highest rate, has thrown LSTM-1 out of its range for good."""
+"""Maximum norm of a recurrent network's gradient (Pascanu et al. 2013), typically ten times its norm. A longer one,
+when
+batch normalisation was frozen at the highest rate, has pushed LSTM-1 out of its range for good."""
 _MOMENTUM, _TIMES = 0.95, 5
 _A, _B, _C = 3.4445, -4.7750, 2.0315
-"""Coefficients of the iteration that makes a matrix nearly orthogonal (Jordan et al. 2024)."""
+"""Coefficients of the iteration that orthogonalises a matrix (Jordan et al. 2024)."""
 
 
 class Muon(torch.optim.Optimizer):
-    """Muon (Jordan et al. 2024) for square matrices of one size: momentum, made orthogonal, is the step.
+    """Muon (Jordan et al. 2024) for square matrices of one size: the step is the orthogonalised momentum.
 
-    torch has one, which goes through the matrices one by one in bfloat16: on a CPU that took longer than the gradient.
-    Here they are one stack in single precision; for three of 64 x 64 a step took an eighth of the time.
+    torch's own processes the matrices one by one in bfloat16, which on a CPU took longer than the gradient. This one
+    stacks
+    them in single precision; for three of 64 x 64 a step took an eighth of the time.
     """
 
     def __init__(self, params: Iterable[nn.Parameter], lr: float, weight_decay: float) -> None:
-        """Take over `params`, shape (n, n) each."""
+        """Optimise `params`, shape (n, n) each."""
         super().__init__(params, {"lr": lr, "weight_decay": weight_decay})
 
     @torch.no_grad()
@@ -64,7 +66,7 @@ class Steps:
     """The optimisers of one training run with their schedules."""
 
     def __init__(self, network: nn.Module, spec: ModelSpec, decay: float, total: int) -> None:
-        """Prepare `total` steps."""
+        """Prepare a schedule of `total` steps."""
         square: list[nn.Parameter] = []
         if spec.optimiser == "muon":
             width = spec.hidden[-1]

@@ -1,4 +1,4 @@
-"""Samples as tensors on the device, standardised, ready to be picked into batches."""
+"""Samples as standardised tensors on the device, for batches."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 _HUMAN = GROUPS["human"]
 DISTANCE_M = 2.0
-"""What is taken off a distance before the network sees it, m; the distance to somebody who is not there."""
+"""Offset subtracted from a distance, m; also the distance assumed for an absent operator."""
 DISTANCE_1_M = 4.0
-"""What a distance is then multiplied by, 1/m. A threshold is a place, and the finer the unit, the sooner a network can
-make it sharp: on 1000 executions 1.1e-4 after 3000 steps, and 1.6e-4 in metres."""
+"""Factor on a distance, 1/m. A threshold is a sharp edge, and a network learns it sooner in a finer unit: on 1000
+executions 1.1e-4 after 3000 steps, against 1.6e-4 in metres."""
 _BLOCK_ROWS, _BLOCKS = 4096, 256
-"""Rows that are read one after the other, 7 minutes of log, and how many such blocks are mixed at a time."""
+"""Consecutive rows read as one block (7 minutes of log), and number of blocks shuffled together."""
 _AT_ONCE = 1 << 22
 _STILL_M = 1e-6
-"""An input that varies by less than a micrometre carries nothing, and dividing by that would magnify noise."""
+"""Minimum standard deviation of an input, m; below, it is constant, and scaling it would amplify noise."""
 
 
 @dataclass(frozen=True)
@@ -40,16 +40,16 @@ class TrainingRows:
 
     Attributes:
         table: Standardised inputs, shape (M, F + groups); a row's own input is `table[before[row, -1]]`.
-        before: Rows of `table` that each row sees, shape (N, K); None where it is the row itself (M = N).
+        before: Rows of `table` that each row sees, shape (N, K); None if it sees only itself (M = N).
         scaling: Targets, shape (N, 1).
         step: Levels, shape (N,); -1 = none.
         weight: Shape (N,).
-        noise_scale: 1/deviation of the operator's coordinates, shape (3,), 1/m.
+        noise_scale: 1/standard deviation of the operator's coordinates, shape (3,), 1/m.
         ahead: Standardised position of the operator after the horizon, shape (N, 3); None unless it is forecast.
-        ahead_known: Where that is known, shape (N,).
-        presence: Column of `table` that says whether the operator is there; None where he always is.
-        apart: What turns the inputs into a distance, which then is one more; None where it is none.
-        in_blocks: The rows may be larger than memory, and are read in blocks.
+        ahead_known: Whether that is known, shape (N,).
+        presence: Column of `table` that indicates the operator's presence; None if he is always present.
+        apart: Constants that convert inputs to the distance, which is then an additional input; None without one.
+        in_blocks: Whether the rows may exceed memory and are read in blocks.
     """
 
     table: torch.Tensor
@@ -69,9 +69,9 @@ class TrainingRows:
         return len(self.scaling)
 
     def batches(self, count: int) -> Iterator[torch.Tensor]:
-        """Yield every row once, by number, in `count` batches in random order.
+        """Yield every row number once, in `count` batches in random order.
 
-        Where the rows are read in blocks, _BLOCKS of them from all over the rows are mixed at a time.
+        Rows read in blocks are shuffled within groups of _BLOCKS random blocks.
         """
         if not self.in_blocks:
             yield from torch.randperm(len(self)).to(self.scaling.device).tensor_split(count)
@@ -83,7 +83,7 @@ class TrainingRows:
             yield from rows[torch.randperm(len(rows))].tensor_split(max(round(len(rows) / size), 1))
 
     def inputs(self, part: torch.Tensor, noise_m: float) -> torch.Tensor:
-        """Return the inputs of some rows, (B, F + groups) or (B, K, F + groups), with fresh noise on the operator."""
+        """Return the inputs of some rows, (B, F + groups) or (B, K, F + groups), with new noise on the operator."""
         x = self.table[part] if self.before is None else self.table[self.before[part]]
         if noise_m > 0:
             noise = torch.randn((*x.shape[:-1], 3)).to(x.device) * (noise_m * self.noise_scale)
@@ -102,7 +102,7 @@ class TrainingRows:
 
 
 def standardisation(X: Singles) -> Standard:
-    """Return mean and 1/deviation of every input over the rows that know it, shape (F,); 0 where it does not vary."""
+    """Return mean and 1/deviation of every input over its known rows, shape (F,); 0 for a constant input."""
     blocks = [X[first : first + _AT_ONCE] for first in range(0, len(X), _AT_ONCE)]
     count = np.maximum(sum(np.isfinite(block).sum(axis=0) for block in blocks), 1)
     mean = sum(np.where(np.isfinite(b), b, 0.0).sum(axis=0, dtype=np.float64) for b in blocks) / count
@@ -115,7 +115,7 @@ def standardisation(X: Singles) -> Standard:
 def rows_on(
     device: torch.device, rows: Samples, spec: ModelSpec, standard: Standard, known: Sequence[str]
 ) -> TrainingRows:
-    """Put rows on the device."""
+    """Move rows to the device."""
     raw = rows.X if rows.table is None else rows.table
     if rows.in_files:
         folder, shape = Path(rows.X.filename).parent, (len(raw), raw.shape[1] + len(known))  # type: ignore[attr-defined]
@@ -143,7 +143,7 @@ def rows_on(
 
 
 def _apart(device: torch.device, standard: Standard) -> tuple[torch.Tensor, ...]:
-    """Return what turns standardised positions into metres again: the difference of the means and the deviations."""
+    """Return the difference of the means and the deviations, which convert standardised positions to metres."""
     mean, scale = standard
     spread = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
     parts = (mean[:3] - mean[_HUMAN], spread[:3], spread[_HUMAN])
@@ -151,7 +151,7 @@ def _apart(device: torch.device, standard: Standard) -> tuple[torch.Tensor, ...]
 
 
 def _standardised(X: Singles, standard: Standard, known: Sequence[str]) -> Singles:
-    """Return the standardised inputs, unknown ones 0, and behind them whether each group is known."""
+    """Return the standardised inputs, with unknown values 0, followed by one flag per group: 1 = known."""
     mean, scale = standard
     flags = [np.asarray(np.isfinite(X[:, GROUPS[group]]).all(axis=1), np.float32)[:, None] for group in known]
     values = np.empty(X.shape, np.float32)

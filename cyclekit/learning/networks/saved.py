@@ -1,10 +1,10 @@
-"""A trained model as a thing to keep and to ask: two files on the disk, numpy to predict.
+"""A trained model: storage in two files, and prediction with numpy.
 
-    MODEL/model.json           what it is: problem, levels, layer sizes, and the card of its training
-    MODEL/weights.safetensors  the numbers, float32, batch normalisation and input scaling folded in
+    MODEL/model.json           problem, levels, layer sizes, and the card of its training
+    MODEL/weights.safetensors  the weights, float32, with batch normalisation and input scaling folded in
 
-Data, never code: no pickle is read, whatever a file claims to be. Everything about a file is checked before its numbers
-are used, and a file that fails is refused, never read by another route. How a model comes about is `train`'s business.
+Only data, never code: no pickle is read. Everything about a file is checked before its numbers are used; a file that
+fails is refused. Training is in `train`.
 """
 
 from __future__ import annotations
@@ -58,14 +58,15 @@ class TrainedModel(Result):
 
     Attributes:
         problem: `now`, `ahead` or `average`.
-        network: Its name, one of `networks.NETWORKS`.
-        horizon_s: How far ahead the target lies or reaches, s.
-        levels: Staircase levels, shape (P,), ascending; empty for a regressor of a scaling without levels.
-        weights: The numbers, and which groups of inputs may be unknown.
-        card: How it came about: split, seed, metrics, data fingerprint, versions, `scaling_without_operator`.
-        history: Samples that the network sees, and rows between them at the rate of the samples; (1, 1) = only the
-            present one.
-        past: It also sees `last_second.PAST`.
+        network: Its name, one of `networks.kinds.NETWORKS`.
+        horizon_s: Horizon of the target, or length of its average, s.
+        levels: Levels of the speed scaling, shape (P,), ascending; empty for a regressor of a scaling without levels.
+        weights: The weights, and the groups of inputs that may be unknown.
+        card: Training card: split, seed, metrics, data fingerprint, versions, `scaling_without_operator`.
+        history: Number of samples that the network sees, and rows between them at the rate of the samples; (1, 1) =
+            only
+            the present one.
+        past: Whether `last_second.PAST` is an input too.
     """
 
     problem: str
@@ -98,36 +99,39 @@ class TrainedModel(Result):
     def predict(self, X: NDArray[np.floating[Any]]) -> Floats:
         """Return the scaling with the least expected squared error.
 
-        For a classifier that is the mean of the levels under its probabilities, not the level of the most likely step.
+        For a classifier this is the probability-weighted mean of the levels, not the most likely level.
 
         Args:
-            X: Inputs, metres (of `last_second.PAST`: s), base frame; columns as in `inputs`. Shape (N, F), of a network
-                that sees a history (N, K, F), the oldest sample first. All must be known, but for the groups in
-                `weights.known`: where nobody is there and the logs never showed that, `card.scaling_without_operator`
-                is None as well. A height of the operator alone may be unknown: then that of the TCP stands for it.
+            X: Inputs, metres (of `last_second.PAST`: s), base frame; columns as in `inputs`. Shape (N, F), with a
+                history
+                (N, K, F), oldest sample first. All must be known except the groups in `weights.known`; if the logs
+                never
+                showed an absent operator, `card.scaling_without_operator` is None. If only the operator's height is
+                unknown,
+                that of the TCP is used.
 
         Returns:
             Shape (N,), in [0, 1].
 
         Raises:
-            ShapeError: X has another shape, or holds a value that is not finite where it must be known.
-            ModelError: The weights are too large for numbers to come out.
+            ShapeError: X has another shape, or a value that must be known is not finite.
+            ModelError: The weights are so large that the output is not finite.
         """
         out = self._run(X)
         values = np.matmul(out, np.array(self.levels)) if names_levels(self.network) else out[:, 0]
         return np.asarray(np.clip(values, 0.0, 1.0), np.float64)
 
     def predict_signals(self, robot_m: NDArray[np.floating[Any]], signals: Ints) -> Floats:
-        """Return the scaling where signals tell of people, shape (N,).
+        """Return the scaling of a model on signals that detect people, shape (N,).
 
         Args:
             robot_m: The TCP, shape (N, 3), m.
-            signals: Which signals are on, shape (N,): bits as in column `human_signals` of the model's dataset.
+            signals: Bits of the active signals, shape (N,), as in column `human_signals` of the model's dataset.
         """
         return self.predict(np.column_stack([robot_m, as_inputs(signals, len(self.card.operator_signals))]))
 
     def probabilities(self, X: NDArray[np.floating[Any]]) -> Floats:
-        """Return the probability of every step, shape (N, P); rows sum to 1.
+        """Return the probability of every level, shape (N, P); rows sum to 1.
 
         Raises:
             ModelError: The network is no classifier.
@@ -139,10 +143,10 @@ class TrainedModel(Result):
         return self._run(X).astype(np.float64)
 
     def steps(self, X: NDArray[np.floating[Any]]) -> Ints:
-        """Return the index of the likeliest step (of a regressor: of the level nearest to its value), shape (N,).
+        """Return the index of the most likely level (of a regressor: the level nearest to its value), shape (N,).
 
         Raises:
-            ModelError: The model knows no levels.
+            ModelError: The model has no levels.
             ShapeError: As `predict`.
         """
         if names_levels(self.network):
@@ -175,10 +179,10 @@ class TrainedModel(Result):
         return self._finite(X)
 
     def _finite(self, X: NDArray[np.floating[Any]]) -> Singles:
-        """Run the network; finite weights may still be so large that the output is not a number.
+        """Run the network and check the output: finite weights may still be so large that it is not finite.
 
         Raises:
-            ModelError: That is so.
+            ModelError: The output is not finite.
         """
         out = self.weights.run(X)
         if not np.isfinite(out).all():
@@ -193,7 +197,7 @@ class TrainedModel(Result):
         return {"metrics": card["metrics"], "card": card}
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per epoch of the training: errors by which its weights were chosen."""
+        """Return one row per training epoch: the errors by which the best epoch was chosen."""
         import polars as pl
 
         return pl.DataFrame(plain(self.card, nulls=True)["history"] or [], infer_schema_length=None)
@@ -206,11 +210,11 @@ class TrainedModel(Result):
 
 
 def check_model_output(place: Path | str) -> None:
-    """Refuse a place at which `save_model` could not put a model, before one is trained.
+    """Refuse a path at which `save_model` could not write a model, before training starts.
 
     Raises:
-        ModelError: The path is there already and is no model.
-        CyclekitError: The place cannot be written.
+        ModelError: The path exists and is no model.
+        CyclekitError: The path cannot be written.
     """
     check_writable_folder(place)
     if not is_url(place):
@@ -218,11 +222,11 @@ def check_model_output(place: Path | str) -> None:
 
 
 def save_model(place: Path | str, model: TrainedModel) -> None:
-    """Write `model` as a folder, at a path or a URL: the old model or the new one is there at any time, never half.
+    """Write `model` as a folder, at a path or a URL; an old model is replaced as a whole.
 
     Raises:
-        ModelError: The path is there already and is no model; it is left as it is.
-        CyclekitError: The place cannot be written.
+        ModelError: The path exists and is no model; it is left unchanged.
+        CyclekitError: The path cannot be written.
     """
     with published(place) as path:
         _save(path, model)
@@ -262,10 +266,10 @@ def _refuse_other(path: Path) -> None:
 
 
 def load_model(place: Path | str) -> TrainedModel:
-    """Open the model at a path or a URL.
+    """Load the model at a path or a URL.
 
     Raises:
-        ModelError: It is no model, is of another version, or any of its content is not what it should be.
+        ModelError: It is no model, is of another version, or has invalid content.
         StorageError: The URL cannot be read.
     """
     path = local(place)
@@ -298,7 +302,7 @@ def load_model(place: Path | str) -> TrainedModel:
 
 
 def _no_model(path: Path) -> ModelError:
-    """Return the error for a place that holds no model, with what it is instead."""
+    """Return the error for a path without a model, naming what is there."""
     found = what_is(path)
     if found == "nothing":
         train = command_line("train", "DATASET", "--out", path)
@@ -315,7 +319,7 @@ def _no_model(path: Path) -> ModelError:
 
 
 def models_in(place: str) -> list[str]:
-    """Return the models of a folder that is none itself, by name; else, and for a URL, the place."""
+    """Return the models in a folder that is not a model itself, by name; otherwise, and for a URL, `place` alone."""
     path = Path(place)
     if is_url(place) or not path.is_dir() or (path / CARD).is_file():
         return [place]

@@ -1,7 +1,7 @@
 """What to train: the problem, the network, and the settings of the training run.
 
-Which networks there are is said by `networks`. What differs from the paper is an option with its own name, and its
-default says whether it was measured better.
+`kinds` lists the networks. Each difference from the paper is a named option; its default is the setting that was
+measured better.
 """
 
 from __future__ import annotations
@@ -26,20 +26,19 @@ Features = Literal["auto", "positions", "distance", "past"]
 Target = Literal["auto", "commanded", "logged"]
 
 HISTORY, HISTORY_S = 6, 1.0
-"""What a recurrent network sees where nothing else is asked for: six samples over one second, fewer where the rate is
-less than 5 Hz."""
+"""Default history of a recurrent network: number of samples and duration, s; fewer samples at rates below 5 Hz."""
 HORIZON_S: Mapping[str, float] = {"now": 0.0, "ahead": 2.0, "average": 14.0}
-"""Horizon where none is given: that of the paper's figures."""
+"""Default horizon, s: that of the paper's figures."""
 MUON_ROWS = 100_000
-"""From this many rows to learn from on Muon is the default for `now` and `ahead`. Measured for `now`, MSE x 1e4: 3.4
-with AdamW and 2.2 with Muon on 700 000 rows, 3.3 and 2.1 on 140 000, but 5.5 and 7.4 on 28 000. For averages, most
-of which is the operator's luck, Muon is 1 % worse."""
+"""Number of training rows from which Muon is the default for `now` and `ahead`. Measured for `now`, MSE x 1e4: 3.4
+with AdamW and 2.2 with Muon on 700 000 rows, 3.3 and 2.1 on 140 000, but 5.5 and 7.4 on 28 000. For averages, which
+depend mostly on chance events of the operator, Muon is 1 % worse."""
 FREEZE_NORM_AFTER: Mapping[str, float] = {"muon": 0.1, "adamw": 0.25}
-"""Where no part of the run is given, by optimiser."""
+"""Default of `freeze_norm_after` by optimiser."""
 
 
 class RunSettings(TypedDict, total=False):
-    """Numbers of a training run that `ModelSpec.of` takes; what they mean stands with the attributes of `ModelSpec`."""
+    """Settings of a training run that `ModelSpec.of` accepts; see the attributes of `ModelSpec`."""
 
     seed: int
     epochs: int | None
@@ -62,46 +61,51 @@ class RunSettings(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSpec:
-    """One training run, resolved. Use `ModelSpec.of` to have the defaults filled in.
+    """One training run with all settings. `ModelSpec.of` fills in the defaults.
 
     Attributes:
         problem: `now`, `ahead` or `average`.
-        network: One of `networks.networks_for(problem)`.
-        horizon_s: How far the target lies ahead or reaches; 0 for `now`.
+        network: One of `kinds.networks_for(problem)`.
+        horizon_s: Horizon of the target, or length of its average, s; 0 for `now`.
         hidden: Widths of the hidden layers.
-        norm: `batch` normalises inside the network as the paper does; `none` leaves that out.
-        seed: Of the split, the first weights and the order of the rows. Same data and seed, same model (on a CPU).
-        epochs: Passes over the training rows, None for as many as the rows need (see `fitting`); the learning rate
+        norm: `batch` for batch normalisation inside the network, as in the paper; `none` for none.
+        seed: Seed of the split, the initial weights and the order of the rows. Same data and seed give the same model
+            (on a
+            CPU).
+        epochs: Passes over the training rows; None to choose by the number of rows (see `fitting`). The learning rate
             rises and falls once over all of them.
-        patience: Epochs without a better validation error after which training stops; None = never: the learning rate
-            falls to the end, and the last epochs gain most. The best epoch's weights are kept in either case.
+        patience: Number of epochs without a better validation error after which training stops; None = never, because
+            the
+            learning rate falls to the end and the last epochs gain most. The best epoch's weights are kept in either
+            case.
         batch: Rows per step.
-        learning_rate: The highest learning rate of the run.
-        test_fraction: Part of the executions held out to judge by.
-        validation_fraction: Part of the remaining executions that decides which epoch's weights are kept.
-        noise_m: Noise of the operator's position, standard deviation per axis, m, that is added afresh to every row
-            in every epoch: for logs that are cleaner than what the model will be asked about.
+        learning_rate: Maximum learning rate of the run.
+        test_fraction: Share of the executions held out for evaluation.
+        validation_fraction: Share of the remaining executions that selects the best epoch.
+        noise_m: Standard deviation per axis, m, of noise that is added to the operator's position, drawn anew for every
+            row and epoch; for logs with less noise than later inputs.
         optimiser: `muon` for the square matrices and AdamW for the rest (Jordan et al. 2024), `adamw` for all, or
-            `auto` for the one that was measured better for the problem and that many rows (`MUON_ROWS`).
-        features: `distance` gives the network ||x_r - x_h|| beside the positions. The paper's networks see `positions`
-            only. With `past` a network that sees a history also gets `last_second.PAST`. `auto` is the distance for
-            `now` and the past for trees, see `with_features`.
-        target: What `now` learns. `commanded` is the level that the safety system heads for: what was read of its
-            response (reaction time, ramps) is undone, and applied again where cycles are simulated. `logged` is the
-            scaling at that instant, as in the paper. `auto` is `commanded` for a network that names levels.
-        balance: `classes` weighs every level alike in a classifier's loss, however rare; its probabilities then say
-            nothing about how often a level is in force, so `none` is the default.
-        history: Samples that a recurrent network sees, and rows between them; (1, 1) for the others. None for the
-            usual ones at the rate of the dataset, see `at_rate`.
-        forecast_weight: How much `lstm-2` is held to forecast where the operator will be, beside the scaling: weight of
-            that squared error, in standard deviations.
-        weight_decay: How strongly weights are drawn to zero (as AdamW), None for what suits the number of rows.
-        freeze_norm_after: Part of the run after which batch normalisation keeps its statistics; 1 = never, as usual;
-            None for what suits the optimiser.
-            Statistics that change with every batch shake the boundaries between levels, which is what limits the
-            network in the end; with the default the error is less than half as large after the same time.
-        centre: Shift the output of a network that answers with a value so that its mean error over the rows it learned
-            from is zero: the epoch that is kept may come from the middle of the run, where every step moves the mean.
+            `auto` for the one measured better for the problem and the number of rows (`MUON_ROWS`).
+        features: `positions` as in the paper; `distance` adds ||x_r - x_h||; `past` adds `last_second.PAST` for a
+            network
+            with a history. `auto` is the distance for `now` and the past for trees, see `with_features`.
+        target: Target of `now`. `commanded` is the level commanded by the safety system: its response (reaction time,
+            ramps) is removed, and applied again in simulated cycles. `logged` is the scaling at that instant, as in
+            the paper. `auto` is `commanded` for a network that predicts levels.
+        balance: `classes` gives every level the same total weight in a classifier's loss; its probabilities then ignore
+            how frequent a level is, so the default is `none`.
+        history: Number of samples that a recurrent network sees, and rows between them; (1, 1) for the others. None for
+            the default at the rate of the dataset, see `at_rate`.
+        forecast_weight: Weight, in the loss of `lstm-2`, of the squared error of the forecast position in standard
+            deviations, relative to that of the scaling.
+        weight_decay: Weight decay, as in AdamW; None to choose by the number of rows.
+        freeze_norm_after: Share of the run after which batch normalisation keeps its statistics; 1 = never, as usual;
+            None for the default of the optimiser.
+            Statistics that change with every batch move the boundaries between levels, which limits the accuracy in the
+            end; with the default the error is less than half as large after the same time.
+        centre: Shift the output of a network that predicts a value so that its mean error over the training rows is
+            zero;
+            the best epoch may be from the middle of the run, where every step changes the mean.
     """
 
     problem: str
@@ -128,11 +132,11 @@ class ModelSpec:
     centre: bool = True
 
     def __post_init__(self) -> None:
-        """Check what was asked for, before any data is read.
+        """Check the settings before any data is read.
 
         Raises:
             UnknownName: There is no such problem, network or norm.
-            ConfigError: Network or horizon do not suit the problem, or a number is out of its range.
+            ConfigError: Network or horizon do not suit the problem, or a number is out of range.
         """
         check_network(self.problem, self.network)
         if self.norm not in get_args(Norm):
@@ -182,7 +186,7 @@ class ModelSpec:
 
     @property
     def kind(self) -> Network:
-        """What its network is."""
+        """Description of its network."""
         return NETWORKS[self.network]
 
     @classmethod
@@ -196,13 +200,13 @@ class ModelSpec:
         norm: Norm = "batch",
         **settings: Unpack[RunSettings],
     ) -> ModelSpec:
-        """Return a spec with the paper's network, widths and horizon where none are given.
+        """Return a spec with the paper's network, widths and horizon as defaults.
 
-        `settings` are the numbers of the training run (seed, epochs, batch, ...), as the attributes of this class.
+        `settings` are the numbers of the training run (seed, epochs, batch, ...), see the attributes of this class.
 
         Raises:
             UnknownName: There is no such problem, network or setting.
-            ConfigError: They do not go together, or a number is out of its range.
+            ConfigError: The settings are incompatible, or a number is out of range.
         """
         if problem not in PROBLEMS:
             raise UnknownName("the model", "problem", problem, PROBLEMS)
@@ -215,12 +219,12 @@ class ModelSpec:
         return cls(problem=problem, network=network, horizon_s=horizon_s, hidden=widths, norm=norm, **settings)
 
     def card(self) -> SpecCard:
-        """Return what a model's card says of it."""
+        """Return the settings for a model's card."""
         told = {name: value for name, value in asdict(self).items() if value is not None}
         return SpecCard(**told)
 
     def at_rate(self, rate_hz: float) -> ModelSpec:
-        """Return this with the history that a recurrent network sees of samples of that rate, where none was given."""
+        """Return this with the default history of its network at a sample rate, if none was given."""
         if self.history is not None:
             return self
         every = samples_in(HISTORY_S / (HISTORY - 1), rate_hz)
@@ -228,10 +232,11 @@ class ModelSpec:
         return replace(self, history=(max(count, 2), every) if self.kind.sees_history else (1, 1))
 
     def with_features(self) -> ModelSpec:
-        """Return this with what the network sees, where that was left open: the distance too for `now`, else positions.
+        """Return this with default inputs if none were given: the distance for `now`, else positions.
 
-        Measured with few executions, by fresh ones: the distance lowers the error where the safety function is one of
-        the distance, where it is one of zones, and where it is both (docs/models.md).
+        Measured on new executions after training with few: the distance lowers the error for safety functions of the
+        distance,
+        of zones, and of both (docs/models.md).
         """
         if self.features != "auto":
             return self
@@ -239,7 +244,7 @@ class ModelSpec:
         return replace(self, features="distance" if self.problem == "now" else other)
 
     def for_rows(self, count: int) -> ModelSpec:
-        """Return this with the optimiser for `count` training rows, and its default of `freeze_norm_after`."""
+        """Return this with the optimiser for `count` training rows, and the default of `freeze_norm_after`."""
         best: Optimiser = "muon" if self.problem != "average" and count >= MUON_ROWS else "adamw"
         optimiser = best if self.optimiser == "auto" else self.optimiser
         after = FREEZE_NORM_AFTER[optimiser] if self.freeze_norm_after is None else self.freeze_norm_after
@@ -251,7 +256,7 @@ def check_network(problem: str, network: str) -> None:
 
     Raises:
         UnknownName: There is no such problem or network.
-        ConfigError: The network exists but not for this problem.
+        ConfigError: The network does not suit this problem.
     """
     if problem not in PROBLEMS:
         raise UnknownName("the model", "problem", problem, PROBLEMS)

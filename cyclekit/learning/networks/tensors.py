@@ -1,8 +1,8 @@
-"""The weights of a model as a safetensors file, and back: byte for byte what `model.json` describes, or refused.
+"""Reads and writes a model's weights as a safetensors file; a file that does not match `model.json` is refused.
 
 A model folder may come from anywhere. So the sizes in `model.json` are checked against limits (`cards`) and against
-each other first, then the file against them. No other loader is ever tried, and no number is read before sizes, names,
-shapes and checksum agree.
+each other first, then the file against them. No other loader is tried, and no number is read before sizes, names,
+shapes and checksum match.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ _MAX_HEADER_BYTES = 64 * 2**10
 
 
 def parse_weights(file: Path, about: ModelCard) -> Weights | Trees:
-    """Return the weights of the network that `about`, checked, describes.
+    """Return the weights described by a checked `about`.
 
     Raises:
         NotAModel: The file is not exactly the safetensors file that `about` describes.
-        OSError: It cannot be read.
+        OSError: The file cannot be read.
     """
     shapes = _shapes(about)
     numbers = 4 * sum(math.prod(shape) for shape in shapes.values())
@@ -82,7 +82,7 @@ def to_safetensors(weights: Weights | Trees) -> bytes:
 
 
 def sizes_of(weights: Weights | Trees) -> dict[str, object]:
-    """Return what `model.json` says about the sizes of the weights."""
+    """Return the sizes of the weights for `model.json`."""
     if isinstance(weights, Trees):
         return {"layers": [], "trees": list(weights.nodes.shape[:2]), "known": list(weights.known)}
     return {
@@ -130,7 +130,7 @@ def _weights(about: ModelCard, found: Mapping[str, Singles]) -> Weights | Trees:
 
 
 class NotAModel(Exception):
-    """Why a file is not part of a model; `load_model` tells it as a ModelError, with the file and the cure."""
+    """A file is not part of a model; `load_model` raises it as a ModelError with the file and the cure."""
 
 
 def softmax_after(about: ModelCard) -> int | None:
@@ -140,7 +140,7 @@ def softmax_after(about: ModelCard) -> int | None:
 
 
 def check_layout(about: ModelCard) -> None:
-    """Check that the parts of the stated network fit each other.
+    """Check that the layers of a network match.
 
     Raises:
         NotAModel: They do not.
@@ -164,7 +164,7 @@ def check_layout(about: ModelCard) -> None:
 
 
 def _fits(about: ModelCard) -> bool:
-    """Tell whether inputs, hidden layers and outputs have the widths that go with each other."""
+    """Return whether the widths of inputs, hidden layers and outputs match."""
     trees = NETWORKS[about.network].trees
     if trees or len(about.layers) < 2:
         return trees and about.trees is not None and not about.layers and about.distance is None
@@ -192,7 +192,7 @@ def _check_recurrent(about: ModelCard) -> None:
 
 
 def _check_known(about: ModelCard) -> None:
-    """Refuse groups that may be unknown unless each is there once, in the order of the columns."""
+    """Refuse groups that may be unknown unless each occurs once, in the order of the columns."""
     there = [group for group, columns in GROUPS.items() if columns.start < len(_inputs(about))]
     if about.known != tuple(group for group in there if group in about.known):
         raise NotAModel(f"groups of inputs that may be unknown are {about.known!r:.80}")

@@ -1,4 +1,4 @@
-"""Trees on the features of the last second as one plain array, and how rows become values with numpy alone."""
+"""Trees on the features of the last second as one array, and their prediction with numpy."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ class Trees:
     """A sum of trees.
 
     Attributes:
-        nodes: Shape (trees, nodes, 6): the feature that a node looks at, its threshold, the nodes for at most that and
-            for more (both the node itself: a leaf), 1 where an unknown feature goes left, and the value of a leaf.
-            The first node of a tree is its root, and every other one has a higher number than the one before it.
+        nodes: Shape (trees, nodes, 6): feature tested, threshold, next node if at most the threshold, next node if
+            above
+            (both the node itself for a leaf), 1 if an unknown feature goes to the first, and value of a leaf. The first
+            node of a tree is its root; following nodes have higher numbers.
         known: Groups of inputs that may be unknown.
     """
 
@@ -35,11 +36,11 @@ class Trees:
 
     @property
     def count(self) -> int:
-        """How many numbers it has."""
+        """Number of values stored."""
         return int(self.nodes.size)
 
     def run(self, X: NDArray[np.floating[Any]]) -> Singles:
-        """Return the sum of the leaves that each row falls into, shape (N, 1).
+        """Return the sum of the leaves reached by each row, shape (N, 1).
 
         Args:
             X: Raw inputs, shape (N, K, F), oldest first; NaN only in groups of `known`.
@@ -57,7 +58,7 @@ class Trees:
 
 @dataclass(frozen=True)
 class _Walk:
-    """All nodes of all trees in one line: roots, features, thresholds, and twice as many numbers of following nodes."""
+    """All nodes of all trees in flat arrays: roots, features, thresholds, and the two next nodes of each."""
 
     root: Ints
     feature: Ints
@@ -81,7 +82,7 @@ class _Walk:
 
 
 def sound(nodes: Singles, features: int) -> bool:
-    """Tell whether nodes read from a file are trees over so many features: every walk ends at a leaf."""
+    """Return whether nodes read from a file are valid trees over `features` features: every path ends at a leaf."""
     number = np.arange(nodes.shape[1])
     whole = nodes[:, :, [_FEATURE, _LEFT, _RIGHT, _UNKNOWN_LEFT]]
     left, right = nodes[:, :, _LEFT], nodes[:, :, _RIGHT]

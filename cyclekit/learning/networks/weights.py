@@ -1,7 +1,7 @@
-"""A trained network as plain matrices on raw inputs, and how they turn rows into outputs with numpy alone.
+"""A trained network as plain matrices on raw inputs, and its prediction with numpy.
 
-Batch normalisation, the standardisation of the inputs and the temperature of a classifier are folded in. Rows go
-through in blocks whose layers stay in the processor's cache, which is several times faster than all rows at once.
+Batch normalisation, standardisation of the inputs and the temperature of a classifier are folded in. Rows are processed
+in blocks whose layers fit in the processor's cache, which is several times faster than all rows at once.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 _BLOCK = 1024
 _MANY = 50_000
-"""From this many rows on, two threads take the blocks by turns, each product on one thread: in products this small the
-threads of BLAS mostly wait for each other, and where another program was on a core a prediction took three to five
-times the processor time. Threads that share out blocks do not wait, and the blocks are those that one thread takes."""
+"""Number of rows from which two threads share the blocks, with one thread per product. In products this small, BLAS
+threads mostly wait for each other; with another program on one core, a prediction took three to five times the
+processor time. The blocks are the same as with one thread."""
 _CHUNK, _THREADS = 32 * _BLOCK, min(2, os.cpu_count() or 1)
 _HUMAN = GROUPS["human"]
 
@@ -40,15 +40,17 @@ class Weights:
 
     Attributes:
         layers: Weight (inputs, outputs) and bias (outputs,) of every feed-forward layer.
-        softmax_after: Index of the layer whose outputs go through a softmax; None for none.
-        recurrent: Of every LSTM layer the weight on its input (inputs, 4H), on its state (H, 4H) and the bias (4H,);
+        softmax_after: Index of the layer followed by a softmax; None for none.
+        recurrent: Per LSTM layer the weight on its input (inputs, 4H), the weight on its state (H, 4H) and the bias
+            (4H,);
             gates in the order input, forget, cell, output.
-        forecast: Weight (H, 3) and bias (3,) from the last state to the operator's position ahead, metres; the layers
-            see it in place of his position. None where the layers see the last state itself.
-        known: Groups of inputs that have one more input, 1 = known, 0 = unknown, in this order behind the others.
-        distance: Mean of ||x_r - x_h||, m, which is one more input behind all others and is this where nobody is there;
-            None where the network sees positions only.
-        middle: What stands for an unknown input, shape (F,); empty without such groups.
+        forecast: Weight (H, 3) and bias (3,) from the last state to the operator's future position, m, which replaces
+            the
+            present one as input of the layers. None if the layers get the last state itself.
+        known: Groups of inputs with an additional input, 1 = known, 0 = unknown, appended in this order.
+        distance: Replacement, m, for the distance ||x_r - x_h|| of an absent operator; the distance is then the last
+            input. None if the network sees positions only.
+        middle: Replacement for unknown inputs, shape (F,); empty without such groups.
     """
 
     layers: tuple[Layer, ...]
@@ -61,13 +63,13 @@ class Weights:
 
     @property
     def count(self) -> int:
-        """How many numbers it has."""
+        """Number of weights."""
         arrays = [array for part in (*self.layers, *self.recurrent, self.forecast or ()) for array in part]
         return sum(int(array.size) for array in arrays)
 
     @one_thread()
     def run(self, X: NDArray[np.floating[Any]]) -> Singles:
-        """Return the last layer's outputs, shape (N, outputs).
+        """Return the outputs of the last layer, shape (N, outputs).
 
         Args:
             X: Raw inputs, shape (N, F), with LSTM layers (N, K, F), oldest first; NaN only in groups of `known`.
@@ -82,13 +84,13 @@ class Weights:
         return out
 
     def _fill(self, out: Singles, X: NDArray[np.floating[Any]]) -> None:
-        """Put the last layer's outputs for `X` into `out`, block by block."""
-        with np.errstate(over="ignore", invalid="ignore"):  # of weights too large, which whoever asks is told
+        """Write the outputs of the last layer for `X` into `out`, block by block."""
+        with np.errstate(over="ignore", invalid="ignore"):  # of too large weights; the caller checks the output
             for start in range(0, len(X), _BLOCK):
                 out[start : start + _BLOCK] = self._block(self._completed(X[start : start + _BLOCK]))
 
     def _completed(self, X: NDArray[np.floating[Any]]) -> Singles:
-        """Return the inputs with the unknown ones replaced, and one more per group that says whether it is known."""
+        """Return the inputs with unknown ones replaced, followed by one flag per group (1 = known) and the distance."""
         values = X.astype(np.float32)
         if not self.known and self.distance is None:
             return values
@@ -114,7 +116,7 @@ class Weights:
         return values
 
     def _after_history(self, values: Singles) -> Singles:
-        """Return what the feed-forward layers see: the last state, or the last sample with the forecast position."""
+        """Return the feed-forward layers' input: the last state, or the last sample with the forecast position."""
         if self.forecast is None:
             return _lstm(values, self.recurrent)
         presence = [values.shape[-1] - len(self.known) + self.known.index("human")] if "human" in self.known else []
@@ -125,19 +127,19 @@ class Weights:
 
 
 def distance(X: Singles, unknown: float) -> Singles:
-    """Return ||x_r - x_h||, shape (..., 1), m; `unknown` where that is not known."""
+    """Return ||x_r - x_h||, shape (..., 1), m; `unknown` for unknown positions."""
     apart = np.linalg.norm(X[..., :3] - X[..., _HUMAN], axis=-1, keepdims=True)
     return np.asarray(np.where(np.isnan(apart), np.float32(unknown), apart), np.float32)
 
 
 @lru_cache(maxsize=8)
 def _zeros(width: int) -> Singles:
-    """Return zeros (_BLOCK, width): numpy compares with an array several times faster than with one number."""
+    """Return zeros (_BLOCK, width): numpy compares with an array several times faster than with a scalar."""
     return np.zeros((_BLOCK, width), np.float32)
 
 
 def _softmax(values: Singles) -> Singles:
-    """Return the softmax of each row (N, outputs); a few long rows are quicker than many short ones."""
+    """Return the softmax of each row (N, outputs); few long rows are faster than many short ones."""
     values = np.ascontiguousarray(values.T)
     values -= values.max(axis=0)
     np.exp(values, out=values)

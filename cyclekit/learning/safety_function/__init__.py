@@ -1,8 +1,8 @@
-"""The safety function read back from logs and network: levels, thresholds in metres, zones on the floor, hysteresis.
+"""The safety function read from logs and network: levels, thresholds in metres, zones on the floor, hysteresis.
 
-fit     which gamma(x_r, x_h) explains the scaling: a distance or the place on the floor; thresholds and how sure
-answer  what `cyclekit zones` says
-picture the same as SVG
+fit     finds the gamma(x_r, x_h) that explains the scaling (a distance or the place on the floor), with thresholds
+answer  the result of `cyclekit zones`
+picture draws it as SVG
 """
 
 from cyclekit.learning.safety_function.answer import SafetyFunction, read_zones

@@ -1,4 +1,4 @@
-"""What `cyclekit zones` says: the safety function as far as the logs show it."""
+"""The result of `cyclekit zones`: the safety function as far as the logs show it."""
 
 from __future__ import annotations
 
@@ -45,41 +45,43 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats
 
 LEAST_ROWS = 500
+"""Minimum number of samples with positions and a scaling."""
 BY_DISTANCE = 0.02
-"""A distance is taken for the rule where it leaves at most this much more unexplained than the best other rule."""
+"""Maximum deficit in explained variance, against the best other rule, at which a distance is chosen as the rule."""
 SAME = 0.003
-"""Distances that explain the same within this cannot be told apart by noisy logs: the first of DISTANCES is taken."""
+"""Tolerance in explained variance within which distances count as equal; then the first of DISTANCES is chosen."""
 _NO_PROOF = "read from logs, the safety system was not measured: no safety proof"
 LEAST_SEEN = 5
-"""A cell of the floor with fewer samples is left blank."""
+"""Minimum number of samples in a cell of the floor; cells with fewer are left blank."""
 
 
 @dataclass(frozen=True, repr=False)
 class SafetyFunction(Result):
-    """The safety function read back.
+    """The safety function read from the logs.
 
     Attributes:
-        levels: Staircase levels, ascending.
-        shares: Part of the samples on each level.
-        rule: The gamma that explains the scaling best: a distance's name, or `place on the floor`.
-        is_distance: Whether that is a distance.
-        explained: By rule, the part of the scaling's variance explained; `network` is the model's own.
-        thresholds: On the best distance; they mean little where `is_distance` is false.
-        thresholds_of_network: The same fitted to the network's predictions, m.
-        hysteresis_m: How much farther out s rises than it falls; None where it cannot be seen.
+        levels: Levels of the speed scaling, ascending.
+        shares: Share of the samples on each level.
+        rule: The gamma that explains the scaling best: name of a distance, or `place on the floor`.
+        is_distance: Whether `rule` is a distance.
+        explained: Share of the scaling's variance that each rule explains; `network` is the model.
+        thresholds: Thresholds on the best distance; of little meaning if `is_distance` is false.
+        thresholds_of_network: Thresholds fitted to the network's predictions, m.
+        hysteresis_m: How much farther out s rises than it falls, m; None if the logs do not show it.
         hysteresis_origin: `dynamics` of the dataset, or `approaching against leaving`.
         floor_m: Corners x, y (base frame, m) of cells of the floor with samples, shape (C, 2), FLOOR_M wide.
         floor_scaling: Median scaling while the operator is in each cell, shape (C,).
-        rows: Samples used.
-        executions: Executions they come from.
-        notes: What limits the answer.
-        commanded: The rule that explains the commanded level, if there is one. Where there is, it is the answer: its
-            thresholds are those to enter and to leave, and `thresholds` lie between them.
-        shapes: That rule as outlines on the floor; empty without one.
+        rows: Number of samples.
+        executions: Number of executions.
+        notes: Limits of the result.
+        commanded: The rule that explains the commanded level, if there is one. It then replaces `thresholds`: its own
+            are separate for entering and leaving, and `thresholds` lie between them.
+        shapes: Outlines of that rule on the floor; empty without one.
         cell: Places and furniture, for the picture.
-        path_m: Where signals tell of people, corners x, y (base frame, m) of cells of the robot's path, shape (C, 2),
-            PATH_M wide.
-        path_speed: By name of the signal, the speed there while it alone is on, shape (C,), 0 to 1.
+        path_m: If signals detect people, corners x, y (base frame, m) of cells of the robot's path, shape (C, 2),
+            PATH_M
+            wide.
+        path_speed: Speed in these cells while a signal alone is on, by name of the signal, shape (C,), 0 to 1.
     """
 
     levels: tuple[float, ...]
@@ -110,7 +112,7 @@ class SafetyFunction(Result):
 
     @property
     def rule_sentences(self) -> tuple[str, ...]:
-        """The rule as it would be written into a safety controller; empty where none explains the logs."""
+        """The rule in sentences, as for a safety controller; empty if none explains the logs."""
         return () if self.commanded.rule is None else tuple(sentences(self.commanded.rule))
 
     def to_dict(self) -> dict[str, object]:
@@ -134,7 +136,7 @@ class SafetyFunction(Result):
         return out
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per threshold between two levels; metres."""
+        """Return one row per threshold between two levels; metres."""
         rows = [
             {
                 "slower": entry.slower,
@@ -157,16 +159,16 @@ class SafetyFunction(Result):
 
 @one_thread()
 def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_cell: bool = False) -> SafetyFunction:
-    """Read the safety function back from logged samples and a network trained on them.
+    """Read the safety function from logged samples and a network trained on them.
 
     Args:
         model: A model of problem `now` with levels.
         dataset: Logs with positions and scaling.
-        seed: Of the resampling behind the intervals.
-        other_cell: Ask a model of another cell too.
+        seed: Seed of the resampling for confidence intervals.
+        other_cell: Accept a model of another cell.
 
     Raises:
-        ModelError: The model predicts something else than the present scaling, knows no levels, or is of another cell.
+        ModelError: The model does not predict the present scaling, has no levels, or is of another cell.
         DatasetError: Too few samples have positions and a scaling.
     """
     refuse_without_levels(model, dataset)
@@ -180,7 +182,7 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
         raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
     levels = model.levels
     predicted = _predicted(model, rows)
-    in_space = bool((rows.human_m[:, 2] != rows.robot_m[:, 2]).any())  # else both distances to the TCP are one
+    in_space = bool((rows.human_m[:, 2] != rows.robot_m[:, 2]).any())  # otherwise both distances to the TCP are equal
     fits = {name: by_distance(rows, levels, name)[1] for name in list(DISTANCES)[not in_space :]}
     nearest = next(name for name in fits if fits[name] >= max(fits.values()) - SAME)
     parts = {**fits, "place on the floor": by_place(rows), "network": explained(rows.scaling, predicted)}
@@ -213,13 +215,13 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
 
 
 def _shares(scaling: Floats, levels: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the part of the samples that lies nearest to each level."""
+    """Return the share of the samples nearest to each level."""
     count = np.bincount(np.abs(scaling[:, None] - np.array(levels)).argmin(axis=1), minlength=len(levels))
     return tuple((count / count.sum()).tolist())
 
 
 def _by_signals(model: TrainedModel, dataset: Dataset, seed: int) -> SafetyFunction:
-    """Return the safety function of a cell whose signals tell of people: no place on the floor, no distance."""
+    """Return the safety function of a cell whose signals detect people, without floor and distance."""
     frame = dataset.samples(columns=["execution", "scaling", "human_signals"]).drop_nulls()
     levels, found = model.levels, rule_of(dataset, model.levels, model=model, seed=seed)
     path_m, speed = speeds_on_path(model if found.rule is None else RuleSafety(found.rule, model.card), dataset)
@@ -250,10 +252,10 @@ def _shapes(rule: RuleCard, rows: ScalingSamples) -> list[RuleShape]:
 
 
 def refuse_without_levels(model: TrainedModel, dataset: Dataset) -> None:
-    """Refuse a model of another problem, or one that knows no levels.
+    """Refuse a model of another problem, or one without levels.
 
     Raises:
-        ModelError: It is one.
+        ModelError: The model is of another problem or has no levels.
     """
     if model.problem != "now" or len(model.levels) < 2:
         msg = f"the model (problem {model.problem!r}, {len(model.levels)} levels) shows no staircase"
@@ -262,7 +264,7 @@ def refuse_without_levels(model: TrainedModel, dataset: Dataset) -> None:
 
 
 def _rows(dataset: Dataset) -> tuple[ScalingSamples, list[str]]:
-    """Return the samples, and what is to be said of heights that are unknown."""
+    """Return the samples, and notes on unknown heights."""
     robots, humans = ([f"{who}_{axis}_m" for axis in "xyz"] for who in ("robot", "human"))
     rows = dataset.samples(columns=["execution", "t_s", "scaling", *robots, *humans])
     told = said_of_height(rows)

@@ -1,12 +1,12 @@
-"""Which gamma(x_r, x_h) explains the scaling, and at which values of it the level changes.
+"""Finds the gamma(x_r, x_h) that explains the scaling, and the values of gamma at which the level changes.
 
 Candidates are distances (of the TCP in space and on the floor, of the robot's base) and the operator's place on the
-floor alone. Each is judged by the part of the scaling's variance that its best staircase explains.
+floor alone. Each is judged by the share of the scaling's variance that its best staircase explains.
 
-The staircase with the least error has its thresholds to the millimetre where positions are exact. Where they are noisy
-it has not: more samples stray in from the side of a threshold where the operator is more often. When the level changes
-is known from the scaling alone, so the mean of the noisy distances at those instants is the threshold (`crossings`);
-where the two differ, that is believed.
+With exact positions, the staircase with the smallest error gives the thresholds to the millimetre. With noise it is
+biased, because more samples cross a threshold by noise from the side where the operator is more often. The times at
+which the level changes are known from the scaling alone, so the mean of the noisy distances at these times is the
+threshold (`crossings`); if both differ, `crossings` is used.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
 
 
 FLOOR_M = 0.2
-"""Edge of a cell of the floor."""
+"""Width of a cell of the floor, m."""
 RESAMPLES = 40
 MOST_ROWS = 60_000
 CROSSINGS = 60
-"""Fewer changes of the level than this say nothing about where a threshold lies."""
+"""Minimum number of changes of the level to locate a threshold."""
 AROUND_S, FASTEST_M_S, BEND_M = 0.25, 4.0, 0.1
-"""Speeds at a change are taken over twice this time. Nobody walks faster, and where four samples lie farther off a
-straight line than this (median) they are too far apart, or too noisy, to say what was between them."""
+"""Half of the time over which speeds at a change are averaged, s; maximum walking speed, m/s; and maximum median
+curvature over four samples, m, above which positions are too sparse or too noisy to interpolate."""
 BETWEEN = 0.05
-"""The mean of crossings may be off by this part of the way in a sampling step: when in a step the level changed is not
-known. On simulated cells it was off by up to 0.03 of it."""
+"""Systematic error of the mean of crossings, as a share of the distance moved in a sampling interval, because the exact
+time of a change is unknown; up to 0.03 on simulated cells."""
 MOVING_M_S = 0.2
-"""A distance that changes faster than this is approaching or leaving."""
+"""Minimum rate of change of the distance, m/s, that counts as approaching or leaving."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class ScalingSamples:
     t_s: Vector
 
     def of(self, rows: Ints | Bools) -> ScalingSamples:
-        """Return some rows."""
+        """Return a subset of the samples."""
         return ScalingSamples(*(part[rows] for part in vars(self).values()))
 
 
 @dataclass(frozen=True)
 class Threshold:
-    """Where the scaling changes from one level to the next: value and 95 % interval, m; NaN bounds where unknown."""
+    """Threshold between one level and the next, with 95 % confidence interval, m; bounds NaN if unknown."""
 
     slower: float
     faster: float
@@ -68,20 +68,20 @@ class Threshold:
 
 
 def explained(scaling: Vector, predicted: Vector) -> float:
-    """Return the part of the scaling's variance that a prediction explains; negative: worse than the mean."""
+    """Return the share of the scaling's variance that a prediction explains; negative if worse than the mean."""
     around = float(np.mean((scaling - scaling.mean()) ** 2))
     return 1.0 - float(np.mean((scaling - predicted) ** 2)) / around if around > 0 else 0.0
 
 
 def by_distance(rows: ScalingSamples, levels: Sequence[float], distance: str) -> tuple[Vector, float]:
-    """Return the best thresholds on a distance, shape (P - 1,), m, and what their staircase explains."""
+    """Return the best thresholds on a distance, shape (P - 1,), m, and the variance share that they explain."""
     gamma = DISTANCES[distance](rows.robot_m, rows.human_m)
     cuts = fit_thresholds(gamma, rows.scaling, levels)
     return cuts, explained(rows.scaling, np.array(levels)[np.searchsorted(cuts, gamma, side="right")])
 
 
 def by_place(rows: ScalingSamples) -> float:
-    """Return what the operator's place on the floor explains: the mean of each cell, judged by other executions."""
+    """Return the variance share explained by the operator's floor cell, cross-validated between executions."""
     cell = floor_cells(rows.human_m)
     _, code = np.unique(cell, axis=0, return_inverse=True)
     code = code.ravel()
@@ -96,14 +96,14 @@ def by_place(rows: ScalingSamples) -> float:
 
 
 def floor_cells(human_m: Floats) -> Ints:
-    """Return the cell of the floor of each position, shape (N, 2), FLOOR_M wide."""
+    """Return the floor cell of each position, shape (N, 2), FLOOR_M wide."""
     return np.asarray(np.floor(human_m[:, :2] / FLOOR_M).astype(np.int64))
 
 
 def thresholds(rows: ScalingSamples, levels: Sequence[float], distance: str, *, seed: int = 0) -> list[Threshold]:
-    """Return the thresholds on a distance with their intervals, from executions drawn again.
+    """Return the thresholds on a distance with confidence intervals from resampled executions.
 
-    They are those of the staircase with the least error, or those of the crossings if one of these speaks against it.
+    Thresholds of the staircase with the smallest error; those of the crossings if at least one of these contradicts it.
     """
     best, _ = by_distance(rows, levels, distance)
     rng = np.random.default_rng(seed)
@@ -128,14 +128,14 @@ def thresholds(rows: ScalingSamples, levels: Sequence[float], distance: str, *, 
 
 @dataclass(frozen=True)
 class Crossings:
-    """Instants at which the level changed by one.
+    """Times at which the level changed by one.
 
     Attributes:
-        threshold: Number of the threshold that was passed, shape (N,).
-        metres: Distance in the middle of the sampling step, less what its curvature adds, shape (N,).
-        speed_m_s: How fast the distance grew, shape (N,).
-        way_m: How far it went in the sampling step, shape (N,).
-        execution: Which, as a number from 0, shape (N,).
+        threshold: Number of the threshold that was crossed, shape (N,).
+        metres: Distance in the middle of the sampling interval, corrected for curvature, shape (N,).
+        speed_m_s: Rate of change of the distance, shape (N,).
+        way_m: Change of the distance in the sampling interval, shape (N,).
+        execution: Number of the execution from 0, shape (N,).
     """
 
     threshold: Ints
@@ -145,15 +145,16 @@ class Crossings:
     execution: Ints
 
     def of(self, threshold: int) -> Crossings:
-        """Return those of one threshold."""
+        """Return the crossings of one threshold."""
         mine = self.threshold == threshold
         return Crossings(*(part[mine] for part in vars(self).values()))
 
     def metres_at_rest(self, times: Ints | None = None) -> float:
-        """Return the distance at which a level changes for whoever stands still; each counts `times` often (1), (N,).
+        """Return the distance at which the level changes at speed zero; weights `times`, shape (N,), default 1.
 
-        A scaling that answers late, or a clock that is off, moves each crossing by that time at its speed: a straight
-        line over the speed, with what lies off it by more than three deviations left out.
+        A latency or clock error shifts each crossing by that time multiplied by its speed, so a straight line over the
+        speed is
+        fitted, without crossings that deviate by more than three standard deviations.
         """
         counts = np.ones(len(self.metres)) if times is None else times
         near = counts > 0
@@ -168,7 +169,7 @@ class Crossings:
 
 
 def crossings(rows: ScalingSamples, levels: Sequence[float], distance: str) -> Crossings:
-    """Return where the level changed by one between two samples of one execution that follow each other at once."""
+    """Return the changes of the level by one between two consecutive samples of an execution."""
     gamma = DISTANCES[distance](rows.robot_m, rows.human_m)
     step = np.abs(rows.scaling[:, None] - np.array(levels)).argmin(axis=1)
     number = np.unique(rows.execution, return_inverse=True)[1].ravel()
@@ -193,7 +194,7 @@ def crossings(rows: ScalingSamples, levels: Sequence[float], distance: str) -> C
 
 
 def _by_crossings(fitted: Threshold, crossed: Crossings, picks: Sequence[Ints]) -> Threshold | None:
-    """Return the same threshold by its crossings, with its interval; None where they are too few."""
+    """Return the threshold and its interval by its crossings; None if these are too few."""
     drawn = []
     for pick in picks if len(crossed.metres) >= CROSSINGS else ():
         times = np.bincount(pick, minlength=len(pick))[crossed.execution]
@@ -209,8 +210,9 @@ def _by_crossings(fitted: Threshold, crossed: Crossings, picks: Sequence[Ints]) 
 def hysteresis(rows: ScalingSamples, levels: Sequence[float], distance: str) -> float | None:
     """Return how much farther out the level rises than it falls, median over the thresholds, m.
 
-    From thresholds fitted to samples where the distance grows and where it shrinks. A latency looks the same: it adds
-    itself times twice the speed of approach. None where either kind is rare or a level is never used.
+    Thresholds are fitted to samples where the distance grows and where it shrinks. A latency has the same effect: it
+    adds
+    itself times twice the speed of approach. None if there are too few of either, or if a level is never used.
     """
     gamma = DISTANCES[distance](rows.robot_m, rows.human_m)
     step = np.diff(gamma, prepend=np.nan)

@@ -1,4 +1,4 @@
-"""Where on the robot's path a signal of people counts, and at which speed the robot goes on there."""
+"""Speed along the robot's path while a signal that detects people is on."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats
 
 PATH_M = 0.05
-"""Edge of a cell of the path, seen from above."""
+"""Width of a cell of the path, seen from above, m."""
 
 
 def speeds_on_path(model: TrainedModel | RuleSafety, dataset: Dataset) -> tuple[Floats, dict[str, Floats]]:
-    """Return the corners of the cells that the TCP was in, and the speed there while one signal alone is on.
+    """Return the cells that the TCP was in, and the speed there while one signal alone is on.
 
     Args:
-        model: A safety function of the dataset's signals.
-        dataset: Where the robot's path was logged.
+        model: Safety function on the dataset's signals.
+        dataset: Dataset with the robot's path.
 
     Returns:
-        Corners x, y, base frame, m, shape (C, 2), PATH_M wide; by name of the signal the speed, 0 to 1, shape (C,).
+        Corners x, y, base frame, m, shape (C, 2), PATH_M wide; speed by name of the signal, 0 to 1, shape (C,).
     """
     places = dataset.samples(columns=["robot_x_m", "robot_y_m", "robot_z_m"]).drop_nulls().to_numpy()
     cells, code = np.unique(np.floor(places[:, :2] / PATH_M), axis=0, return_inverse=True)

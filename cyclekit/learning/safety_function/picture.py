@@ -1,7 +1,7 @@
-"""The safety function as a picture: the speed over the distance, the floor seen from above, and the rule in words.
+"""Draws the safety function: speed over distance, the floor seen from above, and the rule in words.
 
-Where a rule explains the logs its shapes lie on the floor: solid where the robot slows down, dashed what the operator
-must leave for it to speed up again. Colours are those of the speed everywhere.
+If a rule explains the logs, the floor shows its shapes: solid lines where the robot slows down, dashed lines that the
+operator must leave before it speeds up again. Colours show the speed.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from cyclekit.plots.drawing import Axes, Drawing
 
 LETTERS, LINE_IN = 150, 0.19
-"""How many letters a line of the words has at most, and how high it is."""
+"""Maximum number of letters per line of text, and height of a line, inches."""
 ABREAST = 3
-"""So many paths stand beside each other."""
+"""Maximum number of paths drawn side by side."""
 OF_PATH = "The robot's path in the colour of the speed while the signal alone is on; grey where it does not count."
 PROOF = "Read back from logs. No safety proof."
 
 
 def zones_figure(zones: SafetyFunction) -> Drawing:
-    """Return the picture: left the speed over the distance with the intervals of its thresholds, right the floor."""
+    """Return the figure: speed over distance with confidence intervals on the left, the floor on the right."""
     from cyclekit.plots.drawing import Drawing
     from cyclekit.plots.zones import draw_floor
 
@@ -58,7 +58,7 @@ def zones_figure(zones: SafetyFunction) -> Drawing:
 
 
 def _path_figure(zones: SafetyFunction) -> Drawing:
-    """Return the robot's path from above, once for each signal of people, over the table of the rule."""
+    """Return the robot's path seen from above, once per signal, with the table of the rule below."""
     from cyclekit.plots.drawing import Drawing
     from cyclekit.plots.zones import draw_path, draw_table
 
@@ -111,14 +111,14 @@ def _steps(steps: Sequence[Threshold], fastest: float, far: float) -> tuple[NDAr
 
 
 def _law(law: LawCard) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The continuous law over its distance."""
+    """Return the continuous law as points of distance, m, and speed."""
     shape = shape_of(law)
     metres = np.linspace(0.0, 1.25 * (shape.stop_m + shape.linear_m + shape.square_m), 200)
     return metres, shape.scaling(metres)
 
 
 def _of_rule(rule: RuleCard, *, leaving: bool) -> list[Threshold]:
-    """Return the thresholds of a rule on its first distance: those to slow down at, or to speed up again."""
+    """Return the thresholds of a rule on its first distance, for slowing down or for speeding up again."""
     regions = [(limit.scaling, limit.until if leaving else limit.within) for limit in rule.limits]
     near = [(level, region.nearer[0].metres) for level, region in regions if region is not None and region.nearer]
     faster = [*(level for level, _ in near[1:]), rule.levels[-1]]

@@ -1,6 +1,6 @@
-"""The networks by name: each is a module of this folder, and a line here makes it known to everything else.
+"""The networks by name: each is a module of this folder and a line here.
 
-Goes in: nothing but `kind`. Comes out: `NETWORKS`. Nothing here imports torch before a network is built.
+torch is imported only when a network is built.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cyclekit.learning.networks.kinds.regressor import REGRESSOR
 __all__ = ["NETWORKS", "Inputs", "Network", "names_levels", "networks_for"]
 
 NETWORKS: dict[str, Network] = {each.name: each for each in (CLASSIFIER, MIXED, REGRESSOR, LSTM_1, LSTM_2, BOOSTING)}
-"""Every network; the first that suits a problem is its default."""
+"""All networks; the first one for a problem is its default."""
 
 
 def networks_for(problem: str) -> tuple[str, ...]:
@@ -25,5 +25,5 @@ def networks_for(problem: str) -> tuple[str, ...]:
 
 
 def names_levels(network: str) -> bool:
-    """Tell whether a network, known or not, answers with the probability of each level."""
+    """Return whether a network, known or not, predicts the probability of each level."""
     return network in NETWORKS and NETWORKS[network].names_levels

@@ -1,4 +1,4 @@
-"""`boosting`: gradient-boosted trees on the last second, with the scaling so far; no network, but chosen as one."""
+"""`boosting`: gradient-boosted trees on the last second, including past scaling; selected like a network."""
 
 from __future__ import annotations
 

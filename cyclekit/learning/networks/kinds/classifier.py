@@ -1,4 +1,4 @@
-"""`classifier`: feed-forward layers, then a logit for each level."""
+"""`classifier`: feed-forward layers, then one logit per level."""
 
 from __future__ import annotations
 

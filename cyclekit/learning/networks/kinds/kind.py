@@ -1,4 +1,4 @@
-"""What a network is known by everywhere: one `Network` says all that training, files and estimates ask of it."""
+"""Description of a network: all that training, files and estimates need to know of it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Widths(Protocol):
-    """What a network is built by, of all that a `ModelSpec` says: its hidden layers and their normalisation."""
+    """The part of a `ModelSpec` from which a network is built: hidden layers and their normalisation."""
 
     @property
     def hidden(self) -> tuple[int, ...]:
@@ -25,11 +25,11 @@ class Widths(Protocol):
 
 @dataclass(frozen=True)
 class Inputs:
-    """What goes into a network.
+    """Inputs of a network.
 
     Attributes:
         width: Number of inputs.
-        presence: Column that says whether the operator is there, 0 for none.
+        presence: Column that indicates the operator's presence; 0 if there is none.
         varies: Whether each coordinate of the operator varies.
     """
 
@@ -40,19 +40,19 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Network:
-    """One network.
+    """One kind of network.
 
     Attributes:
-        name: As `--network` and a model's card name it.
-        problems: Which problems it can be trained for.
+        name: Name for `--network` and in a model's card.
+        problems: Problems that it can be trained for.
         hidden: Widths of its hidden layers.
-        build: Makes the untrained torch module of layers that `folding` knows; imports torch when it is called.
-        names_levels: It answers with the probability of each level, not with a value.
-        through_levels: A softmax over the levels stands before its value.
-        lstm_layers: So many LSTM layers see a history; 0 = it sees one sample.
-        forecasts: Its LSTM forecasts where the operator will be.
-        least_hidden: It needs so many hidden layers.
-        trees: It is made of trees on windows and `last_second.PAST`, and has no layers.
+        build: Returns the untrained torch module, of layers that `folding` supports; imports torch when called.
+        names_levels: Whether it predicts the probability of each level instead of a value.
+        through_levels: Whether a softmax over the levels precedes its value.
+        lstm_layers: Number of LSTM layers over a history; 0 = it sees one sample.
+        forecasts: Whether its LSTM forecasts the operator's position.
+        least_hidden: Minimum number of hidden layers.
+        trees: Whether it consists of trees on windows and `last_second.PAST`, without layers.
     """
 
     name: str
@@ -68,14 +68,14 @@ class Network:
 
     @property
     def sees_history(self) -> bool:
-        """Whether it sees several samples."""
+        """Whether it sees more than one sample."""
         return self.trees or self.lstm_layers > 0
 
     @property
     def needs_levels(self) -> bool:
-        """Whether there must be two levels or more."""
+        """Whether it needs at least two levels."""
         return self.names_levels or self.through_levels
 
     def outputs(self, levels: int) -> list[int]:
-        """Return the widths of its last layers for `levels` levels."""
+        """Return the widths of its last layers for a number of levels."""
         return [levels] if self.names_levels else [levels, 1] if self.through_levels else [1]

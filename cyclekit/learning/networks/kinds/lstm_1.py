@@ -1,4 +1,4 @@
-"""`lstm-1`: the first two layers of the regressor are LSTM layers over the history."""
+"""`lstm-1`: the regressor with LSTM layers over the history as its first two layers."""
 
 from __future__ import annotations
 

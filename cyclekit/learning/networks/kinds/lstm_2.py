@@ -1,4 +1,4 @@
-"""`lstm-2`: an LSTM layer forecasts the operator's position; the regressor gets that in place of the present one."""
+"""`lstm-2`: an LSTM layer forecasts the operator's position, which replaces the present one in the regressor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`mixed`: feed-forward layers, a softmax over the levels (a layer as wide as there are of them), then one value."""
+"""`mixed`: feed-forward layers, a softmax layer as wide as the number of levels, then one value."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _build(spec: Widths, inputs: Inputs, levels: Sequence[float]) -> nn.Module:
 
     body = feed_forward((inputs.width, *spec.hidden), spec.norm)
     out = nn.Linear(len(levels), 1)
-    with torch.no_grad():  # start from "membership in a level means its value"
+    with torch.no_grad():  # initial value: the level of the most likely class
         out.weight.copy_(torch.tensor(levels)[None, :])
         out.bias.zero_()
     return nn.Sequential(*body, nn.Linear(spec.hidden[-1], len(levels)), nn.Softmax(dim=1), out)

@@ -1,6 +1,7 @@
-"""The safety function, learned: windows of samples, networks, training, evaluation, and zones read back.
+"""Learns the safety function: windows of samples, networks, training, evaluation, and zones.
 
-In: a dataset. Out: a trained model (`networks`), its errors beside rivals (`evaluation`), the rule that explains the
-logs (`rules`), thresholds and zones (`safety_function`). Only `training` and `networks.network` need torch. Used by
-`estimate` and all that shows results.
+In: a dataset. Out: a trained model (`networks`), its errors next to baselines (`evaluation`), the rule that explains
+the
+logs (`rules`), thresholds and zones (`safety_function`). Only training a network needs torch. Used by `estimate` and by
+all rooms that show results.
 """

@@ -1,4 +1,4 @@
-"""A model that is one card: one file, `MODEL/model.json`, data and never code."""
+"""Reads and writes a model that is a single card: the file `MODEL/model.json`, data without code."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Saved = TypeVar("Saved", "TaskModelCard", "UnseenModelCard")
 
 
 def holds(place: Path | str, kind: str) -> bool:
-    """Tell whether a place holds a model of this format."""
+    """Return whether a path or URL holds a model of this format."""
     try:
         return read_json(local(place) / MODEL_CARD).get("format") == kind
     except (OSError, BadCard):
@@ -33,8 +33,8 @@ def save(place: Path | str, card: TaskModelCard | UnseenModelCard) -> None:
     """Write a model as a folder, at a path or a URL.
 
     Raises:
-        ModelError: The path is there already and is no model.
-        CyclekitError: The place cannot be written.
+        ModelError: The path exists and is no model.
+        CyclekitError: The path cannot be written.
     """
     check_model_output(place)
     with published(place) as path:
@@ -45,7 +45,7 @@ def save(place: Path | str, card: TaskModelCard | UnseenModelCard) -> None:
 
 
 def load(place: Path | str, kind: type[Saved]) -> Saved:
-    """Open a model.
+    """Load a model.
 
     Raises:
         ModelError: It is damaged, or of another version.

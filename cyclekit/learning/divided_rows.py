@@ -1,7 +1,7 @@
-"""Rows to learn from, to choose the epoch by and to judge by, with the levels found in those to learn from.
+"""Training, validation and test rows, with the levels found in the first two.
 
-Executions are divided three ways: most to learn from, some of those to decide which epoch's weights are kept, and a
-held-out part that is only looked at once, for the metrics in the model's card.
+Executions are split three ways: most for training, some of these to select the best epoch, and a held-out part that is
+used only once, for the metrics in the model's card.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ if TYPE_CHECKING:
     from cyclekit.scaling.levels import Staircase
 
 LEAST_S = 10.0
-"""Less log than this teaches nothing."""
+"""Minimum duration of usable log, s."""
 MIN_EXECUTIONS = 3
-"""One for training, one for validation, one for the test."""
+"""Minimum number of executions: one each for training, validation and test."""
 
 
 @dataclass(frozen=True)
 class DividedRows:
-    """What a model learns from and is judged by.
+    """Training, validation and test rows of a model.
 
     Attributes:
-        seen: Samples of executions to learn from (some of them, where there are very many), for levels and the like.
-        notes: What was done to them.
+        seen: Samples of executions to learn from (a subset if there are very many), for levels and similar.
+        notes: Notes on how the samples were processed.
     """
 
     learn: Samples
@@ -66,10 +66,10 @@ class DividedRows:
 
 
 def divided(dataset: Dataset, spec: ModelSpec, folder: Path) -> DividedRows:
-    """Return what a model learns from and is judged by; of more samples than memory takes, in files of `folder`.
+    """Return the training, validation and test rows; if they exceed memory, training rows are in files of `folder`.
 
     Raises:
-        DatasetError: It is too little, or there is nothing to learn; the message says what.
+        DatasetError: There are too few rows, or nothing to learn; the message gives the reason.
     """
     most_rows = memory_rows()
     small = rows_of(dataset) <= most_rows
@@ -108,10 +108,11 @@ def _in_memory(dataset: Dataset, spec: ModelSpec) -> DividedRows:
 
 
 def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -> DividedRows:
-    """Do as `_in_memory` for more samples than memory takes: rows to learn from stay in files of `folder`.
+    """Return rows as `_in_memory` does, for more samples than fit in memory; training rows are in files of `folder`.
 
-    Levels and what may be unknown are found in as many executions as memory takes. Of those held out there are no more
-    than that either: a tenth of it already tells an error to a hundredth of itself.
+    Levels and groups that may be unknown are found in as many executions as fit in memory. Held-out executions are
+    limited
+    to a tenth of that, which already determines an error to 1 %.
     """
     most = most_rows / 10 / rows_of(dataset)
     parts = (min(spec.test_fraction, most), min(spec.validation_fraction, most))
@@ -144,7 +145,7 @@ def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -
 
 
 def is_commanded(dataset: Dataset, spec: ModelSpec, staircase: Staircase) -> bool:
-    """Return whether the network learns the commanded levels: where the scaling has levels and follows them late."""
+    """Return whether the network learns commanded levels: if the scaling has levels and follows them with a delay."""
     if spec.problem != "now" or spec.target == "logged" or not staircase.is_staircase:
         return False
     return len(staircase.levels) > 1 and follows_late(dataset.card.dynamics)
@@ -155,7 +156,7 @@ def _rounded(staircase: Staircase) -> tuple[float, ...]:
 
 
 def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
-    """Return the rows, or refuse if they are too few to learn from."""
+    """Return the rows, or refuse if there are too few."""
     need_scaling(dataset, frame)
     if len(rows) < (least := samples_in(LEAST_S, dataset.rate_hz)):
         why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "the log is that short"
@@ -166,9 +167,9 @@ def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
 
 
 def _check_learnable(dataset: Dataset, found: DividedRows, spec: ModelSpec) -> None:
-    """Refuse when the split leaves too little to learn from: executions may be of very different length."""
+    """Refuse a split with too few training rows, because executions may differ in length."""
     learn = found.learn
-    seen = (learn.step >= 0) & np.isfinite(learn.X[:, GROUPS["human"]].sum(axis=1))  # nobody there teaches no zone
+    seen = (learn.step >= 0) & np.isfinite(learn.X[:, GROUPS["human"]].sum(axis=1))  # needed to learn zones
     count = int(seen.sum()) if spec.kind.names_levels else len(learn)
     if count < samples_in(LEAST_S / 2, dataset.rate_hz):
         what = "samples on a level with an operator seen" if spec.kind.names_levels else "usable samples"
@@ -193,7 +194,7 @@ def _split(dataset: Dataset, names: Sequence[str], spec: ModelSpec) -> SplitCard
 
 
 def _staircase(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Staircase:
-    """Find the levels; a network that names steps needs at least two of them."""
+    """Return the staircase; a network that predicts levels needs at least two."""
     scaling, _ = scaling_in_time(frame, dataset.rate_hz)
     staircase = staircase_of(dataset, frame)
     if np.nanmax(scaling) - np.nanmin(scaling) < 1e-6:

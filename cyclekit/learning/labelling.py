@@ -1,7 +1,7 @@
-"""Self-labelling of a dataset: its speed scaling in unbroken stretches of time, and the staircase in it.
+"""Self-labelling of a dataset: its speed scaling in unbroken stretches of time, and the staircase of levels.
 
-`scaling.levels` finds levels in a series of values; here it is decided which values belong together in time (one
-execution, no gap) and whether the cell file has fixed the levels.
+`scaling.levels` finds levels in a series of values; this module decides which values belong together in time (one
+execution, no gap) and whether the cell file fixes the levels.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints
 
 LEAST_LATENCY_S = 0.03
-"""A shorter reaction time than this is no more than its own error."""
+"""Minimum reaction time, s, that exceeds its own error."""
 
 
 def scaling_in_time(frame: pl.DataFrame, rate_hz: float) -> tuple[Floats, Ints]:
-    """Return the scaling of every row of SAMPLES (NaN = unknown) and its stretch, shape (N,) each."""
+    """Return the scaling of every row of SAMPLES (NaN = unknown) and the number of its stretch, shape (N,) each."""
     return frame["scaling"].fill_null(np.nan).to_numpy(), stretches(frame, rate_hz)
 
 
@@ -36,7 +36,7 @@ def need_scaling(dataset: Dataset, frame: pl.DataFrame) -> None:
     """Refuse rows without any scaling.
 
     Raises:
-        DatasetError: There is none; it says if that is because no log is of the robot.
+        DatasetError: All are unknown; the message says whether a robot log is missing.
     """
     if not frame["scaling"].is_null().all():
         return
@@ -50,19 +50,19 @@ def need_scaling(dataset: Dataset, frame: pl.DataFrame) -> None:
 
 
 def fixed_levels(dataset: Dataset) -> tuple[float, ...] | None:
-    """Return the levels that the cell file of the dataset fixes, None where it leaves them to be found."""
+    """Return the levels fixed by the dataset's cell file; None if they are to be found."""
     return dataset.card.settings.levels or None
 
 
 def without_slider(dataset: Dataset, frame: pl.DataFrame) -> tuple[pl.DataFrame, Note | None]:
-    """Return the rows with the operator's slider taken out of their scaling, where it differs between executions.
+    """Return the rows with the scaling divided by the operator's speed slider, if it differs between executions.
 
     Args:
-        dataset: Whose rows.
-        frame: All rows of some executions; an execution's slider is seen in its own rows.
+        dataset: Dataset of the rows.
+        frame: All rows of some executions; the slider of an execution is read from its own rows.
 
     Returns:
-        The rows, and what was done; the same rows and None where no slider is seen.
+        The rows and a note; the same rows and None without a slider.
     """
     found = staircase_of(dataset, frame)
     if found.slider is None:
@@ -72,16 +72,17 @@ def without_slider(dataset: Dataset, frame: pl.DataFrame) -> tuple[pl.DataFrame,
 
 
 def with_commands(dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float]) -> pl.DataFrame:
-    """Return the rows with the scaling that the safety system headed for instead of the one that followed late.
+    """Return the rows with the commanded scaling instead of the delayed one.
 
     Args:
-        dataset: Whose rows; its response is undone.
-        frame: Rows of SAMPLES, those of one execution together and in order of time.
-        levels: Of the scaling, ascending.
+        dataset: Dataset of the rows, whose response is removed.
+        frame: Rows of SAMPLES, grouped by execution and ordered by time.
+        levels: Levels of the scaling, ascending.
 
     Returns:
-        The rows; null where a ramp hides the command, or the log ends before the answer. `frame` itself where nothing
-        of a response was read.
+        The rows; null where a ramp hides the command, or the log ends before the response. `frame` itself if the
+        dataset
+        has no response.
     """
     response = dataset.card.dynamics
     if not follows_late(response) or len(levels) < 2:
@@ -99,15 +100,15 @@ def commanded_in_time(
     sure_s: float = 0.0,
     or_faster: bool = False,
 ) -> Ints:
-    """Return the index of the level that is headed for at every row, shape (N,); -1 = unknown.
+    """Return the index of the commanded level at every row, shape (N,); -1 = unknown.
 
     Args:
-        dataset: Whose rows.
-        frame: Rows of SAMPLES, those of one execution together and in order of time.
-        levels: Of the scaling, ascending.
-        response: What is undone.
-        sure_s: The level is also unknown where it changes so shortly before or after.
-        or_faster: Say -1 - k where a rising ramp hides the level, and it is level k or a faster one.
+        dataset: Dataset of the rows.
+        frame: Rows of SAMPLES, grouped by execution and ordered by time.
+        levels: Levels of the scaling, ascending.
+        response: The response to remove.
+        sure_s: The level is also unknown this close to a change, s.
+        or_faster: Return -1 - k if a rising ramp hides the level and it is at least k.
     """
     scaling, run = scaling_in_time(frame, dataset.rate_hz)
     ends = np.flatnonzero(np.diff(run)) + 1
@@ -123,23 +124,23 @@ def commanded_in_time(
 
 
 def as_learned(card: TrainingCard, dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float]) -> pl.DataFrame:
-    """Return the rows with the scaling that a model learned: the commanded one, or as it was logged."""
+    """Return the rows with the scaling that a model was trained on: commanded, or as logged."""
     commanded = card.spec is not None and card.spec.target == "commanded"
     return with_commands(dataset, frame, levels) if commanded else frame
 
 
 def follows_late(response: DynamicsCard) -> bool:
-    """Return whether the scaling was seen to follow the command late, in ramps, or after a hold time."""
+    """Return whether the scaling follows the command with a delay, with ramps, or after a hold time."""
     seen = (response.ramp_down_per_s, response.ramp_up_per_s, response.hold_s)
     return (response.latency_s or 0.0) >= LEAST_LATENCY_S or any(seen)
 
 
 def staircase_of(dataset: Dataset, frame: pl.DataFrame) -> Staircase:
-    """Find the staircase in rows of a dataset, or label them by the levels that its cell file fixes.
+    """Return the staircase of levels in rows of a dataset, found or fixed by its cell file.
 
     Args:
-        dataset: Whose rows.
-        frame: Table SAMPLES or a part of it, rows of one execution together and in order of time.
+        dataset: Dataset of the rows.
+        frame: Table SAMPLES or a part of it, grouped by execution and ordered by time.
     """
     scaling, run = scaling_in_time(frame, dataset.rate_hz)
     return find_staircase(scaling, run=run, levels=fixed_levels(dataset), rate_hz=dataset.rate_hz)

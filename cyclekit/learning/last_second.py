@@ -1,7 +1,7 @@
-"""What is known of the last second, beside where robot and operator are: further inputs, and features of a window.
+"""Additional inputs from the last second, and features of windows for trees.
 
-A recurrent network finds out by itself how positions change. Trees compare one number with one threshold, so they get
-differences and distances as well, made here from the same windows, in training, prediction and every comparison.
+A recurrent network learns by itself how positions change. Trees compare one number with one threshold, so they also get
+differences and distances, computed here from the same windows for training, prediction and comparisons.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Singles
 
 PAST = ("robot_goal_age_s", "human_goal_age_s", "scaling", "human_still_s")
-"""Further inputs of a sample: for how long each goal has held, s; the speed scaling at that instant; and for how long
-the operator has been within `STILL_M` of where he is, s: at most `STILL_S`, and 0 where he is not seen."""
+"""Additional inputs of a sample: age of each goal, s; present speed scaling; and time, s, for which the operator has
+been
+within `STILL_M` of his position, at most `STILL_S`, 0 if he is not seen."""
 STILL_M, STILL_S = 0.15, 10.0
 _SCALING = slice(14, 15)
 _ROBOT, _HUMAN, _GOALS = slice(0, 3), slice(3, 6), (slice(6, 9), slice(9, 12))
@@ -27,9 +28,9 @@ def past_inputs(X: Singles, scaling: Floats, run: Ints, rate_hz: float) -> Singl
     """Return the inputs of `PAST`, shape (T, 4).
 
     Args:
-        X: Positions and goals, shape (T, 12), in order of time; the goals may be unknown (NaN).
-        scaling: Speed scaling, shape (T,), NaN where it is unknown.
-        run: Unbroken stretch of each row, shape (T,). A goal is as old as its stretch at most.
+        X: Positions and goals, shape (T, 12), ordered by time; the goals may be unknown (NaN).
+        scaling: Speed scaling, shape (T,), NaN = unknown.
+        run: Number of the unbroken stretch of each row, shape (T,); a goal's age starts with its stretch.
         rate_hz: Rate of the rows.
     """
     at = np.arange(len(X))
@@ -44,7 +45,7 @@ def past_inputs(X: Singles, scaling: Floats, run: Ints, rate_hz: float) -> Singl
 
 
 def _still(places: Singles, run: Ints, most: int) -> Ints:
-    """Return for how many rows, `most` at most, each of the places (T, 3) has been the place of its stretch."""
+    """Return the number of rows, up to `most`, since which each position (T, 3) has not moved in its stretch."""
     count, stays = np.zeros(len(places), np.int64), np.ones(len(places), np.bool_)
     for back in range(1, min(most, len(places) - 1) + 1):
         near = np.linalg.norm(places[back:] - places[:-back], axis=1) < STILL_M
@@ -55,13 +56,14 @@ def _still(places: Singles, run: Ints, most: int) -> Ints:
 
 
 def window_features(windows: NDArray[np.floating]) -> Singles:
-    """Return what trees see of windows, shape (N, D); unknown inputs stay NaN.
+    """Return the features of windows for trees, shape (N, D); unknown inputs stay NaN.
 
-    The last sample; the positions before it, from it; the distance of robot and operator in each sample, and how it
-    changed; the distances between places and goals; the past scalings.
+    Features: the last sample; earlier positions relative to it; the distance of robot and operator in each sample, and
+    its
+    changes; the distances between positions and goals; the past scalings.
 
     Args:
-        windows: Inputs, shape (N, K, F), the oldest sample first, or (N, F) for one sample each.
+        windows: Inputs, shape (N, K, F), oldest sample first, or (N, F) for one sample each.
     """
     seen = np.asarray(windows, np.float32)
     seen = seen[:, None] if seen.ndim == 2 else seen
@@ -78,7 +80,7 @@ def window_features(windows: NDArray[np.floating]) -> Singles:
 
 
 def count_features(samples: int, inputs: int) -> int:
-    """Return D of `window_features` for windows of so many samples and inputs."""
+    """Return D of `window_features` for a number of samples and inputs."""
     return int(window_features(np.zeros((1, samples, inputs))).shape[1])
 
 

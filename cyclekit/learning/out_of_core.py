@@ -1,8 +1,10 @@
-"""Datasets larger than memory: which executions are looked at, and training rows that stay in files.
+"""Datasets larger than memory: subsets of executions, and training rows in files.
 
-Some answers need no more than a good part of the logs: levels, held-out errors, operator tracks. For those, executions
-are drawn at random until they hold as many rows as memory takes. A training reads all the rest: part by part its rows
-are built from the Parquet files and appended to plain files, which are mapped into memory and read block by block.
+Levels, held-out errors and operator tracks need only a large part of the logs: executions are drawn at random until
+they
+have as many rows as fit in memory. Training reads all others: its rows are built from the Parquet files part by part
+and
+appended to plain files, which are memory-mapped and read block by block.
 """
 
 from __future__ import annotations
@@ -28,14 +30,14 @@ if TYPE_CHECKING:
 
 _IN_MEMORY_ROWS = 10_000_000
 PART_ROWS = 250_000
-"""Samples that are turned into rows at once."""
+"""Number of samples that are converted to rows at once."""
 
 
 def memory_rows() -> int:
-    """Return how many samples are worked on in memory: 10 million, some 7 GB, or what CYCLEKIT_MEMORY_ROWS says.
+    """Return the number of samples processed in memory: 10 million, about 7 GB, or CYCLEKIT_MEMORY_ROWS.
 
     Raises:
-        ConfigError: That is set to something else than a number of 1000 or more.
+        ConfigError: CYCLEKIT_MEMORY_ROWS is not a number of at least 1000.
     """
     given = os.environ.get("CYCLEKIT_MEMORY_ROWS")
     if not given:
@@ -46,19 +48,19 @@ def memory_rows() -> int:
 
 
 def rows_of(dataset: Dataset) -> int:
-    """Return about how many samples the executions of a dataset have, by their durations."""
+    """Return the approximate number of samples of a dataset, from the durations of its executions."""
     seconds = dataset.executions["duration_s"].sum()
     return round(float(seconds) * dataset.rate_hz)
 
 
 def some_executions(dataset: Dataset, names: Sequence[str], rows: int, *, seed: int = 0) -> tuple[str, ...]:
-    """Return executions drawn at random until they have about `rows` samples, in the given order.
+    """Return random executions with at most `rows` samples in total, but at least one execution, in the given order.
 
     Args:
-        dataset: Whose executions.
-        names: Which of them.
-        rows: Samples to have.
-        seed: Same names and seed, same choice.
+        dataset: Dataset of the executions.
+        names: Executions to draw from.
+        rows: Number of samples.
+        seed: Seed; same names and seed give the same choice.
     """
     rate_hz = dataset.rate_hz
     lasts_s = dict(dataset.executions.select("execution", "duration_s").iter_rows())
@@ -69,9 +71,9 @@ def some_executions(dataset: Dataset, names: Sequence[str], rows: int, *, seed: 
 
 
 def in_memory(dataset: Dataset) -> tuple[Dataset, str | None]:
-    """Return the dataset, or as much of it as memory takes and what was left out in a sentence.
+    """Return the dataset, or a part that fits in memory with a sentence on what was left out.
 
-    Of each task, at least one execution is kept, however rare it is. What is a part already stays as it is.
+    At least one execution of each task is kept, however rare. A dataset that is a part already is returned unchanged.
     """
     if dataset.is_part or rows_of(dataset) <= memory_rows():
         return dataset, None
@@ -88,7 +90,7 @@ def in_memory(dataset: Dataset) -> tuple[Dataset, str | None]:
 
 
 def frames(dataset: Dataset, names: Sequence[str], rows: int = PART_ROWS) -> Iterator[pl.DataFrame]:
-    """Yield the samples of executions in parts of whole executions, about `rows` in each."""
+    """Yield the samples of executions in parts of whole executions with about `rows` samples each."""
     rate_hz = dataset.rate_hz
     lasts_s = dict(dataset.executions.select("execution", "duration_s").iter_rows())
     part: list[str] = []
@@ -104,9 +106,9 @@ def frames(dataset: Dataset, names: Sequence[str], rows: int = PART_ROWS) -> Ite
 
 
 def in_files(parts: Iterable[Samples], folder: Path) -> Samples:
-    """Append rows to files of a folder and return them as arrays that are mapped into memory, not read.
+    """Append rows to files of a folder and return them as memory-mapped arrays.
 
-    Names, times and executions of the rows are not kept: a training does not ask for them.
+    Names, times and executions of the rows are not kept; training does not use them.
     """
     columns = _Columns(folder)
     dropped, base, first = Counter[str](), 0, None
@@ -134,7 +136,7 @@ def in_files(parts: Iterable[Samples], folder: Path) -> Samples:
 
 
 def filled(file: Path, shape: tuple[int, int], block: Callable[[slice], Singles]) -> Singles:
-    """Return a new array that lives in a file, made block by block of rows."""
+    """Return a new array in a file, filled block by block of rows."""
     made = np.memmap(file, np.float32, "w+", shape=shape)
     for first in range(0, shape[0], PART_ROWS):
         part = slice(first, min(first + PART_ROWS, shape[0]))
@@ -143,7 +145,7 @@ def filled(file: Path, shape: tuple[int, int], block: Callable[[slice], Singles]
 
 
 class _Columns:
-    """Arrays that grow in files."""
+    """Arrays in files that rows are appended to."""
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._known = folder, dict[str, tuple[np.dtype[np.generic], tuple[int, ...], int]]()

@@ -1,6 +1,6 @@
-"""Signals that tell of people, where models expect the operator's position: bits in place of coordinates.
+"""Signals that detect people as inputs of models in place of the operator's position.
 
-Bit k stands in coordinate k mod 3, with the weight 2 to the power of k div 3: up to three signals have a column each.
+Bit k is added to coordinate k mod 3 with weight 2^(k div 3): up to three signals have a column each.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _AXES = 3
 
 
 def by_signals(dataset: Dataset) -> bool:
-    """Tell whether people are known by signals: as `Dataset.by_people` was told, else by what more executions have."""
+    """Return whether people are known by signals: as set by `Dataset.by_people`, else if these are more frequent."""
     if dataset.people != "auto":
         return dataset.people == "signals"
     if not dataset.card.operator_signals or "people" not in dataset.positions:
@@ -34,7 +34,7 @@ def by_signals(dataset: Dataset) -> bool:
 
 
 def mixed(dataset: Dataset) -> list[Note]:
-    """Say in how many executions people are known by what a model learns from, and how many it leaves out."""
+    """Return a note on how many executions a model learns from and leaves out, if positions and signals are mixed."""
     if not dataset.card.operator_signals or "people" not in dataset.positions:
         return []
     known, words = _known(dataset), ("positions", "signals")
@@ -45,7 +45,7 @@ def mixed(dataset: Dataset) -> list[Note]:
 
 
 def left_out(model: TrainingCard, dataset: Dataset) -> list[str]:
-    """Say of how many executions the operators are met by estimates, and of how many not; nothing where all are."""
+    """Return a sentence on executions that a model cannot use, as they have only positions, or only signals."""
     return [
         f"operators of the {one.values['used']} executions whose logs hold {one.values['what']} of people; the model "
         f"knows nothing of {one.values['other']}, which {one.values['left']} executions hold alone"
@@ -54,14 +54,14 @@ def left_out(model: TrainingCard, dataset: Dataset) -> list[str]:
 
 
 def as_learned_by(model: TrainingCard, dataset: Dataset) -> Dataset:
-    """Return a dataset with people known by what a model was learned from, positions or signals."""
+    """Return a dataset with people known by what a model was trained on, positions or signals."""
     if not dataset.card.operator_signals or "people" not in dataset.positions:
         return dataset
     return dataset.by_people("signals" if model.operator_signals else "positions")
 
 
 class _Known(NamedTuple):
-    """In how many executions a tracker's log, and signals, tell of people; and both."""
+    """Number of executions in which a tracker's log, signals, or both detect people."""
 
     positions: int
     signals: int
@@ -86,7 +86,7 @@ def as_inputs(signals: Ints, count: int) -> Floats:
 
 
 def from_inputs(numbers: NDArray[np.floating[Any]], count: int) -> Ints:
-    """Return the bit fields (N,) that three numbers (N, 3) stand for; the inverse of `as_inputs`."""
+    """Return the bit fields (N,) of three numbers (N, 3); the inverse of `as_inputs`."""
     whole, found = np.rint(numbers).astype(np.int64), np.zeros(len(numbers), np.int64)
     for k in range(count):
         found |= ((whole[:, k % _AXES] >> (k // _AXES)) & 1) << k
@@ -94,7 +94,7 @@ def from_inputs(numbers: NDArray[np.floating[Any]], count: int) -> Ints:
 
 
 def learned_rows(dataset: Dataset, frame: pl.DataFrame) -> pl.DataFrame:
-    """Return samples as models see them: where signals tell of people, with these in the columns of the operator."""
+    """Return samples as inputs of models: if signals detect people, with these in the operator's columns."""
     if not by_signals(dataset):
         return frame
     known = frame["human_signals"].is_not_null()

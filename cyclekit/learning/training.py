@@ -1,7 +1,6 @@
-"""Learn the speed scaling from a dataset: find the levels, divide the executions, fit the network, judge it.
+"""Trains a model on a dataset: find the levels, split the executions, fit the network, evaluate it.
 
-How the executions are divided is in `divided_rows`, how a network is built in `networks`; what comes out needs no torch
-any more.
+`divided_rows` splits the executions, `networks` builds a network; the result needs no torch.
 """
 
 from __future__ import annotations
@@ -55,30 +54,31 @@ OF_STAIRCASES = {
     "levels-left",
     "levels-disputed",
 }
-"""Warnings of a staircase that say nothing where the continuous law was found."""
+"""Warnings on levels that do not apply to a continuous law."""
 
 
 @one_thread()
 def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: Progress | None = None) -> TrainedModel:
-    """Train the network of `spec` on `dataset` and judge it on held-out executions.
+    """Train the network of `spec` on `dataset` and evaluate it on held-out executions.
 
-    Of a dataset with more samples than `memory_rows`, the rows to learn from are kept in temporary files and read in
-    blocks, so that memory does not grow with them; levels are found in some of the executions.
+    If the dataset has more samples than `memory_rows`, training rows are kept in temporary files and read in blocks,
+    and
+    levels are found in a subset of the executions.
 
     Args:
-        dataset: With a speed scaling, logged or inferred, and positions of robot and operator.
+        dataset: Dataset with a speed scaling, logged or inferred, and positions of robot and operator.
         spec: What to train.
-        rules: Also look for a rule that explains the commanded level; one that does answers in place of the network.
-            None is looked for where the network forecasts, or learns the scaling as it was logged on request.
-            Where it is the continuous law the network is a regressor.
-        progress: Told the fraction done and the validation error after every epoch.
+        rules: Also search a rule that explains the commanded level; if one is found, it replaces the network. Not for
+            a network that forecasts, or that learns the logged scaling on request. For the continuous law, the network
+            is a regressor.
+        progress: Called after every epoch with the share done and the validation error.
 
     Returns:
         The model with the weights of its best epoch. Its card holds `metrics` on the held-out executions, the
-        `split`, `levels` with their shares, `history`, what was `dropped` and why, and where the data came from.
+        `split`, `levels` with their shares, `history`, `dropped` rows by reason, and the origin of the data.
 
     Raises:
-        DatasetError: The dataset lacks what training needs; the message says what.
+        DatasetError: The dataset lacks what training needs; the message names it.
         MissingExtra: torch is not installed.
     """
     dataset.require_positions()
@@ -86,7 +86,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
     rules = rules and spec.problem == "now" and spec.target != "logged"
     if rules and spec.kind.needs_levels and law_of(dataset, seed=spec.seed) is not None:
         spec = replace(spec, network="regressor", hidden=NETWORKS["regressor"].hidden, target="logged")
-    if by_signals(dataset) and spec.features == "auto":  # there is no distance
+    if by_signals(dataset) and spec.features == "auto":  # without positions there is no distance
         spec = replace(spec, features="positions")
     spec = spec.at_rate(dataset.rate_hz).with_features()
     with Scratch() as scratch:
@@ -105,12 +105,12 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
 
 
 def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> TrainedModel:
-    """Return the model with the simplest rule that explains the commanded level beside it, or a warning why none is.
+    """Return the model with the simplest rule that explains the commanded level, or with a warning if there is none.
 
-    The rule is fitted to the executions that the network learned from, and judged by those held out.
+    The rule is fitted to the training executions of the network and evaluated on the held-out ones.
 
     Raises:
-        ModelError: The model does not predict which level holds now.
+        ModelError: The model does not predict the present scaling.
     """
     if model.problem != "now":
         msg = f"a rule gives the present scaling, and the model is for problem {model.problem!r}"
@@ -127,7 +127,7 @@ def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> Traine
 
 
 def _fit(spec: ModelSpec) -> Callable[..., Fitted]:
-    """Return what trains it; imported here, so that this module needs no torch, and trees need none at all."""
+    """Return the training function; imported when needed, because trees need no torch."""
     if spec.kind.trees:
         from cyclekit.learning.networks.boosting import fit_trees
 
@@ -186,10 +186,10 @@ class Training:
     """One model to train, as a task of an engine.
 
     Attributes:
-        dataset, out: The places of dataset and model.
+        dataset, out: Paths or URLs of dataset and model.
         spec: What to train.
-        rules: If with rules.
-        people: What tells of people (`Dataset.by_people`).
+        rules: Whether to search a rule too.
+        people: Source of people (`Dataset.by_people`).
     """
 
     dataset: str
@@ -200,10 +200,10 @@ class Training:
 
 
 def train_at(what: Training, *, progress: Progress | None = None) -> TrainingCard:
-    """Train a model and put it in its place; return its card. Of a robot's log alone it is one of an unseen operator.
+    """Train a model, save it and return its card; for a robot's log alone, the model is of an unseen operator.
 
     Raises:
-        OutputError: The model would replace what is no model, or lie in the dataset.
+        OutputError: The model would replace something else, or lie in the dataset.
         CyclekitError: As `train`, or the model cannot be written.
     """
     check_output(what.out, "model", [what.dataset])
@@ -219,14 +219,14 @@ def train_at(what: Training, *, progress: Progress | None = None) -> TrainingCar
 
 
 def learns_unseen(dataset: Dataset, spec: ModelSpec) -> bool:
-    """Tell whether the present scaling is learned from a robot's log alone: no tracker and no signal shows people."""
+    """Return whether the present scaling is learned from a robot's log alone, as no tracker or signal shows people."""
     if spec.problem != "now" or dataset.card.operator_signals or not dataset.positions:
         return False
     return bool(dataset.samples(columns=["human_x_m"])["human_x_m"].is_null().all())
 
 
 def need_torch(spec: ModelSpec | None = None) -> None:
-    """Refuse to begin what ends in a training that cannot be; trees need no torch.
+    """Refuse a training that needs torch if it is not installed; trees do not need it.
 
     Raises:
         MissingExtra: torch is not installed.

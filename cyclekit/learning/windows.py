@@ -1,15 +1,14 @@
-"""Turn samples into the arrays a network learns from, for each of the paper's three problems.
+"""Converts samples to the arrays that a network learns from, for each of the paper's three problems.
 
-    now      x_r, x_h              -> s_i                        what holds at this instant
-    ahead    x_r, x_h, g_r, g_h    -> s_{i+w}                    what will hold w samples later
-    average  x_r, x_h, g_r, g_h    -> mean of s_i ... s_{i+w}    what a task will be slowed to (w + 1 samples)
+    now      x_r, x_h              -> s_i                        present scaling
+    ahead    x_r, x_h, g_r, g_h    -> s_{i+w}                    scaling w samples later
+    average  x_r, x_h, g_r, g_h    -> mean of s_i ... s_{i+w}    mean scaling of a task (w + 1 samples)
 
-A window never crosses from one execution into the next, nor a gap in the log, and neither does the history that a
-recurrent network sees. A row with an unknown target is left out and counted, never filled; so is one with an unknown
-input, unless the network has an input that says "known or not" for it (`GROUPS`). Where only the height of the operator
-is unknown, that of the TCP stands for it (`height`). How executions are divided into those
-to learn from and those to judge by is decided here too: by execution, never by row, because neighbouring rows are
-nearly equal.
+A window never extends into another execution or across a gap in the log; neither does the history of a recurrent
+network. A row with an unknown target is dropped and counted, never filled; so is one with an unknown input, unless the
+network has a flag "known or not" for it (`GROUPS`). If only the operator's height is unknown, that of the TCP is used
+(`unknown_height`). Executions, never rows, are split into training and test here, because neighbouring rows are nearly
+equal.
 """
 
 from __future__ import annotations
@@ -50,35 +49,36 @@ GROUPS: Mapping[str, slice] = {
     "human_goal": slice(9, 12),
     "scaling": slice(14, 15),
 }
-"""Columns of X that may be unknown together: an absent operator, a goal that was not logged, the scaling so far."""
+"""Columns of X that may be unknown together: an absent operator, a goal that was not logged, the present scaling."""
 _MODEL_ERROR = 0.05
-"""Error of a prediction against which the uncertainty of an inferred scaling is weighed."""
+"""Assumed standard deviation of a prediction, which weighs the uncertainty of an inferred scaling."""
 
 
 def inputs_of(problem: str, *, past: bool) -> tuple[str, ...]:
-    """Return the input columns of a problem, with those of `last_second.PAST` if asked for."""
+    """Return the input columns of a problem; `past` adds those of `last_second.PAST`."""
     return INPUTS[problem] + (PAST if past else ())
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Rows ready for a network: N rows, F inputs.
+    """Rows for a network: N rows, F inputs.
 
     Attributes:
         X: Inputs, shape (N, F), float32, metres, base frame; columns as in `inputs`.
-        step: Level of the target, shape (N,), int32; -1 where the target is on no level (always for `average`).
+        step: Index of the target level, shape (N,), int32; -1 = on no level (always for `average`).
         scaling: Target, shape (N,): s_i, s_{i+w} or the mean of s_i ... s_{i+w}.
-        execution: Which execution, shape (N,), index into `executions`.
+        execution: Execution, shape (N,), index into `executions`.
         executions: Names of the executions.
         t_s: Session time of the row (of its inputs), shape (N,), s.
         inputs: Names of the F input columns.
-        weight: How much each row counts in training, shape (N,), in (0, 1]; below 1 where the scaling was inferred.
-        table: Inputs of all rows that a history may reach into, shape (M, F); None where there is no history.
-        before: Rows of `table` that a recurrent network sees for each row, the oldest first, shape (N, K); None
-            where there is no history.
-        ahead: Row of `table` at the end of each row's window, shape (N,): where the operator will be; with a history.
-        dropped: Rows left out, by reason.
-        in_files: The arrays are mapped from files and may be larger than memory (`out_of_core`).
+        weight: Weight of each row in training, shape (N,), in (0, 1]; below 1 if the scaling was inferred.
+        table: Inputs of all rows that a history may contain, shape (M, F); None without a history.
+        before: Rows of `table` that a recurrent network sees for each row, oldest first, shape (N, K); None without a
+            history.
+        ahead: Row of `table` at the end of each row's window, shape (N,), for the future position of the operator; None
+            without a history.
+        dropped: Number of dropped rows by reason.
+        in_files: The arrays are memory-mapped and may exceed memory (`out_of_core`).
     """
 
     X: Singles
@@ -101,11 +101,11 @@ class Samples:
 
     @property
     def model_inputs(self) -> Singles:
-        """What a model predicts from: X, or with a history shape (N, K, F)."""
+        """Inputs of a model: X, or with a history shape (N, K, F)."""
         return self.X if self.table is None or self.before is None else self.table[self.before]
 
     def of(self, executions: Iterable[str]) -> Samples:
-        """Return the rows of some executions; `dropped` is not divided and stays empty."""
+        """Return the rows of some executions; `dropped` stays empty."""
         wanted = set(executions)
         keep = np.isin(self.execution, [i for i, name in enumerate(self.executions) if name in wanted])
         return self.where(keep)
@@ -132,16 +132,17 @@ def build_samples(
     """Build the rows of one problem.
 
     Args:
-        frame: Table SAMPLES, rows of one execution together and in order of time. A column `scaling_sd`, one standard
-            deviation of an inferred scaling (0 or null where it was logged), becomes the weight.
+        frame: Table SAMPLES, grouped by execution and ordered by time. A column `scaling_sd`, standard deviation of an
+            inferred scaling (0 or null if logged), determines the weight.
         problem: `now`, `ahead` or `average`.
-        horizon_s: How far ahead the target lies or reaches; must be 0 for `now`.
-        levels: Staircase levels, ascending, to name the step of a target; none for rows in transition.
+        horizon_s: Horizon of the target, or length of its average, s; must be 0 for `now`.
+        levels: Levels of the speed scaling, ascending, to label the targets; rows in transition get none.
         rate_hz: Rate of `frame`.
-        allow: Groups (see `GROUPS`) whose columns may be unknown (NaN in X). An operator who is hidden or whose log is
-            over is not absent: those rows are left out all the same.
-        history: How many samples a recurrent network sees, and how many rows lie between them. Where a stretch has
-            just begun, its first sample stands for those before it.
+        allow: Groups (see `GROUPS`) whose columns may be unknown (NaN in X). Rows in which the operator is hidden, or
+            his
+            log has ended, are dropped in any case, because he is not known to be absent.
+        history: Number of samples that a recurrent network sees, and rows between them. At the start of a stretch, its
+            first sample replaces the earlier ones.
         past: Add the inputs of `last_second.PAST`; for a problem with goals.
 
     Raises:
@@ -178,12 +179,12 @@ def build_samples(
 
 
 def _weight(frame: pl.DataFrame, width: int, problem: str) -> Singles:
-    """Return the weight of every row: error variance of a prediction over that plus the target's own variance."""
+    """Return the weight of every row: variance of a prediction, divided by that plus the target's own variance."""
     if "scaling_sd" not in frame.columns:
         return np.ones(frame.height, np.float32)
     variance = frame["scaling_sd"].fill_null(0.0).fill_nan(0.0).to_numpy() ** 2
     mine = np.zeros_like(variance)
-    if problem == "average":  # neighbours err alike, so the mean is no surer than they are
+    if problem == "average":  # neighbours have the same error, so the mean is no more certain
         total = np.concatenate([[0.0], np.cumsum(variance)])
         mine[: variance.size - width] = (total[width + 1 :] - total[: variance.size - width]) / (width + 1)
     else:
@@ -192,7 +193,7 @@ def _weight(frame: pl.DataFrame, width: int, problem: str) -> Singles:
 
 
 def _history(run: Ints, unusable: Bools, history: tuple[int, int]) -> Ints:
-    """Return which rows each row looks back at, the oldest first, shape (T, K): never past a gap or an unusable row."""
+    """Return the rows in each row's history, oldest first, shape (T, K); never across a gap or an unusable row."""
     count, every = history
     at = np.arange(run.size)
     first = np.concatenate([[True], (run[1:] != run[:-1]) | unusable[1:] | unusable[:-1]])
@@ -202,7 +203,7 @@ def _history(run: Ints, unusable: Bools, history: tuple[int, int]) -> Ints:
 
 
 def _target(problem: str, scaling: Floats, run: Ints, width: int) -> tuple[Floats, Bools]:
-    """Return the target of each row (NaN = unknown) and whether its window lies inside one unbroken run."""
+    """Return the target of each row (NaN = unknown) and whether its window lies in one unbroken stretch."""
     count = scaling.size
     if width == 0:
         return scaling, np.ones(count, np.bool_)
@@ -222,7 +223,7 @@ def _target(problem: str, scaling: Floats, run: Ints, width: int) -> tuple[Float
 
 
 def _unknown_inputs(frame: pl.DataFrame, X: Singles, allow: Collection[str]) -> dict[str, Bools]:
-    """Return by reason which rows lack an input that they need."""
+    """Return by reason which rows lack a required input."""
 
     def unknown(columns: Singles) -> Bools:
         total: Singles = columns.sum(axis=1)  # NaN in any column makes it NaN
@@ -243,7 +244,7 @@ def _unknown_inputs(frame: pl.DataFrame, X: Singles, allow: Collection[str]) -> 
 
 
 def _usable(unknown: Mapping[str, Bools], target: Floats) -> tuple[Bools, dict[str, int]]:
-    """Return which rows can be used, and how many are left out for each reason (the first that applies)."""
+    """Return which rows are usable, and the number of dropped rows by reason (the first that applies)."""
     keep, dropped = np.ones(target.size, np.bool_), {}
     for reason, bad in {**unknown, "scaling unknown": np.isnan(target)}.items():
         if lost := int((keep & bad).sum()):
@@ -253,7 +254,7 @@ def _usable(unknown: Mapping[str, Bools], target: Floats) -> tuple[Bools, dict[s
 
 
 def groups_seen_both_ways(rows: Samples, least: int) -> tuple[str, ...]:
-    """Return the groups of inputs that are known in at least `least` rows and unknown in as many."""
+    """Return the groups of inputs that are known in at least `least` rows and unknown in at least `least`."""
     found = []
     for group, columns in GROUPS.items():
         if rows.X.shape[1] > columns.start:
@@ -264,15 +265,15 @@ def groups_seen_both_ways(rows: Samples, least: int) -> tuple[str, ...]:
 
 
 def nobody_there() -> pl.Expr:
-    """Tell of rows of SAMPLES whether no operator is there; one who is hidden, or whose log is over, may well be."""
+    """Return an expression for rows of SAMPLES without an operator; not if he is hidden or his log has ended."""
     unknown = pl.col("human_gap").is_in(["occluded", "outside"]).fill_null(value=False)
     return pl.col("human_x_m").is_null() & ~unknown
 
 
 def scaling_without_operator(frame: pl.DataFrame) -> float | None:
-    """Return the median scaling without an operator; None where the logs never show it.
+    """Return the median scaling without an operator; None if the logs never show it.
 
-    The networks need a position of the operator; this is what holds when there is none.
+    Used where the networks, which need a position of the operator, have no input.
     """
     absent = frame.filter(nobody_there() & pl.col("scaling").is_not_null())
     middle = absent["scaling"].median()
@@ -282,12 +283,12 @@ def scaling_without_operator(frame: pl.DataFrame) -> float | None:
 def split_executions(
     names: Sequence[str], *, test_fraction: float = 0.2, seed: int = 0
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Divide executions at random into those to learn from and those held out, both in the given order.
+    """Split executions at random into those to learn from and those held out, both in the given order.
 
     Args:
         names: Executions, each once.
-        test_fraction: Part held out, in (0, 1); at least one execution is held out, and one is kept.
-        seed: Same names and seed, same split, in whatever order the names come.
+        test_fraction: Share held out, in (0, 1); at least one execution is held out, and one is kept.
+        seed: Seed; same names and seed give the same split, in any order of names.
 
     Raises:
         DatasetError: There are fewer than two executions.

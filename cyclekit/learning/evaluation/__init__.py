@@ -1,4 +1,4 @@
-"""How good a model is on executions that it never saw, beside simple rivals; and whether the cell has drifted.
+"""Evaluates a model on held-out executions next to baselines, and tests whether the cell has drifted.
 
-`evaluate` is the way in.
+`evaluate` is the entry point.
 """

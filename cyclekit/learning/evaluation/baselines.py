@@ -1,11 +1,11 @@
-"""What a network must beat: rivals that learn from the same rows and are judged by the same rows.
+"""Baselines that learn from the same rows as a network and are evaluated on the same rows.
 
-    constant mean        what one knows who looks at no position at all
-    distance staircase   the best thresholds on ||x_r - x_h||; right where the safety function is one of the distance
-    gradient boosting    scikit-learn's, on the inputs of the model and the distances between them
-    the same, last second    on what is known of the last second, with the scaling so far, for what lies ahead
+    constant mean                 without any position
+    distance staircase            the best thresholds on ||x_r - x_h||
+    gradient boosting             scikit-learn's, on the inputs of the model and the distances between them
+    gradient boosting, last second    with the last second and past scaling, for `ahead` and `average`
 
-The noise floor of the true staircase is not among them: it is unknown for a real log.
+The noise floor of the true staircase is not included, because it is unknown for a real log.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Rival:
-    """What was done instead of a network, and its squared errors, shape (N,), at the rows that all are judged by."""
+    """A baseline and its squared errors, shape (N,), on the common rows."""
 
     name: str
     squared: Floats
@@ -36,13 +36,13 @@ class Rival:
 
 
 def rivals(learn: Samples, judge: Samples, levels: Sequence[float], *, signals: bool = False) -> list[Rival]:
-    """Fit the rivals that take no time on `learn` and return their errors on `judge`.
+    """Fit the fast baselines to `learn` and return their errors on `judge`.
 
     Args:
         learn: Rows to learn from.
-        judge: Rows to be judged by.
-        levels: Of the scaling, ascending.
-        signals: Signals stand in place of the operator's position: a table of them, and no distance.
+        judge: Rows to evaluate on.
+        levels: Levels of the scaling, ascending.
+        signals: The inputs are signals instead of the operator's position: use their states, and no distance.
     """
     mean = float(learn.scaling.mean())
     found = [Rival("constant mean", (mean - judge.scaling) ** 2, f"scaling {mean:.3f} everywhere")]
@@ -58,7 +58,7 @@ def rivals(learn: Samples, judge: Samples, levels: Sequence[float], *, signals: 
 
 
 def _by_state(learn: Samples, judge: Samples) -> Floats:
-    """Return the mean scaling, in the rows to learn from, of the state of the signals in each row to be judged."""
+    """Return the mean training scaling for the signal state of each evaluated row, shape (N,)."""
     human = GROUPS["human"]
     both = np.concatenate([learn.X[:, human], judge.X[:, human]])
     state = np.unique(both, axis=0, return_inverse=True)[1].ravel()
@@ -69,7 +69,7 @@ def _by_state(learn: Samples, judge: Samples) -> Floats:
 
 
 def boosted(name: str, sees: str, learn: Samples, judge: Samples) -> Rival:
-    """Grow trees on `learn`, as a model `boosting` does but all of them, and return their errors on `judge`."""
+    """Train all trees of a model `boosting` on `learn`, and return their errors on `judge`."""
     predicted = grow(learn).predict(judge)
     note = f"scikit-learn, {TREES} trees on {sees}; {len(learn)} rows"
     return Rival(name, (predicted - judge.scaling) ** 2, note)

@@ -1,8 +1,7 @@
-"""Has the cell changed since the model was trained? Its safety function and the operator's habits, by newer logs.
+"""Tests by newer logs whether the safety function or the operator's habits have changed since training.
 
-Neighbouring samples are nearly equal, so executions are what is counted: a change is one that executions of the newer
-logs show against the scatter between executions. Many places are looked at, so a place is named only beyond NAMED
-standard errors and LEAST in size.
+Neighbouring samples are nearly equal, so the test compares means per execution with the scatter between executions.
+Because many places are tested, a change is reported only beyond NAMED standard errors and a minimum size.
 """
 
 from __future__ import annotations
@@ -27,22 +26,22 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats
 
 NAMED = 4.0
-"""Standard errors beyond which a difference is named."""
+"""Minimum difference, in standard errors, that is reported."""
 LEAST_SCALING = 0.01
-"""A mean error of the scaling that has changed by less is not worth a new training."""
+"""Minimum change of the mean error of the scaling that justifies a new training."""
 LEAST_SHARE = 0.03
-"""A share of time that has changed by less (3 percent points) is not a new habit."""
+"""Minimum change of a share of time that counts as a new habit (0.03 = 3 percentage points)."""
 
 
 @dataclass(frozen=True)
 class Shift:
-    """One figure, before and after: means over executions, their difference in standard errors.
+    """One quantity before and after: means over executions, and their difference.
 
     Attributes:
-        what: What is looked at: a place, a task, an activity, or `everywhere`.
+        what: The quantity: a place, a task, an activity, or `everywhere`.
         before, after: Mean over the executions.
         z: Difference in standard errors.
-        changed: Whether it is more than chance and large enough to matter.
+        changed: Whether the change is significant and large enough to matter.
     """
 
     what: str
@@ -54,13 +53,13 @@ class Shift:
 
 @dataclass(frozen=True)
 class Drift:
-    """Newer logs against those of the training.
+    """Newer logs compared with those of the training.
 
     Attributes:
-        safety: Mean absolute error of the predicted scaling: everywhere, and by robot task and operator's activity.
-        habits: Share of the time per operator's activity (floor quarter, where activities are unknown), and cycle time
-            in seconds over its mean before.
-        executions: Number of executions before (held out from the training) and after.
+        safety: Mean absolute error of the predicted scaling: everywhere, by robot task, and by operator's activity.
+        habits: Share of time per operator's activity (quarter of the floor if activities are unknown), and cycle time
+            relative to its mean before.
+        executions: Number of executions before (held out in training) and after.
     """
 
     safety: tuple[Shift, ...]
@@ -69,12 +68,12 @@ class Drift:
 
     @property
     def safety_changed(self) -> bool:
-        """Whether the safety function is no longer the learned one."""
+        """Whether the safety function differs from the learned one."""
         return any(shift.changed for shift in self.safety)
 
     @property
     def habits_changed(self) -> bool:
-        """Whether the operator's habits are no longer those of the training."""
+        """Whether the operator's habits differ from those in training."""
         return any(shift.changed for shift in self.habits)
 
     def to_dict(self) -> dict[str, object]:
@@ -94,11 +93,11 @@ def drift(model: TrainedModel, trained_on: Dataset, newer: Dataset) -> Drift:
 
     Args:
         model: A model of problem `now`.
-        trained_on: The dataset of its training; of it, the executions held out are judged by.
+        trained_on: Dataset of the training, of which the held-out executions are used.
         newer: The newer logs.
 
     Raises:
-        ModelError: The model predicts something else than the present scaling, or was not trained on that dataset.
+        ModelError: The model does not predict the present scaling, or was not trained on that dataset.
     """
     if model.problem != "now":
         msg = f"the model predicts problem {model.problem!r}; drift is read from the present scaling"
@@ -121,9 +120,9 @@ def drift_between(
     Args:
         model: A model of problem `now`.
         older: The earlier executions.
-        newer: The later ones.
-        judged_before: Those of `older` by which the model's errors are judged: none that it learned from.
-        judged_after: Those of `newer`, likewise.
+        newer: The later executions.
+        judged_before: Executions of `older` on which the model's errors are measured; not used in training.
+        judged_after: The same for `newer`.
     """
     older, newer = (as_learned_by(model.card, whose) for whose in (older, newer))
     before, after = (learned_rows(whose, whose.samples()) for whose in (older, newer))
@@ -152,7 +151,7 @@ def _safety(old: pl.DataFrame, new: pl.DataFrame) -> list[Shift]:
 
 
 def _errors(model: TrainedModel, frame: pl.DataFrame, rate_hz: float) -> pl.DataFrame:
-    """One row per sample that can be judged: execution, tasks, absolute error."""
+    """Return one row per usable sample: execution, tasks, absolute error."""
     known = frame.filter(pl.all_horizontal(pl.col(name).is_not_null() for name in (*model.inputs, "scaling")))
     rows = build_samples(known, model.problem, model.horizon_s, model.levels, rate_hz=rate_hz)
     error = np.abs(model.predict(rows.X) - rows.scaling) if len(rows) else np.zeros(0)
@@ -165,7 +164,7 @@ def _by_execution(errors: pl.DataFrame) -> Floats:
 
 
 def _habits(before: pl.DataFrame, after: pl.DataFrame) -> list[Shift]:
-    """Share of the time of each activity (or quarter of the floor) per execution."""
+    """Return the changes in the share of time per activity (or quarter of the floor), from means per execution."""
     known = before["human_task"].is_not_null().any() and after["human_task"].is_not_null().any()
     middle = before.select(pl.col("human_x_m", "human_y_m").median()).row(0)
     front = pl.when(pl.col("human_x_m") > (middle[0] or 0.0)).then(pl.lit("front")).otherwise(pl.lit("back"))
@@ -186,7 +185,7 @@ def _shares(frame: pl.DataFrame) -> Mapping[str, Floats]:
 
 
 def _shift(what: str, before: Floats, after: Floats, least: float) -> Shift:
-    """Compare two groups of executions; with one execution on either side nothing can be told from chance."""
+    """Compare two groups of executions; with one execution on either side no change is significant."""
     old, new = float(before.mean()), float(after.mean())
     if min(len(before), len(after)) < 2:
         return Shift(what, old, new, 0.0, changed=False)

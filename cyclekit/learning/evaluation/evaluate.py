@@ -1,8 +1,8 @@
-"""How good is a model, and compared with what: its errors on executions it never saw, beside simple rivals.
+"""Errors of a model on held-out executions, next to baselines.
 
-A figure alone says little: the same error is excellent in one cell and poor in another. So the constant mean, the best
-staircase over the distance, and gradient boosting learn from the same executions and are judged by the same rows. How
-a model is trained is the business of `train`.
+A single figure says little, because the same error is excellent in one cell and poor in another. So the constant mean,
+the best staircase over the distance, and gradient boosting learn from the same executions and are evaluated on the same
+rows.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ __all__ = ["ErrorRow", "Evaluation", "LevelRow", "evaluate", "evaluate_at"]
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """One line of the comparison: mean squared error of the scaling, and what was done."""
+    """One row of the comparison: name, mean squared error of the scaling, and description."""
 
     name: str
     mse: float
@@ -54,13 +54,13 @@ class ErrorRow:
 
 @dataclass(frozen=True)
 class LevelRow:
-    """How well one level is predicted, over the rows that were truly on it.
+    """Prediction quality on one level.
 
     Attributes:
         level: The level.
-        rows: How many rows were on it.
-        recall: Part of them whose step was named rightly; None without rows.
-        precision: Part of the rows named as this step that were on it; None where it was never named.
+        rows: Number of rows on it.
+        recall: Share of these predicted on this level; None without rows.
+        precision: Share of rows predicted on this level that were on it; None if never predicted.
         bias: Mean of predicted - true scaling; None without rows.
     """
 
@@ -73,21 +73,21 @@ class LevelRow:
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Result):
-    """A model judged on a dataset.
+    """A model evaluated on a dataset.
 
     Attributes:
         problem: The model's problem.
         network: The model's network.
-        held_out: True when these executions were kept from the model while it learned.
-        executions: The executions it was judged on.
+        held_out: Whether these executions were held out in training.
+        executions: Executions evaluated.
         metrics: Errors over all their usable rows.
-        mse: Mean squared errors, the model's own read-outs first, then the rivals: name, mse, note.
-        confusion: Rows by true (first index) and predicted step, shape (P, P); None for an average.
-        levels: One entry per level, ascending; empty for an average.
-        dropped: Rows left out, by reason.
-        notes: What limits the comparison, one sentence each.
-        better: The rival that is better than the model beyond chance; None where none is.
-        drift: What has changed since the training; None where that was not asked for.
+        mse: Mean squared errors, first of the model, then of the baselines: name, mse, note.
+        confusion: Number of rows by true (first index) and predicted level, shape (P, P); None for `average`.
+        levels: One entry per level, ascending; empty for `average`.
+        dropped: Number of dropped rows by reason.
+        notes: Limits of the comparison, one sentence each.
+        better: Baseline that is better than the model by more than chance; None if there is none.
+        drift: Changes since the training; None if not requested.
     """
 
     problem: str
@@ -105,7 +105,7 @@ class Evaluation(Result):
 
     @property
     def accuracy(self) -> float | None:
-        """Part of the rows on a level whose step is named rightly."""
+        """Share of the rows on a level whose level is predicted correctly."""
         return self.metrics.accuracy
 
     def to_dict(self) -> dict[str, object]:
@@ -126,7 +126,7 @@ class Evaluation(Result):
         }
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per predictor: the model, then the baselines."""
+        """Return one row per predictor: the model, then the baselines."""
         import polars as pl
 
         return pl.DataFrame([dict(vars(row)) for row in self.mse])
@@ -146,23 +146,22 @@ def evaluate(
     other_cell: bool = False,
     progress: Progress | None = None,
 ) -> Evaluation:
-    """Judge `model` on the executions of `dataset` that it never saw.
+    """Evaluate `model` on executions of `dataset` that it was not trained on.
 
-    When it was trained on this dataset, those are the ones held out at training, and the rivals learn from the ones
-    the model learned from. Otherwise they are all executions, and there are no rivals: nothing here may be learned
-    from.
+    If it was trained on this dataset, these are the executions held out in training, and the baselines learn from its
+    training executions. Otherwise they are all executions, and there are no baselines.
 
     Args:
         model: Any model.
-        dataset: With the scaling known.
-        boosting: Also fit gradient boosting, which takes up to a minute of the processor each.
-        other_cell: Judge a model of another cell too.
-        progress: Told fraction and text.
+        dataset: Dataset with a known scaling.
+        boosting: Include gradient boosting, up to a minute of processor time each.
+        other_cell: Accept a model of another cell.
+        progress: Called with share done and text.
 
     Raises:
         DatasetError: No row of these executions can be used.
-        ModelError: The model is of another cell, or its card does not say what was held out, though it was trained on
-            this dataset.
+        ModelError: The model is of another cell, or was trained on this dataset and its card does not name the
+            held-out executions.
     """
     tell = progress or (lambda fraction, text: None)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)
@@ -223,10 +222,10 @@ def evaluate_at(
     boosting: bool = True,
     progress: Progress | None = None,
 ) -> Evaluation:
-    """Judge the model of one place, as a task of an engine; where `trained_on` is given, also what has changed since.
+    """Evaluate the model at a path or URL; with `trained_on`, also test for changes since training.
 
-    With `trained_on` the two datasets are to be compared, so the cell may have changed in any way between them.
-    `progress` is told fraction and text; for work in this process only.
+    With `trained_on`, the two datasets are compared, so they may be of different cells. `progress` is called with share
+    done and text; only for work in this process.
 
     Raises:
         CyclekitError: As `evaluate` and `drift`.
@@ -250,7 +249,7 @@ def _learned_from(model: TrainedModel) -> tuple[str, ...]:
 
 
 def _boosted(model: TrainedModel, dataset: Dataset, learned: Samples, rows: Samples) -> list[Rival]:
-    """Return boosting on the inputs of the model and, for what lies ahead, on all that is known of the last second."""
+    """Return boosting on the inputs of the model and, for `ahead` and `average`, on the last second."""
     if NETWORKS[model.network].trees:
         return []
     found = [boosted(BOOSTED, "the inputs of the model and distances", learned, rows)]
@@ -261,7 +260,7 @@ def _boosted(model: TrainedModel, dataset: Dataset, learned: Samples, rows: Samp
 
 
 def _rows(model: TrainedModel, dataset: Dataset, executions: Sequence[str], *, last_second: bool = False) -> Samples:
-    """Return the rows that a model is judged by; with `last_second` the same with all that a model may see of it."""
+    """Return the rows for evaluating a model; with `last_second`, with all inputs of the last second."""
     frame, _ = without_slider(dataset, learned_rows(dataset, dataset.samples(executions)))
     frame = as_learned(model.card, dataset, frame, model.levels)
     known, history = model.weights.known, model.history
@@ -289,7 +288,7 @@ def _read_outs(metrics: MetricsCard) -> list[ErrorRow]:
 
 
 def _by_rule(model: TrainedModel, rows: Samples) -> list[ErrorRow]:
-    """Return the error of the rule that answers by signals."""
+    """Return the error of a rule on signals."""
     rule = model.card.rule
     if rule is None or not asks_signals(rule):
         return []

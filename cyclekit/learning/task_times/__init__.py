@@ -1,10 +1,10 @@
-"""How long tasks of robot and operator take beside each other, and what each waits for: learned from task lists.
+"""Task times and wait conditions of robot and operator, including mutual slowing, learned from task lists.
 
-In: table TASKS of a dataset made of task lists, no positions. Out: a `TaskModelCard`, kept as `model.json`.
+In: table TASKS of a dataset made of task lists, no positions. Out: a `TaskModelCard`, stored as `model.json`.
 
 runs     the logged executions, tasks by agent
-rates    how fast a task goes on beside each task of the other agent
-starts   what a task waits for before it starts
-learn    all of it, and the errors on orders that were held out
-saved    write and read it
+rates    the rate of a task next to each task of the other agent
+starts   the conditions of a task's start
+learn    all of it, with errors on held-out orders
+saved    storage
 """

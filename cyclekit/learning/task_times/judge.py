@@ -1,4 +1,4 @@
-"""How well a model of task times predicts logged executions, and whether the pace has changed since its training."""
+"""Evaluates a model of task times on logged executions, and tests whether the pace has changed since training."""
 
 from __future__ import annotations
 
@@ -21,16 +21,18 @@ if TYPE_CHECKING:
     from cyclekit.schema import Progress, Vector
 
 BLOCKS = 5
+"""Number of blocks of executions for a standard error."""
 CHANGED = 3.0
-"""Standard errors of a change of the pace."""
+"""Minimum change of the pace, in standard errors."""
 LEAST_CHANGE = 0.02
+"""Minimum change of the pace, as a share."""
 MOST = 500
-"""Executions judged; of more, so many spread over all."""
+"""Maximum number of executions evaluated; above it, evenly spaced ones."""
 
 
 @dataclass(frozen=True)
 class PaceShift:
-    """Change of the durations of an agent's tasks since the training: `change` as part, and in standard errors `z`."""
+    """Change of the durations of an agent's tasks since training: `change` as a share, `z` in standard errors."""
 
     agent: str
     change: float
@@ -38,20 +40,20 @@ class PaceShift:
 
     @property
     def changed(self) -> bool:
-        """Whether it is beyond chance and large enough to matter."""
+        """Whether the change is significant and large enough to matter."""
         return abs(self.z) > CHANGED and abs(self.change) > LEAST_CHANGE
 
 
 @dataclass(frozen=True, repr=False)
 class TaskTimesEvaluation(Result):
-    """How well a model of task times predicts logged executions.
+    """Prediction errors of a model of task times on logged executions.
 
     Attributes:
-        executions: Judged; `unknown` have a task that the model does not know.
-        bias, error: Mean of estimate / logged cycle time - 1, and mean of its absolute value.
-        coverage: Part of the executions within the middle 90 % of the rolled-out cycles.
-        drift: Of each agent since the training; None where it was not asked for.
-        trends: Drift of the pace within the training, one sentence each.
+        executions: Number of executions evaluated; `unknown` contain a task that the model does not know.
+        bias, error: Mean and mean absolute value of estimate / logged cycle time - 1.
+        coverage: Share of the executions within the middle 90 % of the simulated cycles.
+        drift: Change of each agent's pace since training; None if not requested.
+        trends: Trends of the pace within the training, one sentence each.
     """
 
     executions: int
@@ -85,7 +87,7 @@ class TaskTimesEvaluation(Result):
         return lines
 
     def said(self) -> str:
-        """Return it as lines of text."""
+        """Return the evaluation as lines of text."""
         return "\n".join(self._said())
 
 
@@ -95,13 +97,13 @@ def judge_task_times(
     """Compare a model with logged executions.
 
     Args:
-        model: What was learned.
-        dataset: Of task lists.
-        trained_on: Dataset of the training, where `dataset` is newer.
-        progress: Told the fraction done.
+        model: Learned task times.
+        dataset: Dataset of task lists.
+        trained_on: Dataset of the training, if `dataset` is newer.
+        progress: Called with the share done.
 
     Raises:
-        DatasetError: No execution can be judged.
+        DatasetError: No execution can be evaluated.
     """
     every, _ = logged_runs(dataset)
     runs = every[:: -(-len(every) // MOST) or 1]
@@ -131,7 +133,7 @@ def judge_task_times(
 
 
 def _shifts(model: TaskModelCard, before: Sequence[Run], after: Sequence[Run]) -> tuple[PaceShift, ...]:
-    """Return for each agent how its durations have changed, the mean over its tasks."""
+    """Return the change of each agent's log durations, as a mean over its tasks."""
     found = []
     for agent in model.agents:
         old, new = _paces(model, before, agent), _paces(model, after, agent)
@@ -146,7 +148,7 @@ def _shifts(model: TaskModelCard, before: Sequence[Run], after: Sequence[Run]) -
 
 
 def _paces(model: TaskModelCard, runs: Sequence[Run], agent: str) -> Vector:
-    """Return the mean logarithm of duration / usual duration of each execution, shape (executions,)."""
+    """Return the mean log of duration / usual duration per execution, shape (executions,)."""
     usual = {task.task: task.usual_s for task in model.tasks if task.agent == agent}
     found = []
     for run in runs:
@@ -161,6 +163,6 @@ def _paces(model: TaskModelCard, runs: Sequence[Run], agent: str) -> Vector:
 
 
 def _error(paces: Vector) -> float:
-    """Return the standard error of the mean: from means of blocks, as executions near each other are alike."""
+    """Return the standard error of the mean from means of blocks, because neighbouring executions are correlated."""
     means = np.array([block.mean() for block in np.array_split(paces, BLOCKS)])
     return float(means.std(ddof=1) / np.sqrt(BLOCKS))

@@ -1,4 +1,4 @@
-"""Learn task times from the task lists of a dataset, and judge them on orders that were held out."""
+"""Learns task times from the task lists of a dataset, and evaluates them on held-out orders."""
 
 from __future__ import annotations
 
@@ -25,25 +25,27 @@ if TYPE_CHECKING:
     from cyclekit.schema import Progress, Vector
 
 LEAST_EXECUTIONS = 5
+"""Minimum number of executions."""
 LEAST_ORDERS = 5
-"""With fewer orders executions are held out in place of orders."""
+"""Minimum number of orders to hold out whole orders; with fewer, single executions are held out."""
 FOLDS = 5
+"""Number of cross-validation folds."""
 CYCLES = 200
-"""Rolled out for each execution that is held out."""
+"""Number of simulated cycles per held-out execution."""
 MANY, ASKED = 1000, 5
-"""Rolled out by each model for so many plans, to learn how far finite logs move an estimate."""
+"""Number of cycles per plan, and number of plans, for the standard error from finite logs."""
 
 
 def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | None = None) -> TaskModelCard:
-    """Return what the task lists of a dataset tell of cycle times.
+    """Return the task times learned from the task lists of a dataset.
 
     Args:
-        dataset: With task lists.
-        seed: Of what is drawn.
-        progress: Told the fraction done.
+        dataset: Dataset with task lists.
+        seed: Seed of random draws.
+        progress: Called with the share done.
 
     Raises:
-        DatasetError: It holds too few complete executions.
+        DatasetError: There are too few complete executions.
     """
     runs, agents = logged_runs(dataset)
     if len(runs) < LEAST_EXECUTIONS:
@@ -60,14 +62,14 @@ def learn_runs(
     folds: int = FOLDS,
     progress: Progress | None = None,
 ) -> TaskModelCard:
-    """Return what executions tell of cycle times.
+    """Return the task times learned from executions.
 
     Args:
         runs: At least LEAST_EXECUTIONS.
-        agents: `robot` or `operator` by the agent's name.
-        seed: Of what is drawn.
-        folds: Parts of the orders of which each is held out once.
-        progress: Told the fraction done.
+        agents: `robot` or `operator` by agent name.
+        seed: Seed of random draws.
+        folds: Number of cross-validation folds over the orders.
+        progress: Called with the share done.
     """
     tell = progress or (lambda _fraction, _text: None)
     model = _learned(runs, agents)
@@ -77,7 +79,7 @@ def learn_runs(
 
 
 def plan_of(run: Run) -> list[PlannedTask]:
-    """Return what was done in an execution as a plan: the order of each agent, and the planned starts."""
+    """Return an execution as a plan: the order of each agent, and the planned starts."""
     return [
         PlannedTask(agent, done.task, None if np.isnan(done.planned_s) else max(done.planned_s, 0.0))
         for agent, some in run.tasks.items()
@@ -86,7 +88,7 @@ def plan_of(run: Run) -> list[PlannedTask]:
 
 
 def rolled_run(model: TaskModelCard, run: Run, *, cycles: int = CYCLES, seed: int = 0) -> Vector:
-    """Return durations of cycles of an execution's plan at the pace of that execution, shape (cycles,), s.
+    """Return durations of simulated cycles of an execution's plan at its own pace, shape (cycles,), s.
 
     Raises:
         UnknownName: The model does not know one of its tasks.
@@ -107,7 +109,7 @@ def _learned(runs: Sequence[Run], agents: Mapping[str, str]) -> TaskModelCard:
 
 
 def _pace(rates: Mapping[tuple[str, str], TaskRates], agent: str) -> PaceCard | None:
-    """Return the drift of the pace of an agent, over all its tasks."""
+    """Return the trend of an agent's pace over all its tasks; None if there is none."""
     mine = [each for (name, _), each in rates.items() if name == agent]
     log_work = [np.log(each.work) - np.log(each.work).mean() for each in mine]
     return pace_drift(np.concatenate([each.number for each in mine]), np.concatenate(log_work))
@@ -131,14 +133,14 @@ def _task(runs: Sequence[Run], agent: str, task: str, rates: TaskRates, pace: Pa
 
 
 def _kept(values: Vector) -> tuple[float, ...]:
-    """Return at most PAST of the values, spread over all."""
+    """Return at most PAST of the values, evenly spaced."""
     step = -(-len(values) // PAST)
     return tuple(round(float(value), 6) for value in values[::step])
 
 
 @dataclass(frozen=True)
 class _HeldOut:
-    """One execution that was not learned from."""
+    """One held-out execution with its estimate."""
 
     order: tuple[tuple[str, ...], ...]
     mean_s: float
@@ -166,7 +168,7 @@ def _judged(
         for run in held:
             try:
                 took_s = rolled_run(model, run, seed=seed)
-            except (UnknownName, EstimateError):  # a task of it is in no other order
+            except (UnknownName, EstimateError):  # has a task that is in no other order
                 continue
             found.append(_HeldOut(run.order, float(took_s.mean()), float(took_s.std(ddof=1)), run.duration_s))
         tell(float(fold + 1))
@@ -177,15 +179,15 @@ def _judged(
 
 
 def _learning_error(models: Sequence[TaskModelCard], asked: Sequence[Run], seed: int) -> float:
-    """Return the jackknife standard error of estimates, as part of them; the mean over some executions' plans."""
+    """Return the jackknife standard error of estimates relative to them, averaged over some executions' plans."""
     found = []
     for run in asked:
         try:
             means = [roll_plan(model, plan_of(run), cycles=MANY, seed=seed).duration_s.mean() for model in models]
-        except (UnknownName, EstimateError):  # a task of it is in no other part
+        except (UnknownName, EstimateError):  # has a task that is in no other fold
             continue
         found.append(float(np.var(means) * (len(means) - 1)) / float(np.mean(means)) ** 2)
-    few = float(stdtrit(max(len(models) - 1, 1), 0.975)) / 1.96  # few parts tell a standard error roughly
+    few = float(stdtrit(max(len(models) - 1, 1), 0.975)) / 1.96  # correction for few folds
     return few * float(np.sqrt(np.mean(found))) if found else 0.0
 
 
@@ -199,7 +201,7 @@ def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:
     )
     spread = np.array([each.sd_s / each.mean_s for each in found])
     chance = float(np.mean(spread**2) * np.mean([1.0 / len(some) for some in by_order.values()]))
-    chance *= 1.0 + np.sqrt(2.0 / len(errors))  # the mean of their squares scatters by so much
+    chance *= 1.0 + np.sqrt(2.0 / len(errors))  # allows for the sampling error of the mean of squares
     error = float(np.sqrt(max(np.mean(errors**2) - chance, 0.0)))
     each_off = errors if len(errors) > 1 else np.array([each.mean_s / each.true_s - 1.0 for each in found])
     within = float(each_off.std(ddof=1) / np.sqrt(len(each_off)))

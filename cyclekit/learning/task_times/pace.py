@@ -1,6 +1,6 @@
-"""Drift of an operator's pace: whether tasks become quicker or slower from execution to execution.
+"""Tests whether an operator's tasks become faster or slower from execution to execution.
 
-Executions near each other are alike (same plan, same parts), so the trend is tested on means of blocks of them.
+Neighbouring executions are correlated (same plan, same parts), so the trend is tested on means of blocks.
 """
 
 from __future__ import annotations
@@ -17,19 +17,21 @@ if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
 
 LEAST_EXECUTIONS = 30
+"""Minimum number of executions."""
 BLOCKS = 10
+"""Number of blocks."""
 LEVEL = 0.01
-"""Probability of a drift where there is none."""
+"""Significance level."""
 LEAST_CHANGE = 0.03
-"""Change of the logarithm of durations from the first to the last execution; less is not worth a correction."""
+"""Minimum change of the log duration from the first to the last execution that is corrected."""
 
 
 def pace_drift(number: Ints, log_work: Vector) -> PaceCard | None:
-    """Return how the pace of an agent changes over the executions; None where no change is significant.
+    """Return the trend of an agent's pace over the executions; None if no change is significant.
 
     Args:
-        number: The how-many-th execution each repetition is of, shape (N,).
-        log_work: Logarithm of the work of each repetition, less the mean of its task, shape (N,).
+        number: Number of the execution of each repetition, shape (N,).
+        log_work: Log work of each repetition, less the mean of its task, shape (N,).
     """
     of, where = np.unique(number, return_inverse=True)
     if len(of) < LEAST_EXECUTIONS:
@@ -48,7 +50,7 @@ def pace_drift(number: Ints, log_work: Vector) -> PaceCard | None:
 
 
 def _trend(x: Vector, y: Vector) -> tuple[float, float, float]:
-    """Return the slope of a line, the two-sided probability of it by chance, and the mean square that is left."""
+    """Return the slope of a regression line, its two-sided p-value, and the residual mean square."""
     off = x - x.mean()
     slope = float(off @ y / (off @ off))
     left = float(((y - y.mean() - slope * off) ** 2).sum()) / (len(x) - 2)

@@ -1,11 +1,12 @@
-"""How fast a task goes on beside each task of the other agents.
+"""Estimates the rate of a task next to each task of the other agents.
 
-A repetition ends when its work is done; work is done at rate 1 on average, and at a rate of its own beside each task of
-another agent: work = sum over the time of rate(beside). The work of the repetitions of one task is taken as log-normal
-about a mean, and rates and mean are those of greatest posterior density, with rates drawn towards 1 (few overlaps tell
-little). The density of the end time has the rate at the end as a factor: without it a task that lasted longer, and
-overlapped more for that reason alone, would look slowed. Coefficients of this kind are published for pairs of tasks
-(arXiv 2503.07238, where each pair has one factor of the whole duration); rates over time need no pair to overlap fully.
+A repetition ends when its work is done. Work is done at rate 1 on average, and at a separate rate next to each task of
+another agent: work = integral of the rate over time. The work of a task's repetitions is log-normal; rates and mean are
+maximum-a-posteriori estimates with a prior of rates around 1, because few overlaps carry little information. The
+density
+of the end time contains the rate at the end as a factor; without it, a task that overlaps more only because it lasted
+longer would seem slowed. Such coefficients are published for pairs of tasks (arXiv 2503.07238, one factor of the whole
+duration per pair); rates over time need no pair to overlap fully.
 """
 
 from __future__ import annotations
@@ -24,25 +25,26 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Vector
 
 RATES_SPREAD = 0.7
-"""Standard deviation of the logarithm of a rate, before anything is seen: half to double, two times of three."""
+"""Prior standard deviation of a log rate: between half and double with probability of about two thirds."""
 FACTOR_SPREAD = 0.1
-"""The same of the factors of the agent's own task before and of the turn: the way to a task, and the slot that a part
-comes from, are a small part of it."""
+"""Prior standard deviation of the log factors of the previous task and of the occurrence: the way to a task, and the
+slot
+of a part, change the work only slightly."""
 _LEAST_SPREAD = 1e-3
 ALONE = ""
 
 
 @dataclass(frozen=True)
 class TaskRates:
-    """What is learned of one task.
+    """Estimates for one task.
 
     Attributes:
-        rates: By the name of the task beside it, `agent: task`; "" = alone.
-        after: Factor of the work by the agent's own task before it; "" = it is the first.
-        turns: Factor of the work the first, second ... time of the task in one execution.
+        rates: Rate by the name of a simultaneous task, `agent: task`; "" = alone.
+        after: Factor of the work by the agent's previous task; "" = it is the first.
+        turns: Factor of the work at the first, second ... occurrence of the task in an execution.
         usual_s: Mean logged duration, s.
-        work: Of each repetition with these factors taken out, s at rate 1; shape (N,).
-        number: The how-many-th execution each repetition is of, shape (N,).
+        work: Work of each repetition divided by these factors, s at rate 1; shape (N,).
+        number: Number of the execution of each repetition, shape (N,).
     """
 
     rates: Mapping[str, float]
@@ -55,14 +57,14 @@ class TaskRates:
 
 @dataclass(frozen=True)
 class _Parts:
-    """Repetitions of one task cut where a task beside it begins or ends.
+    """Repetitions of one task, cut where a simultaneous task starts or ends.
 
     Attributes:
         of: Repetition of each part, shape (M,).
-        dt_s: Its length, shape (M,).
-        beside: Which tasks go on beside it, shape (M, names).
+        dt_s: Length of each part, shape (M,), s.
+        beside: Which simultaneous tasks each part has, shape (M, names).
         last: Index of the last part of each repetition, shape (N,).
-        factors: Which factors each repetition has, shape (N, factors).
+        factors: Which factors apply to each repetition, shape (N, factors).
     """
 
     of: Ints
@@ -77,17 +79,17 @@ class _Parts:
 
 
 def beside(agent: str, task: str) -> str:
-    """Return how a task of another agent is named in a table of rates."""
+    """Return the key of a simultaneous task in a table of rates."""
     return f"{agent}: {task}"
 
 
 def fit_rates(runs: Sequence[Run], agent: str, task: str) -> TaskRates:
-    """Return the rates of one task of one agent.
+    """Return the rates of one agent's task.
 
     Args:
-        runs: At least one of them holds the task.
-        agent: Whose task.
-        task: Which.
+        runs: Executions; at least one contains the task.
+        agent: Name of the agent.
+        task: Name of the task.
     """
     names, before, parts = _parts(runs, agent, task)
     k = len(names)
@@ -108,7 +110,7 @@ def fit_rates(runs: Sequence[Run], agent: str, task: str) -> TaskRates:
 
 
 def _density(at: Vector, parts: _Parts) -> tuple[float, Vector]:
-    """Return the negative logarithm of the posterior density, and its slope."""
+    """Return the negative log posterior density, and its gradient."""
     k, count = parts.beside.shape[1], len(parts.last)
     mean, spread, log_rate, factor = at[0], np.exp(at[1]) + _LEAST_SPREAD, at[2 : 2 + k], at[2 + k :]
     work, ends = parts.work(log_rate), parts.beside[parts.last]
@@ -124,7 +126,7 @@ def _density(at: Vector, parts: _Parts) -> tuple[float, Vector]:
 
 
 def _parts(runs: Sequence[Run], agent: str, task: str) -> tuple[list[str], list[str], _Parts]:
-    """Return the names of what goes on beside a task, those of the agent's own tasks before it, and its parts."""
+    """Return the names of simultaneous tasks, the names of the agent's previous tasks, and the parts."""
     cut: list[tuple[str, int, list[tuple[float, frozenset[str]]]]] = []
     for run in runs:
         for turn, (previous, done) in enumerate(_done(run, agent, task)):
@@ -145,7 +147,7 @@ def _parts(runs: Sequence[Run], agent: str, task: str) -> tuple[list[str], list[
 
 
 def _done(run: Run, agent: str, task: str) -> list[tuple[str, DoneTask]]:
-    """Return the repetitions of a task in an execution, each with the name of the agent's own task before it."""
+    """Return the repetitions of a task in an execution, each with the name of the agent's previous task."""
     mine = run.tasks.get(agent, ())
     before = ["", *(done.task for done in mine)]
     return [
@@ -154,7 +156,7 @@ def _done(run: Run, agent: str, task: str) -> list[tuple[str, DoneTask]]:
 
 
 def _cut(run: Run, agent: str, done: DoneTask) -> list[tuple[float, frozenset[str]]]:
-    """Return lengths, s, and what went on beside, of the parts of one repetition, in order of time."""
+    """Return length, s, and simultaneous tasks of each part of one repetition, ordered by time."""
     others = [(name, other) for name, some in run.tasks.items() if name != agent for other in some]
     at = {t for _, other in others for t in (other.start_s, other.end_s) if done.start_s < t < done.end_s}
     found = []

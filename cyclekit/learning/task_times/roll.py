@@ -1,4 +1,4 @@
-"""Many cycles of one plan at once, from event to event: a task starts, or ends, and the rates of all others change."""
+"""Simulates many cycles of one plan from event to event; each start or end changes the rates of the other tasks."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RolledPlan:
-    """Cycles of one plan.
+    """Simulated cycles of one plan.
 
     Attributes:
-        tasks: Of all agents, each agent's in order.
-        start_s, end_s: When each task starts and ends, shape (cycles, tasks).
-        usual_s: Mean logged duration of each, shape (tasks,), s.
-        decides: What the start waited for last, shape (cycles, tasks): -1 = the agent's own task before it, -2 = its
-            planned start, else the number of a task.
+        tasks: Tasks of all agents, in order for each agent.
+        start_s, end_s: Start and end of each task, shape (cycles, tasks), s.
+        usual_s: Mean logged duration of each task, shape (tasks,), s.
+        decides: Last cause of each start, shape (cycles, tasks): -1 = the agent's previous task, -2 = its planned
+            start,
+            otherwise the number of another task.
     """
 
     tasks: tuple[PlannedTask, ...]
@@ -39,32 +40,32 @@ class RolledPlan:
 
     @property
     def duration_s(self) -> Vector:
-        """From the first start to the last end, shape (cycles,), s."""
+        """Time from the first start to the last end, shape (cycles,), s."""
         return np.asarray(self.end_s.max(axis=1) - self.start_s.min(axis=1))
 
     @property
     def before(self) -> list[int]:
-        """Number of the agent's own task before each task; -1 = it is the first."""
+        """Number of the agent's previous task for each task; -1 = it is the first."""
         return _before(self.tasks)
 
     @property
     def wait_s(self) -> Floats:
-        """Time from the agent's own task before, or else from the first start of all, shape (cycles, tasks), s."""
+        """Time since the agent's previous task or the first start of all, shape (cycles, tasks), s."""
         ends = np.concatenate([self.end_s, self.start_s.min(axis=1)[:, None]], axis=1)
         return np.asarray(self.start_s - ends[:, self.before])
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """A plan laid out: for each task what it needs, what goes on at which rate beside what.
+    """A plan prepared for simulation.
 
     Attributes:
-        cards: What is known of each task.
-        before: Number of the agent's own task before it; -1 = none.
-        turn: How often the agent has done the same task before.
+        cards: Learned times of each task.
+        before: Number of the agent's previous task; -1 = none.
+        turn: Number of earlier occurrences of the same task.
         needs: Numbers of the other tasks that must have ended.
         not_before_s: Earliest start, s.
-        log_rate: Logarithm of the rate of a task beside another, shape (tasks, tasks); `alone` beside none.
+        log_rate: Log rate of a task next to another, shape (tasks, tasks); `alone` without another.
     """
 
     cards: list[TaskTimesCard]
@@ -85,15 +86,15 @@ def roll_plan(
     where: str = "",
     pace: Mapping[str, float] = MappingProxyType({}),
 ) -> RolledPlan:
-    """Return cycles of a plan.
+    """Return simulated cycles of a plan.
 
     Args:
-        model: What was learned.
-        tasks: Of all agents, each agent's in order.
-        cycles: How many.
-        seed: Of what is drawn: work and lag of each task, from its logged repetitions.
-        where: How a message names the plan.
-        pace: Durations of agents as part of those at the latest pace, by the agent's name in the logs.
+        model: Learned task times.
+        tasks: Tasks of all agents, in order for each agent.
+        cycles: Number of cycles.
+        seed: Seed of the draws of work and lag from logged repetitions.
+        where: Name of the plan in messages.
+        pace: Factor on durations relative to the latest pace, by the agent's name in the logs.
 
     Raises:
         UnknownName: A task or an agent was never logged.
@@ -144,10 +145,10 @@ def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) ->
 
 
 def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
-    """Return the name in the logs of the agent that a plan names, by that name or as `robot` or `operator`.
+    """Return the name in the logs of a planned task's agent, given as that name, `robot` or `operator`.
 
     Raises:
-        UnknownName: There is no such agent, or several.
+        UnknownName: There is no such agent, or more than one.
     """
     if task.agent in model.agents:
         return task.agent
@@ -173,7 +174,7 @@ def _before(tasks: Sequence[PlannedTask]) -> list[int]:
 def _needs(
     cards: Sequence[TaskTimesCard], tasks: Sequence[PlannedTask], names: Sequence[str], where: str
 ) -> list[list[int]]:
-    """Return the numbers of other tasks that each task waits for: learned ones, and those that the plan tells."""
+    """Return the numbers of other tasks that each task waits for: learned ones, and those given in the plan."""
     turns: dict[tuple[str, str], list[int]] = {}
     for number, (name, task) in enumerate(zip(names, tasks, strict=True)):
         turns.setdefault((name, task.name), []).append(number)
@@ -195,7 +196,7 @@ def _needs(
 
 
 def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return work at rate 1 and lag of each task in each cycle, shape (cycles, tasks), s: alike in every order."""
+    """Return work at rate 1 and lag of each task, shape (cycles, tasks), s; the draws do not depend on the order."""
     work, lag = np.empty((cycles, len(plan.cards))), np.empty((cycles, len(plan.cards)))
     names = [(card.agent, card.task, turn) for card, turn in zip(plan.cards, plan.turn, strict=True)]
     for number in sorted(range(len(names)), key=lambda each: names[each]):
@@ -208,7 +209,7 @@ def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, 
 
 
 def _rates(plan: _Plan, running: Bools) -> Floats:
-    """Return the logarithm of the rate of each task, shape (cycles, tasks), with those that are running beside it."""
+    """Return the log rate of each task, shape (cycles, tasks), given which tasks are running."""
     others = running @ plan.log_rate.T
     own = running * np.diag(plan.log_rate)
     beside_any = running.sum(axis=1, keepdims=True) > running
@@ -216,7 +217,7 @@ def _rates(plan: _Plan, running: Bools) -> Floats:
 
 
 def _ready(plan: _Plan, end: Floats) -> Floats:
-    """Return when each task may start, shape (cycles, tasks), s; infinite while something it needs has not ended."""
+    """Return when each task may start, shape (cycles, tasks), s; infinite while a required task has not ended."""
     ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
     ready = np.maximum(ends[:, plan.before], plan.not_before_s)
     for number, needs in enumerate(plan.needs):

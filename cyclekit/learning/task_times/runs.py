@@ -1,4 +1,4 @@
-"""The logged executions of a task list: who did which task from when to when."""
+"""The logged executions of task lists: tasks of each agent with start and end."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DoneTask:
-    """A task that was done. Times from the start of the execution, s; `planned_s` is NaN where no plan was logged."""
+    """A task that was done. Times since the start of the execution, s; `planned_s` NaN if no plan was logged."""
 
     task: str
     start_s: float
@@ -29,9 +29,9 @@ class Run:
     """One execution.
 
     Attributes:
-        name: Of the execution.
-        tasks: Of each agent, by its name, in order of their start.
-        number: The how-many-th of all logged executions, in order of time.
+        name: Name of the execution.
+        tasks: Tasks by agent name, ordered by start.
+        number: Number among all logged executions, ordered by time.
     """
 
     name: str
@@ -40,18 +40,18 @@ class Run:
 
     @property
     def order(self) -> tuple[tuple[str, ...], ...]:
-        """The tasks of each agent in order, agents by name: what an order of both agents is."""
+        """The order of tasks of each agent, agents sorted by name."""
         return tuple((agent, *(done.task for done in self.tasks[agent])) for agent in sorted(self.tasks))
 
     @property
     def duration_s(self) -> float:
-        """From the first start to the last end, s."""
+        """Time from the first start to the last end, s."""
         ends = [done.end_s for some in self.tasks.values() for done in some]
         return max(ends) - min(done.start_s for some in self.tasks.values() for done in some)
 
 
 def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
-    """Return the executions whose tasks all have an end, in order of time; `robot` or `operator` by agent's name."""
+    """Return the executions in which all tasks end, ordered by time, and `robot` or `operator` by agent name."""
     rows = dataset.every_task().with_columns(agent_name=pl.coalesce("agent_name", "agent")).sort("start_s")
     named = rows.select("agent_name", "agent").unique().sort("agent_name")
     agents = {str(name): str(agent) for name, agent in named.iter_rows()}

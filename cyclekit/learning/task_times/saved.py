@@ -1,4 +1,4 @@
-"""A model of task times as a thing to keep: one file, `MODEL/model.json`, data and never code."""
+"""Reads and writes a model of task times: the file `MODEL/model.json`, data without code."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class TaskTimesModel(Result):
-    """What was learned from task lists: how long tasks take beside each other, and what each waits for.
+    """A model learned from task lists: task times, mutual slowing, and wait conditions.
 
     Attributes:
-        card: All of it, as data.
+        card: The model as data.
     """
 
     card: TaskModelCard
@@ -47,7 +47,7 @@ class TaskTimesModel(Result):
 
 
 def holds_task_times(place: Path | str) -> bool:
-    """Tell whether a place holds a model of task times."""
+    """Return whether a path or URL holds a model of task times."""
     return card_file.holds(place, FORMAT)
 
 
@@ -57,5 +57,5 @@ def save_task_times(place: Path | str, model: TaskTimesModel) -> None:
 
 
 def load_task_times(place: Path | str) -> TaskTimesModel:
-    """Open a model of task times; see `card_file.load`."""
+    """Load a model of task times; see `card_file.load`."""
     return TaskTimesModel(card_file.load(place, TaskModelCard))

@@ -1,7 +1,7 @@
-"""What a task waits for before it starts: its agent's own task before it, its planned start, a task of another agent.
+"""Finds the conditions of a task's start: its agent's previous task, its planned start, tasks of other agents.
 
-A condition is believed if the starts hold to it, if it was what decided several of them, and if the lag from "may
-start" to the start becomes so much more regular by it that chance among all candidates cannot have done that.
+A condition is accepted if the starts respect it, if it decides several of them, and if the lags between being ready and
+starting become more regular than chance among all candidates can explain.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 HELD = 0.98
-"""Part of the starts that must come after a condition's end."""
+"""Minimum share of starts after a condition's end."""
 EARLY_S = 0.15
-"""A start may come so much before it: rounding, and clocks of two agents."""
+"""Tolerance, s: a start may precede its condition by this much (rounding, clock error)."""
 LEAST_DECIDED = 5
-"""So many starts must have been decided by it alone."""
+"""Minimum number of starts that a condition must decide alone."""
 DECIDED_S = 0.3
-"""It decided a start if everything else was there so much earlier."""
+"""Minimum lead, s, of all other causes at a start that a condition decided."""
 REGULAR_S = 0.05
-"""Lags are not told apart below this."""
+"""Resolution of lags, s."""
 GAIN_PER_START, GAIN = 0.1, 6.0
-"""By so much the logarithm of the mean deviation of the lags must fall, for each start and in all."""
+"""Minimum gain: log ratio of the mean absolute deviation of the lags, per start, and in total."""
 MOST = 3
+"""Maximum number of conditions per task."""
 
 
 class _Start(NamedTuple):
-    """One logged start: in which run, the how-many-th of this task there, and when."""
+    """One logged start: execution, occurrence of the task in it, and times, s."""
 
     run: Run
     nth: int
@@ -47,12 +48,12 @@ class _Start(NamedTuple):
 
 @dataclass(frozen=True)
 class Starts:
-    """What the starts of one task wait for.
+    """Conditions of the starts of one task.
 
     Attributes:
-        needs: Tasks of other agents.
-        planned: It waits for its planned start.
-        lags_s: From when it may start to its start, of each logged start, shape (N,).
+        needs: Tasks of other agents that must have ended.
+        planned: Whether it waits for its planned start.
+        lags_s: Lag of each logged start after its conditions, shape (N,), s.
     """
 
     needs: tuple[NeedCard, ...]
@@ -61,12 +62,12 @@ class Starts:
 
 
 def learn_starts(runs: Sequence[Run], agent: str, task: str) -> Starts:
-    """Return what one task of one agent waits for.
+    """Return the conditions of one agent's task.
 
     Args:
-        runs: At least one of them holds the task.
-        agent: Whose task.
-        task: Which.
+        runs: Executions; at least one contains the task.
+        agent: Name of the agent.
+        task: Name of the task.
     """
     seen = list(_starts(runs, agent, task))
     start = np.array([each.start_s for each in seen])
@@ -103,7 +104,7 @@ def _candidates(runs: Sequence[Run], agent: str) -> list[NeedCard]:
 
 
 def _ends(seen: Sequence[_Start], need: NeedCard) -> Vector:
-    """Return the end of what a need names for each start, shape (N,), s; NaN where there is none."""
+    """Return for each start the end of the task that a need names, shape (N,), s; NaN if there is none."""
     found = np.full(len(seen), np.nan)
     for row, each in enumerate(seen):
         ends = [done.end_s for done in each.run.tasks.get(need.agent, ()) if done.task == need.task]
@@ -113,7 +114,7 @@ def _ends(seen: Sequence[_Start], need: NeedCard) -> Vector:
 
 
 def _gain(start: Vector, ready: Vector, ends: Vector) -> float:
-    """Return by how much the starts become more regular with a condition; minus infinity where it does not hold."""
+    """Return the gain in regularity of the starts by a condition; minus infinity if the condition does not hold."""
     known = np.isfinite(ends)
     held = start >= ends - EARLY_S
     decided = known & held & (ends > ready + DECIDED_S)
@@ -128,7 +129,7 @@ def _deviation(lags_s: Vector) -> float:
 
 
 def _told(need: NeedCard, start: Vector, ready: Vector, open_to: dict[NeedCard | None, Vector]) -> NeedCard:
-    """Return a need with how often it held, and how many starts it decided."""
+    """Return a need with the share of starts that respect it, and the number that it decided."""
     ends = open_to[need]
     known = np.isfinite(ends)
     decided = known & (ends >= ready - 1e-9)

@@ -1,1 +1,1 @@
-"""An operator whom no log shows: what the speed scaling alone says of people in the cell."""
+"""Models of an operator that no log shows, learned from the speed scaling alone."""

@@ -1,8 +1,8 @@
-"""Learn an unseen operator from a robot's log alone: the levels, the regions of the robot, the states.
+"""Learns an unseen operator from a robot's log alone: levels, regions of the robot, states.
 
-With enough executions two models are compared on a part of them that neither was fitted to: levels that do not depend
-on where the robot is, each level a state of its own; and hidden states whose levels depend on the region of the robot.
-The second one is kept where it explains the held-out levels better beyond chance.
+With enough executions two models are compared on held-out executions: levels independent of the robot's position, with
+each level as a state; and hidden states whose levels depend on the region of the robot. The second one is chosen if it
+explains the held-out levels better by more than chance.
 """
 
 from __future__ import annotations
@@ -31,36 +31,36 @@ if TYPE_CHECKING:
     from cyclekit.schema import Ints, Points, Progress
 
 STEP_S = 0.2
-"""Step of the chain."""
+"""Time step of the chain, s."""
 REGIONS = 16
-"""Regions of the TCP,"""
+"""Number of regions of the TCP."""
 ROUNDS = 20
-"""... whose centres are moved so often to the mean of what lies nearest."""
+"""Number of k-means iterations for the centres of the regions."""
 STATES = (6, 8, 12)
-"""Numbers of hidden states that are tried."""
+"""Numbers of hidden states tried."""
 LEAST_COMPARED = 12
-"""From fewer executions no model by place is tried."""
+"""Minimum number of executions at which a model with regions is tried."""
 HELD_OUT = 0.25
-"""Part of the executions that the models are compared on."""
+"""Share of the executions held out for the comparison."""
 BEYOND = 2.0
-"""Standard errors by which the model by place must be better."""
+"""Minimum advantage of the model with regions, in standard errors."""
 MOST_COMPARED = 80
-"""Executions that serve for the comparison at most."""
+"""Maximum number of executions in the comparison."""
 LEAST = 3
-"""Executions that are needed."""
+"""Minimum number of executions."""
 
 
 @one_thread()
 def learn_unseen(dataset: Dataset, *, seed: int = 0, progress: Progress | None = None) -> UnseenOperator:
-    """Learn what the speed scaling says of people whom no log shows.
+    """Learn the effect of people whom no log shows from the speed scaling.
 
     Args:
-        dataset: Of a robot's log with its speed scaling.
-        seed: Of the executions held out, and of the beginnings of the fit.
-        progress: Told fraction and text.
+        dataset: Dataset of a robot's log with its speed scaling.
+        seed: Seed of the held-out executions and of the random starts of the fit.
+        progress: Called with share done and text.
 
     Raises:
-        DatasetError: The scaling is unknown, is the same all along, or there are fewer than LEAST executions.
+        DatasetError: The scaling is unknown or constant, or there are fewer than LEAST executions.
     """
     tell = progress or (lambda _fraction, _text: None)
     levels, courses = _usable(dataset)
@@ -89,7 +89,7 @@ def learn_unseen(dataset: Dataset, *, seed: int = 0, progress: Progress | None =
 
 
 def _usable(dataset: Dataset) -> tuple[tuple[float, ...], dict[str, Course]]:
-    """Return the levels, and what the log of each execution beside people shows."""
+    """Return the levels, and the courses of executions that are not references without people."""
     levels, courses = courses_of(dataset)
     alone = {one.execution for one in dataset.card.executions if one.reference}
     courses = {name: one for name, one in courses.items() if name not in alone and (one.level >= 0).any()}
@@ -104,7 +104,7 @@ def _usable(dataset: Dataset) -> tuple[tuple[float, ...], dict[str, Course]]:
 
 @dataclass(frozen=True)
 class _Choice:
-    """Regions, hidden states (0 = the levels themselves), and the evidence for them, per minute."""
+    """Regions, number of hidden states (0 = the levels themselves), and log-likelihood of both models per minute."""
 
     centres: Points
     states: int
@@ -113,7 +113,7 @@ class _Choice:
 
 
 def _chosen(courses: Sequence[Course], centres: Points, levels: int, every: int, seed: int, tell: Progress) -> _Choice:
-    """Return the model that explains held-out executions best; the one without place unless the other is surely so."""
+    """Return the model that explains held-out executions best; with regions only if significantly better."""
     anywhere = _Choice(centres[:1], 0)
     if len(courses) < LEAST_COMPARED:
         return anywhere
@@ -136,7 +136,7 @@ def _chosen(courses: Sequence[Course], centres: Points, levels: int, every: int,
 
 
 def centres_of(xyz_m: Points, count: int) -> Points:
-    """Return centres of so many regions of positions (N, 3), far apart at first, then each the mean of its own."""
+    """Return the centres of regions of positions (N, 3): k-means from starting points far apart."""
     centres = xyz_m[:1]
     away = ((xyz_m - centres[0]) ** 2).sum(axis=1)
     while len(centres) < count and away.max() > 0.0:

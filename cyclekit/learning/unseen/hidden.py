@@ -1,8 +1,8 @@
-"""A hidden Markov chain of the operator's states, seen only through the level of the speed scaling.
+"""A hidden Markov chain of the operator's states, observed only through the level of the speed scaling.
 
-Which level a state gives may depend on the region in which the robot is: an operator on one side slows the robot on
-that side alone. The chain is fitted by expectation and maximisation (Baum and others, 1970; the levels given the region
-as in Bengio and Frasconi's input-output hidden Markov models, 1995), all executions side by side.
+The level of a state may depend on the region of the robot: an operator on one side slows the robot only on that side.
+The chain is fitted by expectation maximisation (Baum and others, 1970; levels conditional on the region as in Bengio
+and Frasconi's input-output hidden Markov models, 1995), over all executions at once.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ if TYPE_CHECKING:
     Probabilities = NDArray[np.float64]
 
 STAY = 0.98
-"""Probability that a state is kept from one step to the next, before the first turn."""
+"""Initial probability of staying in a state for a step."""
 TURNS = 40
-"""Most turns of expectation and maximisation,"""
+"""Maximum number of EM iterations."""
 ENOUGH = 1e-4
-"""... and the gain in log-likelihood per step below which they end."""
+"""Minimum gain in log-likelihood per step of an EM iteration; below, EM ends."""
 BEGUN = 3
-"""Beginnings that are tried,"""
+"""Number of random starts."""
 FIRST_TURNS = 8
-"""... for so many turns each; the best of them goes on."""
+"""Number of EM iterations per random start, before the best one continues."""
 STEPS_OF_REGION = 10.0
-"""Of a region with so many steps in a state the levels are half its own, half those of the state's other regions."""
+"""Prior weight, in steps: a region with this many steps in a state has half its own levels, half those of the state."""
 STEPS_OF_STATE = 1.0
-"""Every level and every change of state counts as seen so often at least."""
+"""Prior count of every state's levels, of its transitions, and of the initial states."""
 
 
 @dataclass(frozen=True)
 class LevelCourses:
-    """What E executions of at most T steps show.
+    """Observations of E executions of at most T steps.
 
     Attributes:
-        level: Index of the level, shape (E, T); -1 = unknown, also behind the end of an execution.
-        region: Where the robot is, shape (E, T).
-        steps: Length of each, shape (E,).
+        level: Index of the level, shape (E, T); -1 = unknown, or after the end of the execution.
+        region: Region of the robot, shape (E, T).
+        steps: Number of steps of each execution, shape (E,).
     """
 
     level: Ints
@@ -50,7 +50,7 @@ class LevelCourses:
     steps: Ints
 
     def of(self, executions: Ints) -> LevelCourses:
-        """Return some of the executions."""
+        """Return a subset of the executions."""
         return LevelCourses(self.level[executions], self.region[executions], self.steps[executions])
 
 
@@ -59,10 +59,10 @@ class Chain:
     """A hidden chain of H states, R regions and P levels.
 
     Attributes:
-        start: Probability of each state at the beginning of an execution, shape (H,).
-        follows: Probability of each state (column) a step after another (row), shape (H, H).
+        start: Probability of each state at the start of an execution, shape (H,).
+        follows: Transition probability from a state (row) to the next (column), shape (H, H).
         levels: Probability of each level, shape (H, R, P).
-        steps: Steps that were seen in each state and region, shape (H, R).
+        steps: Expected number of steps in each state and region, shape (H, R).
     """
 
     start: Vector
@@ -72,24 +72,24 @@ class Chain:
 
 
 def of_levels(seen: LevelCourses, levels: int) -> Chain:
-    """Return the chain whose states are the levels themselves, wherever the robot is."""
+    """Return the chain whose states are the levels themselves, in all regions."""
     return _maximised(seen, np.eye(levels)[np.maximum(seen.level, 0)] * (seen.level >= 0)[..., None], None, 1, levels)
 
 
 def fit(seen: LevelCourses, states: int, regions: int, levels: int, *, seed: int = 0) -> Chain:
-    """Return the chain under which the levels are likeliest, from the best of BEGUN random beginnings."""
+    """Return the maximum-likelihood chain, from the best of BEGUN random starts."""
     begun = [_random(seen, states, regions, levels, np.random.default_rng([seed, number])) for number in range(BEGUN)]
     tried = [_turned(seen, chain, FIRST_TURNS) for chain in begun]
     return _turned(seen, max(tried, key=lambda pair: pair[1])[0], TURNS)[0]
 
 
 def log_likelihoods(seen: LevelCourses, chain: Chain) -> Vector:
-    """Return the logarithm of the probability of each execution's levels, shape (E,)."""
+    """Return the log-likelihood of each execution's levels, shape (E,)."""
     return np.asarray(_forward(seen, chain)[1].sum(axis=1))
 
 
 def draw_states(seen: LevelCourses, chain: Chain, *, seed: int = 0) -> Ints:
-    """Return the states of each execution, one draw given all of its levels, shape (E, T)."""
+    """Return a random draw of the states of each execution given all of its levels, shape (E, T)."""
     ahead, _ = _forward(seen, chain)
     luck = np.random.default_rng(seed).random(seen.level.shape)
     drawn = np.zeros(seen.level.shape, np.int64)
@@ -119,7 +119,7 @@ def _random(seen: LevelCourses, states: int, regions: int, levels: int, rng: np.
 
 
 def _turned(seen: LevelCourses, chain: Chain, turns: int) -> tuple[Chain, float]:
-    """Return the chain after some turns, and the log-likelihood per step before the last of them."""
+    """Return the chain after some EM iterations, and the log-likelihood per step before the last one."""
     before, count = -np.inf, max(int((seen.level >= 0).sum()), 1)
     for _ in range(turns):
         ahead, logs = _forward(seen, chain)
@@ -139,13 +139,13 @@ def _turned(seen: LevelCourses, chain: Chain, turns: int) -> tuple[Chain, float]
 
 
 def _normed(ahead: Floats, later: Floats, chain: Chain) -> Floats:
-    """Return what follows over the probability of what was seen of each step, shape (E, T - 1, H)."""
+    """Return `later` divided by the predictive probability of each step's level, shape (E, T - 1, H)."""
     total = ((ahead @ chain.follows) * later).sum(axis=2, keepdims=True)
     return np.asarray(later / np.maximum(total, 1e-300))
 
 
 def _maximised(seen: LevelCourses, share: Floats, both: Floats | None, regions: int, levels: int) -> Chain:
-    """Return the chain of these probabilities of states: `share` (E, T, H), and of pairs `both` (H, H)."""
+    """Return the chain for state probabilities `share` (E, T, H) and expected transitions `both` (H, H)."""
     known = seen.level >= 0
     states = share.shape[2]
     cell = (seen.region[known] if regions > 1 else 0) * levels + seen.level[known]
@@ -164,7 +164,7 @@ def _maximised(seen: LevelCourses, share: Floats, both: Floats | None, regions: 
 
 
 def _emitted(seen: LevelCourses, chain: Chain) -> Floats:
-    """Return the probability of the level of each step in each state, shape (E, T, H); 1 where it is unknown."""
+    """Return the probability of each step's level in each state, shape (E, T, H); 1 for an unknown level."""
     region = seen.region if chain.levels.shape[1] > 1 else np.zeros_like(seen.region)
     found = chain.levels.transpose(1, 2, 0)[region, seen.level]
     found[seen.level < 0] = 1.0
@@ -172,7 +172,7 @@ def _emitted(seen: LevelCourses, chain: Chain) -> Floats:
 
 
 def _forward(seen: LevelCourses, chain: Chain) -> tuple[Floats, Floats]:
-    """Return the probability of each state given the levels so far (E, T, H), and the logs of their steps (E, T)."""
+    """Return state probabilities given the levels so far, (E, T, H), and log-likelihoods of the steps, (E, T)."""
     emitted = _emitted(seen, chain)
     ahead, norm = np.empty_like(emitted), np.empty(seen.level.shape)
     here = emitted[:, 0] * chain.start
@@ -185,7 +185,7 @@ def _forward(seen: LevelCourses, chain: Chain) -> tuple[Floats, Floats]:
 
 
 def _backward(seen: LevelCourses, chain: Chain) -> Floats:
-    """Return what the later levels say of each state (E, T, H), up to a factor per step."""
+    """Return the likelihood of later levels given each state, (E, T, H), up to a factor per step."""
     emitted = _emitted(seen, chain)
     behind = np.ones_like(emitted)
     for step in range(seen.level.shape[1] - 2, -1, -1):

@@ -1,4 +1,4 @@
-"""A model of a cell in which no log shows people: the speed that an unseen operator leaves the robot."""
+"""A model of a cell in which no log shows people: the speed of the robot under an unseen operator."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ ONE_BIT = (
     "people come and go"
 )
 UNSEEN_ERROR = 0.4
-"""What an order changes as people are where they are is not told by a robot's log alone. In cells in which it is known
-it has up to this part of the standard deviation of logged durations (less their mean for the order)."""
+"""Error from unknown positions of people when the task order changes, as a share of the standard deviation of logged
+durations (less their mean per order). In cells where it is known it is up to this."""
 SUPPORTED_S = 1.0
-"""A state was seen in a region if it was met there for this long."""
+"""Minimum time in a state and region, s, at which the logs count as support."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """What the log of one execution shows of an unseen operator, T samples.
+    """Log of one execution without people, T samples.
 
     Attributes:
-        t_s: Session time, shape (T,).
-        robot_m: TCP, shape (T, 3).
+        t_s: Session time, shape (T,), s.
+        robot_m: TCP, shape (T, 3), m.
         level: Index of the commanded level, shape (T,); -1 = unknown.
     """
 
@@ -56,13 +56,13 @@ class Course:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class UnseenOperator(Result):
-    """A hidden chain of states, and the speed that each leaves the robot.
+    """A hidden Markov chain of operator states, and the speed of the robot in each.
 
     Attributes:
-        levels: Of the speed scaling, shape (P,), ascending.
+        levels: Levels of the speed scaling, shape (P,), ascending.
         unseen: The chain.
-        card: How it came about.
-        problem: It gives the present scaling.
+        card: Training card.
+        problem: `now`: it predicts the present scaling.
     """
 
     levels: tuple[float, ...]
@@ -72,71 +72,71 @@ class UnseenOperator(Result):
 
     @property
     def often(self) -> bool:
-        """That it answers fast: a rollout asks it in every step."""
+        """Whether it is fast enough for every step of a rollout."""
         return True
 
     @property
     def unseen_error(self) -> float:
-        """Part of the spread of logged durations by which expected ones may be off."""
+        """Error of expected durations, as a share of the standard deviation of logged durations."""
         return UNSEEN_ERROR
 
     @property
     def why(self) -> str:
-        """What an estimate with it is."""
+        """Description of an estimate with this model."""
         return "simulation with the logged speed as that of an unseen operator"
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What makes every number from it doubtful."""
+        """Reasons to doubt every number from this model."""
         return (NOBODY_SEEN,)
 
     @property
     def limits(self) -> tuple[str, ...]:
-        """What else limits them."""
+        """Further limits of these numbers."""
         return (ONE_BIT,)
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the states: by the mean speed that each leaves the robot."""
+        """Names of the states, with the mean speed of the robot in each."""
         mean = (self._shares @ np.array(self.levels)).mean(axis=1)
         return tuple(f"hidden state {number + 1} (mean speed {speed:.0%})" for number, speed in enumerate(mean))
 
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
-        """Return the mean scaling of rows x_r, x_h, shape (N, 6), m; only x_r counts; shape (N,)."""
+        """Return the mean scaling for rows x_r, x_h, shape (N, 6), m; shape (N,). Only x_r is used."""
         weight = np.array(self.unseen.seen_s).sum(axis=1)
         mean = (self._shares @ np.array(self.levels)).T @ (weight / weight.sum())
         return np.asarray(mean[self.region_of(np.asarray(X[:, :3], np.float64))])
 
     def scaling_in(self, robot_m: Points, state: Floats) -> Vector:
-        """Return the scaling with the TCP there, shape (N, 3), m, in these states.
+        """Return the scaling for positions of the TCP and states, shape (N,).
 
         Args:
-            robot_m: TCP.
-            state: Number of the state, and which part of its levels holds, in [0, 1), the slowest first; shape (N, 2).
+            robot_m: TCP, shape (N, 3), m.
+            state: Number of the state, and quantile in [0, 1) of its levels, slowest first; shape (N, 2).
         """
         until = self._until[state[:, 0].astype(np.int64), self.region_of(robot_m)]
         return np.asarray(np.array(self.levels)[(state[:, 1:] >= until[:, :-1]).sum(axis=1)])
 
     def near_logged(self, robot_m: Points, state: Floats) -> Bools:
-        """Return whether the logs show these states with the TCP there; as `scaling_in`, shape (N,)."""
+        """Return whether the logs show these states at these positions; arguments as of `scaling_in`, shape (N,)."""
         seen_s = np.array(self.unseen.seen_s)[state[:, 0].astype(np.int64), self.region_of(robot_m)]
         return np.asarray(seen_s >= SUPPORTED_S)
 
     def logged_states(self, dataset: Dataset) -> dict[str, tuple[Vector, Floats]]:
-        """Return times (T,), s, and states (T, 2) of each execution, one draw given all that its log shows."""
+        """Return times (T,), s, and states (T, 2) of each execution: one random draw given its log."""
         _, courses = courses_of(dataset, self.levels)
         some = {name: one for name, one in courses.items() if (one.level >= 0).any()}
         drawn = self.drawn_states(list(some.values()), dataset.rate_hz)
         return {name: (one.t_s, state) for (name, one), state in zip(some.items(), drawn, strict=True)}
 
     def region_of(self, robot_m: Points) -> Ints:
-        """Return the number of the region that each TCP (N, 3) lies in."""
+        """Return the number of the region of each TCP position (N, 3)."""
         return nearest(robot_m, np.array(self.unseen.regions_m))
 
     def drawn_states(self, courses: Sequence[Course], rate_hz: float, *, seed: int = 0) -> list[Floats]:
-        """Return states under which each course was met, one draw given all that its log shows; (T, 2) each.
+        """Return a random draw of the states of each course given its log; (T, 2) each.
 
-        In them the model gives exactly the logged levels at the logged positions.
+        With these states the model reproduces exactly the logged levels at the logged positions.
         """
         every = max(1, round(self.unseen.step_s * rate_hz))
         card = self.unseen
@@ -147,7 +147,7 @@ class UnseenOperator(Result):
                 for one, mine in zip(courses, drawn, strict=True)]  # fmt: skip
 
     def _placed(self, course: Course, state: Ints, rng: np.random.Generator) -> Floats:
-        """Return the states with the part of their levels that gives the logged ones; a spell has one luck."""
+        """Return states with quantiles that give the logged levels; one random number per spell in a state."""
         spell = np.cumsum(np.diff(state, prepend=-1) != 0) - 1
         luck = rng.random(spell[-1] + 1)[spell]
         until = self._until[state, self.region_of(course.robot_m)]
@@ -184,7 +184,7 @@ class UnseenOperator(Result):
 
 
 def said(model: UnseenOperator) -> list[str]:
-    """Return what such a model is, in sentences."""
+    """Return a description of the model in sentences."""
     levels = ", ".join(f"{level:.2f}" for level in model.levels)
     places = len(model.unseen.regions_m)
     where = f"by {places} regions of the robot" if places > 1 else "wherever the robot is"
@@ -197,11 +197,11 @@ def said(model: UnseenOperator) -> list[str]:
 
 
 def levels_of(dataset: Dataset, levels: Sequence[float] | None = None) -> tuple[tuple[float, ...], pl.DataFrame]:
-    """Return the levels of the scaling, and the samples with the commanded one: columns execution, t_s, XYZ, level.
+    """Return the levels of the scaling, and samples with commanded levels: columns execution, t_s, XYZ, level.
 
     Args:
-        dataset: With a robot's log.
-        levels: Those to find again; None: they are found.
+        dataset: Dataset with a robot's log.
+        levels: Levels to use; None to find them.
 
     Raises:
         DatasetError: The scaling is unknown.
@@ -221,7 +221,7 @@ def levels_of(dataset: Dataset, levels: Sequence[float] | None = None) -> tuple[
 
 
 def courses_of(dataset: Dataset, levels: Sequence[float] | None = None) -> tuple[tuple[float, ...], dict[str, Course]]:
-    """Return the levels, and what the log of each execution shows, by its name."""
+    """Return the levels, and the course of each execution by name."""
     levels, frame = levels_of(dataset, levels)
     parts = frame.partition_by("execution", maintain_order=True)
     return levels, {
@@ -233,7 +233,7 @@ def courses_of(dataset: Dataset, levels: Sequence[float] | None = None) -> tuple
 
 
 def side_by_side(courses: Sequence[Course], centres_m: Points, every: int) -> LevelCourses:
-    """Return every n-th sample of the courses, side by side."""
+    """Return every n-th sample of the courses as arrays, one row per course."""
     steps = np.array([len(one.t_s[::every]) for one in courses])
     level = np.full((len(courses), int(steps.max())), -1)
     region = np.zeros(level.shape, np.int64)
@@ -244,7 +244,7 @@ def side_by_side(courses: Sequence[Course], centres_m: Points, every: int) -> Le
 
 
 def nearest(xyz_m: Points, centres_m: Points) -> Ints:
-    """Return the number of the centre (R, 3) that lies nearest to each position (N, 3)."""
+    """Return the number of the centre (R, 3) nearest to each position (N, 3)."""
     if len(centres_m) == 1:
         return np.zeros(len(xyz_m), np.int64)
     squares = (centres_m**2).sum(axis=1) - 2.0 * xyz_m @ centres_m.T

@@ -1,4 +1,4 @@
-"""A model of an unseen operator as a thing to keep: one file, `MODEL/model.json`, data and never code."""
+"""Reads and writes a model of an unseen operator: the file `MODEL/model.json`, data without code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def holds_unseen(place: Path | str) -> bool:
-    """Tell whether a place holds a model of an unseen operator."""
+    """Return whether a path or URL holds a model of an unseen operator."""
     return card_file.holds(place, FORMAT)
 
 
@@ -24,6 +24,6 @@ def save_unseen(place: Path | str, model: UnseenOperator) -> None:
 
 
 def load_unseen(place: Path | str) -> UnseenOperator:
-    """Open a model of an unseen operator; see `card_file.load`."""
+    """Load a model of an unseen operator; see `card_file.load`."""
     card = card_file.load(place, UnseenModelCard)
     return UnseenOperator(card.levels, card.unseen, card.card)

@@ -1,8 +1,7 @@
-"""What the operator did: x_h, task and goal of every sample of every execution.
+"""Position x_h, task and goal of the operator at every sample of every execution.
 
-The tracks of a session are brought into its time and the base frame; goals come from its events if there are any,
-else from where the operator stays, which all sessions together tell. How a single track is sampled is the business of
-`people`.
+Tracks of a session are converted to its time and the base frame. Goals come from its events if there are any, otherwise
+from the standstills of the operator in all sessions. `tracks` samples a single track.
 """
 
 from __future__ import annotations
@@ -44,18 +43,20 @@ if TYPE_CHECKING:
     Read = Callable[[str, str], pl.DataFrame | None]
 
 GOAL_SIGNAL = "goal"
-"""An event whose signal name holds this word tells the operator's goal."""
+"""Word in the name of a signal whose events are the operator's goals."""
 
 
 _HUMAN = tuple(f"human_{axis}_m" for axis in "xyz")
 HEIGHT_M = 1.5
-"""Maximum plausible height range of a person at work, m; floor axes change by metres. Over ENOUGH positions."""
+"""Maximum plausible height range of a person at work, m, over at least ENOUGH positions; if exceeded, the height axis
+is
+probably a floor axis."""
 ENOUGH = 100
 
 
 @dataclass(frozen=True)
 class _Log:
-    """The tracks that one recording saw, in session time and base frame."""
+    """The tracks in one recording, in session time and base frame."""
 
     recording: RecordingCard
     tracks: list[PersonTrack]
@@ -66,15 +67,15 @@ class _Log:
 
 @dataclass(frozen=True)
 class Stays:
-    """Where the operator stayed in one execution.
+    """Standstills of the operator in one execution.
 
     Attributes:
-        samples: How many samples the execution has.
-        spans: First and last sample of each stay.
-        times_s: When it began and ended, shape (M, 2), session seconds.
-        at_m: Where it was, shape (M, 3), metres.
-        goals: The goal that events tell in the middle of each; empty where no event tells goals in this session.
-        told: Events tell the goals of this session.
+        samples: Number of samples of the execution.
+        spans: First and last sample of each standstill.
+        times_s: Start and end of each standstill, shape (M, 2), session seconds.
+        at_m: Position of each standstill, shape (M, 3), m.
+        goals: Goal from events in the middle of each standstill; empty if the session has no goal events.
+        told: Whether the session has goal events.
     """
 
     samples: int
@@ -90,11 +91,11 @@ class Seen:
     """The operator at the samples of one execution.
 
     Attributes:
-        human_m: x_h, shape (T, 3), NaN = unknown.
-        reasons: Whether any log of the session sees somebody, and why not, shape (T,), indices into REASONS; None =
-            nobody was to be tracked.
-        goals: The goal that events tell, T of them; empty where none tells goals in this session.
-        stays: Where the operator stayed.
+        human_m: x_h, shape (T, 3), m; NaN = unknown.
+        reasons: Whether any log of the session sees an operator, or why not, shape (T,), indices into REASONS; None =
+            there is no log of people.
+        goals: Goal from events at each of the T samples; empty if the session has no goal events.
+        stays: Standstills of the operator.
     """
 
     human_m: Points
@@ -103,7 +104,7 @@ class Seen:
     stays: Stays
 
     def columns(self, rows: slice) -> dict[str, NDArray[Any] | list[str | None]]:
-        """Return the columns of table SAMPLES that tell of the operator, at some of the samples; NaN = null."""
+        """Return the operator's columns of table SAMPLES for some samples; NaN = null."""
         human_m = self.human_m[rows]
         columns: dict[str, NDArray[Any] | list[str | None]] = {name: human_m[:, k] for k, name in enumerate(_HUMAN)}
         if self.reasons is not None:
@@ -114,16 +115,16 @@ class Seen:
 
 
 class Watch:
-    """The people of one session, looked at execution by execution."""
+    """The people of one session, evaluated execution by execution."""
 
     def __init__(self, session: Session, sources: Mapping[str, Source | None], read: Read, cell: Cell) -> None:
-        """Bring the tracks into session time and base frame.
+        """Convert the tracks to session time and base frame.
 
         Args:
             session: The session.
-            sources: What the cell file says about each recording, by id.
-            read: Returns a native table of a recording (id, table), None if it has none.
-            cell: How long gaps are bridged, and the rate.
+            sources: Entry of each recording in the cell file, by id.
+            read: Returns a native table of a recording (id, table), None if there is none.
+            cell: Cell with bridged gap length and sample rate.
         """
         self._logs, self._events = _operator_logs(session, sources, read)
         self._tracks = [track for log in self._logs for track in log.tracks]
@@ -134,8 +135,8 @@ class Watch:
         """Return the operator in one execution.
 
         Args:
-            t_s: Times of its samples, shape (T,).
-            tcp_m: The TCP there, shape (T, 3), NaN = unknown.
+            t_s: Times of its samples, shape (T,), s.
+            tcp_m: The TCP at these times, shape (T, 3), m; NaN = unknown.
         """
         bridge_s, width_s = self._cell.bridge_s, 1.0 / self._cell.rate_hz
         found = [gap_reasons(log.tracks, t_s, log.recording.span_s, bridge_s=bridge_s) for log in self._logs]
@@ -148,13 +149,14 @@ class Watch:
         return Seen(human_m, np.min(found, axis=0) if found else None, goals, _stays(t_s, human_m, goals))
 
     def stays_until(self, next_s: float, seen: Seen, t_s: Vector, tcp_m: Points) -> tuple[Stays, float]:
-        """Return where the operator stayed from the start of an execution to that of the next, and until when, s.
+        """Return the operator's standstills from the start of an execution to that of the next, and the end time, s.
 
         Args:
-            next_s: When the next one starts; it is looked no farther than as long again as the execution took.
+            next_s: Start of the next execution, s; the search beyond the end covers at most the execution's own
+                duration.
             seen: The operator in the execution.
-            t_s: Times of its samples, shape (T,).
-            tcp_m: The TCP there, shape (T, 3); it stays where it is at the end.
+            t_s: Times of its samples, shape (T,), s.
+            tcp_m: The TCP at these times, shape (T, 3), m; its last position is used afterwards.
         """
         last_s, rate_hz = float(t_s[-1]), self._cell.rate_hz
         count = int(min(next_s - last_s, last_s - float(t_s[0])) * rate_hz)
@@ -169,12 +171,12 @@ class Watch:
 
     @property
     def silences(self) -> list[Silence]:
-        """How each log of people begins, ends and pauses."""
+        """How each log of people starts, ends and pauses."""
         empty = Silence.of(np.empty(0), np.empty((0, 3)), None)
         return [log.silence for log in self._logs] + [empty] * (self._nobody_logged and not self._logs)
 
     def cards(self) -> dict[str, OperatorCard]:
-        """Return by recording how many samples saw the operator, and why the others did not."""
+        """Return per recording the number of samples with a visible operator, and of the others by reason."""
         return {
             log.recording.id: OperatorCard(
                 not_believed=log.not_believed, warnings=log.warnings, **dict(zip(REASONS, counts.tolist(), strict=True))
@@ -186,27 +188,27 @@ class Watch:
 def _stays(t_s: Vector, human_m: Points, goals: Sequence[str | None]) -> Stays:
     spans = find_stays(t_s, human_m)
     at_m = np.array([np.median(human_m[a : b + 1], axis=0) for a, b in spans]).reshape(-1, 3)
-    # The middle decides: at the end of a stay the next button is pressed before the operator is seen to walk.
+    # The middle sample decides, because at the end the next button is pressed before the operator is seen to walk.
     middles = [goals[(a + b) // 2] for a, b in spans] if goals else []
     times_s = np.array([(t_s[a], t_s[b]) for a, b in spans]).reshape(-1, 2)
     return Stays(len(t_s), spans, times_s, at_m, middles, told=bool(goals))
 
 
 def operator_places(stays: Sequence[Stays], cell: Cell) -> dict[str, Place]:
-    """Return the operator's places: those of the cell file, and those of goals that only a button names.
+    """Return the operator's places: those of the cell file, and those of goals known only from buttons.
 
-    Where nothing tells goals and the cell file names no place, they are where the operator stays.
+    Without goal events and places in the cell file, they are clusters of the operator's standstills.
 
     Args:
-        stays: Of every execution of every session.
-        cell: Places that it names.
+        stays: Standstills of every execution of every session.
+        cell: Cell with its places.
     """
     spots = {name: Place(name, p.xyz_m, p.radius_m, inferred=False) for name, p in cell.human_places.items()}
     if not any(mine.told for mine in stays):
         spots = spots or find_spots(np.concatenate([np.empty((0, 3)), *(mine.at_m for mine in stays)]))
     at: dict[str, list[Vector]] = {}
     for mine in stays:
-        for name, xyz_m in zip(mine.goals, mine.at_m, strict=False):  # without goals there is nothing to name
+        for name, xyz_m in zip(mine.goals, mine.at_m, strict=False):  # empty without goal events
             if name is not None and name not in spots:
                 at.setdefault(name, []).append(xyz_m)
     return spots | {name: spot(name, np.array(points)) for name, points in sorted(at.items())}
@@ -217,7 +219,7 @@ def with_goals(samples: pl.DataFrame, goals: Sequence[str | None], spots: Mappin
 
     Args:
         samples: Rows of table SAMPLES, from `Seen`.
-        goals: The goal at each of them, by name.
+        goals: Name of the goal at each sample.
         spots: All places of the operator.
     """
     nowhere = (np.nan, np.nan, np.nan)
@@ -247,7 +249,8 @@ def _operator_logs(
 def _log(entry: RecordingCard, read: Read, source: Source | None) -> _Log:
     """Return the tracks of the people in a recording, without implausible positions.
 
-    A body on the robot's flange is not a person. Ids that do not last are replaced by tracks linked by motion.
+    A tracked body on the robot's flange is not a person. Ids that do not persist are replaced by tracks linked by
+    motion.
     """
     warnings: list[Note] = []
     t, xyz, numbers, names = _positions(entry, read, source)
@@ -259,7 +262,7 @@ def _log(entry: RecordingCard, read: Read, source: Source | None) -> _Log:
     tracks: list[PersonTrack] = []
     disbelieved = 0
     for rows in _rows_of_each(numbers):
-        alone = len(rows) == len(t)  # of many hours a copy is much
+        alone = len(rows) == len(t)  # avoids a copy of many hours
         own = (t, xyz) if alone else (t[rows], xyz[rows])
         parts, dropped = without_jumps(PersonTrack(names[numbers[rows[0]]], *own))
         tracks += parts
@@ -275,14 +278,14 @@ def _log(entry: RecordingCard, read: Read, source: Source | None) -> _Log:
 
 
 def _height_range(tracks: Sequence[PersonTrack]) -> float:
-    """Return by how much the height of one track changes at most, without its lowest and highest twentieth, m."""
+    """Return the largest height range of a track, from its 5 % to its 95 % quantile, m."""
     heights = [height[np.isfinite(height)] for track in tracks for height in [track.xyz_m[:, 2]]]
     ranges = [float(np.subtract(*np.quantile(height, [0.95, 0.05]))) for height in heights if len(height) >= ENOUGH]
     return max(ranges, default=0.0)
 
 
 def _positions(entry: RecordingCard, read: Read, source: Source | None) -> tuple[Vector, Points, Ints, list[str]]:
-    """Return what a recording saw, in the order of time: times (N,), positions (N, 3), whose (N,), and the names."""
+    """Return the people in a recording ordered by time: times (N,), positions (N, 3), person numbers (N,), names."""
     people = read(entry.id, "people")
     people = schema.empty(schema.PEOPLE) if people is None else people
     people = people.select("t_s", "x_m", "y_m", "z_m", pl.col("person").fill_null(""))
@@ -293,7 +296,7 @@ def _positions(entry: RecordingCard, read: Read, source: Source | None) -> tuple
         people = people.sort("t_s", maintain_order=True)
     t_s, xyz = people["t_s"].to_numpy(), people.select("x_m", "y_m", "z_m").to_numpy()
     whose = people["person"]
-    del people  # of many hours: what is left of it is copied several times
+    del people  # saves memory: parts of it are copied several times below
     names = whose.unique().sort().to_list()
     one = len(names) == 1
     numbers = np.zeros(len(whose), np.int64) if one else whose.rank("dense").cast(pl.Int64).to_numpy() - 1
@@ -302,14 +305,14 @@ def _positions(entry: RecordingCard, read: Read, source: Source | None) -> tuple
 
 
 def _rows_of_each(numbers: Ints) -> list[Ints]:
-    """Return the rows of each number (N,) that is not negative, those of the first to come first."""
+    """Return the rows of each number (N,) that is not negative, ordered by first row."""
     order = np.argsort(numbers, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1) if len(order) else []
     return sorted((rows for rows in parts if numbers[rows[0]] >= 0), key=lambda rows: int(rows[0]))
 
 
 def _why_unseen(human_m: Points, reasons: NDArray[np.int8]) -> list[str | None]:
-    """Return why x_h is unknown at each sample; None where it is known."""
+    """Return why x_h is unknown at each sample; None if it is known."""
     unseen = np.isnan(human_m[:, 0])
     least = np.maximum(reasons, REASONS.index("occluded"))  # an implausible position counts as occluded
     return [REASONS[reason] if hidden else None for reason, hidden in zip(least, unseen, strict=True)]

@@ -1,8 +1,10 @@
-"""What silence of a tracker means: no person in view, or the tracker is not running.
+"""Meaning of a tracker's silence: no person in view, or the tracker is not running.
 
-Some trackers write a row with empty cells while nobody is there, others write nothing. Of the latter a log begins when
-somebody comes and ends when he has left; before and after, nobody is there. That a tracker is one of these shows in the
-middle of its logs: it falls silent, and goes on later. Which way people then come and go shows there too.
+Some trackers write a row with empty cells while nobody is in view, others write nothing. A log of the latter starts
+when
+a person arrives and ends when he has left; before and after, nobody is present. Such a tracker is recognised by
+silences
+within its logs. Their positions also show where people enter and leave.
 """
 
 from __future__ import annotations
@@ -20,25 +22,25 @@ if TYPE_CHECKING:
 
 Meaning = Literal["absent", "unknown"]
 SILENT_S = 5.0
-"""A pause of the rows up to this long is one behind something, or a lost connection."""
+"""Maximum duration, s, of a pause of the rows that counts as occlusion or lost connection."""
 ENOUGH = 3
-"""From this many silences within the logs on, the tracker is taken to write nothing while no person is in view."""
+"""Minimum number of silences within the logs from which the tracker is assumed to write nothing without a person."""
 EXIT_M = 1.0
-"""A log that ends this close to where others fell silent ends because the person left."""
+"""Maximum distance, m, of a log's end from other silences at which the person is assumed to have left."""
 
 
 @dataclass(frozen=True)
 class Silence:
-    """How one log of people begins, ends and pauses.
+    """How one log of people starts, ends and pauses.
 
     Attributes:
-        first_s: Time of its first row, session seconds; NaN without rows.
-        last_s: Time of its last row.
-        first_m: Where somebody was then, shape (2,), metres, base frame; NaN = nobody.
-        last_m: Where somebody was at the last row.
-        beside_m: Where somebody was before and after each silence in its middle, shape (M, 2).
-        empty_rows: It also has rows without anybody: then silence says nothing.
-        told: What the cell file says.
+        first_s: Time of the first row, session seconds; NaN without rows.
+        last_s: Time of the last row.
+        first_m: Position of a person at the first row, shape (2,), m, base frame; NaN = nobody.
+        last_m: Position of a person at the last row.
+        beside_m: Positions before and after each silence within the log, shape (M, 2), m.
+        empty_rows: Whether it has rows without a person; silence then has no meaning.
+        told: Meaning given in the cell file.
     """
 
     first_s: float
@@ -51,7 +53,7 @@ class Silence:
 
     @classmethod
     def of(cls, t_s: Vector, xyz_m: Points, told: Meaning | None) -> Silence:
-        """Look at the rows of a log: times (N,), ascending, session seconds, and positions (N, 3), base frame."""
+        """Return it for a log: times (N,), ascending, session seconds, and positions (N, 3), base frame, m."""
         if not len(t_s):
             nowhere = np.full(2, np.nan)
             return cls(np.nan, np.nan, nowhere, nowhere, np.empty((0, 2)), empty_rows=False, told=told)
@@ -63,17 +65,17 @@ class Silence:
 
 @dataclass(frozen=True)
 class Absence:
-    """Silences at the ends of a session's logs without a person: up to `until_s`, and from `from_s` on."""
+    """Times without a person at the ends of a session's logs: up to `until_s`, and from `from_s` on."""
 
     until_s: float = -np.inf
     from_s: float = np.inf
 
 
 def absences(sessions: Sequence[Sequence[Silence]]) -> list[Absence]:
-    """Return for each session when its logs' silence proves that no operator was present.
+    """Return for each session when the silence of its logs proves that no operator was present.
 
     Args:
-        sessions: Of each session its logs of people.
+        sessions: Logs of people of each session.
     """
     every = [log for logs in sessions for log in logs]
     beside = np.concatenate([np.empty((0, 2)), *(log.beside_m for log in every)])
@@ -83,7 +85,7 @@ def absences(sessions: Sequence[Sequence[Silence]]) -> list[Absence]:
 
 
 def is_empty(logs: Sequence[Silence]) -> bool:
-    """Tell whether no log has a row."""
+    """Return whether no log has a row."""
     return all(np.isnan(log.first_s) for log in logs)
 
 

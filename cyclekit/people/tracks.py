@@ -1,9 +1,9 @@
-"""The operator: one position per sample out of the tracks of a session, and the goal of what the operator does.
+"""The operator's position per sample, from the tracks of a session, and his goals.
 
-Of several people the one nearest to the TCP is x_h. A gap in a track stays a gap, apart from short ones that are
-bridged; ids that a tracker gives anew with every frame are linked by motion, and a jump that nobody makes is not
-believed. Goals come from a button log where there is one, else from where the operator stays for a while; the latter
-are marked as inferred. Frames and clocks have been settled before.
+Of several people, the one nearest to the TCP is x_h. Only short gaps in a track are bridged; ids that change with every
+frame are replaced by linking positions by motion; implausible jumps are removed. Goals come from a button log if there
+is one, otherwise from the operator's standstills; the latter are marked as inferred. Frames and clocks are aligned
+before.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ if TYPE_CHECKING:
 
 
 STAY_M_S = 0.2
-"""Below this horizontal speed the operator stands still."""
+"""Horizontal speed, m/s, below which the operator stands still."""
 STAY_S = 0.8
-"""A standstill of the operator shorter than this is a hesitation, not an activity."""
+"""Minimum duration of a standstill, s; shorter ones are hesitations."""
 SPOT_M = 0.4
-"""Stays nearer than this to each other are at one spot: people do not stand twice on the same tile."""
+"""Maximum distance, m, of standstills at the same place."""
 
 
 LINK_M_S, LINK_M, FORGET_S = 5.0, 0.15, 1.0
-"""A body is the same one as in the last frame if it came no faster than this, beside this much noise; one that was not
-seen for FORGET_S is somebody new."""
+"""Linking of bodies between frames: maximum speed, m/s, position noise, m, and time unseen, s, after which a body is a
+new one."""
 SHORT_ROWS = 3.0
-"""Where half of the rows have an id that lives for fewer frames than this, the ids are no tracks."""
+"""Minimum number of frames per id, as a median over rows, for ids that persist."""
 JUMP_M_S, JUMP_M = 20.0, 0.3
-"""Maximum plausible speed of a person; a step shorter than JUMP_M is not a jump, however short the time."""
+"""Maximum plausible speed of a person, m/s; a step shorter than JUMP_M, m, is never a jump."""
 STRAY_S = 0.25
-"""A part shorter than this between two jumps is a false detection."""
+"""Maximum duration, s, of a part between two jumps that is a false detection."""
 OCCLUDED_S = 5.0
-"""A gap of a track up to this long is one behind something; after a longer one the person may have been away."""
+"""Maximum duration of a gap by occlusion, s; in a longer one the person may have been absent."""
 REASONS = ("seen", "occluded", "absent", "outside")
-"""Whether a log of people sees somebody, and why not; what an earlier one says holds for all logs of a session."""
+"""Whether a log of people sees an operator, or why not; over all logs of a session, the first in this order counts."""
 
 
 @dataclass(frozen=True)
 class PersonTrack:
-    """One person's track in session time and base frame: `t_s` (T,), `xyz_m` (T, 3), NaN = not seen."""
+    """One person's track in session time and base frame: `t_s` (T,), s, `xyz_m` (T, 3), m; NaN = not seen."""
 
     person: str
     t_s: Vector
@@ -59,24 +59,25 @@ class PersonTrack:
 
     @cached_property
     def period_s(self) -> float:
-        """Usual time between frames in which the person was seen; infinite where there are none."""
+        """Median time between frames with a position, s; infinite for fewer than two."""
         t = self.t_s[np.isfinite(self.xyz_m[:, :2]).all(axis=1)]
         return float(np.median(np.diff(t))) if len(t) > 1 else np.inf
 
     def around(self, first_s: float, last_s: float) -> PersonTrack:
-        """Return its rows from the last one before `first_s` to the first one behind `last_s`; views."""
+        """Return views of its rows from the last one before `first_s` to the first one after `last_s`."""
         begin, end = np.searchsorted(self.t_s, first_s) - 1, np.searchsorted(self.t_s, last_s, side="right") + 1
         part = slice(max(int(begin), 0), int(end))
         return PersonTrack(self.person, self.t_s[part], self.xyz_m[part])
 
 
 def at_times(track: PersonTrack, t_s: Vector, *, bridge_s: float, width_s: float = 0.0) -> Points:
-    """Return the track at the times `t_s` (N,), shape (N, 3); NaN where no seen position lies near enough.
+    """Return the track at times `t_s` (N,), shape (N, 3), m; NaN if no position is near enough.
 
-    Positions are interpolated linearly between seen ones at most `bridge_s` apart (or two frames of the tracker, if
-    that is longer: a slow tracker has no gap between its frames), and averaged over `width_s` around each time, so that
-    noise and shaking faster than the samples do not pass for motion. The average never looks across a gap: near one it
-    is taken over less, evenly on both sides.
+    Positions are interpolated linearly if at most `bridge_s` apart (or two frames of the tracker, if that is longer),
+    and
+    averaged over `width_s` around each time, so that noise faster than the samples does not appear as motion. The
+    average
+    does not extend across a gap; near one it is shorter, symmetric to the time.
     """
     limit = max(bridge_s, 2.0 * track.period_s)
     if not np.isfinite(limit) or len(t_s) == 0:
@@ -84,11 +85,11 @@ def at_times(track: PersonTrack, t_s: Vector, *, bridge_s: float, width_s: float
     part = track.around(float(t_s.min()) - limit - width_s, float(t_s.max()) + limit + width_s)
     seen = np.isfinite(part.xyz_m[:, :2]).all(axis=1)
     t, xyz = part.t_s[seen], part.xyz_m[seen]
-    if len(t) < 2:  # alone in a gap: it was seen just then, and not around it
+    if len(t) < 2:  # a single position counts only at its own time
         return np.where(t_s[:, None] == t, xyz, np.nan) if len(t) else np.full((len(t_s), 3), np.nan)
     right = np.clip(np.searchsorted(t, t_s), 1, len(t) - 1)
     inside = (t_s >= t[0]) & (t_s <= t[-1]) & (t[right] - t[right - 1] <= limit)
-    inside |= (t[right] == t_s) | (t[right - 1] == t_s)  # seen at exactly this time
+    inside |= (t[right] == t_s) | (t[right - 1] == t_s)  # exactly at a frame
     breaks = np.flatnonzero(np.diff(t) > limit)
     begins, ends = t[np.concatenate([[0], breaks + 1])], t[np.concatenate([breaks, [len(t) - 1]])]
     stretch = np.clip(np.searchsorted(begins, t_s, side="right") - 1, 0, None)
@@ -99,7 +100,7 @@ def at_times(track: PersonTrack, t_s: Vector, *, bridge_s: float, width_s: float
 
 
 def _mean_around(t: Vector, x: Vector, at: Vector, half: Vector) -> Vector:
-    """Return the mean of the polyline (t, x) from `at - half` to `at + half`, shape (N,); its value where half is 0."""
+    """Return the mean of the polyline (t, x) from `at - half` to `at + half`, shape (N,); its value if `half` is 0."""
     value = np.interp(at, t, x)
     if not (half > 0.0).any() or np.isnan(x).any():
         return value
@@ -115,22 +116,21 @@ def _mean_around(t: Vector, x: Vector, at: Vector, half: Vector) -> Vector:
 
 
 def ids_are_real(ids: Ints) -> bool:
-    """Tell whether the ids of a log's rows (N,) last: a tracker may number each frame's bodies anew."""
+    """Return whether the ids of a log's rows (N,) persist; a tracker may number the bodies of each frame anew."""
     counts = np.bincount(ids) if len(ids) else np.empty(0)
     if np.count_nonzero(counts) < 4:
         return True
-    return float(np.median(counts[ids])) >= SHORT_ROWS  # by rows: a lasting track among false sightings is one
+    return float(np.median(counts[ids])) >= SHORT_ROWS  # by rows, so that a lasting track among false detections counts
 
 
 def link_by_motion(t_s: Vector, xyz_m: Points) -> Ints:
-    """Return a track number for each row, joining each body to the nearest one of the last frame that it can be.
+    """Return a track number for each row, linking each body to the nearest one of the last frame within reach.
 
-    Where two people pass within a step of a frame they may be exchanged, which changes nothing about the distance to
-    the nearest of them.
+    People who pass each other closely may be exchanged; the distance of the nearest person stays correct.
 
     Args:
-        t_s: Times, shape (N,), ascending; the bodies of one frame have the same time.
-        xyz_m: Positions, shape (N, 3), metres; rows without one belong to nobody (-1).
+        t_s: Times, shape (N,), s, ascending; the bodies of one frame have the same time.
+        xyz_m: Positions, shape (N, 3), m; rows without one get -1.
     """
     track = np.full(len(t_s), -1, np.int64)
     seen = np.flatnonzero(np.isfinite(xyz_m[:, :2]).all(axis=1))
@@ -157,7 +157,7 @@ def link_by_motion(t_s: Vector, xyz_m: Points) -> Ints:
 def _continuations(
     now: float, rows: Ints, alive: Sequence[tuple[int, int]], t_s: Vector, xyz: Points
 ) -> dict[int, int]:
-    """Return the track of each row that continues one: nearest pairs first."""
+    """Return the track of each row that continues one; nearest pairs first."""
     if not alive:
         return {}
     last = np.array([row for _, row in alive])
@@ -172,10 +172,11 @@ def _continuations(
 
 
 def without_jumps(track: PersonTrack) -> tuple[list[PersonTrack], int]:
-    """Return the parts of a track between implausible jumps, and how many positions are implausible.
+    """Return the parts of a track between implausible jumps, and the number of implausible positions.
 
-    A false sighting is taken out and the track goes on; after a lasting jump (the tracker took somebody else for the
-    person) another part begins, so that nothing is interpolated across it.
+    A false detection is removed and the track continues; after a lasting jump (the tracker switched to another person)
+    a new
+    part starts, so that nothing is interpolated across it.
     """
     seen = np.flatnonzero(np.isfinite(track.xyz_m[:, :2]).all(axis=1))
     rows = seen
@@ -186,25 +187,25 @@ def without_jumps(track: PersonTrack) -> tuple[list[PersonTrack], int]:
         xyz = xyz.copy()
         xyz[dropped] = np.nan
     starts = rows[_jumps(track, rows)].tolist() if len(rows) > 1 else []
-    parts = [slice(begin, end) for begin, end in pairwise([0, *starts, len(xyz)])]  # views: of many hours there is much
+    parts = [slice(begin, end) for begin, end in pairwise([0, *starts, len(xyz)])]  # views, to save memory
     return [PersonTrack(track.person, track.t_s[part], xyz[part]) for part in parts], len(dropped)
 
 
 def _strays(track: PersonTrack, rows: Ints) -> Bools:
-    """Tell which rows belong to a part between jumps that is short, and shorter than the parts beside it."""
+    """Return which rows are in a part between jumps that is short, and shorter than its neighbours."""
     cuts = _jumps(track, rows)
     starts, ends = np.concatenate([[0], cuts]), np.concatenate([cuts, [len(rows)]])
     length = track.t_s[rows[ends - 1]] - track.t_s[rows[starts]]
     if len(starts) == 1 or length.max() <= 0:
         return np.zeros(len(rows), bool)
-    order = length + 1e-9 * np.modf(0.618 * np.arange(len(length)))[0]  # of parts equally short some go first
+    order = length + 1e-9 * np.modf(0.618 * np.arange(len(length)))[0]  # breaks ties between equally short parts
     beside = np.concatenate([[np.inf], order, [np.inf]])
     stray = (length < STRAY_S) & (order < beside[:-2]) & (order < beside[2:])
     return np.repeat(stray, ends - starts)
 
 
 def _jumps(track: PersonTrack, rows: Ints) -> Ints:
-    """Return the indices into `rows` that are implausibly far from the row before."""
+    """Return the indices into `rows` of those implausibly far from the previous row."""
     step = np.linalg.norm(np.diff(track.xyz_m[rows, :2], axis=0), axis=1)
     return np.flatnonzero(step > np.maximum(JUMP_M, JUMP_M_S * np.diff(track.t_s[rows]))) + 1
 
@@ -215,14 +216,15 @@ def gap_reasons(
     """Return for each time whether an operator is seen, or why not; shape (N,), indices into REASONS.
 
     Args:
-        tracks: All that one log saw.
-        t_s: Times, shape (N,).
+        tracks: All tracks of one log.
+        t_s: Times, shape (N,), s.
         span_s: First and last time of the log.
-        bridge_s: Gaps up to this long are bridged.
+        bridge_s: Maximum duration of a bridged gap, s.
 
     Returns:
-        `seen`; `outside`: the log had not begun or was over; `occluded`: within a track that goes on within
-        OCCLUDED_S; `absent`: no such track.
+        `seen`; `outside`: before the start or after the end of the log; `occluded`: within a track that continues
+        within
+        OCCLUDED_S; `absent`: none of these.
     """
     seen, hidden = np.zeros(len(t_s), bool), np.zeros(len(t_s), bool)
     for track in tracks:
@@ -243,9 +245,9 @@ def gap_reasons(
 def nearest_person(
     tracks: Sequence[PersonTrack], t_s: Vector, tcp_m: Points, *, bridge_s: float, width_s: float = 0.0
 ) -> Points:
-    """Return x_h at each time, shape (N, 3): the position of the person nearest to the TCP, NaN = nobody seen.
+    """Return x_h at each time, shape (N, 3), m: position of the person nearest to the TCP, NaN = nobody seen.
 
-    Where the TCP is unknown the first person seen counts. See `at_times` for `bridge_s` and `width_s`.
+    If the TCP is unknown, the first person seen counts. See `at_times` for `bridge_s` and `width_s`.
     """
     best = np.full((len(t_s), 3), np.nan)
     distance = np.full(len(t_s), np.inf)
@@ -260,26 +262,26 @@ def nearest_person(
 
 
 def goals_from_events(t_event_s: Vector, values: Sequence[str], t_s: Vector) -> list[str | None]:
-    """Return the goal in force at each time: the value of the last goal event, None before the first."""
+    """Return the goal at each time: the value of the last goal event, None before the first."""
     last = np.searchsorted(t_event_s, t_s, side="right") - 1
     return [values[i] if i >= 0 else None for i in last.tolist()]
 
 
 def find_stays(t_s: Vector, human_m: Points) -> list[tuple[int, int]]:
-    """Return the stays of one execution's samples as (first, last) rows: slow for at least STAY_S."""
+    """Return the standstills in one execution's samples as (first, last) rows: slow for at least STAY_S."""
     if len(t_s) < 3:
         return []
     speed = np.linalg.norm(np.gradient(human_m[:, :2], t_s, axis=0), axis=1)
-    still = speed < STAY_M_S  # NaN compares false: an unseen operator does not stay
+    still = speed < STAY_M_S  # NaN compares false: an unseen operator is not at a standstill
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     spans = [(a, b - 1) for a, b in edges.reshape(-1, 2).tolist()]
     return [(a, b) for a, b in spans if t_s[b] - t_s[a] >= STAY_S]
 
 
 def find_spots(stays: Points) -> dict[str, Place]:
-    """Return the spots where the operator stays, named `spot_1`, ... by how often, out of stays (M, 3), metres.
+    """Return the places of the operator from standstills (M, 3), m, named `spot_1`, ... by frequency.
 
-    A spot needs at least two stays and a hundredth of all of them.
+    A place needs at least two standstills and 1 % of all of them.
     """
     rows = np.arange(len(stays), dtype=np.int64)
     floor = np.column_stack([stays[:, :2], np.zeros(len(stays))])
@@ -291,7 +293,7 @@ def find_spots(stays: Points) -> dict[str, Place]:
 
 
 def spot(name: str, points: Points) -> Place:
-    """Return the place in the middle of stays (M, 3), m; without any height it lies at that of the robot's base, 0."""
+    """Return the place at the median of standstills (M, 3), m; without heights its z is 0, that of the robot's base."""
     heights = points[np.isfinite(points[:, 2]), 2]
     x, y = (round(float(v), 4) for v in np.nanmedian(points[:, :2], axis=0))
     return Place(name, (x, y, round(float(np.median(heights)), 4) if len(heights) else 0.0), SPOT_M, inferred=True)
@@ -300,9 +302,9 @@ def spot(name: str, points: Points) -> Place:
 def goals_from_stays(
     stays: Sequence[tuple[int, int]], at_m: Points, samples: int, spots: Mapping[str, Place]
 ) -> list[str | None]:
-    """Return the goal per sample: the spot of the stay that is running or comes next, None when none follows.
+    """Return the goal per sample: the place of the present or next standstill, None if none follows.
 
-    `stays` are from `find_stays`, `at_m` is where the operator was in each, shape (M, 3), metres.
+    `stays` are from `find_stays`; `at_m` are the operator's positions in them, shape (M, 3), m.
     """
     goals: list[str | None] = [None] * samples
     names = list(spots)

@@ -1,4 +1,4 @@
-"""Text from logs and files, made safe to show: escaped names, JSON without NaN.
+"""Makes text from logs and files safe to show: escaped names, JSON without NaN.
 
-In: any text or value. Out: one visible line, one JSON document. Knows nothing else of cyclekit; everybody may use it.
+In: any text or value. Out: one visible line, one JSON document. Imports nothing else of cyclekit; all rooms may use it.
 """

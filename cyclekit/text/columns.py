@@ -1,4 +1,4 @@
-"""Names in columns of a table, escaped like any other name (`plain_text`): whoever wrote the table may be anybody."""
+"""Escapes text in columns of a table (`plain_text`), because tables may come from anyone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def in_one_line(frame: pl.DataFrame, columns: Iterable[str] | None = None) -> pl.DataFrame:
-    """Return the table with every text of some columns, None = of all, as `one_line` makes it."""
+    """Return the table with every text of some columns (None = all) escaped by `one_line`."""
     wanted = [name for name, dtype in frame.schema.items() if dtype == pl.String] if columns is None else columns
     found = frame.select(_is_odd(name) for name in wanted if name in frame.columns)
     odd = [one.name for one in found if one.any()]
@@ -22,5 +22,5 @@ def in_one_line(frame: pl.DataFrame, columns: Iterable[str] | None = None) -> pl
 
 def _is_odd(name: str) -> pl.Expr:
     texts = pl.col(name).cast(pl.String)
-    texts = texts.filter(texts.ne_missing(texts.shift(1))).unique()  # few, as a rule: looking into each takes longer
+    texts = texts.filter(texts.ne_missing(texts.shift(1))).unique()  # repeated values are skipped for speed
     return texts.str.contains(NOT_ONE_LINE).any()

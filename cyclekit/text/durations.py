@@ -1,4 +1,4 @@
-"""Durations as people write them: `105s`, `1min 45s`, `0.5 min`, `500ms`, `105`."""
+"""Parses durations: `105s`, `1min 45s`, `0.5 min`, `500ms`, `105`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ _PART = re.compile(r"\s*((?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?)\s*(ms|min|s|h)?(
 
 
 def seconds_in(text: str) -> float:
-    """Return a duration in seconds; a number without a unit is seconds.
+    """Return a duration in seconds; a number without a unit is in seconds.
 
     Args:
-        text: One number with its unit or more, each unit smaller than the one before: `1min 45s`.
+        text: One or more numbers with units, each unit smaller than the previous one: `1min 45s`.
 
     Raises:
-        ValueError: It is no positive duration; the message says what was given and how to write one.
+        ValueError: It is no positive duration; the message shows the text and the format.
     """
     word, at, total, last = text.strip().lower(), 0, 0.0, math.inf
     while at < len(word):

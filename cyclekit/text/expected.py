@@ -1,4 +1,4 @@
-"""What msgspec found wrong with a value, in the words of a person who writes files by hand."""
+"""Translates validation errors of msgspec for people who write files by hand."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _SHOWN = 160
 
 
 def in_words(error: Exception) -> tuple[str, str]:
-    """Return where in the value something is wrong (`executions[3].end_s`, empty for all of it) and what was expected.
+    """Return the position of an error (`executions[3].end_s`, empty for the whole value) and what was expected.
 
     Args:
-        error: As msgspec raised it.
+        error: Error raised by msgspec.
     """
     text, _, where = str(error).partition(" - at `$")
     text = re.sub(r"Object missing required field `(\w+)`", r"\1 is missing", text)

@@ -1,7 +1,4 @@
-"""One JSON document as text: what is not a number becomes null, as JSON has no NaN.
-
-What stands in the document is the business of whoever writes it.
-"""
+"""Writes a JSON document as text; NaN and infinity become null, because JSON has neither."""
 
 from __future__ import annotations
 
@@ -15,18 +12,18 @@ from cyclekit.text.plain_text import CONTROL
 
 
 def json_text(document: object, *, ascii_only: bool = False) -> str:
-    """Return `document` as indented JSON; tuples become lists, what JSON does not know becomes its string.
+    """Return `document` as indented JSON; tuples become lists, types unknown to JSON become strings.
 
     Args:
         document: Dictionaries, sequences and values; NaN and infinities become null, keys become strings.
-        ascii_only: Escape everything else, for terminals whose encoding is not known.
+        ascii_only: Escape all other characters, for terminals of unknown encoding.
     """
     text = json.dumps(finite(document), indent=2, ensure_ascii=ascii_only, allow_nan=False, default=str)
-    return CONTROL.sub(lambda found: f"\\u{ord(found[0]):04x}", text)  # only texts hold any: a terminal may show this
+    return CONTROL.sub(lambda found: f"\\u{ord(found[0]):04x}", text)  # a terminal may show these
 
 
 def plain_values(value: object) -> object:
-    """Return a value as JSON has it: texts for paths and keys, lists for tuples, objects for dataclasses."""
+    """Return a value with JSON types: texts for paths and keys, lists for tuples, objects for dataclasses."""
     if isinstance(value, PurePath):
         return str(value)
     if is_dataclass(value):
@@ -39,7 +36,7 @@ def plain_values(value: object) -> object:
 
 
 def finite(value: object) -> object:
-    """Return a document in which null stands for what is not a number, with lists for tuples and texts for keys."""
+    """Return a document with null for NaN and infinities, lists for tuples, and texts for keys."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):

@@ -1,6 +1,6 @@
-"""Names out of logs and files, written where they could be taken for commands: a terminal, Markdown, a spreadsheet.
+"""Escapes names from logs and files where they could act as commands: in a terminal, Markdown, or a spreadsheet.
 
-Each way of writing has one function here. What is written is the business of others.
+There is one function per output format.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 _ENDS = r"\n\t"
 _UNSEEN = (
-    r"\x00-\x08\x0b-\x1f\x7f-\x9f"  # controls of terminals
-    r"\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"  # what turns the direction of reading around
-    r"\u2028\u2029\ufeff"  # other ends of lines, a mark of byte order
+    r"\x00-\x08\x0b-\x1f\x7f-\x9f"  # terminal controls
+    r"\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"  # characters that change the reading direction
+    r"\u2028\u2029\ufeff"  # other line ends, byte order mark
 )
-_HALVES = r"\ud800-\udfff"  # of characters: no encoding can write them
+_HALVES = r"\ud800-\udfff"  # surrogates, which no encoding can write
 CONTROL = re.compile(f"[{_UNSEEN}{_HALVES}]")
-"""What steers a terminal or turns a line around, other than ends of lines and tabs."""
+"""Characters that control a terminal or change the reading direction, except line ends and tabs."""
 _CONTROL_OR_END = re.compile(f"[{_UNSEEN}{_HALVES}{_ENDS}]")
 NOT_ONE_LINE = f"[{_UNSEEN}{_ENDS}]"
-"""The pattern of what `one_line` escapes, for columns of text."""
+"""Pattern of the characters that `one_line` escapes, for columns of text."""
 FORMULA = r"^[=+\-@\t\r\n＝＋－＠]"
-"""How a text begins that a spreadsheet takes for a formula, if it is no number."""
+"""Pattern of the start of a text that a spreadsheet treats as a formula, unless it is a number."""
 _FORMULA = re.compile(FORMULA)
 _MARKUP = re.compile(r"[\\`*\[\]|~]|(?<!\w)_|_(?!\w)|!(?=\[)")
 _BLOCK = re.compile(r"^(\s*\d*)(>|[#+\-=.)](?=[#\-=\s]|$))")
@@ -36,17 +36,17 @@ Value = TypeVar("Value")
 
 
 def visible(text: str) -> str:
-    r"""Return a text in which characters that steer a terminal or turn a line around are escaped: `\x1b`, `\u202e`."""
+    r"""Return a text with escapes for characters that control a terminal or the reading direction: `\x1b`, `\u202e`."""
     return CONTROL.sub(_escaped, text)
 
 
 def one_line(text: str) -> str:
-    """Return a text as `visible` does, with ends of lines and tabs escaped as well: a name is one line."""
+    """Return a text escaped as by `visible`, including line ends and tabs, because a name is one line."""
     return _CONTROL_OR_END.sub(_escaped, text)
 
 
 def all_in_one_line(value: Value) -> Value:
-    """Return plain values with every text in them, keys included, as `one_line` does; columns of a `map` stay."""
+    """Return plain values with every text, including keys, escaped by `one_line`; columns of a `map` are unchanged."""
     changed: Any = value
     if isinstance(value, str):
         changed = one_line(value)
@@ -61,29 +61,29 @@ def all_in_one_line(value: Value) -> Value:
 
 
 def needs_it(document: str) -> bool:
-    """Tell whether texts in a JSON document could hold such characters: raw, or as escapes."""
+    """Return whether texts in a JSON document may contain such characters, raw or as escapes."""
     return "\\" in document or CONTROL.search(document) is not None
 
 
 def spelt(task: str) -> str:
-    """Write a task `a->b` for display."""
+    """Return a task `a->b` for display."""
     return task.replace("->", " → ")
 
 
 def markdown(text: str) -> str:
-    """Return a text that Markdown shows as it is: no HTML, link, picture, emphasis, heading or list in it."""
+    """Return a text that Markdown shows unchanged, without HTML, links, pictures, emphasis, headings or lists."""
     plain = " ".join(one_line(line) for line in text.splitlines()) if "\n" in text else one_line(text)
     plain = _MARKUP.sub(lambda found: f"\\{found[0]}", plain)
     plain = plain.replace("&", "&amp;").replace("<", "&lt;")
-    plain = _SCHEME.sub(lambda found: f"{found[0][:-1]}&#{ord(found[0][-1])};", plain)  # a viewer would make it a link
+    plain = _SCHEME.sub(lambda found: f"{found[0][:-1]}&#{ord(found[0][-1])};", plain)  # else a viewer makes it a link
     return _BLOCK.sub(r"\1\\\2", plain)
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
-    """Return rows as CSV whose texts no spreadsheet takes for a formula (an apostrophe stands before those).
+    """Return rows as CSV without formulas; an apostrophe precedes texts that a spreadsheet would treat as one.
 
     Args:
-        rows: Of cells; a text that is a number stays one.
+        rows: Rows of cells; a text that is a number stays one.
     """
     page = io.StringIO()
     csv.writer(page, lineterminator="\n").writerows([_cell(value) for value in row] for row in rows)
@@ -97,7 +97,7 @@ def _cell(value: object) -> object:
 
 
 def is_formula(text: str) -> bool:
-    """Tell whether a spreadsheet would take a text for a formula when it is typed into a cell."""
+    """Return whether a spreadsheet would treat a text as a formula."""
     return _FORMULA.match(text) is not None and not _is_number(text)
 
 

@@ -1,7 +1,8 @@
-"""What results of the library have in common: a short repr, a table in a notebook, a polars frame, values for JSON.
+"""Common behaviour of the library's results: short repr, HTML table, polars frame, JSON values.
 
-A result is a frozen dataclass. Its class says what it is in a line or a few (`_said`), and what the rows of its frame
-are where that is not one row of its single values (`_frame_rows`); the command line's `--json` prints `to_dict`.
+A result is a frozen dataclass. Its class returns its text (`_said`) and the rows of its frame, unless that is one row
+of
+its scalar values (`_frame_rows`); `--json` prints `to_dict`.
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ if TYPE_CHECKING:
     import polars as pl
 
 SHOWN_ROWS, SHOWN_LINES = 20, 8
-"""So many rows a notebook shows, and so many lines a terminal; the frame has all."""
+"""Maximum number of rows shown in a notebook, and of lines in a terminal; the frame has all."""
 
 
 class Result:
-    """What a call of the library gives back."""
+    """Result of a library call."""
 
     def to_dict(self) -> dict[str, object]:
         """Return everything as plain JSON values, as `--json` prints it."""
         return cast("dict[str, object]", plain_values(self))
 
     def to_frame(self) -> pl.DataFrame:
-        """Return the result as a table, units in the names of its columns."""
+        """Return the result as a table, with units in the names of its columns."""
         import polars as pl
 
         return pl.DataFrame(self._frame_rows(), infer_schema_length=None)
@@ -39,22 +40,22 @@ class Result:
         return [{name: value for name, value in self.to_dict().items() if not isinstance(value, list | dict)}]
 
     def _said(self) -> Sequence[str]:
-        """Return the result in a line or a few."""
+        """Return the result as a few lines of text."""
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        """Return the result in a line or a few: what a console shows."""
+        """Return the result as a few lines of text, as shown in a console."""
         lines = [one_line(line) for line in self._said()]
         kept = lines if len(lines) <= SHOWN_LINES else [*lines[: SHOWN_LINES - 1], f"... and {len(lines) - 7} more"]
         return f"{type(self).__name__}: " + "\n  ".join(kept)
 
     def _repr_html_(self) -> str:
-        """Return the result as a small table for a notebook; names out of logs are escaped."""
+        """Return the result as a small HTML table for a notebook; names from logs are escaped."""
         return html_table(self.__repr__().partition("\n")[0], self.to_frame())
 
 
 def html_table(title: str, frame: pl.DataFrame) -> str:
-    """Return a title and the first rows of a frame as HTML, escaped; of a frame without rows the title alone."""
+    """Return a title and the first rows of a frame as escaped HTML; the title alone for an empty frame."""
     if frame.is_empty():
         return f"<p>{escape(title)}</p>"
     head = "".join(f"<th>{escape(name)}</th>" for name in frame.columns)

@@ -32,6 +32,8 @@ LATENCIES_S = np.concatenate(
 _LATEST = round(LATEST_S / STEP_S)
 HOLD_S = 0.06
 """A robot that speeds up later than it slows down by less than this is not held."""
+_HELD = 0.4
+"""Maximum ratio of the rising changes' spread with a hold time to the spread without one."""
 LEAST, LEAST_KIND = 20, 5
 """Fewer changes in all, or of one kind, say nothing."""
 AGREE_M = 0.04
@@ -58,12 +60,14 @@ class PlacesBefore:
         kind: Which threshold and direction, shape (N,): twice the slower level, one more where it rises.
         apart_m: Their distance, shape (N, L), metres.
         floor_m: The operator on the floor, shape (N, L, 2), metres.
+        floor_apart_m: Their horizontal distance, shape (N, L), metres.
         samples: How many distances were known in all.
     """
 
     kind: Ints
     apart_m: NDArray[np.float64]
     floor_m: NDArray[np.float64]
+    floor_apart_m: NDArray[np.float64]
     samples: int
 
     @classmethod
@@ -73,9 +77,11 @@ class PlacesBefore:
         known = np.isfinite(apart)
         at = begin_s[:, None] - LATENCIES_S[None]
         if not known.any() or not len(begin_s):
-            return cls(kind[:0], np.empty((0, len(LATENCIES_S))), np.empty((0, len(LATENCIES_S), 2)), int(known.sum()))
-        look = [np.interp(at, t_s[known], values) for values in (apart[known], *human_m[known, :2].T)]
-        return cls(kind, look[0], np.stack(look[1:], axis=2), int(known.sum()))
+            none = np.empty((0, len(LATENCIES_S)))
+            return cls(kind[:0], none, np.empty((*none.shape, 2)), none, int(known.sum()))
+        on_floor = np.linalg.norm((robot_m - human_m)[known, :2], axis=1)
+        look = [np.interp(at, t_s[known], values) for values in (apart[known], on_floor, *human_m[known, :2].T)]
+        return cls(kind, look[0], np.stack(look[2:], axis=2), look[1], int(known.sum()))
 
 
 @dataclass(frozen=True)
@@ -84,7 +90,7 @@ class Agreement:
 
     Attributes:
         latency_s: At which they agree best; None: at none.
-        falling_s, rising_s: That of the changes down and up alone, where they tell it.
+        falling_s, rising_s: That of the changes down and up; they differ by a hold time.
         hysteresis_m: How much farther than the falling changes the rising ones are; None where it is no distance.
         spread_m: Median deviation at `latency_s`.
     """
@@ -107,30 +113,50 @@ def agreement_of(seen: Sequence[PlacesBefore]) -> Agreement | None:
     if len(kind) < LEAST or sum(mine.samples for mine in seen) < LEAST:
         return None
     apart = np.concatenate([mine.apart_m for mine in seen])
-    by_distance = _spreads(apart, kind)
-    if by_distance is None:
+    alone = _by_distance(apart, kind)
+    if alone is None:
         return None
-    alone = _agreement(by_distance, kind)
-    if alone.latency_s is not None:
-        both = (alone.falling_s, alone.rising_s) if alone.held else (alone.latency_s, alone.latency_s)
-        alone = replace(alone, hysteresis_m=_lag(_at(apart, kind, both), kind))
     if alone.latency_s is not None and alone.spread_m <= _EXACT_M:
         return alone
+    on_floor_m = np.concatenate([mine.floor_apart_m for mine in seen])
+    on_floor = _by_distance(on_floor_m, kind)
+    if on_floor is not None and on_floor.latency_s is not None and on_floor.spread_m < _BETTER * alone.spread_m:
+        apart, alone = on_floor_m, on_floor
     lines = _by_lines(apart, np.concatenate([mine.floor_m for mine in seen]), kind, alone.spread_m)
     return lines if lines.latency_s is not None and lines.spread_m < _BETTER * alone.spread_m else alone
+
+
+def _by_distance(apart: NDArray[np.float64], kind: Ints) -> Agreement | None:
+    """Return at which reaction time distances (N, L) agree, m; None if changes of each kind are too rare."""
+    spreads = _spreads(apart, kind)
+    if spreads is None:
+        return None
+    found = _agreement(spreads, kind)
+    if found.latency_s is None:
+        return found
+    both = (found.falling_s, found.rising_s) if found.held else (found.latency_s, found.latency_s)
+    return replace(found, hysteresis_m=_lag(_at(apart, kind, both), kind))
 
 
 def _agreement(spreads: NDArray[np.float64], kind: Ints, most_m: float = AGREE_M) -> Agreement:
     """Return at which time changes agree, of how far each is from the others, shape (N, L); hysteresis is left out."""
     falling, rising = _best(spreads[kind % 2 == 0, : _LATEST + 1]), _best(spreads[kind % 2 == 1])
     apart = Agreement(falling, falling, rising, None, 0.0)
-    if apart.held:
+    if apart.held and _is_held(spreads[kind % 2 == 1], falling, rising):
         return replace(apart, spread_m=float(np.nanmedian(_at(spreads, kind, (falling, rising)))))
     spread = np.nanmedian(spreads[:, : _LATEST + 1], axis=0)
     best = int(spread.argmin())
     if spread[best] <= most_m and best < _LATEST:
-        return Agreement(float(LATENCIES_S[best]), falling, rising, None, float(spread[best]))
+        latency_s = float(LATENCIES_S[best])
+        return Agreement(latency_s, latency_s, latency_s, None, float(spread[best]))
     return Agreement(None, None, None, None, float(spread[best]))
+
+
+def _is_held(spreads: NDArray[np.float64], falling: float | None, rising: float | None) -> bool:
+    """Return whether rising changes (N, L) agree much better at their own time than at that of the falling ones."""
+    column = np.searchsorted(LATENCIES_S, np.array((falling, rising), np.float64) - 1e-9)
+    at_once, late = np.nanmedian(spreads[:, column], axis=0)
+    return bool(late < _HELD * at_once)
 
 
 def _at(values: NDArray[np.float64], kind: Ints, late_s: tuple[float | None, float | None]) -> Vector:

@@ -81,6 +81,12 @@ def test_levels_that_are_no_round_numbers_are_left_as_they_were_measured():
     assert found.levels == pytest.approx(found.means, abs=1e-12)
 
 
+def test_a_stop_is_a_stop_although_the_log_holds_it_with_a_few_rows_of_a_ramp():
+    rows = np.tile(np.repeat([0.0, 0.3, 1.0], 200), 8)
+    rows[:3] = 0.001
+    assert find_staircase(rows).levels.tolist() == pytest.approx([0.0, 0.3, 1.0], abs=1e-9)
+
+
 def test_a_rare_level_in_noise_is_rounded_where_the_others_show_how_levels_were_chosen():
     found = find_staircase(series(0.05, 0.5, 3, rare=True))
     assert found.levels[1] == 0.25

@@ -161,6 +161,26 @@ def test_a_hold_time_is_what_the_robot_speeds_up_later_than_it_slows_down(hold_s
     assert found.latency_s == pytest.approx(0.3, abs=0.02)
 
 
+def test_a_distance_on_the_floor_shows_hysteresis_though_the_tool_is_at_many_heights():
+    t_s = np.arange(0.0, 600.0, 0.1)
+    number, passed_s = t_s // 10.0, t_s % 10.0
+    speed, direction = 0.5 + 0.1 * (number % 7), 0.7 * number
+    apart_m = 1.0 + speed * np.where(passed_s < 5.0, 4.0 - passed_s, passed_s - 6.0)  # in at 4 s, out at 6 s
+    human_m = np.stack([apart_m * np.cos(direction), apart_m * np.sin(direction), np.full(len(t_s), 1.1)], axis=1)
+    robot_m = np.stack([0 * t_s, 0 * t_s, 0.1 + 0.2 * (number % 5)], axis=1)
+    changes = []
+    for one in range(60):
+        rises_s = 6.0 + 0.12 / (0.5 + 0.1 * (one % 7))
+        changes += [
+            LevelChange(10.0 * one + 4.3, 0, False, None),
+            LevelChange(10.0 * one + rises_s + 0.3, 0, True, None),
+        ]
+    found = read_response([Changes.of(changes, t_s, robot_m, human_m)])
+    assert found.latency_s == pytest.approx(0.3, abs=0.02)
+    assert found.hysteresis_m == pytest.approx(0.12, abs=0.01)
+    assert found.hold_s is None
+
+
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason="CYCLEKIT_SAMPLES names no folder")
 def test_the_override_of_a_research_cell_has_three_levels_and_two_rates():
     log = pl.read_csv(SAMPLES / "ovr_monitoring_safety_area.csv")

@@ -26,6 +26,8 @@ _USUAL_HOLD_S = 1.5
 _GRIDS = (0.05, 0.01)
 """Usual steps of speed levels."""
 _SIGMAS = 2.5
+END = 1e-4
+"""A level this close to 0 or 1 is a stop or full speed."""
 _SLIDERS_DIFFER = 0.02
 _LOWEST_SLIDER = 0.1
 
@@ -147,7 +149,8 @@ def rounded(value: Vector, deviation: Vector) -> Vector:
 
     People choose levels in steps of 5 % or 1 %. Where at least two levels inside (0, 1) are known to a fifth of such a
     step and every level lies within 2.5 standard errors of it, all are taken to lie on it; a level that was held for
-    two seconds in noise is then known far better than its own samples tell. Otherwise the means stay as they are.
+    two seconds in noise is then known far better than its own samples tell. Otherwise the means stay as they are, but
+    a level within END of a stop or of full speed is that.
 
     Args:
         value: Means, shape (P,), ascending.
@@ -159,7 +162,7 @@ def rounded(value: Vector, deviation: Vector) -> Vector:
         allowed = np.minimum(np.maximum(_SIGMAS * deviation, 0.0005), grid / 2)
         if inside.sum() >= 2 and (np.abs(value - near) <= allowed).all() and np.unique(near).size == near.size:
             return np.round(near, 6)
-    return value
+    return np.where(np.abs(value - np.round(value)) <= END, np.round(value), value)
 
 
 def operator_sliders(

@@ -1,8 +1,8 @@
-"""All that an adapter may know of cyclekit: the protocol it meets and the Recording it returns.
+"""The interface between adapters and cyclekit: the protocols that an adapter implements, and the Recording it returns.
 
-An adapter turns one log into tables of SI values in the log's OWN clock and frame, and states the facts of the log
-(what clock, which axis is up, what was set aside). It never guesses: a quantity that was not logged stays absent.
-Putting logs together in one clock and one frame is ingest's business.
+An adapter turns one log into tables in SI units, in the log's own clock and frame, with facts about the log
+(kind of clock, vertical axis, rows set aside). It never guesses: a quantity that was not logged is absent.
+`ingest` brings several logs to one clock and one frame.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
-from cyclekit.storage.inside import inside as inside  # for adapters of folders: a name out of data as a path
+from cyclekit.storage.inside import inside as inside  # for adapters of folders: a path from a name in the data
 from cyclekit.storage.scratch import Scratch as Scratch  # for adapters that need a copy of a log
 
 if TYPE_CHECKING:
@@ -23,23 +23,23 @@ Role = Literal["robot", "people", "events", "tasks"]
 ClockKind = Literal["epoch", "uptime", "relative"]
 RowKind = Literal["line", "row", "message", "frame"]
 TABLES = ("robot", "people", "events", "task_list", "safety", "skeletons", "stamps")
-"""The fields of a `Recording` that are tables; each is kept by ingest under its name."""
+"""Fields of `Recording` that hold tables; ingest stores each under its name."""
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What the cell file says about one source; every field has a default that works for a self-describing log.
+    """Settings of one source in the cell file; the defaults suit a self-describing log.
 
     Attributes:
-        role: What the log is used for, where it could be several things.
+        role: Use of the log, where it could serve as several.
         map: Column mapping and units of a generic CSV, and topic names of a bag (`[sources.map]` in cell.toml).
         body: Name of the rigid body, marker or topic that is the person, where a log has several.
-        rate_hz: Rate of a log without any clock; must be given, is never invented.
-        skeletons: Fill `Recording.skeletons` too, where the log has them. Personal data: only on request.
-        frame_given: The cell file says where this log's frame stands, so positions stay in it, even where the log
-            itself knows the way to the robot's base.
-        columns: Canonical columns that somebody will look at, beside `t_s`; empty = all. An adapter may leave the
-            others out where that saves time.
+        rate_hz: Sampling rate of a log without timestamps, Hz; it has to be given and is never guessed.
+        skeletons: Also fill `Recording.skeletons`, where the log has them. Personal data: only on request.
+        frame_given: The cell file gives the pose of this log's frame, so positions stay in that frame, even where the
+            log itself holds the transform to the robot's base.
+        columns: Canonical columns that are needed, in addition to `t_s`; empty = all. An adapter may skip the others
+            to save time.
     """
 
     role: Role | None = None
@@ -53,26 +53,26 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class Recording:
-    """What one log says, in SI units, in its own clock and frame.
+    """Content of one log, in SI units, in its own clock and frame.
 
     Attributes:
         robot: Table ROBOT of `cyclekit.schema`, or None.
-        people: Table PEOPLE, or None. An empty table means "recorded, and nobody was there".
+        people: Table PEOPLE, or None. An empty table means "recorded, and no person present".
         events: Table EVENTS, or None.
         task_list: Table TASK_LIST, or None.
         safety: Table SAFETY, or None.
-        skeletons: Table SKELETONS, or None; only where `ReadOptions.skeletons` asks for it.
-        stamps: Table STAMPS, or None: where the log holds a device's time and its host's, what each said.
+        skeletons: Table SKELETONS, or None; only if `ReadOptions.skeletons` is set.
+        stamps: Table STAMPS with device time and host time of each message, or None if the log does not hold both.
         clock: `epoch` (s since 1970), `uptime` (since a controller or PC started) or `relative` (since the
-            recording began). Times of one log share it, also across its tables.
-        up: Axis that points up in the people's frame: trackers differ ("y" for Motive).
-        joint_names: Names of the joints behind `q0_rad`, `q1_rad`, ... in that order.
-        rows_are: What `source_row` counts: a `line` of a text file (from 1, as editors do), a `row` of a binary
+            recording began). All tables of one log share it.
+        up: Vertical axis of the people's frame: trackers differ ("y" for Motive).
+        joint_names: Names of the joints of `q0_rad`, `q1_rad`, ..., in that order.
+        rows_are: Unit of `source_row`: a `line` of a text file (from 1, as in editors), a `row` of a binary
             table (or, from 1, of a spreadsheet), a `message` of its topic, a `frame` of a take (from 0).
-        rows_read: Data rows or messages looked at.
+        rows_read: Number of data rows or messages read, used or not.
         set_aside: Rows not used: columns `source_row` (Int64), `reason` (String).
-        warnings: What a person must know before trusting the log, one sentence each.
-        facts: Anything else the log states about itself (rate, units, point tracked), for people to read.
+        warnings: What the user must know before trusting the log, one sentence each.
+        facts: Other information that the log holds about itself (rate, units, tracked point), to display.
     """
 
     robot: pl.DataFrame | None = None
@@ -92,7 +92,7 @@ class Recording:
     facts: Mapping[str, str] = field(default_factory=dict)
 
     def tables(self) -> dict[str, pl.DataFrame]:
-        """Return the tables that there are, by name."""
+        """Return the tables that are not None, by name."""
         named = {name: getattr(self, name) for name in TABLES}
         return {name: table for name, table in named.items() if table is not None}
 
@@ -102,10 +102,10 @@ class Proposal:
     """One key that an adapter proposes for a source of the cell file.
 
     Attributes:
-        key: Of the source, or of its map.
-        value: What TOML can hold.
-        why: What speaks for it, in a few words.
-        sure: Nothing else is possible; what is not sure is for a person to decide.
+        key: Key of the source, or of its map.
+        value: Value that TOML can represent.
+        why: Evidence for the value, in a few words.
+        sure: True if no other value is possible; otherwise the user decides.
     """
 
     key: str
@@ -116,12 +116,12 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Draft:
-    """What an adapter proposes to read a log by that it does not recognise; all that is sure must read it as it is.
+    """Proposed settings for a log that no adapter recognises; with all its sure keys, the log must be readable.
 
     Attributes:
         source: Keys of the source: `role`, `rate_hz`.
         map: Keys of its map.
-        notes: What a person should know, one sentence each.
+        notes: What the user should know, one sentence each.
     """
 
     source: tuple[Proposal, ...] = ()
@@ -130,20 +130,22 @@ class Draft:
 
     @property
     def unsure(self) -> int:
-        """How many keys a person has to decide."""
+        """Number of keys that the user has to decide."""
         return sum(not proposal.sure for proposal in (*self.source, *self.map))
 
 
 class Adapter(Protocol):
-    """A format. Two methods; registered by one line in the entry-point group `cyclekit.adapters`.
+    """A log format: two methods, registered by one line in the entry-point group `cyclekit.adapters`.
 
     The first line of the adapter's module docstring is its description in `cyclekit adapters`.
     """
 
     def recognises(self, path: Path) -> bool:
-        """Tell from the content (first few KiB, never the name alone) whether `path`, a file or a folder, is mine.
+        """Return whether `path`, a file or a folder, has this format, judged by its content.
 
-        Must not raise and must answer fast: it is asked of every file.
+        Reads the first few KiB and never judges by the name alone. Must be fast and must not raise, because it is
+        called
+        for every file.
         """
         ...
 
@@ -152,33 +154,34 @@ class Adapter(Protocol):
 
         Raises:
             cyclekit.errors.LogError: The log cannot be used; the message names file, cause and cure.
-            cyclekit.errors.ConfigError: `options` says something that this adapter cannot follow.
+            cyclekit.errors.ConfigError: This adapter cannot apply a value in `options`.
         """
         ...
 
 
 @runtime_checkable
 class StreamingAdapter(Adapter, Protocol):
-    """A format whose logs may be larger than memory: one method more, which ingest then uses instead of `read`."""
+    """A format whose logs may exceed memory: one more method, which ingest uses instead of `read`."""
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
-        """Yield the log in consecutive parts; `whole` of them is what `read` returns.
+        """Yield the log in consecutive parts; `whole` of the parts equals the result of `read`.
 
-        Clock, axes, joint names and the set of tables are those of every part. What is only known at the end is in the
-        last part's warnings and facts.
+        All parts share clock, axes, joint names and the set of tables. Warnings and facts that are known only at the
+        end
+        are in the last part.
 
         Raises:
-            cyclekit.errors.LogError, cyclekit.errors.ConfigError: As `read`; while the parts are taken, too.
+            cyclekit.errors.LogError, cyclekit.errors.ConfigError: As `read`, also during iteration.
         """
         ...
 
 
 @runtime_checkable
 class DraftingAdapter(Adapter, Protocol):
-    """A format that a cell file must describe: one method more, which proposes how, for `inspect --write-cell`."""
+    """A format that the cell file has to describe: one more method proposes the keys, for `inspect --write-cell`."""
 
     def draft(self, path: Path) -> Draft | None:
-        """Propose how a file is to be read that no adapter recognises, from its first few KiB; None = not by me.
+        """Propose settings for a file that no adapter recognises, from its first few KiB; None if it does not apply.
 
         Raises:
             cyclekit.errors.LogError: The file cannot be read.
@@ -187,7 +190,7 @@ class DraftingAdapter(Adapter, Protocol):
 
 
 def whole(parts: Iterable[Recording]) -> Recording:
-    """Put the parts of a log together: tables and rows set aside end to end, warnings each once, the last facts."""
+    """Concatenate the parts of a log; each warning appears once, and the facts are those of the last part."""
     import polars as pl
 
     every = list(parts)

@@ -1,8 +1,8 @@
-"""The line from one clock to another, from two stamps per message: sent by one clock, received by the other.
+"""Linear relation between two clocks, from messages with a send time of one clock and a receive time of the other.
 
-No message arrives before it was sent, so the line lies below the cloud of (sent, received) stamps. Of all lines below
-it the nearest on the whole is taken, an edge of the cloud's lower convex hull (E. Olson, A Passive Solution to the
-Sensor Synchronization Problem, 2010). The least delay cannot be told from an offset and stays in it.
+A message cannot arrive before it was sent, so the line lies below all (sent, received) points. The line with the least
+total distance to them is an edge of their lower convex hull (E. Olson, A Passive Solution to the Sensor Synchronization
+Problem, 2010). The minimum delay cannot be separated from a clock offset and remains in the result.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
 
 MAX_DRIFT = 5e-3
-"""The worst published clock is 0.3 % off; delays that grow faster are no clock."""
+"""Maximum relative drift of a clock (worst published: 0.3 %); delays that grow faster have another cause."""
 MAX_RATE = 0.05
-"""Simulated time runs up to this much faster or slower than the receiver's and is followed, where a line fits it."""
+"""Maximum relative deviation of simulated time from the receiver's clock; used only where a line fits."""
 EXPLAINED = 0.1
-"""A line at such a rate fits if stamps typically lie above it by less than this share of what the clocks move apart."""
+"""Maximum typical distance of stamps from such a line, as a share of the clocks' relative drift over the log."""
 
 
 def least_delays(delay_s: Vector, parts: int) -> Ints:
-    """Return the row of the least delay, (N,), in each of up to `parts` consecutive parts, ascending."""
+    """Return the row with the minimum delay, (N,), of each of up to `parts` consecutive parts, ascending."""
     size = -(-delay_s.size // parts)
     whole = delay_s.size // size * size
     rows = delay_s[:whole].reshape(-1, size).argmin(axis=1) + np.arange(0, whole, size)
@@ -31,12 +31,12 @@ def least_delays(delay_s: Vector, parts: int) -> Ints:
 
 
 def slope_under(sent_s: Vector, received_s: Vector, *, same_s: float = 0.0) -> float:
-    """Return the slope of the line below the cloud: there the sum of the delays is least; 1 for a single stamp.
+    """Return the slope of the line below all points with the least total delay; 1 for a single point.
 
     Args:
-        sent_s: Stamps of the sender, shape (N,), s, in any order.
-        received_s: Stamps of the receiver, shape (N,), s.
-        same_s: Stamps of the sender that are no farther apart are one, of which the least delay counts.
+        sent_s: Send times, shape (N,), s, in any order.
+        received_s: Receive times, shape (N,), s.
+        same_s: Send times no farther apart than this count as one, s; the smallest delay among them is used.
     """
     order = np.lexsort((received_s, sent_s))
     hull: list[tuple[float, float]] = []

@@ -1,1 +1,1 @@
-"""Text tables of any dialect, read by blocks: delimiters, headers, numbers, JSON rows, worksheets."""
+"""Readers of text tables of any dialect, block by block: delimiters, headers, numbers, JSON rows, worksheets."""

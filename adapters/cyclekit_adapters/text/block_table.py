@@ -1,8 +1,8 @@
-"""A block of whole lines parsed by polars at once, or not at all where it could be read otherwise than it was meant.
+"""Fast parsing of a block of whole lines by polars; refused where polars could silently misread it.
 
-Polars is fast and forgiving: it fills short rows, cuts long ones, skips what it cannot decode and takes 1.234 for a
-number also where the comma is the decimal mark, all without a word. So a block is looked over first, and what is in
-doubt is left to `row_parser`, which goes line by line.
+Polars fills short rows, cuts long ones, skips undecodable bytes and reads 1.234 as a number even where the comma is the
+decimal mark, without an error. So each block is checked first. A doubtful block is left to `row_parser`, which reads it
+line by line.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _NEWLINE, _RETURN, _QUOTE, _BLANK = b'\n\r" '
 _WHITE = np.frombuffer(b" \t\n\v\f\r", np.uint8)
 _PLACES, _PLACE_BYTES = 32, 1024
 _PLAIN_BYTES = 1 << 17
-"""Of a smaller block the plan of a query costs more than its rows, and a look at each byte next to nothing."""
+"""Maximum block size for the fast path, bytes: below it, planning a query costs more than checking each byte."""
 _OF_NUMBERS = b"0123456789.eE+-\n"
 _AS_IT_IS = pl.QueryOptFlags.none()
 
 
 def mark_between(layout: TextLayout) -> str:
-    """Return what stands between the fields of a block: `text_blocks` has replaced what is not one character."""
+    """Return the field delimiter of a block, one character: `text_blocks` has replaced longer ones by CELL."""
     return layout.delimiter if len(layout.delimiter) == 1 else CELL
 
 
@@ -44,10 +44,10 @@ class BlockTable:
     """Rows of consecutive lines.
 
     Attributes:
-        frame: The columns wanted, cleaned.
-        lines: How many lines they stand in, blank ones included.
-        not_finite: How many values are NaN or infinite.
-        numbers: The line that each row stands in, from 0, shape (N,); None = one after the other.
+        frame: The requested columns, cleaned.
+        lines: Number of lines of the block, blank ones included.
+        not_finite: Number of values that are NaN or infinite.
+        numbers: Line of each row within the block, from 0, shape (N,); None = consecutive lines.
     """
 
     frame: pl.DataFrame
@@ -56,7 +56,7 @@ class BlockTable:
     numbers: NDArray[np.int64] | None = None
 
     def placed(self, line: int, row: int) -> pl.DataFrame:
-        """Return the rows with `source_row` and INDEX, given those of the first line."""
+        """Return the rows with `source_row` and INDEX, counted from those of the block's first line."""
         rows = self.frame.height
         lines = np.arange(line, line + rows) if self.numbers is None else self.numbers + line
         places = [pl.Series("source_row", lines), pl.Series(INDEX, np.arange(row, row + rows))]
@@ -68,8 +68,8 @@ def table_of(block: bytes, layout: TextLayout, wanted: Wanted) -> BlockTable | N
 
     Args:
         block: The lines.
-        layout: How they are written.
-        wanted: The columns to be read.
+        layout: Format of the lines.
+        wanted: Columns to read.
     """
     if _has_too_many_lines(block, layout) or _may_be_garbled(block, layout, wanted):
         return None
@@ -92,11 +92,11 @@ def _may_be_garbled(block: bytes, layout: TextLayout, wanted: Wanted) -> bool:
 
 
 def _has_nul_or_two_blanks(block: bytes) -> bool:
-    """Tell whether there is a NUL byte, or two blanks side by side: so many blanks that to search for two is slow.
+    """Return whether the block holds a NUL byte or two adjacent blanks, for text too rich in blanks for a plain search.
 
-    Two bytes are both blanks, or a blank and NUL, if the bits that are set in either are those of a blank; the bits of
-    two neighbours in a log are mostly more, so that the least of many tells at once. Piece by piece, so that what is
-    looked at twice is fetched from memory once.
+    The OR of two adjacent bytes equals a blank only for two blanks, or a blank and a NUL byte. For most neighbours in a
+    log it is larger, so the minimum over a piece usually decides. Pieces keep the data in the cache for the second
+    look.
     """
     raw = np.frombuffer(block, np.uint8)
     for begin in range(0, len(raw), _LOOKED_AT):
@@ -114,19 +114,19 @@ def _has_blank_lines(block: bytes) -> bool:
 
 
 def _quotes_close(block: bytes, layout: TextLayout) -> bool:
-    """Tell whether each quote opens at the begin of a cell and closes at its end, or is doubled inside one."""
+    """Return whether each quote opens at the start of a cell and closes at its end, or is doubled inside a cell."""
     raw = np.frombuffer(block, np.uint8)
     quotes = np.flatnonzero(raw == _QUOTE)
     if len(quotes) % 2:
         return False
     beside = [ord(mark_between(layout)), _NEWLINE, _QUOTE]
-    before = raw[quotes[0::2] - 1]  # before the first byte of all this is the last one, a line end
+    before = raw[quotes[0::2] - 1]  # the byte before the first one is the last one of the block, a line end
     after = raw[np.minimum(quotes[1::2] + 1, len(raw) - 1)]
     return bool(np.isin(before, beside).all() and np.isin(after, [*beside, ord("\r")]).all())
 
 
 def _without_blank_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
-    """Return whole lines without the blank ones, and which of the lines each was, from 0, shape (N,)."""
+    """Return the block without its blank lines, and the original number of each kept line, from 0, shape (N,)."""
     begins, ends, _ = _lines_of(block, None)
     numbers = np.flatnonzero(_is_told(block, begins, ends))
     spans = zip(begins[numbers].tolist(), ends[numbers].tolist(), strict=True)
@@ -134,9 +134,9 @@ def _without_blank_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
 
 
 def short_lines(block: bytes, layout: TextLayout) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """Return which lines are not blank, from 0, and how many fields each has, where none has enough; else None.
+    """Return the numbers of non-blank lines, from 0, and their field counts, if every line is too short; else None.
 
-    A garbled log may have millions of such lines, too many to look at one by one.
+    A garbled log may have millions of such lines, too many to read one by one.
     """
     if b"\0" in block or block.count(b"\r") != block.count(b"\r\n"):
         return None
@@ -149,7 +149,7 @@ def short_lines(block: bytes, layout: TextLayout) -> tuple[NDArray[np.int64], ND
 
 
 def _lines_of(block: bytes, mark: bytes | None) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return where the lines of a block begin and end, and how many fields each has, each of shape (N,)."""
+    """Return start, end and field count of each line of a block, each of shape (N,)."""
     raw = np.frombuffer(block, np.uint8)
     ends = np.flatnonzero(raw == _NEWLINE)
     begins = np.concatenate([[0], ends[:-1] + 1]) if len(ends) else ends
@@ -160,15 +160,15 @@ def _lines_of(block: bytes, mark: bytes | None) -> tuple[NDArray[np.int64], NDAr
 
 
 def _is_told(block: bytes, begins: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell of each line whether there is anything in it but a carriage return."""
+    """Return a mask of the lines that hold more than a carriage return."""
     first = np.frombuffer(block, np.uint8)[begins]
     return np.asarray((ends > begins + 1) | ((ends == begins + 1) & (first != _RETURN)))
 
 
 def _has_too_many_lines(block: bytes, layout: TextLayout) -> bool:
-    """Tell from a few places of a block whether its lines are too short for the rows of this log.
+    """Return whether the lines of a block, sampled at a few places, are too short for the rows of this log.
 
-    Polars would fill up each of them, and need many times the memory of the block.
+    Polars would fill each of them and need many times the memory of the block.
     """
     step = max(len(block) // _PLACES, _PLACE_BYTES)
     seen = [block[begin : begin + _PLACE_BYTES] for begin in range(0, len(block), step)]
@@ -176,16 +176,16 @@ def _has_too_many_lines(block: bytes, layout: TextLayout) -> bool:
 
 
 def _plain(block: bytes, layout: TextLayout, wanted: Wanted) -> BlockTable | None:
-    """Return the rows of a small block that holds nothing but finite numbers, as many in each line as there are names.
+    """Return the rows of a small block of finite numbers only, with one field per name in each line; else None.
 
-    The same as `_parsed`, which is asked where this returns None. There are logs of few rows by the ten thousand.
+    Gives the same result as `_parsed`, faster: some cells write tens of thousands of logs with few rows each.
     """
     if len(block) > _PLAIN_BYTES or wanted.texts or layout.decimal_comma:
         return None
     block = block.replace(b"\r\n", b"\n")
     if not _is_of_numbers(block, layout):
         return None
-    last = layout.names[-1]  # as text, as there, so that it is the same number
+    last = layout.names[-1]  # read as text, as in `_parsed`, so that both give the same number
     types: dict[str, pl.DataType] = {
         n: pl.Float64() if n in wanted.numbers and n != last else pl.String() for n in layout.names
     }
@@ -201,7 +201,7 @@ def _plain(block: bytes, layout: TextLayout, wanted: Wanted) -> BlockTable | Non
 
 
 def _is_of_numbers(block: bytes, layout: TextLayout) -> bool:
-    """Tell whether a block holds numbers alone, each line has its first and last one, and as many marks as it must."""
+    """Return whether a block holds only numbers, one field per name, and no empty first or last field."""
     mark = mark_between(layout).encode()
     if mark in _OF_NUMBERS or block.translate(None, _OF_NUMBERS + mark) or not _is_even(block, layout):
         return False
@@ -219,8 +219,9 @@ def _parsed(block: bytes, layout: TextLayout, wanted: Wanted) -> BlockTable | No
         name: pl.Float64() if name in wanted.numbers and name not in as_text else pl.String()
         for name in (*layout.names, _BEYOND)
     }
-    # Two columns are always read as text: the last one, which is empty in a short row, and one beyond it, which is
-    # empty in all but a long row. Where a blank stands between cells, the first one is empty behind a blank.
+    # The last column and one column beyond it are always read as text. The last one is empty only in a short row, the
+    # one beyond it is filled only in a long row. With blanks as delimiters, a leading blank leaves the first column
+    # empty.
     doubt = (pl.col(last).str.strip_chars() == "").any() | (pl.col(_BEYOND).str.strip_chars() != "").any()
     if layout.delimiter == " ":
         empty = pl.col(first) == "" if types[first] == pl.String else pl.col(first).is_null()
@@ -235,7 +236,7 @@ def _parsed(block: bytes, layout: TextLayout, wanted: Wanted) -> BlockTable | No
         )
     except pl.exceptions.PolarsError:
         return None
-    sure = not quoted and layout.delimiter != " "  # that a field stands where its mark is
+    sure = not quoted and layout.delimiter != " "  # without quotes and blanks, each delimiter is the end of a field
     if table.height > 0 and table[_DOUBT][0] and not (sure and _is_even(block, layout)):
         return None
     if quoted and table.height != block.count(b"\n"):
@@ -248,7 +249,7 @@ def _parsed(block: bytes, layout: TextLayout, wanted: Wanted) -> BlockTable | No
 
 
 def _sum_of(numbers: Sequence[str]) -> pl.Expr:
-    """Return the sum of all numbers: finite only if each is, and sooner found than whether each is."""
+    """Return the sum of all numbers, finite only if each number is: faster than a check of each."""
     return pl.sum_horizontal(pl.lit(0.0), *(pl.col(name).sum() for name in numbers), ignore_nulls=False)
 
 
@@ -268,6 +269,6 @@ def _scanned(block: bytes, layout: TextLayout, types: dict[str, pl.DataType], *,
 
 
 def _is_even(block: bytes, layout: TextLayout) -> bool:
-    """Tell whether every line has exactly as many fields as there are names: an empty cell is no missing one."""
+    """Return whether every line has exactly as many fields as there are names; an empty cell counts as a field."""
     _, _, fields = _lines_of(block, mark_between(layout).encode())
     return bool((fields == len(layout.names)).all())

@@ -1,11 +1,11 @@
-"""Rows of a delimited text log, whole and never shifted, and the rows that cannot be trusted.
+"""Reader of delimited text logs: complete rows, never shifted, and the rows that cannot be trusted.
 
-Every CSV adapter reads through here, because the traps are the same for all: a logger killed in the middle of a
-number leaves a value that still parses, a doubled space moves every later column by one, a power cut leaves a block
-of NUL bytes. A row is used only if nothing about it is in doubt (`row_parser`); all others are set aside with their
-line and the reason. What the columns mean is the adapters' business, how bytes become lines that of `text_blocks`.
+All CSV adapters read through this module, because all CSV logs share the same faults: a logger killed in the middle of
+a number leaves a value that still parses, a doubled space shifts all later columns by one, a power cut leaves a block
+of NUL bytes. A row is used only if nothing in it is doubtful (`row_parser`). All others are set aside with line and
+reason. `text_blocks` turns bytes into lines; the adapters interpret the columns.
 
-The log is read block by block, so one of any size takes the memory of a block.
+The log is read block by block, so memory does not grow with its size.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ def read_rows(path: Path, layout: TextLayout, **columns: Unpack[ColumnArguments]
 
     Args:
         path: The log.
-        layout: How it is written.
-        columns: Which are read, as the attributes of `Wanted`.
+        layout: Format of its lines.
+        columns: Columns to read, as the attributes of `Wanted`.
 
     Raises:
-        DamagedLog: A column asked for has its name twice, or a line is longer than any logger writes.
+        DamagedLog: Two columns share a requested name, or a line is longer than any logger writes.
         LogError: The file cannot be opened.
     """
     return joined(read_blocks(path, layout, **columns), columns["numbers"], columns.get("texts", ()))
@@ -63,10 +63,10 @@ def read_blocks(
     layout: TextLayout,
     **columns: Unpack[ColumnArguments],
 ) -> Iterator[TextRows]:
-    """Yield what `read_rows` returns, some tens of thousands of rows at a time, for logs of any size.
+    """Yield the rows of `read_rows` in blocks of tens of thousands, for logs of any size.
 
     Raises:
-        DamagedLog: A column asked for has its name twice, or a line is longer than any logger writes.
+        DamagedLog: Two columns share a requested name, or a line is longer than any logger writes.
         LogError: The file cannot be opened.
     """
     wanted = Wanted(**columns)
@@ -85,12 +85,13 @@ def read_blocks(
 def row_blocks(
     blocks: Iterable[bytes], layout: TextLayout, *, first_line: int = 1, **columns: Unpack[ColumnArguments]
 ) -> Iterator[TextRows]:
-    """Yield rows as `read_blocks` does, from lines with their line ends: a section of a file of several tables.
+    """Yield rows as `read_blocks` does, but from lines in memory, such as one section of a file of several tables.
 
     Args:
-        blocks: Whole lines of UTF-8 text, in pieces of any size; the first `layout.header_lines` of them are no rows.
-        layout: How they are written.
-        first_line: Line of the file that the first of these is.
+        blocks: Whole lines of UTF-8 text with their line ends, in pieces of any size; the first `layout.header_lines`
+            lines are skipped.
+        layout: Format of the lines.
+        first_line: Line number of the first line in its file.
         columns: As in `read_rows`.
     """
     parser = RowParser(layout, Wanted(**columns), line=first_line, skip=layout.header_lines)
@@ -98,7 +99,7 @@ def row_blocks(
 
 
 def joined(parts: Iterable[TextRows], numbers: Sequence[str] = (), texts: Sequence[str] = ()) -> TextRows:
-    """Put blocks of rows together; the columns are given for the case that there is none."""
+    """Concatenate blocks of rows; `numbers` and `texts` give the columns if there is no block."""
     every = list(parts)
     if not every:
         columns = {"source_row": pl.Int64(), INDEX: pl.Int64()}

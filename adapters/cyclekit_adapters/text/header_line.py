@@ -1,7 +1,7 @@
-"""The column names in the first line of a text log, and how the rows below them are written.
+"""Column names and format of a text log whose first line holds its column names.
 
-For logs that describe themselves this far and no further: delimiter and encoding follow from the first line. Logs with
-lines above their names, or with none, state their layout themselves.
+Delimiter and encoding follow from the first line. Logs with lines above the names, or without names, define their
+layout themselves.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MOST_COLUMNS = 100_000
-"""No logger writes more; a million of them would take gigabytes to read."""
+"""Maximum number of columns: no logger writes more, and reading a million would take gigabytes."""
 _COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 _POINT = re.compile(r"[+-]?\d+\.\d+(?:[eE][+-]?\d+)?")
 _LOOKED_AT = 20  # rows
 
 
 def column_names(path: Path, delimiters: str = ",;\t ") -> tuple[str, ...]:
-    """Return the names in the first line, as far as the first few KiB hold it, to recognise a log by.
+    """Return the column names in the first line, to recognise a log by; at most those in the first few KiB.
 
-    None for a folder, a binary file, one that cannot be opened, or a JSON document.
+    Empty for a folder, a binary file, a file that cannot be opened, or a JSON document.
     """
     line = head_of(path).partition("\n")[0]
     return () if line.startswith(("{", "[")) else _names_in(line, delimiters)
 
 
-@lru_cache(maxsize=16)  # several adapters ask for those of each file
+@lru_cache(maxsize=16)  # several adapters ask for the names of each file
 def _names_in(line: str, delimiters: str) -> tuple[str, ...]:
     return header_names(line, delimiter_of(line, delimiters))
 
@@ -43,7 +43,7 @@ def names_in(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
     """Return the names in a header line.
 
     Raises:
-        DamagedLog: There are more than any logger writes, or it is not text.
+        DamagedLog: There are more names than any logger writes, or the line is not text.
     """
     if "\0" in line:
         raise DamagedLog(path, "its header holds NUL bytes: it is damaged, or not a text file", cure="Check the copy.")
@@ -54,9 +54,9 @@ def names_in(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
 
 
 def has_decimal_comma(rows: Iterable[str], delimiter: str) -> bool:
-    """Tell whether numbers are written `0,5`: where a comma does not separate fields, one in a number is decimal.
+    """Return whether numbers are written `0,5`: a comma inside a number that is not a delimiter is a decimal mark.
 
-    Where commas do separate, such numbers stand in quotes. Where some numbers have a comma and others a point, the more
+    If commas also separate fields, such numbers are quoted. If commas and points both occur in numbers, the more
     frequent one is the decimal mark.
     """
     cells = [cell.strip() for row in rows if "," in row for cell in fields_of(row, delimiter)]
@@ -64,11 +64,11 @@ def has_decimal_comma(rows: Iterable[str], delimiter: str) -> bool:
 
 
 def layout_below(path: Path, delimiters: str = ",;\t ") -> TextLayout:
-    """Return how the rows below the first line are written; where names or cells stand in quotes, all may.
+    """Return the layout of the rows below the first line; if names or cells are quoted, any cell may be.
 
     Args:
         path: The log.
-        delimiters: Those that may separate; leave out what occurs inside names.
+        delimiters: Possible delimiters; leave out characters that occur inside names.
 
     Raises:
         DamagedLog: The first line is empty or binary, or has more names than any logger writes.
@@ -85,7 +85,7 @@ def layout_below(path: Path, delimiters: str = ",;\t ") -> TextLayout:
 
 
 def _is_quoted(row: str, delimiter: str, width: int) -> bool:
-    """Tell whether a row has as many cells as there are names if its quotes hold cells together, and only then."""
+    """Return whether a row has one cell per name only if its quotes are respected."""
     if '"' not in row:
         return False
     cells = strict_fields_of(row, delimiter)

@@ -1,8 +1,7 @@
-"""A text log as consecutive parts, for adapters whose logs may be larger than memory.
+"""Text logs as consecutive parts, for adapters whose logs may exceed memory.
 
-A few blocks of rows become a part as soon as they are read. What is known only at the end (how often a clock stepped
-back) goes into the last one, and a log of which no row was usable is refused then. What the columns mean is the
-adapter's business.
+A few blocks of rows become a part as soon as they are read. Facts known only at the end (how often a clock stepped
+back) go into the last part, and a log without any usable row is refused there. The adapters interpret the columns.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from cyclekit_adapters.text.delimited import TextRows
 
 MANY, HARDLY_ANY = 1_000_000, 0.01
-"""A log of which less than this share of so many rows can be used is something else, however long one goes on."""
+"""A log of more than MANY rows is refused if its share of usable rows is below HARDLY_ANY: the format is wrong."""
 _PARTS_IN_A_BLOCK = 4
 
 
@@ -37,13 +36,13 @@ def in_parts(
     """Yield the parts of a log.
 
     Args:
-        path: The log, for the message.
+        path: The log, for error messages.
         blocks: Its rows.
-        make: Turns some blocks, put together, into a part; called in order.
-        finish: Adds to the last part what is known now.
+        make: Turns joined blocks into a part; called in order.
+        finish: Adds to the last part what is known only at the end.
 
     Raises:
-        DamagedLog: No row of the log is usable, or hardly any of very many.
+        DamagedLog: No row is usable, or less than a share HARDLY_ANY of more than MANY rows.
     """
     last: Recording | None = None
     rows_read, usable, unknown = 0, 0, 0
@@ -71,9 +70,9 @@ def in_parts(
 
 
 def _together(blocks: Iterable[TextRows]) -> Iterator[TextRows]:
-    """Put consecutive blocks together until their tables are a quarter as large as a block of text.
+    """Join consecutive blocks until their tables reach a quarter of the size of a text block.
 
-    To check a part of few rows takes about as long as one of many, and few columns make small tables of large blocks.
+    A check takes about as long for few rows as for many, and with few columns a large block gives a small table.
     """
     waiting: list[TextRows] = []
     size = 0.0

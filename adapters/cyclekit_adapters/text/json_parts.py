@@ -1,8 +1,8 @@
-"""The elements of a JSON log, one at a time, and as many as are whole.
+"""Elements of a JSON log, one at a time, up to the point where the file is damaged.
 
-A skeleton dump is one array or object around thousands of frames. Taken apart frame by frame it needs memory for a few
-frames, whatever its size, and a dump that was cut while being written still gives every frame before the cut. `NaN` and
-`Infinity`, which recorders write and JSON forbids, are understood. What an element means is the adapters' business.
+A skeleton dump is one array or object with thousands of frames. Reading it frame by frame needs memory for a few frames
+only, and a truncated dump still yields every frame before the cut. `NaN` and `Infinity`, which JSON forbids but
+recorders write, are accepted. The adapters interpret the elements.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ _DECODER = json.JSONDecoder()
 _SPACE = re.compile(r"[ \t\r\n]*")
 _CLOSE = {"[": "]", "{": "}"}
 _LONGEST = 1 << 26
-"""Characters of one element: no frame of any tracker is longer, and what goes on so long is garbled."""
+"""Maximum number of characters of one element: no tracker writes a longer frame; a longer one is garbled."""
 _NEAR_END = 1 << 16
-"""An element that is no JSON is garbled, not cut, where that shows further from the end of what was read than this."""
+"""Number of characters: invalid JSON farther than this from the end of the text read is garbled, not cut."""
 
 
 class BrokenJson(ValueError):
-    """The text stops being JSON at the character `at`: it was cut, or garbled there."""
+    """The text is no valid JSON from character `at` on: it was cut or garbled."""
 
     def __init__(self, at: int, cause: str) -> None:
         super().__init__(f"{cause} at character {at}")
@@ -54,15 +54,15 @@ def json_pieces(path: Path) -> Iterator[str]:
 
 
 def parts(pieces: Iterable[str], *, inside: str | None = None) -> Iterator[tuple[str, object]]:
-    """Yield the elements of the outermost array (named "") or the members of the outermost object, in their order.
+    """Yield the elements of the outermost array (key "") or the members of the outermost object, in order.
 
     Args:
-        pieces: The document, cut anywhere.
-        inside: Member of the outermost object whose array is taken apart as well: its elements come one by one, each
-            under this name.
+        pieces: The document, split anywhere.
+        inside: Member of the outermost object whose array is also split: each of its elements is yielded under this
+            key.
 
     Raises:
-        BrokenJson: The document ends or is garbled; what was yielded before is whole.
+        BrokenJson: The document ends early or is garbled; everything yielded before is complete.
     """
     text = _Text(pieces)
     yield from _walk(text, inside, "")
@@ -73,10 +73,10 @@ def parts(pieces: Iterable[str], *, inside: str | None = None) -> Iterator[tuple
 
 
 def documents(pieces: Iterable[str]) -> Iterator[object]:
-    """Yield one document after the other: JSON lines, or whole objects written one behind the other.
+    """Yield consecutive documents: JSON lines, or objects written one after the other.
 
     Raises:
-        BrokenJson: One is cut or garbled; what was yielded before is whole.
+        BrokenJson: A document is cut or garbled; everything yielded before is complete.
     """
     text = _Text(pieces)
     while text.next():
@@ -86,7 +86,7 @@ def documents(pieces: Iterable[str]) -> Iterator[object]:
 
 
 class _Text:
-    """The document: what was read of it and not yet taken."""
+    """Reader of the document, which keeps the text that was read but not yet consumed."""
 
     def __init__(self, pieces: Iterable[str]) -> None:
         self._pieces = iter(pieces)
@@ -94,15 +94,15 @@ class _Text:
 
     @property
     def place(self) -> int:
-        """Return the number of characters taken."""
+        """Number of characters consumed."""
         return self._gone + self._at
 
     def shown(self) -> str:
-        """Return the next few characters."""
+        """Return the next few characters without consuming them."""
         return self._text[self._at :][:20]
 
     def next(self) -> str:
-        """Return the next character that is no space, "" at the end; it is not taken."""
+        """Return the next non-space character without consuming it; "" at the end."""
         while True:
             found = _SPACE.match(self._text, self._at)
             self._at = found.end() if found else self._at
@@ -112,14 +112,14 @@ class _Text:
                 return ""
 
     def take(self, character: str) -> bool:
-        """Take the next character if it is this one."""
+        """Consume the next character if it equals `character`; return whether it does."""
         if self.next() != character:
             return False
         self._at += 1
         return True
 
     def value(self) -> object:
-        """Take a whole value."""
+        """Consume and return one complete value."""
         self.next()
         while True:
             try:
@@ -130,10 +130,10 @@ class _Text:
                 wrong = len(self._text)
             except json.JSONDecodeError as error:
                 wrong = error.pos
-            except ValueError:  # a whole number of thousands of digits
+            except ValueError:  # an integer of thousands of digits
                 wrong = 0
             else:
-                length, cut = end - self._at, end + len("e+") >= len(self._text)  # of a number the rest may follow
+                length, cut = end - self._at, end + len("e+") >= len(self._text)  # the rest of a number may follow
                 if not cut or not isinstance(value, int | float) or not self._more():
                     self._at += length
                     return value
@@ -143,7 +143,7 @@ class _Text:
                 raise BrokenJson(self.place, "the document is cut or garbled")
 
     def _more(self) -> bool:
-        """Read on, at least as much again as is waiting; tell whether there was anything."""
+        """Read at least as much text as is waiting; return whether there was any."""
         waiting, wanted = [self._text[self._at :]], len(self._text) - self._at
         self._gone, self._at = self._gone + self._at, 0
         for piece in self._pieces:
@@ -180,7 +180,7 @@ def _walk(text: _Text, inside: str | None, name: str) -> Generator[tuple[str, ob
 
 
 def number(value: object) -> float | None:
-    """Return a JSON value as a finite number, None where it is none (null, NaN, text, a number beyond floats)."""
+    """Return a JSON value as a finite number; None for null, NaN, text, or a number beyond floats."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:
@@ -194,7 +194,7 @@ _BEYOND = 1e300
 
 
 def point(value: object) -> Place | None:
-    """Return a JSON array of three finite numbers, None where it is none or lies nowhere on Earth."""
+    """Return a JSON array of three finite numbers; None for anything else, or a coordinate outside of Earth's scale."""
     if not isinstance(value, list) or len(value) != 3:
         return None
     x, y, z = number(value[0]), number(value[1]), number(value[2])
@@ -204,12 +204,12 @@ def point(value: object) -> Place | None:
 
 
 def points(values: Sequence[object]) -> NDArray[np.float64]:
-    """Return what `point` makes of each value, shape (N, 3), NaN where it makes nothing."""
+    """Return `point` of each value, shape (N, 3); NaN where it is None."""
     try:
         plain = np.array(values)
     except ValueError:  # of different lengths
         plain = np.array([])
-    if plain.ndim == 2 and plain.shape[1] == 3 and plain.dtype.kind in "if":  # nothing but numbers: at once
+    if plain.ndim == 2 and plain.shape[1] == 3 and plain.dtype.kind in "if":  # numbers only: converted at once
         found = plain.astype(np.float64)
         found[~(np.abs(found) <= _EARTH).all(axis=1)] = np.nan
         return found

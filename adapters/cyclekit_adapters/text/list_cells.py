@@ -1,8 +1,8 @@
-"""Numbers of a list in one cell (`"[0.1, -0.2, 0.3]"`) as columns of their own.
+"""Lists of numbers in one cell (`"[0.1, -0.2, 0.3]"`), split into columns.
 
-Programs that write a vector as one value do so: exports of UR and LeRobot, numpy arrays through pandas. A list may
-stand in any brackets, its numbers parted by commas, semicolons or blanks. One that is cut, of another length than the
-first, or with a word in place of a number sets its row aside, since nobody knows which number is missing.
+Programs that write a vector as one value produce them: exports of UR and LeRobot, numpy arrays through pandas. Any
+brackets are accepted, with commas, semicolons or blanks between the numbers. A row is set aside if its list is cut, has
+another length than the first list, or holds a word, because the missing number is unknown.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ _LIST, _PARTS = "\x1flist", "\x1fparts"
 
 
 def parts_of(cell: str) -> list[str] | None:
-    """Return the texts of the numbers of a list as it is written in a cell, None if it is no list."""
+    """Return the texts of the numbers of a list in a cell; None if the cell is no list."""
     found = re.match(_SHAPE, cell)
     inner = found[1].strip() if found else ""
     return re.split(_BETWEEN, inner) if inner else None
 
 
 def first_width(cells: Iterable[str]) -> int | None:
-    """Return how many numbers the first list among cells has, None where there is none."""
+    """Return the length of the first list among cells; None if there is none."""
     return next((len(parts) for cell in cells if (parts := parts_of(cell))), None)
 
 
 @dataclass
 class ListCells:
-    """Takes lists apart, block after block of one log.
+    """Splits lists into columns, block after block of one log.
 
     Attributes:
-        wanted: Of each column of lists the columns to make of it, by the place of their number, from 0.
-        required: Of the columns made, those without whose value a row is useless.
+        wanted: For each column of lists: position of a number (from 0) -> name of the new column.
+        required: New columns that must have a value; rows without it are set aside.
     """
 
     wanted: Mapping[str, Mapping[int, str]]
@@ -51,7 +51,7 @@ class ListCells:
     _widths: dict[str, int] = field(default_factory=dict)
 
     def rows(self, rows: TextRows) -> TextRows:
-        """Return the rows with the numbers wanted as columns beside the lists; those in doubt are set aside."""
+        """Return the rows with the requested numbers as additional columns; doubtful rows are set aside."""
         for column, made in self.wanted.items():
             rows = self._taken_apart(rows, column, made)
         for name in self.required:

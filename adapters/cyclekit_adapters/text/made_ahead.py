@@ -1,7 +1,7 @@
-"""Several items worked on at the same time, their results in order.
+"""Parallel processing of consecutive items, with results in order.
 
-For work that lets other threads run while it computes, as polars and numpy do: while one block of a log is handed on,
-the next ones are parsed. What the items are is the caller's business.
+For work that releases the interpreter lock while it computes, as polars and numpy do: the next blocks of a log are
+parsed while the caller uses the current one.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 AT_ONCE = 2
-"""Enough for one to compute while another waits for memory or for Python; more would hold more blocks in memory."""
+"""Number of worker threads: one computes while another waits; more would hold more blocks in memory."""
 BEGUN = AT_ONCE + 1
-"""One waits for its turn, so that nobody does while the caller hands one on and fetches the next."""
+"""Maximum number of items in progress: one more than threads, so that no thread idles meanwhile."""
 
 
 def made_ahead(items: Iterable[Item], make: Callable[[Item], Made]) -> Iterator[tuple[Item, Made]]:
-    """Yield each item with what `make` makes of it, in order; of the next ones it is made meanwhile.
+    """Yield each item with the result of `make`, in order, while the next results are computed.
 
-    Items are taken in the caller's thread, results are made in others, unless there is one item alone. An error of
-    `make` is raised at its item. One who stops early waits for what has been begun.
+    Items are taken in the caller's thread; results are computed in worker threads, unless there is only one item. An
+    error of `make` is raised at its item. Closing the iterator early waits for the work in progress.
     """
     coming = iter(items)
     first = list(zip(range(2), coming, strict=False))

@@ -1,9 +1,9 @@
-"""The rows in lines of a delimited text log, whole and never shifted, and the lines that cannot be trusted.
+"""Parser of the lines of a delimited text log: complete rows, never shifted, and the lines that cannot be trusted.
 
-A row is used only if it has as many fields as the header, every number in it is one, and it ends with a line end. A
-block of lines is parsed at once; only where that fails is it halved, and the lines around the trouble are looked at one
-by one, each with its neighbours: a line of other names ends the table, a piece of a row makes the rows beside it
-doubtful. How bytes become lines is the business of `text_blocks`.
+A row is used only if it has as many fields as the header, every number in it parses, and it ends with a line end. A
+block of lines is parsed at once. If that fails, it is halved repeatedly, and the lines around the fault are read one by
+one, each in the context of its neighbours: a line of other names ends the table, a fragment of a row makes the adjacent
+rows doubtful. `text_blocks` turns bytes into lines.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ if TYPE_CHECKING:
     from cyclekit_adapters.text.text_layout import TextLayout
 
 ONE_BY_ONE = 1 << 17
-"""Bytes; a block in trouble is halved down to here, then read line by line."""
+"""Size, bytes, down to which a faulty block is halved; a smaller one is read line by line."""
 _BLANKS = f"{CELL} \t"
 _CUT = "the last line has no line end: it was cut while being written"
 
 
 @dataclass
 class _Sorted:
-    """Lines of a block looked at one by one: the cells of the rows that are kept and where they stand, and the rest."""
+    """Lines of a block read one by one: cells and positions (line, row) of the kept rows, and the lines set aside."""
 
     kept: list[str] = field(default_factory=list)
     places: list[tuple[int, int]] = field(default_factory=list)
     aside: list[tuple[int, str]] = field(default_factory=list)
 
     def doubt_last(self, place: tuple[int, int], reason: str) -> None:
-        """Set the row aside that was kept last, if it stands at this line and row."""
+        """Set the last kept row aside if it is at this position (line, row)."""
         if self.places and self.places[-1] == place:
             self.kept.pop()
             self.aside.append((self.places.pop()[0], reason))
@@ -58,17 +58,17 @@ class _Sorted:
 
 @dataclass
 class RowParser:
-    """Parses blocks of lines one after the other, and knows which line comes next.
+    """Parser of consecutive blocks of lines, with the current position in the file.
 
     Attributes:
-        layout: How the rows are written.
-        wanted: What is read of them.
+        layout: Format of the rows.
+        wanted: Columns to read.
         line: Number of the next line in its file.
-        skip: Lines still to be passed over.
+        skip: Number of lines still to skip.
         row: Number of the next data row.
-        ended: Why nothing is read any more: another table began.
-        below_names: The next row is the first below a line of names, where a line of units may stand.
-        torn: The line before was a piece of a row, so the next one may be its rest.
+        ended: Reason why the table has ended: another table began; empty before that.
+        below_names: True if the next row is the first below a line of names, where a line of units may follow.
+        torn: True if the previous line was a fragment of a row, so the next one may be its remainder.
     """
 
     layout: TextLayout
@@ -81,17 +81,17 @@ class RowParser:
     torn: bool = field(default=False, init=False)
 
     def rows(self, blocks: Iterable[bytes]) -> Iterator[TextRows]:
-        """Yield the rows of consecutive blocks of lines; only the very last line of all may lack its end."""
+        """Yield the rows of consecutive blocks of lines; only the last line of all may lack a line end."""
         for block, table in made_ahead(self._pieces(blocks), self._table_of):
             yield from self._parsed(block, table)
 
     def _pieces(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
-        """Yield the blocks below the lines to be passed over, cut so that no row is parted from a piece of it."""
+        """Yield the blocks without the skipped lines, split so that no row is separated from a fragment of it."""
         held = b""
         for block in blocks:
             block = self._below(block)
             line = block[: block.find(b"\n") + 1]
-            torn = bool(held) and self._is_torn(line)  # what may belong to the row above it stays with it
+            torn = bool(held) and self._is_torn(line)  # a fragment that may belong to the row above stays with it
             if held:
                 yield held + line if torn else held
             held = block[len(line) :] if torn else block
@@ -108,7 +108,7 @@ class RowParser:
         return table_of(block[: block.rfind(b"\n") + 1], self.layout, self.wanted)
 
     def _parsed(self, block: bytes, table: BlockTable | None) -> Iterator[TextRows]:
-        """Yield the rows of a block, given them as a table if all is well with it alone."""
+        """Yield the rows of a block; `table` holds them if the block alone was parsed without a fault."""
         whole = block.rfind(b"\n") + 1
         if whole:
             yield from self._halved(block[:whole], table)
@@ -119,7 +119,7 @@ class RowParser:
             self.line += 1
 
     def _halved(self, block: bytes, table: BlockTable | None) -> Iterator[TextRows]:
-        """Yield the rows of whole lines: at once where all is well, else half by half."""
+        """Yield the rows of whole lines: at once if `table` is valid, otherwise half by half."""
         if block.isspace():
             self.line += block.count(b"\n")
             return
@@ -134,7 +134,7 @@ class RowParser:
             yield from self._halved(half, None if self.ended or self.torn else self._table_of(half))
 
     def _middle(self, block: bytes) -> int:
-        """Return where to halve a block: behind a line end, and not between a row and a piece of it."""
+        """Return the offset at which to halve a block: after a line end, and not between a row and a fragment of it."""
         middle = block.find(b"\n", len(block) // 2) + 1
         after = block.find(b"\n", middle) + 1
         return after if self._is_torn(block[middle:after]) else middle
@@ -149,7 +149,7 @@ class RowParser:
         return trusted(frame, [], frame.height, self.wanted, table.not_finite)
 
     def _all_aside(self, block: bytes) -> TextRows | None:
-        """Set all lines of a block aside at once, where none can be a row or the names once more."""
+        """Set all lines of a block aside at once if none can be a row or a repeated header; else return None."""
         if (found := short_lines(block, self.layout)) is None:
             return None
         lines, fields = found
@@ -165,14 +165,14 @@ class RowParser:
     def _one_by_one(self, block: bytes) -> TextRows:
         found, begin = _Sorted(), self.row
         for content in block.split(b"\n")[:-1]:
-            for piece in content.rstrip(b"\r").split(b"\r"):  # a CR alone ends the lines of old machines and bars
+            for piece in content.rstrip(b"\r").split(b"\r"):  # line end of old machines and progress bars
                 if piece.strip():
                     self._sort_out(piece.decode("utf-8", "replace"), found)
             self.line += 1
         return self._rows(found, rows_read=self.row - begin)
 
     def _sort_out(self, text: str, found: _Sorted) -> None:
-        """Put one line to the rows that are kept or to those set aside."""
+        """Add one line to the kept rows or to those set aside."""
         row, self.row = self.row, self.row + 1
         cells, reason = cells_of(text, self.layout)
         reason = self._as_names(cells, reason)
@@ -189,10 +189,10 @@ class RowParser:
         self.below_names = False
 
     def _as_names(self, cells: str | None, reason: str) -> str:
-        """Return why a line is no row: the fault that it has, or that it names columns; empty if it may be a row.
+        """Return why a line is no row: its fault, or that it holds column names; empty if it may be a row.
 
-        The same names again are a recording that was continued; other names are another table, whose numbers must
-        not be taken for this one's. Directly below the names, words are units or descriptions.
+        The same names again mean that the recording was continued. Other names start another table, whose numbers must
+        not be mixed in. Words directly below the names are units or descriptions.
         """
         if cells is None or not cells.strip(_BLANKS):
             return self.ended or reason

@@ -1,8 +1,8 @@
-"""Sheets of an Excel workbook as tables, as RobotStudio and many a spreadsheet program save logs.
+"""Sheets of an Excel workbook as tables, as RobotStudio and spreadsheet programs save logs.
 
-Read by calamine through fastexcel, the engine of `polars.read_excel`. Numbers are taken as the numbers that they are,
-texts among them as text tables take theirs, dates as `2024-05-01 10:00:00.250`. What the columns mean is the business
-of `mapped_csv`, what a workbook may weigh that of `workbook`.
+Read by calamine through fastexcel, the engine of `polars.read_excel`. Number cells keep their exact value, texts are
+parsed as in text tables, dates become `2024-05-01 10:00:00.250`. `mapped_csv` interprets the columns; `workbook` limits
+the size.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _EXACT = "\x1fexact "
 
 
 class Workbook:
-    """A workbook, opened once."""
+    """An open Excel workbook."""
 
     def __init__(self, path: Path) -> None:
         try:
@@ -53,19 +53,19 @@ class Workbook:
 
     @property
     def sheets(self) -> list[str]:
-        """The names of its sheets."""
+        """Names of its sheets."""
         return [str(name) for name in self._reader.sheet_names]
 
     def cells(
         self, sheet: str, kind: str, *, count: int | None = None, among: Collection[int] | None = None
     ) -> dict[int, pl.Series]:
-        """Return the columns of a sheet by their number from 0, its rows from the first on.
+        """Return the columns of a sheet, by number from 0, with all rows from the first.
 
         Args:
-            sheet: Its name.
-            kind: `string` or `float`; a cell that is no number is null then.
-            count: So many rows; None = all.
-            among: Only these columns, of those that hold something; None = all.
+            sheet: Name of the sheet.
+            kind: `string` or `float`; with `float`, cells without a number are null.
+            count: Maximum number of rows; None = all.
+            among: Column numbers to read; empty columns are left out; None = all.
         """
         some = None if among is None else sorted(among)
         if some == []:
@@ -79,7 +79,7 @@ class Workbook:
 
 
 def _guarded(path: Path, read: Callable[[], Read]) -> Read:
-    """Return what the reader gives; whatever it raises, a panic of it included, is one message."""
+    """Return the reader's result; turn any error of it, panics included, into one DamagedLog."""
     try:
         return read()
     except (CyclekitError, KeyboardInterrupt, MemoryError):
@@ -93,7 +93,7 @@ def _guarded(path: Path, read: Callable[[], Read]) -> Read:
 
 @dataclass(frozen=True)
 class SheetTable:
-    """One sheet as the table that a map speaks of."""
+    """One sheet as the table that a column map refers to."""
 
     workbook: Workbook
     sheet: str
@@ -108,7 +108,7 @@ class SheetTable:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Its columns; one that holds nothing has a number for a name."""
+        """Column names; an empty column gets its number as name."""
         if self.columns:
             return unique(self.columns)
         width = max(self._head, default=-1) + 1
@@ -116,21 +116,21 @@ class SheetTable:
 
     @property
     def first_rows(self) -> list[list[str]]:
-        """The cells of its first rows."""
+        """Cells of the first rows."""
         return rows_of(self._head, self.skip, _ROWS_LOOKED_AT, len(self.names))
 
     @property
     def facts(self) -> dict[str, str]:
-        """Which sheet it is."""
+        """Name of the sheet, as a fact of the log."""
         return {"sheet": self.sheet}
 
     def cure(self, _wanted: Collection[str], _mapping: CsvMap) -> str:
-        """Say which columns and sheets there are."""
+        """Return a hint with the existing columns and sheets."""
         others = ", ".join(name[:40] for name in self.workbook.sheets[:20])
         return f"Columns of sheet {self.sheet!r}: {', '.join(n[:40] for n in self.names[:60])}. Sheets: {others}."
 
     def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[TextRows]:
-        """Yield its rows that hold anything; `source_row` is that of the spreadsheet."""
+        """Yield the non-empty rows; `source_row` is the row number of the spreadsheet."""
         places = {name: at for at, name in enumerate(names)}
         there = {name: at for name in wanted.columns if (at := places[name]) in self._head}
         numbers = [there[name] for name in wanted.numbers if name in there]
@@ -155,7 +155,7 @@ class SheetTable:
 
 
 def _block(table: pl.DataFrame, layout: TextLayout, wanted: Wanted) -> TextRows:
-    """Return rows of texts as numbers and texts; a number that the sheet holds as one is taken as it is."""
+    """Return rows of texts as numbers and texts; number cells keep their exact value."""
     rows_read = table.height
     table, garbled = as_numbers(table, layout, wanted)
     exact = [name for name in wanted.numbers if f"{_EXACT}{name}" in table.columns]
@@ -166,18 +166,18 @@ def _block(table: pl.DataFrame, layout: TextLayout, wanted: Wanted) -> TextRows:
 
 
 def rows_of(columns: dict[int, pl.Series], skip: int, count: int, width: int) -> list[list[str]]:
-    """Return the cells of some rows as texts, empty where nothing stands."""
+    """Return the cells of some rows as texts; an empty cell becomes ""."""
     some = {at: [cell or "" for cell in cells.slice(skip, count).to_list()] for at, cells in columns.items()}
     length = max(map(len, some.values()), default=0)
     return [[some[at][row] if at in some else "" for at in range(width)] for row in range(length)]
 
 
 def sheet_table(path: Path, mapping: CsvMap) -> SheetTable:
-    """Return the sheet that a map names, else the first that holds a table.
+    """Return the sheet named in the map, else the first that holds a table.
 
     Raises:
         MissingExtra: fastexcel is not installed.
-        UnknownName: There is no sheet of that name.
+        UnknownName: The workbook has no sheet of that name.
         DamagedLog: The workbook is damaged, or holds no table.
     """
     workbook = Workbook(path)

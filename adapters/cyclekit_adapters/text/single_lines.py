@@ -1,6 +1,6 @@
-"""One line of a text log at a time: its cells, or the reason why it is no row; lines of names, pieces of rows.
+"""Checks of single lines of a text log: their cells, or the reason why a line is no row; name lines, row fragments.
 
-What follows from it for the lines around is the business of `row_parser`.
+`row_parser` decides what that means for neighbouring lines.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _BEGINS_NUMBER = re.compile(r"[-+.,]*\d")
 
 
 def cells_of(text: str, layout: TextLayout) -> tuple[str | None, str]:
-    """Return the cells of one line joined by `CELL`, None where their number is wrong, and why it is no row."""
+    """Return the cells of a line joined by `CELL` (None if their number is wrong), and the reason why it is no row."""
     delimiter, width = mark_between(layout), len(layout.names)
     if "\0" in text:
         return None, "NUL bytes in it: the disk was not written"
     if CELL in text and delimiter != CELL:
         return None, "a control character in it: it is garbled"
     found = text.count(delimiter) + 1
-    if found > _FAR_TOO_MANY * width + _FAR_TOO_MANY:  # not worth the memory to take it apart
+    if found > _FAR_TOO_MANY * width + _FAR_TOO_MANY:  # not worth the memory of splitting it
         return None, miscounted(found, width)
     if layout.quotes and '"' in text:
         quoted = strict_fields_of(text, delimiter)
@@ -50,12 +50,12 @@ def cells_of(text: str, layout: TextLayout) -> tuple[str | None, str]:
 
 
 def miscounted(found: int, width: int) -> str:
-    """Say that a line has not as many fields as the header."""
+    """Return the message for a line with another number of fields than the header."""
     return f"{found} field{'' if found == 1 else 's'} where the header has {width}"
 
 
 def is_name_line(fields: Sequence[str], layout: TextLayout, numbers: Sequence[str]) -> bool:
-    """Tell whether a line has words in place of all its numbers, as the names of another table or a row of units."""
+    """Return whether a line holds words instead of all its numbers, as another header or a row of units does."""
     told = [cell for cell in fields if cell.lower() not in UNKNOWN]
     if len(fields) != len(layout.names) or len(told) < max(2, len(fields) // 2) or len(set(told)) < 2:
         return False
@@ -66,12 +66,12 @@ def is_name_line(fields: Sequence[str], layout: TextLayout, numbers: Sequence[st
 
 
 def is_torn(text: str, layout: TextLayout) -> bool:
-    """Tell whether a line is a number alone: the begin or the end of a row that was torn inside its outermost cell."""
+    """Return whether a line is only a number: the start or the end of a row that was torn inside its outermost cell."""
     return len(layout.names) > 1 and bool(_NUMBERISH.fullmatch(text.strip())) and mark_between(layout) not in text
 
 
 def as_texts(kept: list[str], layout: TextLayout) -> pl.DataFrame:
-    """Return lines from `cells_of` as a table of texts."""
+    """Return lines from `cells_of` as a table of strings."""
     schema = dict.fromkeys(layout.names, pl.String())
     if not kept:
         return pl.DataFrame(schema=schema)

@@ -1,7 +1,7 @@
-"""The bytes of a text log as whole lines of UTF-8, block by block, whatever encoding, line end or packing they have.
+"""Text logs as blocks of whole lines in UTF-8, whatever their encoding, line ends or compression.
 
-Logs come with a BOM, in UTF-16, with the line ends of old machines (a bare CR), packed by gzip or zstd, and larger
-than memory. What a line means is the business of `delimited`.
+Logs may have a BOM, be in UTF-16, use the line ends of old machines (a bare CR), be compressed by gzip or zstd, and
+exceed memory. `delimited` interprets the lines.
 """
 
 from __future__ import annotations
@@ -31,32 +31,32 @@ if TYPE_CHECKING:
 
 HEAD_BYTES = 16384
 BLOCK_BYTES = 12 << 20
-"""What is parsed at once: large enough for polars to use both cores, small enough for any machine."""
+"""Size of a block parsed at once, bytes: large enough to use both cores, small enough for any machine."""
 LONGEST_LINE = 16 << 20
-"""No logger writes a line of more bytes, headers of 17,000 columns included."""
+"""Maximum length of a line, bytes: above that of any logger, headers of 17,000 columns included."""
 _SMALL = 1 << 17
-"""A file of no more bytes is read once, for its head and for its rows."""
+"""Maximum size, bytes, of a file that is read only once, for its head and its rows."""
 _STEP = 1 << 16
 _PIECE = 1 << 19
 _GZIP, _ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 _MAX_RATIO = 1000
-"""Logs do not shrink a thousandfold; a file that unpacks to more than that is a bomb."""
+"""Maximum compression ratio: no log reaches it, so a file beyond it is a decompression bomb."""
 _CELL = b"\x1f"
 _BARE_CR = re.compile(r"(?<!\r)\r++(?=[^\n])")
-"""Carriage returns with no line feed behind them: they end the lines of old machines, alone or among others."""
+"""Carriage returns without a line feed: line ends of old machines, possibly mixed with others."""
 
 
 class _Bomb(OSError):
-    """What is unpacked is out of all proportion to the file."""
+    """The decompressed data exceeds the maximum ratio to the file's size."""
 
 
 def encoding_of(first: bytes) -> str | None:
-    """Return the encoding that the first bytes of a file speak for, or None for a binary file."""
+    """Return the encoding indicated by the first bytes of a file; None for a binary file."""
     for mark, encoding in _BOMS:
         if first.startswith(mark):
             return encoding
-    line = first.partition(b"\n")[0]  # what follows it may be a binary part or a block that was never written
+    line = first.partition(b"\n")[0]  # a binary part or an unwritten disk block may follow the first line
     if b"\0" not in line:
         return "utf-8"
     for encoding, high, low in (("utf-16-le", line[1::2], line[0::2]), ("utf-16-be", line[0::2], line[1::2])):
@@ -66,7 +66,7 @@ def encoding_of(first: bytes) -> str | None:
 
 
 def file_encoding(path: Path) -> str | None:
-    """Return the encoding of a text file, None for a binary one.
+    """Return the encoding of a text file; None for a binary one.
 
     Raises:
         LogError: The file cannot be opened.
@@ -75,7 +75,7 @@ def file_encoding(path: Path) -> str | None:
 
 
 def head_of(path: Path, size: int = HEAD_BYTES, encoding: str | None = None) -> str:
-    """Return the first `size` bytes of a text file, decoded; empty for a binary, unreadable or absent file."""
+    """Return the first `size` bytes of a text file, decoded; empty for a binary, unreadable or missing file."""
     try:
         about = path.stat()
         if not stat.S_ISREG(about.st_mode):
@@ -95,9 +95,9 @@ def _decoded_first(path: Path, size: int, encoding: str | None, _bytes: int, _ch
 
 
 def head_lines(path: Path, count: int = 1, encoding: str | None = None) -> list[str]:
-    """Return the first `count` lines of a text file without their ends, however long; fewer where there are fewer.
+    """Return the first `count` lines of a text file without their line ends, fewer if the file has fewer.
 
-    Empty for a binary, unreadable or absent file.
+    Lines may be of any length up to LONGEST_LINE. Empty for a binary, unreadable or missing file.
     """
     size, text = HEAD_BYTES, head_of(path, encoding=encoding)
     while text.count("\n") < count and len(text) >= size // 4 and size < LONGEST_LINE:
@@ -119,7 +119,7 @@ def _first(path: Path, size: int) -> bytes:
         raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its permissions.") from error
 
 
-@lru_cache(maxsize=16)  # each adapter looks at the head of each file
+@lru_cache(maxsize=16)  # each adapter reads the head of each file
 def _read_first(path: Path, size: int, _bytes: int, _changed: int) -> bytes:
     with _opened(path, _bytes, _changed) as file, _unpacked(file, path) as log:
         try:
@@ -139,18 +139,18 @@ def _content(path: Path, _bytes: int, _changed: int) -> bytes:
 
 
 def blocks_of(path: Path, encoding: str, *, skip_lines: int = 0, delimiter: str = ",") -> Iterator[bytes]:
-    r"""Yield a text log as UTF-8, whole lines at a time; only the very last line of all may lack its end.
+    r"""Yield a text log as UTF-8 in blocks of whole lines; only the last line of all may lack its line end.
 
     Args:
         path: The log.
-        encoding: How it is encoded.
-        skip_lines: Lines at its begin to be passed over.
-        delimiter: Where it is longer than one character, each occurrence becomes the unit separator U+001F; `\s+`
-            stands for runs of blanks.
+        encoding: Encoding of the log.
+        skip_lines: Number of lines to skip at the start.
+        delimiter: If longer than one character, each occurrence becomes the unit separator U+001F; `\s+` stands for a
+            run of blanks.
 
     Raises:
         OSError: The file cannot be read.
-        DamagedLog: It holds a line longer than any logger writes, or is a bomb.
+        DamagedLog: It holds a line longer than any logger writes, or is a decompression bomb.
     """
     about = path.stat()
     with _opened(path, about.st_size, about.st_mtime_ns) as file, _unpacked(file, path) as log:
@@ -173,11 +173,11 @@ def blocks_of(path: Path, encoding: str, *, skip_lines: int = 0, delimiter: str 
 
 
 def characters_of(path: Path) -> Iterator[str]:
-    """Yield the text of a log whose lines mean nothing, some hundred thousand characters at a time.
+    """Yield the text of a log that is not organised by lines, in pieces of some hundred thousand characters.
 
     Raises:
         OSError: The file cannot be read.
-        DamagedLog: It is not text, or its compressed data is damaged or a bomb.
+        DamagedLog: It is not text, or its compressed data is damaged or a decompression bomb.
     """
     encoding = file_encoding(path)
     if encoding is None:
@@ -195,13 +195,13 @@ def characters_of(path: Path) -> Iterator[str]:
 
 
 def _with_line_feeds(text: str) -> str:
-    if text.count("\r") == text.count("\r\n"):  # as in nearly all logs
+    if text.count("\r") == text.count("\r\n"):  # true for nearly all logs
         return text
     return _BARE_CR.sub(lambda found: "\n" * len(found[0]), text)
 
 
 def _plain_blocks(log: BinaryIO, path: Path) -> Iterator[bytes]:
-    """Read to the next line end behind each block, so that nothing is copied."""
+    """Yield blocks that end at the next line end, without copying bytes."""
     end, begin = log.seek(0, os.SEEK_END), 0
     while begin < end:
         after = min(begin + BLOCK_BYTES, end)
@@ -217,7 +217,7 @@ def _plain_blocks(log: BinaryIO, path: Path) -> Iterator[bytes]:
         log.seek(begin)
         block = log.read(after - begin)
         if not block:
-            return  # it became shorter meanwhile
+            return  # the file was truncated meanwhile
         yield block
         begin += len(block)
 
@@ -227,7 +227,7 @@ def _decoded_blocks(log: BinaryIO, path: Path, encoding: str, *, bare_cr: bool) 
     for text in _decoded(log, encoding):
         text = rest + text
         if bare_cr:
-            text = _with_line_feeds(text)  # one at the end of the text waits for what follows it
+            text = _with_line_feeds(text)  # a CR at the end of the text waits for the next character
         cut = text.rfind("\n") + 1
         if cut:
             yield text[:cut].encode("utf-8", "replace")
@@ -266,7 +266,7 @@ def _with_one_delimiter(block: bytes, delimiter: str) -> bytes:
 
 
 def _unpacked(file: BinaryIO, path: Path) -> BinaryIO:
-    """Return the file, or what is packed in it."""
+    """Return the file, or its decompressed content."""
     first = file.read(4)
     file.seek(0)
     if first.startswith(_GZIP):
@@ -277,7 +277,7 @@ def _unpacked(file: BinaryIO, path: Path) -> BinaryIO:
 
 
 class _Counted(io.RawIOBase):
-    """An unpacking stream that stops where it gives more than any text holds."""
+    """A decompressing stream that raises when the output exceeds the maximum ratio."""
 
     def __init__(self, packed: io.BufferedIOBase, path: Path) -> None:
         super().__init__()

@@ -1,6 +1,6 @@
-"""How the rows of one delimited text log are written, told by the line of its column names.
+"""Layout of a delimited text log: delimiter, column names and the cells of single lines.
 
-Delimiter, names and cells of single lines. What rows of such a layout hold is the business of `row_parser`.
+`row_parser` interprets the rows.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TextLayout:
-    r"""How the rows of one text log are written.
+    r"""Format of the rows of one text log.
 
     Attributes:
-        names: Column names, one per field, all different; what follows the last one in a row must be empty.
-        delimiter: What stands between fields: one character, or several (`||`); `\s+` is any run of blanks.
-        header_lines: Lines before the first data row.
+        names: Column names, one per field, all different; fields after the last one must be empty.
+        delimiter: Text between fields: one character, or several (`||`); `\s+` is any run of blanks.
+        header_lines: Number of lines before the first data row.
         decimal_comma: Numbers are written `0,5`.
-        encoding: Any that Python knows.
-        quotes: Cells may be quoted, with the delimiter inside; where they are not, a quote is a garbled cell.
+        encoding: Any encoding that Python knows.
+        quotes: Cells may be quoted, with the delimiter inside; otherwise a quote marks a garbled cell.
     """
 
     names: tuple[str, ...]
@@ -34,7 +34,7 @@ class TextLayout:
     quotes: bool = False
 
     def is_header(self, fields: Sequence[str]) -> bool:
-        """Tell whether the cells of a line are the names once more; `#3` stands for any name of the third column."""
+        """Return whether the cells of a line repeat the names; `#3` matches any name of the third column."""
         return len(fields) == len(self.names) and all(
             name in (said, f"#{number}")
             for number, (name, said) in enumerate(zip(self.names, unique(fields), strict=True), 1)
@@ -42,20 +42,20 @@ class TextLayout:
 
 
 def delimiter_of(line: str, candidates: str = ",;\t ") -> str:
-    """Return the candidate that occurs most often in `line`, the first of them where none is ahead.
+    """Return the most frequent candidate in `line`; the first one among equals.
 
-    A blank separates only where nothing else does: names such as `X [mm]` hold blanks.
+    A blank is a delimiter only if no other candidate occurs: names such as `X [mm]` contain blanks.
     """
     others = [mark for mark in candidates if mark != " " and mark in line]
     return max(others or candidates, key=line.count)
 
 
 def unique(names: Iterable[str]) -> tuple[str, ...]:
-    """Return `names` stripped, so that no column hides another.
+    """Return `names` stripped and made unique.
 
-    The second column of a name has `#2` behind it; one without a name is `#` and its number, from 1.
+    The second column of a name gets the suffix `#2`; a column without a name is `#` and its number, from 1.
     """
-    seen = {"source_row": 1}  # the name of the column that is added here
+    seen = {"source_row": 1}  # reserved for the added column
     out: list[str] = []
     for number, raw in enumerate(names, 1):
         name = raw.strip()
@@ -65,7 +65,7 @@ def unique(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def header_names(line: str, delimiter: str) -> tuple[str, ...]:
-    """Return the column names of a header line without the empty ones at its end."""
+    """Return the column names of a header line, without empty ones at its end."""
     cells = fields_of(line, delimiter)
     while cells and not cells[-1].strip():
         cells.pop()
@@ -73,12 +73,12 @@ def header_names(line: str, delimiter: str) -> tuple[str, ...]:
 
 
 def fields_of(line: str, delimiter: str) -> list[str]:
-    """Return the cells of one line; quotes are taken off where they close."""
+    """Return the cells of one line; quotes are removed if they are balanced."""
     return strict_fields_of(line, delimiter) or line.rstrip("\r\n").split(delimiter)
 
 
 def strict_fields_of(line: str, delimiter: str) -> list[str] | None:
-    """Return the cells of one line, None where a quote is open, or closed inside a cell: nobody knows what it holds."""
+    """Return the cells of one line; None if a quote is not closed, or closed inside a cell."""
     text = line.rstrip("\r\n")
     if delimiter == "\\s+":
         return text.split()

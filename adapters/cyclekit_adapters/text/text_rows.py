@@ -1,6 +1,6 @@
-"""Rows of a text log as tables of numbers and texts: which columns are wanted, what counts as unknown, what is garbled.
+"""Rows of a text log as tables of numbers and texts: requested columns, unknown values, garbled cells.
 
-What a cell may look like, and nothing about lines and files: those are the business of `row_parser` and `text_blocks`.
+This module handles cells only; `row_parser` and `text_blocks` handle lines and files.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ if TYPE_CHECKING:
     from cyclekit_adapters.text.text_layout import TextLayout
 
 INDEX = "\x1findex"
-"""Column of `Rows.frame`: number of the data row, from 0, blank lines and headers not counted."""
+"""Column of `TextRows.frame`: number of the data row, from 0, without blank lines and headers."""
 CELL = "\x1f"
-"""Unit separator: delimiter of the lines that were taken apart by us, never part of a log."""
+"""Unit separator: our own delimiter for split lines, never part of a log."""
 SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
 UNKNOWN = ("", "nan", "null", "none", "na", "n/a", "-")
-_NO_VALUE = tuple(word for word in UNKNOWN if word != "nan")  # which is a number for polars, and counted
+_NO_VALUE = tuple(word for word in UNKNOWN if word != "nan")  # polars parses "nan" as a number, and it is counted
 UNDECODED = "\ufffd"
 _IN_QUOTES = r"""^(?:"([^"]*)"|'([^']*)')$"""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """Which columns are read, and what a row must have of them.
+    """Columns to read, and the values that a row must have.
 
     Attributes:
-        numbers: Columns of numbers; an empty cell, NaN and infinity become null: unknown.
+        numbers: Columns of numbers; an empty cell, NaN and infinity become null (unknown).
         texts: Columns of text; an empty cell becomes null.
-        required: Columns without whose value a row is useless (its time): such rows are set aside.
-        any_of: Columns of which at least one must have a value, where any are given.
+        required: Columns that must have a value, such as the time; rows without it are set aside.
+        any_of: Columns of which at least one must have a value, if any are given.
     """
 
     numbers: Sequence[str]
@@ -48,12 +48,12 @@ class Wanted:
 
     @property
     def columns(self) -> list[str]:
-        """Return each column once."""
+        """Return the names of all columns, each once."""
         return list(dict.fromkeys([*self.numbers, *self.texts]))
 
 
 class ColumnArguments(TypedDict, total=False):
-    """The attributes of `Wanted` as arguments."""
+    """The attributes of `Wanted` as keyword arguments."""
 
     numbers: Required[Sequence[str]]
     texts: Sequence[str]
@@ -66,10 +66,10 @@ class TextRows:
     """The usable rows.
 
     Attributes:
-        frame: Columns asked for; `source_row`, the line of the file, from 1 as editors count; and INDEX.
-        rows_read: Rows looked at, blank lines not counted.
+        frame: Requested columns; `source_row`, the line in the file, from 1 as in editors; and INDEX.
+        rows_read: Number of rows read, without blank lines.
         set_aside: Columns `source_row`, `reason`.
-        not_finite: Values that are written as NaN or infinity, and unknown therefore.
+        not_finite: Number of values written as NaN or infinity, which are unknown.
     """
 
     frame: pl.DataFrame
@@ -78,7 +78,7 @@ class TextRows:
     not_finite: int = 0
 
     def without(self, bad: pl.Series, reason: str) -> TextRows:
-        """Return the rows with those for which `bad`, shape (N,), is true set aside."""
+        """Return the rows with those where `bad`, shape (N,), is true set aside."""
         if not bad.any():
             return self
         aside = self.frame.filter(bad).select("source_row", pl.lit(reason).alias("reason"))
@@ -99,9 +99,9 @@ def nothing_usable(path: Path, rows_read: int, set_aside: pl.DataFrame) -> Damag
 
 
 def number_in(name: str, layout: TextLayout) -> pl.Expr:
-    """Return the cells of a column ready to be cast: trimmed, null where unknown, with a decimal point.
+    """Return the cells of a column ready for a cast: trimmed, null where unknown, with a decimal point.
 
-    Where the comma is the decimal mark, a point is none: 1.234 may mean 1234 there, so it is no number at all.
+    If the comma is the decimal mark, a cell with a point is rejected: 1.234 may mean 1234.
     """
     text = pl.col(name).str.strip_chars()
     text = pl.when(text.str.to_lowercase().is_in(_NO_VALUE)).then(None).otherwise(text)
@@ -112,7 +112,7 @@ def number_in(name: str, layout: TextLayout) -> pl.Expr:
 
 
 def as_numbers(table: pl.DataFrame, layout: TextLayout, wanted: Wanted) -> tuple[pl.DataFrame, list[tuple[int, str]]]:
-    """Return a table of texts with its numbers as numbers, without the rows that are garbled; those with the reason."""
+    """Return a table of texts with number columns cast and garbled rows removed, and the garbled rows with reasons."""
     garbled: dict[int, str] = {}
     for name in wanted.numbers:
         number = table.select("source_row", text=pl.col(name), ready=number_in(name, layout)).with_columns(
@@ -133,17 +133,17 @@ def as_numbers(table: pl.DataFrame, layout: TextLayout, wanted: Wanted) -> tuple
 
 
 def not_finite(wanted: Wanted) -> pl.Expr:
-    """Return how many numbers of a table, not yet cleaned, are NaN or infinite."""
+    """Return the number of NaN and infinite values of a table before cleaning."""
     return pl.sum_horizontal(pl.lit(0), *((~pl.col(name).is_finite()).sum() for name in wanted.numbers))
 
 
 def finite(wanted: Wanted) -> list[pl.Expr]:
-    """Return the numbers asked for, unknown where they are NaN or infinite."""
+    """Return the number columns, null where NaN or infinite."""
     return [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in wanted.numbers]
 
 
 def stripped(wanted: Wanted) -> list[pl.Expr]:
-    """Return the texts asked for without blanks and quotes around them, unknown where nothing is left."""
+    """Return the text columns without surrounding blanks and quotes, null where empty."""
     bare = {name: pl.col(name).str.strip_chars().str.replace(_IN_QUOTES, "$1$2") for name in wanted.texts}
     return [text.replace("", None).alias(name) for name, text in bare.items()]
 
@@ -151,14 +151,14 @@ def stripped(wanted: Wanted) -> list[pl.Expr]:
 def trusted(
     table: pl.DataFrame, aside: Sequence[tuple[int, str]], rows_read: int, wanted: Wanted, not_finite: int
 ) -> TextRows:
-    """Return the rows of a table that have the values they need; the others are set aside as well.
+    """Return the rows of a table that have all required values; the others are also set aside.
 
     Args:
         table: `source_row`, INDEX and the cleaned columns.
-        aside: What was set aside already: line and reason.
-        rows_read: Rows looked at.
-        wanted: Which columns are needed.
-        not_finite: How many values were NaN or infinite.
+        aside: Rows already set aside: line and reason.
+        rows_read: Number of rows read.
+        wanted: Required columns.
+        not_finite: Number of NaN or infinite values.
     """
     set_aside = pl.DataFrame(aside, schema=SET_ASIDE, orient="row") if aside else pl.DataFrame(schema=SET_ASIDE)
     rows = TextRows(table, rows_read, set_aside, not_finite)

@@ -1,8 +1,8 @@
-"""The parts of an Excel workbook that hold its sheets, unpacked once, weighed, and packed again for its reader.
+"""Size check of an Excel workbook: its sheets are unpacked, measured, and packed again for the reader.
 
 A workbook is a zip of XML. A few KiB of it can hold gigabytes of blanks, a single cell in the last row makes a reader
-hold a billion empty ones, and one long text may be meant by a million cells. So what stands in it is counted as it is
-unpacked, and only what was counted goes on. What the cells mean is the business of `sheets`.
+allocate a billion empty ones, and a million cells can refer to one long text. So the content is counted while it is
+unpacked, and only counted content reaches the reader. `sheets` interprets the cells.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 ZIP = b"PK\x03\x04"
 MOST_RATIO = 200
-"""Sheets of numbers shrink to a tenth or so; one that unpacks to more than that many times its size is no log."""
+"""Maximum compression ratio: sheets of numbers reach about 10; a workbook beyond this is no log."""
 MOST_CELLS = 10_000_000
-"""A sheet is held in memory as a whole; a log that is longer is better exported as text."""
-_SPARSE = 8  # times as many cells as are filled may a sheet span, if it is not small
+"""Maximum number of filled cells of a sheet, which is held in memory as a whole; export a longer log as text."""
+_SPARSE = 8  # maximum ratio of spanned to filled cells, for a sheet that is not small
 _SMALL = 2_000_000
 _MOST_TEXT = 1 << 28
 _LONGEST_TAG = 1 << 20
@@ -45,7 +45,7 @@ _MOST_LETTERS, _MOST_DIGITS = 3, 7
 
 @dataclass
 class _Weighed:
-    """What was counted in one sheet."""
+    """Sizes counted in one sheet."""
 
     cells: int = 0
     rows: int = 0
@@ -53,7 +53,7 @@ class _Weighed:
     shared: int = 0
 
     def add(self, text: bytes) -> None:
-        """Take in whole tags of a sheet."""
+        """Count the cells in a piece of the sheet that consists of whole tags."""
         if any(mark in text for mark in (b" =", b"= ", b"\t=", b"=\t", b"\n=", b"=\n", b"\r=", b"=\r")):
             text = _AROUND_EQUALS.sub(b"=", text)
         text = text.replace(b"'", b'"')
@@ -64,7 +64,7 @@ class _Weighed:
 
 
 def _farthest(text: bytes) -> tuple[int, int]:
-    """Return the greatest row and column that attributes `r="C7"` or `r="7"` name, 0 where none does."""
+    """Return the greatest row and column in attributes `r="C7"` or `r="7"`; 0 if there is none."""
     raw = np.frombuffer(text + b" " * (_MOST_LETTERS + _MOST_DIGITS + 3), np.uint8)
     at = np.flatnonzero((raw[2:] == ord('"')) & (raw[1:-1] == ord("=")) & (raw[:-2] == ord("r"))) + 3
     columns, rows = np.zeros(len(at), np.int64), np.zeros(len(at), np.int64)
@@ -81,7 +81,7 @@ def _farthest(text: bytes) -> tuple[int, int]:
 
 
 def is_workbook(path: Path) -> bool:
-    """Tell whether a file is a zip with a workbook in it."""
+    """Return whether a file is a zip that holds a workbook."""
     try:
         if not path.is_file():
             return False
@@ -95,11 +95,11 @@ def is_workbook(path: Path) -> bool:
 
 
 def safe_copy(path: Path) -> bytes:
-    """Return a workbook with its sheets and nothing else, none of it larger than it says.
+    """Return a workbook with only its sheets, after a check of their real sizes.
 
     Raises:
-        DamagedLog: It is damaged, encrypted, or made to do harm.
-        LogError: It cannot be opened, or is larger than a sheet of a log is.
+        DamagedLog: It is damaged, encrypted or malicious.
+        LogError: It cannot be opened, or is larger than any sheet of a log.
     """
     copy = io.BytesIO()
     try:
@@ -145,7 +145,7 @@ def _copy_parts(path: Path, archive: zipfile.ZipFile, kept: zipfile.ZipFile) -> 
 
 
 def _whole_tags(path: Path, source: IO[bytes], end: bytes) -> Iterator[bytes]:
-    """Yield XML in pieces that end where a tag ends."""
+    """Yield XML in pieces that end at the end of a tag."""
     rest = b""
     while piece := source.read(_CHUNK):
         rest += piece
@@ -160,7 +160,7 @@ def _whole_tags(path: Path, source: IO[bytes], end: bytes) -> Iterator[bytes]:
 
 
 def _require_size(path: Path, sheet: _Weighed) -> None:
-    """Refuse a sheet that would take its reader more memory than any log."""
+    """Refuse a sheet that would need more memory than any log."""
     span = max(sheet.rows, 1) * max(sheet.columns, 1)
     if sheet.cells > MOST_CELLS or span > max(_SMALL, min(_SPARSE * sheet.cells, 2 * MOST_CELLS)):
         cause = f"a sheet of {sheet.rows:,} rows and {sheet.columns:,} columns with {sheet.cells:,} cells filled"
@@ -168,7 +168,7 @@ def _require_size(path: Path, sheet: _Weighed) -> None:
 
 
 def _require_texts(path: Path, sheet: _Weighed, indices: list[int], texts: list[int]) -> None:
-    """Refuse a sheet whose cells mean long texts so often that they fill the memory."""
+    """Refuse a sheet whose cells refer to long texts so often that they fill the memory."""
     known = len(indices) == sheet.shared and max(indices, default=-1) < len(texts)
     if not known or sum(texts[index] for index in indices) > _MOST_TEXT:
         cause = "its texts are longer than those of any log"

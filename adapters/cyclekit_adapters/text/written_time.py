@@ -1,6 +1,6 @@
-"""Times written as text, as seconds: since 1970, or since midnight where they have no date.
+"""Conversion of written times to seconds since 1970, or since midnight for times without a date.
 
-Which pattern a log is written in, and what its clock is worth without a zone, is the adapters' business.
+The adapters choose the pattern and decide how reliable a clock without a zone is.
 """
 
 from __future__ import annotations
@@ -8,19 +8,19 @@ from __future__ import annotations
 import polars as pl
 
 _FIRST_YEAR = 1900
-"""Of any log: 06.03.25 read by a pattern with %Y is the year 25."""
+"""Earliest year of any log: `06.03.25` read with %Y would give the year 25."""
 _EXCEL_1970 = 25_569
 _EXCEL_FIRST, _EXCEL_LAST = 61, 73_050
 
 
 def written_seconds(text: pl.Expr, pattern: str, zone: str | None, *, zoned: bool = False) -> pl.Expr:
-    """Return seconds since 1970 (since midnight, where the pattern has no date) of times written as text.
+    """Return seconds since 1970 (since midnight, if the pattern has no date) of times written as text.
 
     Args:
-        text: The times; null stays null, and so does what is not written like that.
-        pattern: `iso`, or a pattern of strftime.
-        zone: Zone of times that name none; without it they are taken as UTC, which nobody may rely on.
-        zoned: The times of this log name their zone, so by `iso` one that does not is none.
+        text: The times; null, and text that does not match the pattern, give null.
+        pattern: `iso`, or a strftime pattern.
+        zone: Time zone of times that name none; without it UTC is assumed, so the absolute time is not reliable.
+        zoned: The times of this log name their zone, so with `iso` a time without a zone gives null.
     """
     if pattern == "iso":
         text = text.str.replace(" ", "T", literal=True).str.replace(",", ".", literal=True)
@@ -39,12 +39,11 @@ def written_seconds(text: pl.Expr, pattern: str, zone: str | None, *, zoned: boo
 
 
 def excel_seconds(days: pl.Expr, zone: str | None) -> pl.Expr:
-    """Return seconds since 1970 of days as spreadsheets count them: 1 is 1 January 1900, and 29 February 1900 exists.
+    """Return seconds since 1970 of spreadsheet days: 1 is 1 January 1900, and 29 February 1900 exists.
 
     Args:
-        days: Day numbers with the time of day as their fraction, of 1 March 1900 to 2099; others become
-            null.
-        zone: Zone of the times; without it they are taken as UTC, which nobody may rely on.
+        days: Day numbers with the time of day as fraction, from 1 March 1900 to 2099; others give null.
+        zone: Time zone of the times; without it UTC is assumed, so the absolute time is not reliable.
     """
     whole = pl.when(days.is_between(_EXCEL_FIRST, _EXCEL_LAST)).then((days - _EXCEL_1970) * 86_400e6)
     return _since_1970(_in_zone(whole.round().cast(pl.Int64).cast(pl.Datetime("us")), zone))
@@ -55,6 +54,6 @@ def _in_zone(when: pl.Expr, zone: str | None) -> pl.Expr:
 
 
 def _since_1970(when: pl.Expr) -> pl.Expr:
-    """Whole seconds and the rest apart: nanoseconds since 1970 are more than a float holds."""
+    """Return seconds, from whole seconds and the rest apart: nanoseconds since 1970 exceed the precision of a float."""
     count = when.dt.epoch("ns")
     return (count // 1_000_000_000).cast(pl.Float64) + (count % 1_000_000_000) * 1e-9

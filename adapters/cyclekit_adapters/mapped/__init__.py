@@ -1,1 +1,1 @@
-"""Tables that a map in the cell file describes, and the draft of such a map for an unknown table."""
+"""Tables described by a map in the cell file, and drafts of such maps for unknown tables."""

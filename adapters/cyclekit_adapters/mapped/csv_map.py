@@ -1,6 +1,6 @@
-"""The keys of `[sources.map]` for a table of one's own: what each column of a CSV is, and in which unit; checked.
+"""Keys of `[sources.map]` for a CSV: meaning and unit of each column, checked.
 
-How the table is read by them is the business of `mapped_csv`.
+`mapped_csv` reads the table with them.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ _LISTS = ("time", "time_unit", "scaling", "joints", "columns", "tags", "good")
 
 @dataclass(frozen=True)
 class CsvMap:
-    """The keys; what a column key may say is the business of `map_columns`. Those of several columns are tuples.
+    """Keys of the map; keys of several columns are tuples. `map_columns` resolves column entries.
 
     Attributes:
-        sheet: Of an Excel workbook; the first that holds a table where none is named.
-        columns: Names of the columns of a table without a header line.
+        sheet: Sheet of an Excel workbook; None = the first one that holds a table.
+        columns: Column names of a table without a header line.
         time: Column of the time, or of date and time of day, or of its parts (seconds and nanoseconds).
-        time_unit: Unit of a time that is a number, or of each of its parts, the largest first; "excel" = days as
-            spreadsheets count them.
-        time_format: How a time is written as text: "iso", or a pattern such as "%d.%m.%Y %H:%M:%S%.f".
-        time_zone: Zone of such a time, as "Europe/Rome"; without it its clock counts as relative.
-        confidence: Column of how sure the tracker is of a person's place; 0 = it repeats an old one.
+        time_unit: Unit of a numeric time, or of each of its parts, the largest first; "excel" = days as counted by
+            spreadsheets.
+        time_format: Format of a time in text: "iso", or a pattern such as "%d.%m.%Y %H:%M:%S%.f".
+        time_zone: Time zone of such a time, for example "Europe/Rome"; without it the clock counts as relative.
+        confidence: Column of the tracker's confidence in a person's position; 0 = it repeats an old one.
         missing: Numbers that mean not seen or not measured.
         scaling: Columns whose product is the speed scaling.
-        tags: Columns that are a signal each, by the state of which rows of a PLC's trace are told apart.
-        names: What a tag or column is called as a signal.
-        quality: Column of how good a value is; rows whose quality is none of `good` are set aside.
+        tags: Columns that are one signal each, such as those of a PLC trace.
+        names: Tag or column -> signal name.
+        quality: Column of a value's quality; rows with a quality not in `good` are set aside.
     """
 
     sheet: str | None = None
@@ -83,29 +83,29 @@ class CsvMap:
     joint_unit: str = "rad"
 
     def places(self) -> dict[str, str]:
-        """Return axis -> column."""
+        """Return axis -> column of the position."""
         return {axis: column for axis, column in zip("xyz", (self.x, self.y, self.z), strict=True) if column}
 
     def separator(self) -> str | None:
-        """Return what stands between fields, None where it is to be found from the header."""
+        """Return the field delimiter; None = determine it from the header."""
         return None if self.delimiter is None else _DELIMITERS.get(self.delimiter, self.delimiter)
 
     @property
     def is_date(self) -> bool:
-        """Whether a time is a date and a time of day, in some zone."""
+        """True if a time consists of date and time of day, in some time zone."""
         return self.time_format is not None or self.time_unit == (EXCEL,)
 
     def clock_kind(self, *, zoned: bool) -> ClockKind:
-        """Return what kind of clock the table has: as given, else epoch if date and time zone are known.
+        """Return the kind of clock: as given, else epoch if date and time zone are known.
 
         Args:
-            zoned: Its times name their zone.
+            zoned: The times name their time zone.
         """
         known = "epoch" if self.is_date and (self.time_zone or zoned) else "relative"
         return cast("ClockKind", self.clock or known)
 
     def role(self) -> Role:
-        """Return the only possible role of the mapped columns; x, y, z alone could be the robot or a person.
+        """Return the role implied by the mapped columns; x, y, z alone fit both robot and person.
 
         Raises:
             ConfigError: Several roles are possible.
@@ -121,11 +121,11 @@ class CsvMap:
 
 
 def csv_map(options: ReadOptions) -> CsvMap:
-    """Return the keys of a source of the cell file.
+    """Return the checked keys of a source of the cell file.
 
     Raises:
-        UnknownName: A key, a unit or a word is not known.
-        ConfigError: A value is of the wrong kind, or two contradict each other.
+        UnknownName: A key, unit or word is unknown.
+        ConfigError: A value has the wrong type, or two values contradict each other.
     """
     known = {item.name: item for item in fields(CsvMap)}
     values = dict(options.map)

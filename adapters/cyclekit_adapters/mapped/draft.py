@@ -1,8 +1,7 @@
 """Draft of a map for a table that no adapter knows, from its header and first rows.
 
-What is not sure is proposed all the same, as such, and with the columns that it belongs to: a unit that nobody chose
-would be a wrong one. What names say is the business of `draft_names`, what values say that of `draft_columns` and
-`draft_times`.
+Uncertain values are also proposed, marked as unsure and grouped with their columns, because a unit left at its default
+may be wrong. `draft_names` interprets names; `draft_columns` and `draft_times` interpret values.
 """
 
 from __future__ import annotations
@@ -25,16 +24,16 @@ if TYPE_CHECKING:
     from cyclekit_adapters.mapped.draft_table import DraftTable
 
 _FASTEST = 8.0
-"""m/s or rad/s; no robot and no person in a cell is faster in more than one row of a hundred."""
+"""Maximum plausible speed, m/s or rad/s: robots and people in a cell exceed it in less than 1 % of rows."""
 _DENSE = 0.1
-"""Of the span: rows that follow each other more closely were not logged seconds apart."""
+"""Maximum median step of a path logged at short intervals, as a share of its span."""
 _MOVES = 0.05
 _LISTED = 40
 
 
 @dataclass
 class _Lines:
-    """The lines of a draft so far, and the columns that they use."""
+    """Lines of a draft so far, and the columns that they use."""
 
     source: list[Proposal] = field(default_factory=list)
     map: list[Proposal] = field(default_factory=list)
@@ -42,7 +41,7 @@ class _Lines:
     used: set[str] = field(default_factory=set)
 
     def add(self, values: dict[str, object], why: str = "", *, sure: bool = True) -> None:
-        """Add keys that go together; the last one says why."""
+        """Add related keys; the comment `why` goes to the last one."""
         last = list(values)[-1]
         for key, value in values.items():
             self.map.append(Proposal(key, value, why if key == last else "", sure))
@@ -50,11 +49,11 @@ class _Lines:
 
 
 def draft_of(table: DraftTable, called: str = "") -> Draft:
-    """Return the map that the first rows of a table suggest.
+    """Return a proposed map from the first rows of a table.
 
     Args:
         table: Its first rows.
-        called: Names of its folder and file: they say whose it is where the columns do not.
+        called: Names of its folder and file, which indicate robot or person if the columns do not.
     """
     names = {column: name_of(table.titles.get(column, column), table.units.get(column, "")) for column in table.names}
     names = {column: replace(name, column=column) for column, name in names.items()}
@@ -73,7 +72,7 @@ def draft_of(table: DraftTable, called: str = "") -> Draft:
 
 
 class _Findings:
-    """Possible meanings of the columns, and whether they are of the robot or of a person."""
+    """Possible meanings of the columns, and whether they describe the robot or a person."""
 
     def __init__(self, table: DraftTable, names: dict[str, Name], called: set[str]) -> None:
         self.joints, self.scalings = joints(table, names), scalings(table, names)
@@ -93,7 +92,7 @@ class _Findings:
         self.others = persons if self.role == "robot" else []
 
     def moving(self, table: DraftTable) -> NDArray[np.float64] | None:
-        """Return a path in metres or radians, shape (N, D), if one is known."""
+        """Return a path in m or rad, shape (N, D); None if no unit is certain."""
         for found, units in ((self.places, METRES), (self.joints, RADIANS)):
             if found and found[0].unit_sure:
                 columns = [table.numbers[column] for column in found[0].columns]
@@ -135,7 +134,7 @@ def _add_time(lines: _Lines, table: DraftTable, names: dict[str, Name], found: _
 
 
 def _decided(time: FoundTime, table: DraftTable, path: NDArray[np.float64] | None) -> FoundTime:
-    """Return the time without the units under which the rows would follow too far apart, or move too fast."""
+    """Return the time without units that imply too long intervals for the motion, or too high speeds."""
     if len(time.columns) > 1 or len(time.units) < 2 or path is None:
         return time
     ticks = np.diff(table.numbers[time.columns[0]])

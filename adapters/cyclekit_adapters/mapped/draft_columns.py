@@ -1,7 +1,7 @@
-"""Which columns of an unknown table are places, joint angles, speed scaling, states and people: by names and values.
+"""Candidates for positions, joint angles, speed scaling, states and persons in an unknown table, from names and values.
 
-Each finding says what speaks for it and whether something speaks against it; a person decides what is not sure. How the
-findings become a map is the business of `draft`.
+Each finding holds the evidence for and against it; the user decides the uncertain ones. `draft` turns findings into a
+map.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from cyclekit_adapters.mapped.draft_table import DraftTable
 
 _ARM = (("pan", "base"), ("lift", "shoulder"), ("elbow",), ("1", "wrist"), ("2", "wrist"), ("3", "wrist"))
-"""Words of the joints of an arm whose joints have names, as in ROS."""
+"""Words for the joints of an arm with named joints, as in ROS."""
 _LENGTHS_OF_ARMS = (6, 7)
 _FLANGE_OF_FRANKA = ("o", "t", "ee", "#")
 _VECTORS = POSITION | {"observation", "state", "qpos"}
-"""Words of vectors whose content is not stated, as in ROS and LeRobot: mostly joint angles."""
+"""Words for vectors of unspecified content, as in ROS and LeRobot: mostly joint angles."""
 _SCALING = (
     *(
         "speedscaling",
@@ -55,23 +55,23 @@ _STATES = {
 _STATE_NAMES = {"state", "status", "mode", "running", "run", "playing"}
 _YES_NO = {"true": "playing", "1": "playing", "false": "stopped", "0": "stopped"}
 _YES_NO_NAMES = {"running", "run", "playing"}
-"""Names of columns that answer whether the program runs."""
+"""Names of columns that hold whether the program runs."""
 _MOST_STATES = 30
 
 
 @dataclass(frozen=True)
 class FoundColumns:
-    """Columns that go together, and how sure that is.
+    """Related columns with their unit, and how certain the finding is.
 
     Attributes:
         columns: In the order of axes or joints.
-        unit: Their unit; the likeliest one where that is not sure.
-        unit_why: What speaks for the unit.
-        unit_sure: Nothing else is possible.
+        unit: Their unit; the most likely one if uncertain.
+        unit_why: Evidence for the unit.
+        unit_sure: No other unit is possible.
         sure: No other meaning is possible.
-        why: What speaks for it, or against it.
-        person: Their names say that they are a person's.
-        robot: Their names say that they are a robot's.
+        why: Evidence for or against it.
+        person: The names refer to a person.
+        robot: The names refer to a robot.
     """
 
     columns: tuple[str, ...]
@@ -85,7 +85,7 @@ class FoundColumns:
 
 
 def places(table: DraftTable, names: Mapping[str, Name], *, of_people: bool = False) -> list[FoundColumns]:
-    """Return triples or pairs of columns that are places, the best first; of people where the table is about them."""
+    """Return triples or pairs of position columns, the best first; `of_people`: the table describes people."""
     groups: dict[tuple[str, ...], list[Name]] = {}
     for name in _numeric(table, names):
         if not name.is_other and (name.axis or (name.number is not None and name.says(PLACE))):
@@ -100,14 +100,14 @@ def places(table: DraftTable, names: Mapping[str, Name], *, of_people: bool = Fa
 
 
 def _axes(group: Sequence[Name]) -> tuple[Name, ...]:
-    """Return the columns of x, y and, where there is one, z; nothing where a group has none or several."""
+    """Return the columns of x, y and, if present, z; empty if the group has no or several such sets."""
     if group[0].axis:
         by = {name.axis: name for name in group}
         once = len(by) == len(group)
         return tuple(by[axis] for axis in "xyz" if axis in by) if once and {"x", "y"} <= set(by) else ()
     numbered = _consecutive(group)
     if len(numbered) == 16 and group[0].words == _FLANGE_OF_FRANKA:
-        return numbered[12:15]  # a matrix, column after column
+        return numbered[12:15]  # a 4x4 matrix, column by column
     return numbered[:3] if len(numbered) in (3, 6, 7) and not group[0].says(JOINT) else ()
 
 
@@ -133,9 +133,9 @@ def _place(table: DraftTable, first: Name, axes: tuple[Name, ...], *, others: in
 
 
 def length_unit(values: np.ndarray, said: set[str | None], *, person: bool) -> tuple[str, str, bool]:
-    """Return the unit of lengths, why, and whether no other is possible.
+    """Return the unit of lengths, the evidence for it, and whether no other unit is possible.
 
-    No arm reaches 3 m (300 would be mm then, or cm), nor does one stay within 5 mm; no cell is 30 m wide (3000 cm).
+    No arm reaches 3 m (so 300 means mm or cm) or stays within 5 mm; no cell is 30 m wide (3000 cm).
     """
     named = said & {"m", "mm", "cm", "in"}
     if len(named) == 1:
@@ -185,7 +185,7 @@ def _says_joints(group: Sequence[Name]) -> bool:
 
 
 def angle_unit(values: np.ndarray, said: set[str | None]) -> tuple[str, str, bool]:
-    """Return the unit of joint angles, why, and whether no other is possible: no joint turns by two turns and more."""
+    """Return the unit of joint angles, its evidence, and whether no other is possible: no joint turns twice or more."""
     named = said & {"rad", "deg"}
     if len(named) == 1:
         return str(named.pop()), "its name says so", True
@@ -200,7 +200,7 @@ def angle_unit(values: np.ndarray, said: set[str | None]) -> tuple[str, str, boo
 
 
 def _named_joints(numeric: Sequence[Name]) -> tuple[Name, ...]:
-    """Return the columns of an arm whose joints have names, in the order of the arm."""
+    """Return the columns of an arm with named joints, from the base outwards."""
     found = []
     for wanted in _ARM:
         fits = [
@@ -221,7 +221,7 @@ def _named_joints(numeric: Sequence[Name]) -> tuple[Name, ...]:
 
 
 def _consecutive(group: Sequence[Name]) -> tuple[Name, ...]:
-    """Return columns in the order of their numbers, if these go from 0 or 1 on, each once."""
+    """Return the columns ordered by number, if the numbers are unique and consecutive from 0 or 1."""
     by = {name.number: name for name in group if name.number is not None}
     order = sorted(number for number in by if number is not None)
     begun = order and order[0] in (0, 1) and order == list(range(order[0], order[0] + len(order)))
@@ -229,7 +229,7 @@ def _consecutive(group: Sequence[Name]) -> tuple[Name, ...]:
 
 
 def scalings(table: DraftTable, names: Mapping[str, Name]) -> list[FoundColumns]:
-    """Return columns of a speed scaling; the unit is "1" or "100", what full speed is written as."""
+    """Return columns of speed scaling; the unit is "1" or "100", the value at full speed."""
     found = []
     for name in _numeric(table, names):
         said = "".join(name.words)
@@ -255,7 +255,7 @@ def _full_speed(values: np.ndarray, said: str | None) -> tuple[str, str, bool]:
 
 
 def states(table: DraftTable, names: Mapping[str, Name]) -> list[tuple[str, dict[str, str], list[str]]]:
-    """Return columns of a program's state: which words mean what, and which have no meaning that is known."""
+    """Return columns of a program's state, each with its words of known meaning and those of unknown meaning."""
     found = []
     for name in names.values():
         if not name.says(_STATE_NAMES) or name.says(("safety", "joint", "gripper", "human")):
@@ -270,7 +270,7 @@ def states(table: DraftTable, names: Mapping[str, Name]) -> list[tuple[str, dict
 
 
 def person_columns(table: DraftTable, names: Mapping[str, Name]) -> list[str]:
-    """Return columns that say who is meant: few values, many times each, or more than one row at an instant."""
+    """Return columns that identify a person: few distinct values, each in many rows."""
     found = []
     for name in names.values():
         told = [cell for cell in table.cells[name.column] if cell.strip()]

@@ -1,7 +1,7 @@
-"""What the name of a column says: its words, axis, number and unit; as people name those of robots and trackers.
+"""Words, axis, number and unit in a column name, for names common in logs of robots and trackers.
 
-Taken from public logs of ABB, Doosan, FANUC, Franka, KUKA, Staubli, UR, xArm and Yaskawa robots, of ROS exports and of
-trackers. A name alone proves nothing; what its values say is the business of `draft`.
+The words come from public logs of ABB, Doosan, FANUC, Franka, KUKA, Staubli, UR, xArm and Yaskawa robots, of ROS
+exports and of trackers. A name alone is no proof; `draft` also considers the values.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ JOINT = {
     "achse",
 }
 ROBOT = {"robot", "arm", "manipulator", "ur", "kuka", "abb", "fanuc", "doosan", "xarm", "gripper", "cobot"}
-ROBOT |= PLACE - {"pose"}  # which trackers say of people, too
+ROBOT |= PLACE - {"pose"}  # a word that trackers also use for people
 PERSON = {
     *("human", "humans", "person", "persons", "people", "operator", "worker", "pedestrian", "ped", "body", "skeleton"),
     *("head", "pelvis", "hip", "hips", "torso", "helmet", "vest", "subject", "visitor", "track"),
@@ -101,26 +101,26 @@ OTHER = {
     *("input", "output", "digital", "analog", "stiffness", "damping", "momentum", "finger", "rpm", "confidence"),
     *("rx", "ry", "rz", "qx", "qy", "qz", "qw", "vx", "vy", "vz", "fx", "fy", "fz", "wx", "wy", "wz", "tx", "ty", "tz"),
 }
-"""Words of quantities that are neither a position nor a joint angle."""
+"""Words for quantities that are neither a position nor a joint angle."""
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-zäöüß]+|[A-Z]+|\d+|%|°|µs")
-_ONE_WORD = re.compile(r"TCP|RIst|RSol")  # which look like two
+_ONE_WORD = re.compile(r"TCP|RIst|RSol")  # would otherwise be split in two
 _BRACKETED = re.compile(r"[\[(<{]\s*([A-Za-zµ°%]+)\s*[\])>}]\s*(?:#\d+)?$|/\s*([A-Za-zµ°%]+)$")
 _BESIDE_AXIS = {"", "act", "actual", "curr", "ist"} | PLACE | POSITION | ROBOT | PERSON
-"""Words that people write together with an axis: `toolx`, `xpos`."""
-_SMALL_UNITS = {"m", "s", "in"}  # as words of a name they are a unit at its end only
+"""Words that occur joined with an axis: `toolx`, `xpos`."""
+_SMALL_UNITS = {"m", "s", "in"}  # a unit only as the last word of a name
 
 
 @dataclass(frozen=True)
 class Name:
-    """The name of a column, taken apart.
+    """The parsed name of a column.
 
     Attributes:
-        column: The column.
-        words: What it says, in lower case, without axis and unit, `#` for its last number: what columns of other axes
-            or numbers have in common with it.
+        column: Name of the column.
+        words: Its words in lower case, without axis and unit, with `#` for its last number; equal for columns that
+            differ only in axis or number.
         axis: x, y or z.
-        number: The last number in it.
-        unit: A key of `UNITS`' values.
+        number: Last number in the name.
+        unit: A value of `UNITS`.
     """
 
     column: str
@@ -130,32 +130,32 @@ class Name:
     unit: str | None
 
     def says(self, words: Iterable[str]) -> bool:
-        """Tell whether one of `words` is in it."""
+        """Return whether the name contains one of `words`."""
         return not set(self.words).isdisjoint(words)
 
     @property
     def is_time(self) -> bool:
-        """It is called a time; `t` alone only at its end, since it stands for many things."""
+        """True if the name means a time; `t` counts only as the last word, because it has many meanings."""
         return self.says(TIME) or self.words[-1:] == ("t",)
 
     @property
     def is_set_point(self) -> bool:
-        """It is a set point, not a measurement."""
+        """True if the column is a set point, not a measurement."""
         return self.says(SET_POINT) and not self.says(ACTUAL)
 
     @property
     def is_other(self) -> bool:
-        """It is neither a place nor a joint angle; `current` is electrical where it does not come first."""
+        """True if the column is neither position nor joint angle; `current` is electrical except as first word."""
         electrical = "current" in self.words and self.words[0] != "current"
         return self.says(OTHER) or electrical
 
 
 def name_of(column: str, unit: str = "") -> Name:
-    """Take the name of a column apart.
+    """Parse the name of a column.
 
     Args:
-        column: The column.
-        unit: What a line of units says of it.
+        column: Name of the column.
+        unit: Its entry in a line of units.
     """
     found = _BRACKETED.search(column)
     said = UNITS.get((found[1] or found[2]).lower()) if found else None
@@ -172,7 +172,7 @@ def name_of(column: str, unit: str = "") -> Name:
 
 
 def _axis(words: list[str]) -> tuple[str | None, list[str]]:
-    """Return the axis that exactly one of the words names, and the other words."""
+    """Return the axis, if exactly one word names one, and the other words."""
     found = [(at, *split) for at, word in enumerate(words) if (split := _split_axis(word))]
     if len(found) != 1:
         return None, words
@@ -181,7 +181,7 @@ def _axis(words: list[str]) -> tuple[str | None, list[str]]:
 
 
 def _split_axis(word: str) -> tuple[str, str] | None:
-    """Return the axis at one end of a word, and the rest of it, if people write such words."""
+    """Return the axis at one end of a word and the rest, if the rest is a word that occurs joined with an axis."""
     for axis, beside in ((word[-1:], word[:-1]), (word[:1], word[1:])):
         if axis in ("x", "y", "z") and beside in _BESIDE_AXIS:
             return axis, beside

@@ -1,7 +1,6 @@
-"""The first lines of a table that nobody knows: where its header is, what separates cells, what its columns hold.
+"""First lines of an unknown table: position of the header, delimiter, and values of its columns.
 
-Nothing is known of such a table but that its rows have cells of numbers, all equally many. What the columns mean is the
-business of `draft`.
+The only assumption is that rows hold numeric cells in equal number. `draft` interprets the columns.
 """
 
 from __future__ import annotations
@@ -28,26 +27,26 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LINES = 2000
-"""Lines looked at."""
+"""Maximum number of lines read."""
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "|", "\\s+": "whitespace"}
 _LINES_SEARCHED = 50
 _MOST_COLUMNS = 2000
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d+|\.)?|[.,]\d+)(?:[eE][+-]?\d+)?")
-_NUMERIC = 0.9  # of the cells of a column of numbers
+_NUMERIC = 0.9  # minimum share of numbers in a numeric column
 
 
 @dataclass(frozen=True)
 class DraftTable:
-    """The first rows of a table.
+    """First rows of a table.
 
     Attributes:
-        names: Its columns, all different; numbers of a list in one cell are columns as well, `pose[0]`.
-        cells: The cells of each column as texts, one per row.
-        units: What a second header line says of each column, empty where it says nothing or there is none.
-        keys: Keys of the map that say how the table is kept, beside those of its columns.
-        titles: What the header calls those columns that are called by their number here.
+        names: Unique column names; numbers of a list in one cell are also columns, `pose[0]`.
+        cells: Cells of each column as texts, one per row.
+        units: Entry of a second header line per column; empty without one.
+        keys: Keys of the map for the file format, without those of columns.
+        titles: Header names of columns that `names` refers to by number.
         comma: Numbers have a decimal comma.
-        headed: It has a line of names.
+        headed: The table has a line of names.
     """
 
     names: tuple[str, ...]
@@ -60,14 +59,14 @@ class DraftTable:
 
     @cached_property
     def numbers(self) -> dict[str, NDArray[np.float64]]:
-        """The columns of numbers, NaN where unknown; all of one length."""
+        """Numeric columns, all of equal length; NaN where unknown."""
         found = {name: [_number(cell, comma=self.comma) for cell in cells] for name, cells in self.cells.items()}
         kept = {name: values for name, values in found.items() if _is_numeric(values)}
         return {name: np.array([np.nan if v is None else v for v in values]) for name, values in kept.items()}
 
     @cached_property
     def texts(self) -> dict[str, list[str]]:
-        """The other columns that hold something, without their empty cells."""
+        """Other non-empty columns, without their empty cells."""
         told = {name: [cell.strip() for cell in cells] for name, cells in self.cells.items()}
         return {
             name: kept for name, cells in told.items() if name not in self.numbers and (kept := [c for c in cells if c])
@@ -75,14 +74,14 @@ class DraftTable:
 
 
 def text_draft_table(path: Path) -> DraftTable | None:
-    """Return the first rows of a text table, None if it is not a table."""
+    """Return the first rows of a text table; None if the file is not a table."""
     encoding = file_encoding(path)
     if encoding is None:
         return None
     lines, keys = head_lines(path, LINES, encoding), {}
     if any("\ufffd" in line for line in lines):
         lines, keys = head_lines(path, LINES, "latin-1"), {"encoding": "latin-1"}
-    lines = lines[:-1] if len(lines) < LINES or not lines[-1] else lines  # the last one may be cut
+    lines = lines[:-1] if len(lines) < LINES or not lines[-1] else lines  # the last line may be incomplete
     marks = [mark for mark in _DELIMITERS if mark == "\\s+" or any(mark in line for line in lines)]
     found = [rows for mark in marks if (rows := _rows_by(lines, mark)) is not None]
     if not found:
@@ -92,7 +91,7 @@ def text_draft_table(path: Path) -> DraftTable | None:
 
 
 def sheet_draft_table(path: Path) -> DraftTable | None:
-    """Return the first rows of the first sheet of a workbook that holds a table, None where none does.
+    """Return the first rows of the first sheet of a workbook that holds a table; None if there is none.
 
     Raises:
         MissingExtra: fastexcel is not installed.
@@ -108,7 +107,7 @@ def sheet_draft_table(path: Path) -> DraftTable | None:
 
 
 class _Rows:
-    """Lines taken apart by one delimiter: which is the header, and which rows are below it."""
+    """Lines split by one delimiter, with the header and the rows below it."""
 
     def __init__(self, mark: str, lines: list[list[str]]) -> None:
         self.mark, self.lines = mark, [_trimmed(cells) for cells in lines]
@@ -128,7 +127,7 @@ class _Rows:
         return sum(map(bool, cells)) >= 0.8 * self.width
 
     def _names(self, cells: list[str]) -> bool:
-        """Tell whether these may be names: as many as a row has cells, `#` of a comment apart, and no numbers."""
+        """Return whether cells may be column names: one per column, apart from a leading `#`, and few numbers."""
         told = [cell for cell in cells if cell]
         commented = self.mark == "\\s+" and cells[:1] in (["#"], ["%"])
         return len(cells) - commented == self.width and len(told) > 1 and _count(told) < 0.3 * len(told)
@@ -164,12 +163,12 @@ def _table(rows: _Rows, keys: dict[str, object]) -> DraftTable:
 
 
 def _called(name: str, names: Sequence[str], at: int) -> str:
-    """Return what a map calls a column: its name, or its number where others are called so."""
+    """Return the name of a column in a map: its header name, or its number if that name repeats."""
     return f"#{at + 1}" if f"{name}#2" in names or re.search(r".#\d+$", name) else name
 
 
 def _taken_apart(name: str, cells: list[str]) -> list[tuple[str, list[str]]]:
-    """Return a column, or those of its numbers where each cell holds a list."""
+    """Return the column, or one column per number if its cells hold lists."""
     lists = [parts_of(cell) for cell in cells if cell]
     widths = Counter(len(parts) if parts else 0 for parts in lists)
     if not lists or widths.most_common(1)[0][0] < 2:

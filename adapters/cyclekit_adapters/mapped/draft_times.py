@@ -1,7 +1,7 @@
-"""Which columns of an unknown table are its time, and in which unit: by their names, their steps and their size.
+"""Candidates for the time of an unknown table and its unit, from names, steps and magnitude.
 
-A unit that the name states, or that the count since 1970 proves, is sure; so is one under which alone the rows would
-follow each other as fast as logs are written. What else is possible is said.
+A unit is certain if the name gives it, if a count since 1970 proves it, or if it alone gives a usual sampling interval.
+Otherwise all possible units are returned.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _EPOCH_S = (9.4e8, 4.1e9)  # 2000 to 2099
 _STEP_S = (0.0002, 1.2)
-"""Seconds between rows of a log of motion; from 5 kHz on."""
+"""Range of sampling intervals of motion logs, s (5 kHz and slower)."""
 _SLOWER_S = 60.0
 _LIKELY_S = (5e-5, 600.0)
 _PATTERNS = (
@@ -44,15 +44,15 @@ _LOOKED_AT = 500
 
 @dataclass(frozen=True)
 class FoundTime:
-    """The time of a table.
+    """A candidate for the time of a table.
 
     Attributes:
-        columns: One, or a date and a time of day, or seconds and a part of a second.
-        units: One of each of numbers; of one column all that are possible, the likeliest first.
-        patterns: How times written as text may be written, the likeliest first; empty for numbers.
-        epoch: They count since 1970.
-        why: What speaks for it.
-        sure: The column is the time without doubt.
+        columns: One column, or date and time of day, or seconds and a fraction of a second.
+        units: Unit of each numeric column; for a single column all possible units, the most likely first.
+        patterns: Possible formats of times in text, the most likely first; empty for numbers.
+        epoch: The times count since 1970.
+        why: Evidence for it.
+        sure: The column is certainly the time.
     """
 
     columns: tuple[str, ...]
@@ -65,13 +65,13 @@ class FoundTime:
 
     @property
     def rank(self) -> tuple[bool, bool, bool]:
-        """Order among those found: sure ones first, with a known unit, and whose name says so."""
+        """Sort key: certain candidates with a known unit first, then certain ones, then those with a known unit."""
         decided = len(self.patterns) == 1 or len(self.units) == len(self.columns)
         return (self.sure and decided, self.sure, decided)
 
 
 def found_times(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
-    """Return what may be the time of a table, the best first."""
+    """Return the candidates for the time of a table, the best first."""
     found = _split(table, names)
     taken = {column for time in found for column in time.columns}
     found += [one for name in names.values() if name.column not in taken and (one := _counted(table, name))]
@@ -82,7 +82,7 @@ def found_times(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]
 
 
 def counts_rows(table: DraftTable, names: Mapping[str, Name]) -> str | None:
-    """Return a column that counts frames, None where there is none."""
+    """Return a column that counts frames; None if there is none."""
     for column, values in table.numbers.items():
         name = names[column]
         if (name.says(COUNTS) or "unnamed" in name.words) and _rises(values) and (values % 1 == 0).all():
@@ -91,7 +91,7 @@ def counts_rows(table: DraftTable, names: Mapping[str, Name]) -> str | None:
 
 
 def _split(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
-    """Return pairs of a column of seconds and one of a part of a second, of the same words."""
+    """Return pairs of a column of seconds and a column of fractions of a second with the same words."""
     found = []
     for whole in names.values():
         if whole.unit != "s" or whole.column not in table.numbers:
@@ -110,7 +110,7 @@ def _split(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
 
 
 def _counted(table: DraftTable, name: Name) -> FoundTime | None:
-    """Return a column of numbers that is called a time and rises."""
+    """Return a rising numeric column whose name means a time."""
     values = table.numbers.get(name.column)
     if values is None or not _rises(values):
         return None
@@ -132,7 +132,7 @@ def _by_steps_alone(table: DraftTable, column: str) -> FoundTime | None:
 
 
 def _units(values: Vector, said: str | None) -> tuple[tuple[str, ...], bool, str]:
-    """Return which units are possible, whether they count since 1970, and why."""
+    """Return the possible units, whether they count since 1970, and the evidence."""
     steps = np.diff(values[np.isfinite(values)])
     step = float(np.median(steps[steps > 0]))
     if said and _LIKELY_S[0] <= step * SECONDS[said] <= _LIKELY_S[1]:
@@ -158,14 +158,14 @@ def _is_epoch(values: Vector, unit: str) -> bool:
 
 
 def _rises(values: Vector) -> bool:
-    """Tell whether numbers never fall, but for a few restarts, and do rise."""
+    """Return whether numbers rise and almost never fall (below 1 % of steps, for restarts)."""
     told = values[np.isfinite(values)]
     steps = np.diff(told)
     return len(steps) > 0 and len(told) > 0.9 * len(values) and bool((steps < 0).mean() < 0.01 and (steps > 0).any())
 
 
 def _written(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
-    """Return columns of times written as text, alone or a date with a time of day."""
+    """Return columns of times in text: single ones, or a date with a time of day."""
     clocks = [name for name in names.values() if name.column in table.texts and name.is_time]
     found = [time for name in clocks if (time := _patterned(table, (name.column,)))]
     dates = [name for name in clocks if name.says({"date", "datum"})]

@@ -1,8 +1,8 @@
-"""Which columns of a table the map of a cell file means: by name, number or pattern, or one number of a list.
+"""Table columns that the map of a cell file refers to: by name, number or pattern, or one number of a list.
 
-A key says `tcp_x`; `#3`, the third column, where names repeat or say nothing; `pose[0]`, the first number of the lists
-in column `pose`. A key of several columns may say `joint_*` or `#2..#7` or `pose[*]` as well. What stands in the header
-literally always goes before what it could stand for. What the keys mean is the business of `csv_map`.
+An entry is `tcp_x`; `#3`, the third column, for repeated or meaningless names; or `pose[0]`, the first number of the
+lists in column `pose`. A key of several columns also accepts `joint_*`, `#2..#7` and `pose[*]`. A literal match with
+the header takes precedence over a pattern. `csv_map` defines the keys.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ ONE = (
     "value",
     "quality",
 )
-"""Keys of one column."""
+"""Keys that take one column."""
 MANY = ("time", "scaling", "joints", "tags")
-"""Keys of one column or several."""
+"""Keys that take one or several columns."""
 _NUMBER = re.compile(r"#([1-9]\d{0,5})")
 _RANGE = re.compile(r"#([1-9]\d{0,5})\.\.#?([1-9]\d{0,5})")
 _ELEMENT = re.compile(r"(.+)\[(\d{1,4}|\*)\]", re.DOTALL)
@@ -45,12 +45,12 @@ _ELEMENT = re.compile(r"(.+)\[(\d{1,4}|\*)\]", re.DOTALL)
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of one table, and those that a map means.
+    """Columns of one table, and the map resolved to them.
 
     Attributes:
-        mapping: The map, each column in it by the name that it has here.
-        names: The names of the table's columns; one that was meant by its number, since its name repeats, is `#3`.
-        lists: Of each column of lists the columns made of it, by the place of their number.
+        mapping: The map, with each column by its name in `names`.
+        names: Column names of the table; a column with a repeated name that the map refers to by number is `#3`.
+        lists: For each column of lists: position of a number -> name of the new column.
     """
 
     mapping: CsvMap
@@ -59,22 +59,22 @@ class Columns:
 
 
 def unresolved(entries: Iterable[str], names: Sequence[str]) -> set[str]:
-    """Return which entries of a map mean no column among `names`."""
+    """Return the entries of a map that match no column among `names`."""
     return {entry for entry in entries if not _meant(entry, names)}
 
 
 def columns_of(path: Path, mapping: CsvMap, names: Sequence[str], widths: Mapping[str, int]) -> Columns:
-    """Return the columns that a map means; an entry that means none stays as it is, to be refused with the others.
+    """Return the columns that a map refers to; an entry without a match is kept, to be refused with the others later.
 
     Args:
-        path: The table, for the message.
-        mapping: The map as it was written.
-        names: The names of its columns, all different.
-        widths: Of the columns of lists, how many numbers those of the first rows have.
+        path: The table, for messages.
+        mapping: The map as written.
+        names: Unique names of its columns.
+        widths: Column of lists -> length of its lists in the first rows.
 
     Raises:
-        ConfigError: A key of one column means several, or a list has no such number.
-        DamagedLog: A name that several columns have.
+        ConfigError: A key of one column matches several, or a list has no number at that position.
+        DamagedLog: A name that several columns share.
     """
     finder = _Finder(path, list(names), widths)
     found: dict[str, object] = {}
@@ -87,7 +87,7 @@ def columns_of(path: Path, mapping: CsvMap, names: Sequence[str], widths: Mappin
 
 
 def _meant(entry: str, names: Sequence[str]) -> list[int]:
-    """Return the places, from 0, of the columns that an entry means; of a list, that of its column."""
+    """Return the positions, from 0, of the columns that an entry matches; for a list element, of the list's column."""
     if entry in names:
         return [names.index(entry)]
     if found := _NUMBER.fullmatch(entry):
@@ -104,7 +104,7 @@ def _meant(entry: str, names: Sequence[str]) -> list[int]:
 
 
 class _Finder:
-    """Finds the columns of one table; remembers what was renamed and which lists are taken apart."""
+    """Resolves entries to columns of one table, and records renamed columns and split lists."""
 
     def __init__(self, path: Path, names: list[str], widths: Mapping[str, int]) -> None:
         self.path, self.names, self.widths = path, names, widths
@@ -137,7 +137,7 @@ class _Finder:
         return self.lists.setdefault(column, {}).setdefault(place, f"{column}[{place}]")
 
     def _named(self, entry: str, place: int) -> str:
-        """Return the name of a column; the first one of several is known by its number only."""
+        """Return the name of a column; if its name repeats, the first one can only be given by number."""
         name = self._header[place]
         if f"{name}#2" not in self._header:
             return name

@@ -1,7 +1,7 @@
-"""The table that a map speaks of: its column names, its first rows to look at, and its rows block by block.
+"""Table that a map refers to: column names, first rows, and all rows block by block.
 
-A text table is looked at here, told by its header line and by what the cell file says of its delimiter and encoding.
-What the columns mean is the business of `mapped_csv`.
+This module handles text tables, with delimiter and encoding from the header line and the cell file. `mapped_csv`
+interprets the columns.
 """
 
 from __future__ import annotations
@@ -24,34 +24,34 @@ if TYPE_CHECKING:
     from cyclekit_adapters.mapped.csv_map import CsvMap
     from cyclekit_adapters.text.text_rows import TextRows, Wanted
 
-_LINES_SEARCHED = 50  # for the header, where it is not in the line that it should be in
+_LINES_SEARCHED = 50  # for a header that is not in the expected line
 _ROWS_LOOKED_AT = 50
 
 
 class MapTable(Protocol):
-    """A table, whatever it is kept in."""
+    """A table in any file format."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Its columns, all different."""
+        """Unique column names."""
         ...
 
     @property
     def first_rows(self) -> Sequence[Sequence[str]]:
-        """The cells of its first rows, as texts."""
+        """Cells of the first rows, as texts."""
         ...
 
     @property
     def facts(self) -> dict[str, str]:
-        """How it is kept."""
+        """File format, as facts of the log."""
         ...
 
     def cure(self, wanted: Collection[str], mapping: CsvMap) -> str:
-        """Return what to do where columns that are wanted are not there."""
+        """Return a hint for the case that wanted columns are missing."""
         ...
 
     def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[TextRows]:
-        """Yield its rows; `names` are the columns by the names that they have now."""
+        """Yield the rows; `names` are the current column names."""
         ...
 
 
@@ -64,27 +64,27 @@ class TextTable:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Its columns."""
+        """Column names."""
         return self.layout.names
 
     @property
     def first_rows(self) -> list[list[str]]:
-        """The cells of its first rows."""
+        """Cells of the first rows."""
         layout = self.layout
         lines = head_lines(self.path, layout.header_lines + _ROWS_LOOKED_AT, layout.encoding)[layout.header_lines :]
         return [fields_of(line, layout.delimiter) for line in lines if line.strip()]
 
     @property
     def facts(self) -> dict[str, str]:
-        """How it is written."""
+        """Delimiter and encoding."""
         return {"delimiter": repr(self.layout.delimiter), "encoding": self.layout.encoding}
 
     def cure(self, wanted: Collection[str], mapping: CsvMap) -> str:
-        """Say where the columns may be, or which ones there are."""
+        """Return where the columns were found, or which columns exist."""
         layout = self.layout
         if any("\ufffd" in name for name in layout.names):
             return f'The header is not written in {layout.encoding}: give encoding, for example "latin-1".'
-        named = {entry for entry in wanted if not entry.startswith("#")}  # which any line has
+        named = {entry for entry in wanted if not entry.startswith("#")}  # numbers match in any line
         for number, line in enumerate(head_lines(self.path, _LINES_SEARCHED, layout.encoding)):
             for mark in dict.fromkeys((layout.delimiter, ",", ";", "\t", "|", " ")):
                 if named and not mapping.columns and not unresolved(wanted, header_names(line, mark)):
@@ -92,7 +92,7 @@ class TextTable:
         return f"Columns of line {mapping.skip_rows + 1}: {', '.join(name[:40] for name in layout.names[:60])}."
 
     def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[TextRows]:
-        """Yield its rows."""
+        """Yield the rows."""
         return read_blocks(
             self.path,
             replace(self.layout, names=names),
@@ -104,16 +104,16 @@ class TextTable:
 
 
 def text_table(path: Path, mapping: CsvMap, wanted: Collection[str]) -> TextTable:
-    """Return a text table as the map says that it is written.
+    """Return a text table with the layout given in the map.
 
     Args:
         path: The log.
         mapping: The map.
-        wanted: Its entries, by which a delimiter is told that it does not name.
+        wanted: Its column entries, used to find a delimiter that is not given.
 
     Raises:
-        ConfigError: The encoding is not known.
-        DamagedLog: It is not text, or has no header where one should be.
+        ConfigError: The encoding is unknown.
+        DamagedLog: The file is not text, or has no header in the expected line.
     """
     if mapping.sheet is not None:
         raise ConfigError(f"{WHERE}: sheet = {mapping.sheet!r}, but the log is a text file", cure="Remove the key.")
@@ -139,9 +139,9 @@ def text_table(path: Path, mapping: CsvMap, wanted: Collection[str]) -> TextTabl
 
 
 def _delimiter(line: str, mapping: CsvMap, wanted: Collection[str]) -> str:
-    """Return the delimiter under which the mapped columns are there, else the likeliest.
+    """Return the delimiter that gives the mapped columns, else the most likely one.
 
-    Where commas are decimal marks and separate as well, numbers stand in quotes: the last thing to be thought of.
+    With a decimal comma, a comma is tried last, because it separates fields only if numbers are quoted.
     """
     candidates = ";\t ," if mapping.decimal == "," else ",;\t "
 

@@ -1,7 +1,6 @@
-"""The times of a mapped table in seconds: numbers of a unit, counts of frames, or dates and times of day as text.
+"""Times of a mapped table in seconds: numbers with a unit, frame counts, or dates and times of day in text.
 
-Nothing is guessed; but what the cell file says and the first rows contradict is refused. What the other columns mean is
-the business of `mapped_csv`.
+Nothing is guessed, but settings that the first rows contradict are refused. `mapped_csv` interprets the other columns.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-T_S = "\x1ft_s"  # a name that no column of a file can have
+T_S = "\x1ft_s"  # a name that no column of a file has
 _JOINED = "\x1fwhen"
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
 _EPOCH_S = (9.4e8, 4.1e9)  # the years 2000 to 2099
 
 
 def name_their_zone(first_rows: Sequence[Sequence[str]], names: Sequence[str], mapping: CsvMap) -> bool:
-    """Tell from the first rows whether the times written in a table name their zone."""
+    """Return whether the times in text, judged by the first rows, name their time zone."""
     pattern = mapping.time_format or ""
     if pattern != "iso":
         return "%z" in pattern or "%+" in pattern or "%:z" in pattern
@@ -39,10 +38,10 @@ def name_their_zone(first_rows: Sequence[Sequence[str]], names: Sequence[str], m
 
 
 def require_epoch(path: Path, frame: pl.DataFrame, mapping: CsvMap) -> None:
-    """Refuse times that do not count from 1970 although clock = "epoch": mostly a wrong unit.
+    """Refuse times that do not count from 1970 although clock = "epoch", mostly because of a wrong unit.
 
     Raises:
-        LogError: The middle one of the times of `frame` is not of the years 2000 to 2099.
+        LogError: The median of the times in `frame` is not within the years 2000 to 2099.
     """
     middle = frame[T_S].drop_nulls().sort()[len(frame) // 2 :].to_list()[:1]
     if not middle or _EPOCH_S[0] <= middle[0] <= _EPOCH_S[1]:
@@ -55,7 +54,7 @@ def require_epoch(path: Path, frame: pl.DataFrame, mapping: CsvMap) -> None:
 
 
 def timed(rows: TextRows, mapping: CsvMap, rate_hz: float | None, *, zoned: bool) -> TextRows:
-    """Add the time in seconds as column T_S; a row whose time cannot be read is set aside."""
+    """Add the time in seconds as column T_S; a row with an unreadable time is set aside."""
     frame = rows.frame
     if not mapping.time:
         return replace(rows, frame=frame.with_columns((pl.col(INDEX) / cast("float", rate_hz)).alias(T_S)))
@@ -78,12 +77,12 @@ def timed(rows: TextRows, mapping: CsvMap, rate_hz: float | None, *, zoned: bool
 
 
 def _counted(rows: TextRows, mapping: CsvMap, rate_hz: float | None) -> TextRows:
-    """Add the time of numbers: of one column, or the sum of its parts."""
+    """Add the time from numbers: of one column, or the sum of its parts."""
     first, *smaller = [
         (name, 1.0 / cast("float", rate_hz) if unit == FRAME else SECONDS[unit])
         for name, unit in zip(mapping.time, mapping.time_unit, strict=True)
     ]
-    for name, second in smaller:  # a part of a second that is longer than one is no part, but another clock
+    for name, second in smaller:  # a part longer than the larger unit belongs to another clock
         part = rows.frame[name] * second
         reason = f"its part {name!r} of the time is not between 0 and one {mapping.time_unit[0]} of {first[0]!r}"
         rows = rows.without((part < 0.0) | (part >= first[1]), reason)

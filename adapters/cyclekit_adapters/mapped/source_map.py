@@ -1,6 +1,6 @@
-"""The few keys that an adapter of a self-describing log takes from `[sources.map]`, checked.
+"""Keys of `[sources.map]` for self-describing logs, checked.
 
-An unknown key or word is refused, with the nearest known one; what a key means is the adapters' business.
+An unknown key or word is refused, with the nearest known one. The adapters define the keys.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def words(options: ReadOptions, adapter: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Return the keys given, each with one of the words that `known` lists for it.
+    """Return the given keys, each with one of its words listed in `known`.
 
     Raises:
-        ConfigError: A key or a word is not known.
+        ConfigError: A key or a word is unknown.
     """
     where = f"[sources.map] of a {adapter} log"
     found = {}
@@ -34,10 +34,10 @@ def words(options: ReadOptions, adapter: str, known: Mapping[str, Sequence[str]]
 
 
 def split_names(options: ReadOptions, adapter: str, key: str) -> tuple[tuple[str, ...], dict[str, object]]:
-    """Return the names listed under `key` (an array of texts), and the other keys.
+    """Return the names under `key` (an array of texts), and the other keys.
 
     Raises:
-        ConfigError: `key` is something else.
+        ConfigError: The value of `key` is not a list of texts.
     """
     rest = dict(options.map)
     value = rest.pop(key, ())

@@ -1,1 +1,1 @@
-"""What logs of robot controllers share: their clocks, their binary records, the links of an arm."""
+"""Code shared by logs of robot controllers: clocks, binary records, arm kinematics."""

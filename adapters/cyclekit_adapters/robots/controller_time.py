@@ -1,7 +1,7 @@
-"""Rows of a controller log on its own clock: each time once, and warnings about steps back.
+"""Controller time of a robot log: repeated samples are set aside, backward steps of the clock are reported.
 
-A logger that is faster than its controller writes the last sample again, and a controller that was restarted counts
-from zero. Both are the same in every robot log, whatever its columns mean.
+A logger faster than its controller writes a sample twice, and a restarted controller counts from zero again. Both occur
+in every robot log, whatever its columns mean.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ REPEATED = "repeats the controller sample before it"
 
 @dataclass
 class Once:
-    """Keeps each time once, block after block of one log.
+    """Sets repeated times aside, block after block of one log.
 
     Attributes:
         time: Name of the time column; it has no nulls.
-        repeated: Rows so far that repeat the one before them.
-        back: How often so far the clock stepped back for good. A single time that does not fit between its neighbours
-            is a garbled number, which is set aside later, and no restart.
+        repeated: Number of rows so far that repeat the previous one.
+        back: Number of lasting backward steps of the clock so far. A single time that does not fit between its
+            neighbours is a garbled number, set aside later, and no restart.
     """
 
     time: str
@@ -39,12 +39,12 @@ class Once:
 
     @property
     def back(self) -> int:
-        """As above; a last row that steps back counts, since nothing says that it does not fit."""
+        """See the class. A backward step in the last row counts, because no later row can show that it is garbled."""
         ends = self._ends
         return self._back + (len(ends) > 1 and ends[-1] < ends[-2] and not (len(ends) > 2 and ends[-1] > ends[-3]))
 
     def rows(self, rows: TextRows, reason: str = REPEATED) -> TextRows:
-        """Return the rows that go on (or step back: a new run), with the repeats set aside."""
+        """Return the rows with repeated times set aside; a row after a backward step is kept, as the start of a run."""
         times = rows.frame[self.time].to_numpy()
         if not len(times):
             return rows
@@ -54,18 +54,18 @@ class Once:
         return rows.without(pl.Series(again), reason) if again.any() else rows
 
     def _count(self, times: NDArray[np.float64]) -> None:
-        """Count the steps back among different times, shape (N,); the last row waits for the one behind it."""
+        """Count backward steps among distinct times, shape (N,); the last row is judged when its successor is known."""
         known = len(self._ends)
         seen = np.concatenate([self._ends, times])
         self._ends = tuple(seen[-3:].tolist())
-        back = np.flatnonzero(seen[1:] < seen[:-1]) + 1  # rows before which it steps back
+        back = np.flatnonzero(seen[1:] < seen[:-1]) + 1  # index of the first row after a backward step
         back = back[(back >= known - 1) & (back < len(seen) - 1)]
-        low = seen[back + 1] > seen[back - 1]  # the row itself is the one that does not fit
-        high = (back > 1) & (seen[back] > seen[back - 2])  # the row before it is
+        low = seen[back + 1] > seen[back - 1]  # this row alone is garbled
+        high = (back > 1) & (seen[back] > seen[back - 2])  # the previous row alone is garbled
         self._back += int((~low & ~high).sum())
 
     def warnings(self) -> list[str]:
-        """Say where the controller's clock steps back, and how many rows were repeats."""
+        """Return warnings about backward steps of the clock and about repeated rows."""
         said = []
         if self.back:
             said.append(
@@ -78,13 +78,13 @@ class Once:
 
 @dataclass
 class Back:
-    """How often the time of rows that may share an instant steps back, block after block of one log.
+    """Counter of backward time steps, block after block of one log; rows may share a time.
 
     Attributes:
         time: Name of the time column; it has no nulls.
-        of: Name of the column that tells tracks apart; the rows of each have their own order.
-        count: How often so far, within a track.
-        days: How often so far by more than a day, whatever the track: no track ends so long before another.
+        of: Name of the column that identifies the track; each track has its own order of rows.
+        count: Number of backward steps within a track so far.
+        days: Number of backward steps of more than a day so far, across tracks: no track ends that long before another.
     """
 
     time: str
@@ -97,7 +97,7 @@ class Back:
         self._before: float | None = None
 
     def add(self, frame: pl.DataFrame) -> None:
-        """Take in the rows of a block."""
+        """Add the rows of a block."""
         if frame.is_empty():
             return
         far = frame[self.time].diff() < -DAY_S
@@ -111,7 +111,7 @@ class Back:
             self._last[name] = last
 
     def warnings(self) -> list[str]:
-        """Say how often the time steps back."""
+        """Return a warning with the number of backward steps."""
         likely = "rows out of order, or several recordings in one file"
         said = [f"time steps back {self.count} time(s): {likely}"] if self.count else []
         if self.days and not self.count:
@@ -121,7 +121,7 @@ class Back:
 
 @dataclass
 class Spread:
-    """Least and greatest value of some columns, block after block; None while all was unknown."""
+    """Minimum and maximum of some columns, block after block; None while all values are unknown."""
 
     columns: tuple[str, ...]
 
@@ -130,7 +130,7 @@ class Spread:
         self.most: dict[str, float] = {}
 
     def add(self, frame: pl.DataFrame) -> None:
-        """Take in the columns that `frame` has."""
+        """Add those of the columns that `frame` has."""
         for name in dict.fromkeys(self.columns):
             if name not in frame.columns or frame[name].null_count() == frame.height:
                 continue

@@ -1,9 +1,9 @@
-"""The clock of the computer that wrote a log, beside the device's: what each said of the same rows.
+"""Time of the computer that wrote a log, paired with the device time of the same row.
 
-A client that writes the time of day often writes whole seconds: all rows of a second then carry the time at which it
-began, up to a second early. Only a row at which the second changes tells when it was: the change lies between it and
-the row before. So of such a log those rows alone are kept, and only where no row is missing before them; their host
-times are early by one cycle of the device at most. What is made of both clocks is not decided here.
+A client that writes the time of day often writes whole seconds, so all rows of a second carry its start, up to a second
+too early. Only a row at which the second changes is precise: the change happened between it and the previous row. So
+only those rows are kept, and only if no row is missing before them. Their host times are early by at most one device
+cycle. Other modules decide how to use both clocks.
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ import polars as pl
 
 from cyclekit.schema import STAMPS, conform
 
-_EPOCH_S = 1e8  # a number below this is no time since 1970
+_EPOCH_S = 1e8  # s; a smaller number is not a time since 1970
 _GAP_CYCLES = 2.5
 _TIME_OF_DAY = r"\d:\d\d"
 
 
 @dataclass
 class HostClock:
-    """Collects the stamps of a log, block after block.
+    """Collects the time stamps of a log, block after block.
 
     Attributes:
-        column: The host's time: ISO text, or seconds since 1970.
-        zone: Time zone of texts that carry none, as "Europe/Rome"; None = such texts tell no time.
-        read: Texts so far that told a time; `unread`: those that look like one and did not.
+        column: Host time: ISO text, or seconds since 1970.
+        zone: Time zone of texts without one, for example "Europe/Rome"; None = such texts are not usable.
+        read: Number of texts parsed as a time so far; `unread`: number of texts that look like a time but were not
+            parsed.
     """
 
     column: str
@@ -38,11 +39,11 @@ class HostClock:
     _tells: bool | None = None
 
     def stamps(self, t_s: pl.Series, text: pl.Series) -> pl.DataFrame | None:
-        """Return table STAMPS of the next rows; None, from the first block on, if the column tells no time.
+        """Return table STAMPS of the next rows; always None if no zone is given and the first block holds no host time.
 
         Args:
-            t_s: The device's time, shape (N,), s.
-            text: The host's time as written, shape (N,).
+            t_s: Device time, shape (N,), s.
+            text: Host time as written, shape (N,).
         """
         host = pl.select(seconds_since_1970(text, self.zone).alias("host_s")).to_series()
         self.read += len(host) - host.null_count()
@@ -68,7 +69,7 @@ class HostClock:
 
 
 def seconds_since_1970(text: pl.Series, zone: str | None) -> pl.Expr:
-    """Return times of day written as text in seconds since 1970, null where they tell none."""
+    """Return texts as seconds since 1970; null if they hold no time."""
     iso = pl.lit(text).str.strip_chars().str.replace(" ", "T", literal=True).str.replace(",", ".", literal=True)
     zoned = iso.str.replace("Z$", "+00:00").str.to_datetime("%+", time_unit="us", time_zone="UTC", strict=False)
     number = pl.lit(text).cast(pl.Float64, strict=False)

@@ -1,8 +1,8 @@
-"""Where the flange of a Franka arm is for given joint angles: the public kinematics of Panda and FR3.
+"""Flange position of a Franka arm from joint angles: the public kinematics of Panda and FR3.
 
-Both arms have one table of Denavit-Hartenberg parameters in Craig's (modified) convention, published by the maker
-("Robot and interface specifications", section Denavit-Hartenberg parameters). The last row is the flange: no hand,
-no finger, no tool is included.
+Both arms share one table of Denavit-Hartenberg parameters in Craig's (modified) convention, published by the maker
+("Robot and interface specifications", section Denavit-Hartenberg parameters). The last row is the flange; no hand,
+finger or tool is included.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def flange_position_m(q_rad: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns:
         Positions, shape (T, 3), m; NaN where an angle is NaN.
     """
-    # Built from the flange inwards, as a point and not as matrices: each link moves the point of the one outside it.
+    # From the flange inwards, with a point instead of matrices: each link transforms the point of the next outer link.
     point = np.zeros((len(q_rad), 3))
     point[:, 2] = _FLANGE_M
     for joint in reversed(range(JOINTS)):

@@ -1,9 +1,9 @@
-"""Rows of a binary UR RTDE recording (`record.py --binary`), the same as those of its text form.
+"""Rows of a binary UR RTDE recording (`record.py --binary`), equal to those of its text form.
 
-Two lines of text, the column names and one type word per column, both separated by spaces; then rows without any
-mark between them, each the packed big-endian values of one controller sample. So a lost byte shifts everything
-behind it: a row whose time no controller can have is set aside, and so is a last row that was cut. What the columns
-mean is the business of `ur_rtde`.
+The file starts with two lines of text: the column names and one type word per column, separated by spaces. Then rows
+follow without separators, each the packed big-endian values of one controller sample. A lost byte thus shifts
+everything after it. A row with an implausible controller time is set aside, and so is an incomplete last row. `ur_rtde`
+interprets the columns.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _TYPES = {"DOUBLE": ">f8", "INT32": ">i4", "UINT32": ">u4", "UINT64": ">u8", "UINT8": "u1", "BOOL": "u1"}
-_LINE_BYTES = 1 << 20  # far more than all fields of RTDE together
-_LONGEST_UPTIME_S = 1e9  # thirty years: a larger time is no time but the bytes of something else
-_ROWS = 1 << 16  # rows taken at once
+_LINE_BYTES = 1 << 20  # far more than all RTDE fields together
+_LONGEST_UPTIME_S = 1e9  # thirty years: a larger value comes from shifted bytes
+_ROWS = 1 << 16  # rows per block
 _SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
 
 
 @dataclass(frozen=True)
 class BinaryLayout:
-    """Where the rows begin and how each is packed.
+    """Layout of the binary rows.
 
     Attributes:
         names: Column names.
-        row: Packed big-endian record; its fields are called `f0`, `f1`, ... in the order of `names`.
-        offset: Bytes before the first row.
+        row: Packed big-endian record with fields `f0`, `f1`, ... in the order of `names`.
+        offset: Number of bytes before the first row.
     """
 
     names: tuple[str, ...]
@@ -46,7 +46,7 @@ class BinaryLayout:
 
 
 def is_binary(head: str) -> bool:
-    """Tell from the beginning of a log whether its second line is a line of RTDE types."""
+    """Return whether the second line of a log, given its beginning, is a line of RTDE types."""
     lines = head.split("\n", 2)
     return len(lines) > 1 and lines[1].split(" ", 1)[0].strip() in _TYPES
 
@@ -55,7 +55,7 @@ def binary_layout(path: Path) -> BinaryLayout:
     """Read the two lines above the rows.
 
     Raises:
-        DamagedLog: A type is none of RTDE's, or there are more types than names or fewer.
+        DamagedLog: A type is not an RTDE type, or the numbers of types and names differ.
         LogError: The file cannot be opened.
     """
     try:
@@ -77,13 +77,13 @@ def binary_layout(path: Path) -> BinaryLayout:
 
 
 def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str], time: str) -> Iterator[TextRows]:
-    """Yield the columns `numbers` (Float64) of every whole row, block by block; NaN and infinity become null: unknown.
+    """Yield the columns `numbers` (Float64) of every complete row, block by block; NaN and infinity become null.
 
     Args:
         path: The log.
-        layout: What `binary_layout` says of it.
+        layout: Its layout, from `binary_layout`.
         numbers: Columns to read.
-        time: The column among them that holds the seconds since the controller was started.
+        time: The column among them with the seconds since controller start.
 
     Raises:
         LogError: The file cannot be opened.
@@ -112,11 +112,11 @@ def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str]
 
 
 def _mapped(path: Path, layout: BinaryLayout, first: int, count: int) -> NDArray[np.void]:
-    """Return some rows as a map of the file: of a wide row only the columns asked for come into memory.
+    """Return rows as a memory map, so that only the requested columns of a wide row are loaded.
 
-    A map of its own for each block gives back the memory of the one before.
+    A separate map for each block releases the memory of the previous one.
     """
     try:
         return np.memmap(path, layout.row, "r", layout.offset + first * layout.row.itemsize, (count,))
-    except (OSError, ValueError) as error:  # the latter where somebody has cut the file meanwhile
+    except (OSError, ValueError) as error:  # ValueError if the file was truncated meanwhile
         raise LogError(path, f"cannot be read: {error}", cure="Check the path and its permissions.") from error

@@ -1,7 +1,7 @@
-"""The time column of a robot log that a program of one's own wrote: on the controller's clock, or on the PC's.
+"""Time column of a robot log written by a user's program: controller time or PC time.
 
-RTDE's own time counts seconds since the controller was started. Programs that write the log themselves often put the
-PC's time in its place: as text, or as a number since 1970.
+RTDE time counts seconds since controller start. Users' programs often write the PC's time instead, as text or as a
+number since 1970.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ _DATED = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
 _ZONED = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 _NUMBER = re.compile(r"\d+(\.\d*)?([eE]\+?\d+)?")
 _SINCE_1970 = {1.0: (9.4e8, 4.1e9), 1e-3: (9.4e11, 4.1e12), 1e-6: (9.4e14, 4.1e15), 1e-9: (9.4e17, 4.1e18)}
-"""Seconds that a unit has, and what the years 2000 to 2099 are in it; no controller was up for thirty years."""
+"""Unit in s -> range of the years 2000 to 2099 in that unit; no controller has an uptime of thirty years."""
 
 
 @dataclass(frozen=True)
 class WrittenClock:
-    """What the times of a log are, told by its first rows.
+    """Kind of time in a log, from its first rows.
 
     Attributes:
         column: The time column.
-        kind: `epoch` on a PC's clock, `relative` where such a time names no zone, `uptime` on the controller's.
-        is_text: The times are dates with times of day.
-        zone: Zone of texts that name none.
-        second: Seconds that one unit of the numbers has.
+        kind: `epoch` for PC time, `relative` for PC time without a zone, `uptime` for controller time.
+        is_text: The times are texts of date and time of day.
+        zone: Time zone of texts that name none.
+        second: Unit of numbers, s.
     """
 
     column: str
@@ -48,7 +48,7 @@ class WrittenClock:
 
     @classmethod
     def told_by(cls, cells: Sequence[str], column: str, zone: str | None) -> WrittenClock:
-        """Return what the first cells of the time column tell, as texts without quotes."""
+        """Return the kind of time from the first cells of the time column, as texts without quotes."""
         written = [cell for cell in cells if _DATED.match(cell)]
         if 2 * len(written) > len(cells):
             zoned = zone is not None or all(_ZONED.search(cell) for cell in written)
@@ -62,7 +62,7 @@ class WrittenClock:
         return cls(column, "uptime")
 
     def seconds(self, rows: TextRows) -> TextRows:
-        """Return the rows with their times in seconds; those whose text is no time are set aside."""
+        """Return the rows with times in seconds; rows with an unreadable time are set aside."""
         if not self.is_text:
             same = self.second == 1.0
             return rows if same else replace(rows, frame=rows.frame.with_columns(pl.col(self.column) * self.second))
@@ -74,7 +74,7 @@ class WrittenClock:
         return replace(rows, frame=rows.frame.with_columns(when.drop_nulls().alias(self.column)))
 
     def warnings(self) -> list[str]:
-        """Say what the times lack to be aligned with other logs."""
+        """Return a warning if the times cannot be aligned with other logs."""
         if self.kind != "relative":
             return []
         return [
@@ -83,14 +83,14 @@ class WrittenClock:
         ]
 
     def fact(self) -> str:
-        """Return in words whose clock this is."""
+        """Return a description of the clock."""
         if self.kind == "uptime":
             return "seconds since the controller was started"
         return f"the PC's clock{f' in {self.zone}' if self.zone else ''}"
 
 
 def zone_in(said: Mapping[str, object], where: str) -> str | None:
-    """Return the time zone that a cell file states.
+    """Return the time zone given in the cell file.
 
     Raises:
         UnknownName: There is no such zone.

@@ -1,8 +1,8 @@
-"""What the first lines of an event log say: which column is what, and what its times count.
+"""Column meanings and time unit of an event log, from its first lines.
 
-The unit of time is decided, never guessed: by a date, by a unit in the column's name, by a count since 1970, or, for
-plain numbers, by fractions, which nobody writes of milliseconds. What cannot be decided so is left to the cell file.
-What becomes of the rows is the business of `events`.
+The time unit is never guessed. It follows from a date, a unit in the column's name, a count since 1970, or, for plain
+numbers, from fractions, which are not used with milliseconds. Otherwise the cell file has to give it. `events` reads
+the rows.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SIGNALS = {
 }
 _VALUES = (
     {"value", "val", "varvalue", "tagvalue", "signalvalue", "newvalue", "wert", "neuerwert"},
-    {"state", "newstate", "zustand", "status", "level"},  # beside a value they say how good it is
+    {"state", "newstate", "zustand", "status", "level"},  # next to a value column, these hold its quality
 )
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _UNIT_WORDS = {
@@ -43,7 +43,7 @@ _UNIT_WORDS = {
 }
 _DIGITAL = {"0", "1", "true", "false", "on", "off", "ein", "aus", "high", "low"}
 _MEASURED = re.compile(r"^(?:state|cmd|actual|target)[._]|^q?d?[xyzq]?\d+$|^[xyz]$|[._][xyz]$", re.IGNORECASE)
-"""Names of quantities: a robot that stands at zero writes nothing but 0 and 1, too."""
+"""Names of measured quantities: a robot at rest at zero also logs only 0 and 1."""
 _TELLING = re.compile(r"time|zeit|dat|epoch|utc|when|\bt\b|\bt_", re.IGNORECASE)
 _IN_UNIT = re.compile(r"^(.*?)(?:\s*[\[(]\s*(\w+)\s*[\])]|[ _.](\w+))$")
 _PLAIN = re.compile(r"[^0-9a-zäöüß]+")
@@ -57,14 +57,14 @@ _LOOKED_AT = 200
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """How the time column is to be read.
+    """Interpretation of the time column.
 
     Attributes:
-        columns: One, or a date and a time of day.
-        pattern: `iso` or a pattern of strftime; empty for numbers.
-        seconds: Of one unit of a number; None where that cannot be decided.
-        clock: What it counts from.
-        why: How that is known.
+        columns: One column, or date and time of day.
+        pattern: `iso` or a strftime pattern; empty for numbers.
+        seconds: Unit of numbers, s; None if unknown.
+        clock: Kind of clock.
+        why: Evidence for this interpretation.
         shown: The first time as written.
     """
 
@@ -78,7 +78,7 @@ class TimeColumn:
 
 @dataclass(frozen=True)
 class EventTable:
-    """An event log: either rows of time, signal, value, or a time and a column for each signal."""
+    """Layout of an event log: rows of time, signal and value, or a time and one column per signal."""
 
     names: tuple[str, ...]
     delimiter: str
@@ -90,7 +90,7 @@ class EventTable:
 
 
 def event_table(head: str) -> EventTable | None:
-    """Return what an event log says of itself, None if these are not the first lines of one."""
+    """Return the layout of an event log; None if these are not the first lines of one."""
     first = head.partition("\n")[0]
     delimiter = delimiter_of(first, ",;\t")
     if not 1 <= first.count(delimiter) < _WIDEST or not _TELLING.search(first):
@@ -98,7 +98,7 @@ def event_table(head: str) -> EventTable | None:
     lines = head.split("\n", _LOOKED_AT)
     del lines[_LOOKED_AT:]
     if len(head) >= HEAD_BYTES // 4 and len(lines) < _LOOKED_AT and len(lines) > 1:
-        lines.pop()  # it may be cut
+        lines.pop()  # it may be incomplete
     names = unique(cell.strip().strip('"') for cell in fields_of(lines[0], delimiter))
     stems = {name: _stem(name)[0] for name in names}
     if not any(stem in TIME_NAMES or stem in _DATES for stem in stems.values()):
@@ -113,7 +113,7 @@ def event_table(head: str) -> EventTable | None:
 
 
 def _may_be_wide(first: list[str], stems: dict[str, str], delimiter: str) -> bool:
-    """Tell whether the first row is a time and states, before all the others are looked at."""
+    """Return whether the first row is a time and states, as a quick check before all other rows."""
     cells = [cell.strip().lower() for line in first for cell in fields_of(line, delimiter)]
     pairs = zip(cells, stems.values(), strict=False)
     return all(cell in _DIGITAL or not cell or stem in TIME_NAMES or stem in _DATES for cell, stem in pairs)
@@ -147,7 +147,7 @@ def _wide(
     ):
         return None
     if not any(len(found) > 1 or not found <= {"0", "1"} for found in seen.values()):
-        return None  # numbers that never change could be anything
+        return None  # numbers that never change may mean anything
     times = _times(clock, stems, cells, delimiter)
     if times is None or set(times.columns) != set(clock):
         return None
@@ -159,11 +159,11 @@ def _stem(name: str) -> tuple[str, str | None]:
 
 
 def stem_of(name: str, times: Container[str]) -> tuple[str, str | None]:
-    """Return a column's name without blanks, case and unit, and that unit: `Time [ms]` is ("time", "ms").
+    """Return a column name without blanks, case and unit, and its unit: `Time [ms]` gives ("time", "ms").
 
     Args:
-        name: As the header has it.
-        times: Such names of times; no other name is taken apart.
+        name: Name in the header.
+        times: Names of time columns in this form; a unit is split off only from these.
     """
     lower = name.lower()
     if found := _IN_UNIT.match(lower):
@@ -177,7 +177,7 @@ def stem_of(name: str, times: Container[str]) -> tuple[str, str | None]:
 def _times(
     names: Sequence[str], stems: dict[str, str], cells: dict[str, list[str]], delimiter: str
 ) -> TimeColumn | None:
-    """Return the best of the time columns: a date with its time, a count since 1970, then any other."""
+    """Return the best time column: a date with its time, then a count since 1970, then any other."""
     dates = [name for name in names if stems[name] in _DATES]
     clocks = [name for name in names if stems[name] in TIME_NAMES]
     found = [times for name in (*clocks, *dates) if (times := _times_of((name,), stems, cells, delimiter))]
@@ -206,14 +206,14 @@ def times_of(
     decimal_comma: bool = False,
     only_written: bool = False,
 ) -> TimeColumn | None:
-    """Return how times are read, None if they are not times.
+    """Return the interpretation of times; None if they are not times.
 
     Args:
-        columns: Where they stand.
-        shown: Some of them as written, one at least.
-        unit: Of numbers, as the column's name has it.
-        decimal_comma: A number may be written `0,5`.
-        only_written: Numbers are no times here.
+        columns: Their columns.
+        shown: Some of them as written, at least one.
+        unit: Unit of numbers, from the column's name.
+        decimal_comma: Numbers may be written `0,5`.
+        only_written: Numbers do not count as times.
     """
     if all(found := [_WRITTEN.match(text) for text in shown]):
         return _written(columns, shown, [match for match in found if match])
@@ -239,7 +239,7 @@ def _written(columns: tuple[str, ...], shown: Sequence[str], found: list[re.Matc
     date = "%Y-%m-%d" if "-" in day else "%Y/%m/%d" if "/" in day else "%d.%m.%Y"
     pattern = "iso" if date == "%Y-%m-%d" and second != "%H:%M" else f"{date} {second}"
     if zoned and pattern != "iso":
-        return None  # no known writer does that
+        return None  # no known program writes that
     why = "date and time with a zone" if zoned else "date and time without a zone"
     return TimeColumn(columns, pattern, 1.0, "epoch" if zoned else "relative", why, shown[0])
 
@@ -256,7 +256,7 @@ def _counted(columns: tuple[str, ...], unit: str | None, shown: Sequence[str], n
 
 
 def counted_in(columns: tuple[str, ...], unit: str, why: str, numbers: Sequence[float], shown: str) -> TimeColumn:
-    """Return how a number of a known unit is read."""
+    """Return the interpretation of numbers with a known unit."""
     seconds = UNITS[unit]
     since_1970 = bool(numbers) and all(_EPOCH_S[0] <= number * seconds <= _EPOCH_S[1] for number in numbers)
     said = f"{unit}, {why}{'; since 1970, by its size' if since_1970 else ''}"

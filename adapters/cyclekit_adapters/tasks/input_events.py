@@ -1,7 +1,7 @@
 """Digital inputs of a controller as events: each change of one bit of a bit field.
 
-A button, a PLC or a tracker's sync output wired to an input is seen there on the controller's own clock. Only changes
-are events: what an input was when the log began is no edge.
+A button, a PLC or a tracker's sync output wired to an input appears there on the controller's clock. Only changes are
+events; the state at the start of the log is not an edge.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import polars as pl
 
 from cyclekit.schema import EVENTS, conform
 
-_BITS = 53  # of a number read as float
+_BITS = 53  # in a number read as float
 
 
 @dataclass
 class InputEvents:
-    """Finds the changes of the bits of a column, block after block of one log.
+    """Detects changes of the bits of a column, block after block of one log.
 
     Attributes:
         column: Name of the bit field.

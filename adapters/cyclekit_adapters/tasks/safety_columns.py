@@ -1,6 +1,7 @@
-"""Which column of a safety system's log is what: time, override, distance, its deviation, and the execution.
+"""Columns of a safety system's log: time, override, distance, its standard deviation, and execution.
 
-Such a log holds nothing else. A table that also has places or joints is a robot's log and is mapped by its owner.
+Such a log has no other columns. A table that also holds positions or joints is a robot log, which needs a map in the
+cell file.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ _KEYS = ("time", "override", "distance", "deviation", "execution")
 
 @dataclass(frozen=True)
 class SafetyColumns:
-    """The columns of a safety system's log.
+    """Column names of a safety system's log.
 
     Attributes:
-        time: Of the time.
-        overrides: Whose product is the override.
-        distance: Of the distance robot to person; `deviation`: of its standard deviation.
-        metres: Of one unit of length.
-        execution: Of the execution's name.
+        time: Time.
+        overrides: Columns whose product is the override.
+        distance: Distance between robot and person; `deviation`: its standard deviation.
+        metres: Unit of length, m.
+        execution: Name of the execution.
     """
 
     time: str
@@ -48,16 +49,16 @@ class SafetyColumns:
 
 
 def is_safety_log(file: str, names: Sequence[str]) -> bool:
-    """Tell whether a table of these columns is a safety system's log."""
+    """Return whether a table with these columns is a safety system's log."""
     return safety_columns(file, names) is not None
 
 
 def safety_columns(file: str, names: Sequence[str]) -> SafetyColumns | None:
-    """Return the columns of a safety system's log, None if they are of something else.
+    """Return the columns of a safety system's log; None if the table is something else.
 
     Args:
-        file: Name of the file; a table of `Mean` and `Std` says there alone that they are of a distance.
-        names: Its columns.
+        file: File name; for a table of `Mean` and `Std`, only this shows that they refer to a distance.
+        names: Column names.
     """
     stems = {name: _stem(name) for name in names}
     times = [name for name, stem in stems.items() if stem in TIME_NAMES]
@@ -98,11 +99,11 @@ def _metres(distances: Sequence[str]) -> float:
 
 
 def mapped_columns(path: Path, names: Sequence[str], told: Mapping[str, object]) -> SafetyColumns:
-    """Return the columns that the cell file names, the others by their names.
+    """Return the columns from the cell file, and the others from their names.
 
     Raises:
-        ConfigError: A key is not known, or is no text.
-        LogError: A column is not there, or there is neither an override nor a distance.
+        ConfigError: A key is unknown, or is not a text.
+        LogError: A column is missing, or there is neither an override nor a distance.
     """
     for key, value in told.items():
         if key not in (*_KEYS, "length_unit"):

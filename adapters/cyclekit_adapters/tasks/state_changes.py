@@ -1,6 +1,6 @@
-"""The states of many signals, row by row, as events: the first state of each and every change of it.
+"""States of signals as events: the first state of each signal and every change.
 
-A trace of a PLC and an export of inputs repeat the state of every signal in every row; only what changes says anything.
+A PLC trace or an export of inputs repeats the state of every signal in every row; only changes carry information.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 @dataclass
 class StateChanges:
-    """Finds the changes of the signals of one log, block after block.
+    """Detects changes of the signals of one log, block after block.
 
     Attributes:
-        names: What a column is called as a signal, where not by its own name.
+        names: Column -> signal name, where they differ.
     """
 
     names: Mapping[str, str] = field(default_factory=dict)
@@ -31,9 +31,9 @@ class StateChanges:
         """Return table EVENTS of the next rows, in their order; an empty cell is no change.
 
         Args:
-            frame: The column `time` (s), `source_row`, and each signal's as text.
-            time: Name of the time column; rows without a time are passed over.
-            columns: Of the signals.
+            frame: The column `time` (s), `source_row`, and one text column per signal.
+            time: Name of the time column; rows without a time are skipped.
+            columns: Signal columns.
         """
         found = [empty(EVENTS)]
         for name in columns:

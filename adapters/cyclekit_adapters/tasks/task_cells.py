@@ -1,8 +1,8 @@
-"""The cells of a task list -> table TASK_LIST: who did what from when to when, and the rows that cannot be.
+"""Conversion of the cells of a task list to table TASK_LIST, with unusable rows set aside.
 
-A row without a start, an agent or a task, or one that ends before it starts, is set aside with its reason; one without
-an end is kept, its duration unknown. Which column is what is the business of `task_columns`; what is odd about the
-list as a whole (tasks of one agent that overlap) is said by whoever takes it in.
+A row without start, agent or task, or with an end before its start, is set aside with its reason. A row without an end
+is kept with unknown duration. `task_columns` finds the columns. Faults of the list as a whole (overlapping tasks of one
+agent) are reported after reading.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ class TaskTable:
     """A task list as read.
 
     Attributes:
-        rows: Table TASK_LIST, in order of start.
+        rows: Table TASK_LIST, ordered by start.
         set_aside: Columns `source_row`, `reason`.
-        clock: Of its times.
+        clock: Kind of clock.
         warnings: One sentence each.
-        facts: How it was read.
+        facts: Interpretation of its columns.
     """
 
     rows: pl.DataFrame
@@ -52,18 +52,18 @@ class TaskTable:
 def task_table(
     path: Path, cells: pl.DataFrame, columns: Mapping[str, str], said: Said, *, decimal_comma: bool = False
 ) -> TaskTable:
-    """Return the table that the cells of a task list make.
+    """Return the table of a task list.
 
     Args:
         path: The log, for messages.
         cells: A text column for each field of `columns`, and `source_row`.
-        columns: What each field is called in the log.
-        said: What the cell file says.
+        columns: Field -> column name in the log.
+        said: Settings of the cell file.
         decimal_comma: Numbers may be written `0,5`.
 
     Raises:
-        LogError: Its times cannot be decided, or the cell file names an agent that is not in it.
-        DamagedLog: No row can be used.
+        LogError: The time format cannot be determined, or the cell file names an agent that is not in the log.
+        DamagedLog: No row is usable.
     """
     cells = cells.with_columns(cleaned(key) for key in columns)
     timed, clocks = with_seconds(path, cells, columns, said, decimal_comma=decimal_comma)
@@ -92,7 +92,7 @@ def task_table(
 
 
 def _trusted(cells: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Return the rows that can be used, and the others with the reason."""
+    """Return the usable rows, and the others with their reasons."""
     who = [name for name in ("agent", "task", "start", "end", "execution") if name in cells.columns]
     odd = [pl.when(pl.col(key).is_null()).then(pl.lit(f"no {key}")) for key in NEEDED if key != "end"]
     odd += [
@@ -110,7 +110,7 @@ def _trusted(cells: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
 
 
 def _kinds(path: Path, agents: Sequence[str], said: Said) -> dict[str, str]:
-    """Return of each agent whether it is a robot or an operator.
+    """Return for each agent whether it is a robot or an operator.
 
     Raises:
         LogError: The cell file names an agent that is not in the log.
@@ -153,7 +153,7 @@ def _said_of(rows: pl.DataFrame, columns: Mapping[str, str], people: Sequence[st
 
 
 def _said_of_plans(cells: pl.DataFrame) -> list[str]:
-    """Report how many planned times are not times; the tasks are kept."""
+    """Return a warning for each planned time that cannot be read, with the number of tasks; the tasks are kept."""
     found = []
     for key in (key for key in TIMES if key.startswith("planned") and key in cells.columns):
         odd = cells.filter(pl.col(key).is_not_null() & pl.col(f"{key}_s").is_null()).height

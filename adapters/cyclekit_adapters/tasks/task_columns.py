@@ -1,7 +1,7 @@
-"""Which column of a task list is what: agent, task, start, end, and what some add to them.
+"""Columns of a task list: agent, task, start, end, and optional fields.
 
-Task planners, MES exports and loggers of every kind name them differently; the usual names are known here, and
-`[sources.map]` names any other. What the cells mean is the business of `task_cells`.
+Task planners, MES exports and loggers use different names. The usual ones are listed in NAMES, and `[sources.map]`
+gives any other. `task_cells` interprets the cells.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
                     "scheduledend", "endscheduled", "tendscheduled", "planend", "planendtime", "plannedfinish"),
     "outcome": ("outcome", "result", "success", "succeeded", "status", "taskstatus", "state", "taskstate"),
 }  # fmt: skip
-"""What is read, and how its column is usually called: lower case, letters and digits only, the likeliest name first."""
+"""Field -> usual column names, in lower case with letters and digits only, the most likely first."""
 NEEDED = ("agent", "task", "start", "end")
 TIMES = ("start", "end", "planned_start", "planned_end")
 _TIME_NAMES = frozenset(name for field in TIMES for name in NAMES[field])
@@ -52,14 +52,14 @@ _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 @dataclass(frozen=True)
 class Said:
-    """What the cell file says of a task list.
+    """Settings of the cell file for a task list.
 
     Attributes:
-        columns: Column of each field that it names.
-        robot: Agents that are robots, whatever they are called.
+        columns: Field -> column, for the fields given.
+        robot: Agents that are robots, whatever their names.
         operator: Agents that are people.
-        unit: Of times that are numbers.
-        zone: Of times that name none.
+        unit: Unit of times that are numbers.
+        zone: Time zone of times that name none.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -70,10 +70,10 @@ class Said:
 
 
 def said_of(options: ReadOptions) -> Said:
-    """Return what the cell file says.
+    """Return the settings of the cell file.
 
     Raises:
-        ConfigError: It says what cannot be followed.
+        ConfigError: A setting is invalid.
     """
     if options.role not in (None, "tasks"):
         cure = 'Leave role out, or give role = "tasks".'
@@ -113,11 +113,11 @@ def _text(key: str, value: object) -> str:
 
 
 def columns_in(names: Iterable[str], said: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the column of each field, as far as the names tell.
+    """Return field -> column, for the fields that the names identify.
 
     Args:
-        names: Of the columns.
-        said: Column of each field that the cell file names.
+        names: Column names.
+        said: Field -> column, as given in the cell file.
     """
     found = dict(said or {})
     stems: dict[str, str] = {}
@@ -133,21 +133,21 @@ def columns_in(names: Iterable[str], said: Mapping[str, str] | None = None) -> d
 
 
 def unit_of(name: str) -> str | None:
-    """Return the unit that the name of a time column states: `start [ms]`."""
+    """Return the unit in the name of a time column: `start [ms]`."""
     return stem_of(name, _TIME_NAMES)[1]
 
 
 def is_task_list(names: Sequence[str]) -> bool:
-    """Tell whether columns of these names are a task list."""
+    """Return whether columns with these names are a task list."""
     found = columns_in(names)
     return all(key in found for key in NEEDED)
 
 
 def require(path: Path, names: Sequence[str], said: Mapping[str, str]) -> dict[str, str]:
-    """Return the column of each field of a log.
+    """Return field -> column of a log.
 
     Raises:
-        LogError: The cell file names a column that is not there, or one of `NEEDED` is not there.
+        LogError: A column given in the cell file is missing, or there is no column for a field of `NEEDED`.
     """
     for key, name in said.items():
         if name not in names:
@@ -161,6 +161,6 @@ def require(path: Path, names: Sequence[str], said: Mapping[str, str]) -> dict[s
 
 
 def is_person(agent: str) -> bool:
-    """Tell whether an agent is called human, operator, person or worker, alone or among other words."""
+    """Return whether an agent's name contains the word human, operator, person or worker."""
     words = (word.lower() for word in _WORDS.findall(agent))
     return any(word in _PEOPLE or word.removesuffix("s") in _PEOPLE for word in words)

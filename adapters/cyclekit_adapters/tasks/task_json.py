@@ -1,8 +1,8 @@
-"""Task lists as JSON: an array of objects, objects line by line, or an array inside of one object.
+"""Task lists in JSON: an array of objects, one object per line, or an array inside an object.
 
-Exports of MongoDB wrap what JSON has no word for: `{"$date": "2023-07-31T19:57:11Z"}`, `{"$numberDouble": "NaN"}`,
-`{"$numberLong": "17"}`. They become the text that they stand for, and so does every other value, because a task list
-from JSON and one from a table are read alike. What the values mean is the business of `task_cells`.
+MongoDB exports wrap types that JSON lacks: `{"$date": "2023-07-31T19:57:11Z"}`, `{"$numberDouble": "NaN"}`,
+`{"$numberLong": "17"}`. These and all other values become text, so that task lists from JSON and from tables share one
+parser. `task_cells` interprets the values.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _DECODER = json.JSONDecoder()
 
 
 def json_names(head: str) -> tuple[str, ...] | None:
-    """Return the keys of the first record, None if these are not the first characters of a task list in JSON."""
+    """Return the keys of the first record; None if these are not the first characters of a task list in JSON."""
     text = head.lstrip("\ufeff \t\r\n")
     for begin in _begins(text):
         try:
@@ -42,7 +42,7 @@ def json_names(head: str) -> tuple[str, ...] | None:
 
 
 def _begins(text: str) -> Iterator[int]:
-    """Yield where the first record may begin: in an array, by itself, or in an array inside of an object."""
+    """Yield possible offsets of the first record: in an array, at the top level, or in an array inside an object."""
     if text.startswith("["):
         yield text.find("{")
     elif text.startswith("{"):
@@ -51,21 +51,21 @@ def _begins(text: str) -> Iterator[int]:
 
 
 class JsonRecords:
-    """The records of a file, one at a time; afterwards it is known whether the file was whole.
+    """Records of a file, one at a time; after iteration, the attributes describe its faults.
 
     Attributes:
-        broken: Where and why it stops being JSON; None if it does not.
-        others: Elements that are not objects.
+        broken: Position and cause of invalid JSON; None if the file is complete.
+        others: Number of elements that are not objects.
     """
 
     def __init__(self, path: Path) -> None:
-        """Take a file."""
+        """Store the path; the file is read on iteration."""
         self._path = path
         self.broken: BrokenJson | None = None
         self.others = 0
 
     def __iter__(self) -> Iterator[Record]:
-        """Yield each record as texts by key.
+        """Yield each record as key -> text.
 
         Raises:
             LogError: The file cannot be read.
@@ -94,7 +94,7 @@ class JsonRecords:
 
 
 def table_of(records: Iterator[Record], names: Sequence[str], most: int) -> pl.DataFrame:
-    """Return the first `most` records as texts: columns `names` and `source_row`, the number of the record from 0."""
+    """Return the first `most` records as texts: columns `names` and `source_row`, the record number from 0."""
     schema = {"source_row": pl.Int64(), **dict.fromkeys(names, pl.String())}
     frames = [pl.DataFrame(schema=schema)]
     count = 0
@@ -107,7 +107,7 @@ def table_of(records: Iterator[Record], names: Sequence[str], most: int) -> pl.D
 
 
 def _flat(value: Mapping[str, object], before: str = "", depth: int = 0) -> Record:
-    """Return the values of an object as texts; objects in it by `outer.inner`."""
+    """Return the values of an object as texts; nested objects get keys `outer.inner`."""
     found: Record = {}
     for key, inner in value.items():
         name = f"{before}{key}"
@@ -120,7 +120,7 @@ def _flat(value: Mapping[str, object], before: str = "", depth: int = 0) -> Reco
 
 
 def _text(value: object) -> str | None:
-    """Return what a value stands for as text, None for null, arrays and objects."""
+    """Return a value as text; None for null, arrays and objects."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -139,12 +139,12 @@ def _text(value: object) -> str | None:
 def _number(value: float) -> str | None:
     try:
         return repr(float(value)) if isinstance(value, float) else str(value)
-    except ValueError:  # a whole number of thousands of digits
+    except ValueError:  # an integer of thousands of digits
         return None
 
 
 def _date(value: object) -> str | None:
-    """Return a MongoDB date as ISO 8601: it is text, or counts milliseconds since 1970."""
+    """Return a MongoDB date, text or milliseconds since 1970, as ISO 8601."""
     if isinstance(value, str):
         return value
     text = _text(value)

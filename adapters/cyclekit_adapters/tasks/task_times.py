@@ -1,8 +1,7 @@
-"""The times of a task list as seconds of one clock: starts, ends, and what was planned.
+"""Times of a task list in seconds of one clock: starts, ends and planned times.
 
-Each column is read by itself, since planners count the plan from the start of an execution and the rest since 1970. How
-a column of times is told from its first cells is the business of `event_table`, how text becomes seconds that of
-`written_time`.
+Each column is interpreted separately, because planners count planned times from the start of an execution and the
+others since 1970. `event_table` interprets a time column from its first cells; `written_time` converts text to seconds.
 """
 
 from __future__ import annotations
@@ -34,13 +33,13 @@ _PLAN = ("planned_start", "planned_end")
 
 @dataclass(frozen=True)
 class Clocks:
-    """How the times of a task list are read.
+    """Interpretation of the times of a task list.
 
     Attributes:
-        clock: That of starts and ends.
-        plan: `clock`: planned times are of it; `execution`: they count from the start of the execution; None: no plan.
-        said: What a person should know, one sentence each.
-        facts: How each column is read.
+        clock: Kind of clock of starts and ends.
+        plan: Reference of planned times: `clock` (same clock), `execution` (start of the execution), None (no plan).
+        said: What the user should know, one sentence each.
+        facts: Interpretation of each column.
     """
 
     clock: ClockKind
@@ -50,7 +49,7 @@ class Clocks:
 
 
 def cleaned(name: str) -> pl.Expr:
-    """Return a column of texts without blanks around them; words for nothing are null."""
+    """Return a column of texts without surrounding blanks; words for missing values become null."""
     text = pl.col(name).str.strip_chars()
     unknown = _NO_TIME if name in TIMES else _NOTHING
     return pl.when(~text.str.to_lowercase().is_in(unknown)).then(text).alias(name)
@@ -59,17 +58,17 @@ def cleaned(name: str) -> pl.Expr:
 def with_seconds(
     path: Path, cells: pl.DataFrame, columns: Mapping[str, str], said: Said, *, decimal_comma: bool
 ) -> tuple[pl.DataFrame, Clocks]:
-    """Return the cells with a column `start_s`, `end_s`, ... beside each of times, and how they were read.
+    """Return the cells with `start_s`, `end_s`, ... added for each time column, and the interpretation of the times.
 
     Args:
         path: The log, for messages.
-        cells: Texts, named after the fields; nulls where nothing is known.
-        columns: What each field is called in the log.
-        said: Unit and zone that the cell file states.
+        cells: Texts, named after the fields; null where unknown.
+        columns: Field -> column name in the log.
+        said: Unit and zone given in the cell file.
         decimal_comma: Numbers may be written `0,5`.
 
     Raises:
-        LogError: The times cannot be decided.
+        LogError: The time format cannot be determined.
     """
     start = _times(path, cells, "start", columns, said, None, decimal_comma=decimal_comma)
     read = {"start": start, "end": _times(path, cells, "end", columns, said, start, decimal_comma=decimal_comma)}
@@ -105,7 +104,7 @@ def _times(
     *,
     decimal_comma: bool,
 ) -> TimeColumn:
-    """Return how the times of a field are read.
+    """Return the interpretation of the times of a field.
 
     Raises:
         LogError: They are not times, or their unit is unknown.
@@ -118,7 +117,7 @@ def _times(
         return replace(start, columns=(name,), why="empty")
     unit, first = unit_of(name), shown[0]
     times = times_of((name,), shown, unit, decimal_comma=decimal_comma)
-    if times is None:  # some cells are garbled: their rows are judged one by one
+    if times is None:  # some cells are garbled: their rows are checked one by one later
         many = len(shown)
         shown = [text for text in shown if times_of((name,), [text], unit, decimal_comma=decimal_comma)]
         if 2 * len(shown) >= many:
@@ -144,7 +143,7 @@ def _times(
 
 
 def _by_size(times: TimeColumn, cells: pl.DataFrame, key: str) -> TimeColumn:
-    """Return planned times, counted from the start of an execution, in the unit that fits what was done."""
+    """Return planned times in the unit that best fits the actual times, both from the start of an execution."""
     by = "execution" if "execution" in cells.columns else pl.lit(0)
     done = pl.col("start_s" if key == "planned_start" else "end_s") - pl.col("start_s").min().over(by)
     planned = pl.col(key).cast(pl.Float64, strict=False)
@@ -157,7 +156,7 @@ def _by_size(times: TimeColumn, cells: pl.DataFrame, key: str) -> TimeColumn:
 
 
 def _zone_named(times: TimeColumn) -> bool | None:
-    """Tell whether dates name their zone; None for other times."""
+    """Return whether dates name their time zone; None for other times."""
     return times.clock == "epoch" if times.pattern and _dated(times) else None
 
 
@@ -181,7 +180,7 @@ def _seconds(key: str, times: TimeColumn, zone: str | None, decimal_comma: bool)
 
 
 def _plan_counts_from(cells: pl.DataFrame, epochs: Mapping[str, bool], *, zoned: bool) -> str | None:
-    """Tell what planned times count from: the log's clock or the start of their execution, whichever lies nearer."""
+    """Return the reference of planned times, the log's clock or the start of their execution, whichever is closer."""
     if not epochs:
         return None
     if all(epochs.values()) or not zoned:

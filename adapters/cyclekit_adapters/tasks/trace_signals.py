@@ -1,6 +1,6 @@
-"""Which variables of a PLC's trace are signals: states and whole numbers. What has fractions measures something.
+"""Selection of the signals among the variables of a PLC trace: states and integers, but no measured real numbers.
 
-A trace repeats every variable in every cycle; real numbers would become an event per sample and tell of no state.
+A trace repeats every variable in every cycle. A real number would give an event per sample and describes no state.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ _REAL = re.compile(r"(?:ADST_|System\.)?L?(?:REAL\d*|DOUBLE|SINGLE|FLOAT)", re.I
 
 
 def is_real(data_type: str) -> bool:
-    """Tell whether a variable is one of real numbers by the type that its trace states, such as `REAL32`."""
+    """Return whether a data type from a trace, such as `REAL32`, is a type of real numbers."""
     return _REAL.fullmatch(data_type.strip()) is not None
 
 
 def are_states(values: Iterable[str]) -> bool:
-    """Tell whether all values of a variable are words of states or whole numbers; empty ones say nothing."""
+    """Return whether all values of a variable are state words or integers; empty values are ignored."""
     told = (value.strip() for value in values)
     return all(not value or value.lower() in _STATES or _WHOLE.fullmatch(value) for value in told)
 
 
 def left_out(names: Sequence[str]) -> list[str]:
-    """Return the sentence that says which variables are left out; nothing where none is."""
+    """Return a message that lists the variables left out; empty if there are none."""
     if not names:
         return []
     shown = ", ".join(name[:60] for name in names[:5]) + (", ..." if len(names) > 5 else "")

@@ -1,9 +1,9 @@
-"""Event logs in XES (IEEE 1849): traces of events that start and complete, paired into tasks.
+"""Event logs in XES (IEEE 1849): start and complete events of each trace, paired into tasks.
 
-A task begins with the event whose `lifecycle:transition` is `start` and ends with the `complete` of the same name,
-agent and, where it is given, `concept:instance`, within its trace. An event may instead hold its own start
-(`start_timestamp`). XML is read event by event and nothing in it is followed: a document type declaration, which
-could define entities, is refused, and so is a tag of megabytes or one nested beyond reason.
+A task starts with the event whose `lifecycle:transition` is `start`, and ends with the `complete` event of the same
+name, agent and, if present, `concept:instance`, within its trace. An event may instead hold its own start
+(`start_timestamp`). XML is read event by event, and no reference is followed. A document type declaration, which could
+define entities, is refused, and so is a tag of megabytes or excessive nesting.
 """
 
 from __future__ import annotations
@@ -23,43 +23,43 @@ if TYPE_CHECKING:
 Record = dict[str, str]
 FIELDS = ("agent", "task", "start", "end", "execution", "planned_start", "planned_end", "outcome")
 NO_START = "\x1fno start"
-"""Key of a record whose task completes but never started."""
+"""Key of a record whose task completes without a start."""
 _LONGEST_TAG = 1 << 20
 _DEEPEST = 64
 _MOST_EVENTS = 1 << 20
-"""Of one trace, which is held as a whole."""
+"""Maximum number of events of one trace, which is held in memory as a whole."""
 _PIECE = 1 << 16
 _ENDS = {"complete": None, "ate_abort": "failed", "pi_abort": "failed", "withdraw": "failed", "abort": "failed"}
 _VALUES = {"string", "date", "int", "float", "boolean", "id"}
 
 
 def is_xes(head: str) -> bool:
-    """Tell whether these are the first characters of an event log in XES."""
+    """Return whether these are the first characters of an event log in XES."""
     text = head.lstrip("\ufeff \t\r\n")
     return text.startswith("<") and "<log" in text and ("xes" in text or "concept:name" in text)
 
 
 class XesRecords:
-    """The tasks of a file, one at a time; afterwards it is known what was skipped.
+    """Tasks of a file, one at a time; after iteration, the attributes describe what was skipped.
 
     Attributes:
-        broken: Why the file ends early; None if it does not.
-        events: Events read.
-        passed_over: Events that neither start nor end a task, by transition.
+        broken: Reason why the file ends early; None if it does not.
+        events: Number of events read.
+        passed_over: Transition -> number of events that neither start nor end a task.
     """
 
     def __init__(self, path: Path) -> None:
-        """Take a file."""
+        """Store the path; the file is read on iteration."""
         self._path = path
         self.broken: str | None = None
         self.events = 0
         self.passed_over: Counter[str] = Counter()
 
     def __iter__(self) -> Iterator[Record]:
-        """Yield each task: texts by field (`FIELDS`), or `NO_START`.
+        """Yield each task as field -> text (`FIELDS`), or a record with key `NO_START`.
 
         Raises:
-            DamagedLog: It holds what no event log holds.
+            DamagedLog: The content is not that of an event log.
             LogError: The file cannot be read.
         """
         document = _Document(self._path)
@@ -103,7 +103,7 @@ class XesRecords:
 
 
 def _record(event: Record, execution: str | None) -> Record:
-    """Return the fields of an event; its time is the `end` until it is known to be a start."""
+    """Return the fields of an event; its time is stored as `end` until the event proves to be a start."""
     found = columns_in([key for key in event if key not in ("concept:name", "time:timestamp", "org:resource")])
     record = {key: event[name] for key, name in found.items() if key in FIELDS}
     told = {"task": "concept:name", "end": "time:timestamp", "agent": "org:resource", "instance": "concept:instance"}
@@ -112,7 +112,7 @@ def _record(event: Record, execution: str | None) -> Record:
 
 
 def _begun(waiting: list[Record], ended: Record) -> Record | None:
-    """Take the first task that began and fits one that ends; None if there is none."""
+    """Remove and return the first started task that matches one that ends; None if there is none."""
     for at, begun in enumerate(waiting):
         same = all(begun.get(key) == ended.get(key) for key in ("task", "instance"))
         if same and ("agent" not in ended or begun.get("agent") == ended["agent"]):
@@ -121,7 +121,7 @@ def _begun(waiting: list[Record], ended: Record) -> Record | None:
 
 
 class _Document:
-    """The XML: traces as their events come, everything else in it is skipped."""
+    """Parser of the XML: collects traces and their events, skips everything else."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -146,7 +146,7 @@ class _Document:
             raise DamagedLog(self._path, "a tag of more than 1 MiB: not an event log", cure="Check what the file is.")
 
     def taken(self, *, last: bool) -> list[tuple[str | None, list[Record]]]:
-        """Return the traces that are whole; with `last`, what there is of an open one too."""
+        """Return the complete traces, and with `last` also the unfinished one."""
         if last and self._events:
             self._close_trace()
         done, self._done = self._done, []

@@ -1,1 +1,1 @@
-"""Tables of people: headers of motion capture, markers, joints, sightings, and one body out of many points."""
+"""Code shared by logs of people: motion-capture headers, markers, joints, sightings, and one position per body."""

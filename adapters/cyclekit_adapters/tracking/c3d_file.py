@@ -1,9 +1,9 @@
-"""The bytes of a C3D file: header, parameters and points, read without trusting any size that the file states.
+"""Reader of C3D files: header, parameters and points, without trust in the sizes that the file states.
 
-Blocks of 512 bytes. The header says where parameters and data begin; parameters are groups of named arrays; a frame is
-four numbers per point (x, y, z, residual with camera mask), then the analog samples. Numbers are 16-bit integers with a
-scale, or floats, in the byte order of the machine that wrote them: Intel, MIPS, or DEC with its own floats. What units
-and labels mean is the adapter's business.
+The file consists of blocks of 512 bytes. The header gives the positions of parameters and data. Parameters are groups
+of named arrays. A frame is four numbers per point (x, y, z, residual with camera mask), then the analog samples.
+Numbers are 16-bit integers with a scale, or floats, in the byte order of the writing machine: Intel, MIPS, or DEC with
+its own floats. The adapter interprets units and labels.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _BLOCK = 512
-_HEAD_BLOCKS = 100 + 255  # parameters begin in block 100 at the latest and count their blocks in one byte
+_HEAD_BLOCKS = 100 + 255  # parameters start in block 100 at the latest, and one byte counts their blocks
 _KEY = 0x50
 _INTEL, _DEC, _MIPS = 84, 85, 86
 _CURE = "Write the file again, or check the copy."
 _SIZES = {-1: 1, 1: 1, 2: 2, 4: 4}
-_MANY = 65535  # frames or points that 16 bits can count
+_MANY = 65535  # maximum number of frames or points in 16 bits
 
 
 @dataclass(frozen=True)
 class C3dFile:
-    """What was read: `points` (T, M, 3) in the file's unit, NaN = not seen.
+    """Content of a C3D file.
 
     Attributes:
-        points: Places of the markers.
+        points: Marker positions in the file's unit, shape (T, M, 3), NaN = not seen.
         labels: M names.
         rate_hz: Frames per second.
         first_frame: Number of the first frame, from 1.
-        frames_stated: How many frames the file says that it has.
+        frames_stated: Number of frames according to the file.
         texts: Text parameters, by (group, name).
     """
 
@@ -52,7 +52,7 @@ class C3dFile:
     texts: dict[tuple[str, str], list[str]]
 
     def text(self, group: str, name: str) -> str:
-        """Return the first text of a parameter, "" where there is none."""
+        """Return the first text of a parameter; "" if there is none."""
         found = self.texts.get((group, name), [])
         return found[0].strip() if found else ""
 
@@ -68,7 +68,7 @@ _Parameters = dict[tuple[str, str], _Parameter]
 
 
 def is_c3d(path: Path) -> bool:
-    """Tell whether a file begins like a C3D file and has its parameters where its first byte says."""
+    """Return whether a file starts like a C3D file and has parameters at the position in its first byte."""
     try:
         if not path.is_file():
             return False
@@ -87,7 +87,7 @@ def read_c3d(path: Path) -> C3dFile:
     """Read the points of a C3D file.
 
     Raises:
-        LogError: It cannot be opened, is damaged, or holds no points.
+        LogError: The file cannot be opened, is damaged, or holds no points.
     """
     try:
         with path.open("rb") as log:
@@ -97,7 +97,7 @@ def read_c3d(path: Path) -> C3dFile:
 
 
 class _Open(NamedTuple):
-    """A file that is being read, its size, and its first blocks: all that can hold its parameters."""
+    """An open file, its size, and its first blocks, which hold all parameters."""
 
     path: Path
     log: BinaryIO
@@ -106,7 +106,7 @@ class _Open(NamedTuple):
 
 
 def _read(file: _Open) -> C3dFile:
-    """Read the parameters, then as many frames as they state: what lies behind those is of no use."""
+    """Read the parameters, then the stated number of frames; data after them is ignored."""
     path, raw = file.path, file.head
     if len(raw) < 2 * _BLOCK or raw[1] != _KEY or not 2 <= raw[0] <= 100:
         raise DamagedLog(path, "no header of a C3D file", cure=_CURE)
@@ -120,7 +120,7 @@ def _read(file: _Open) -> C3dFile:
 
 
 def _parameters(raw: bytes, begin: int, size: int, processor: int) -> _Parameters:
-    """Walk the chain of groups and parameters; what is garbled ends the walk, what was whole stays."""
+    """Read the chain of groups and parameters; stop at a garbled entry and keep the entries before it."""
     order = ">" if processor == _MIPS else "<"
     end = min(begin + size, len(raw))
     groups: dict[int, str] = {}
@@ -177,7 +177,7 @@ def _words(raw: bytes, processor: int) -> NDArray[np.uint16]:
 
 
 def _floats(raw: bytes, processor: int) -> NDArray[np.float32]:
-    """Return 32-bit floats; a DEC float has its halves exchanged and is four times as large."""
+    """Return 32-bit floats; a DEC float has swapped halves and four times the value."""
     if processor == _DEC:
         halves = np.frombuffer(raw, "<u2").reshape(-1, 2)[:, ::-1]
         with np.errstate(all="ignore"):
@@ -210,14 +210,14 @@ def _points(file: _Open, processor: int, parameters: _Parameters, texts: dict[tu
         raise DamagedLog(path, f"a header of {frames} frames and no whole frame of data", cure=_CURE)
     file.log.seek((block - 1) * _BLOCK)
     data = file.log.read(used * frame)
-    used = len(data) // frame  # fewer where somebody cuts it meanwhile
+    used = len(data) // frame  # fewer if the file was truncated meanwhile
     points = _places(data[: used * frame], processor, scale, used, width, markers)
     labels = _labels(texts, markers)
     return C3dFile(points, labels, rate_hz, _first_frame(parameters, processor, first), frames, texts)
 
 
 def _places(data: bytes, processor: int, scale: float, frames: int, width: int, markers: int) -> NDArray[np.float64]:
-    """Return (T, M, 3), NaN where a marker was not seen: where the fourth number is below zero."""
+    """Return positions (T, M, 3), NaN for a marker that was not seen (negative fourth number)."""
     with np.errstate(all="ignore"):
         if scale < 0.0:
             table = _floats(data, processor).reshape(frames, width)[:, : 4 * markers].reshape(frames, markers, 4)
@@ -231,7 +231,7 @@ def _places(data: bytes, processor: int, scale: float, frames: int, width: int, 
 
 
 def _frames_stated(parameters: _Parameters, processor: int, counted: int) -> int:
-    """Return how many frames the file says that it has; beyond 16 bits they are told by first and last field."""
+    """Return the stated number of frames; above 16 bits it is in separate first and last fields."""
     first, last = (_field(parameters, processor, name) for name in ("ACTUAL_START_FIELD", "ACTUAL_END_FIELD"))
     if first is not None and last is not None and last >= first and last - first + 1 >= counted:
         return last - first + 1
@@ -253,7 +253,7 @@ def _field(parameters: _Parameters, processor: int, name: str) -> int | None:
 
 
 def _labels(texts: dict[tuple[str, str], list[str]], markers: int) -> tuple[str, ...]:
-    """Return a name for each point; beyond 255 the names go on in LABELS2, LABELS3, ..."""
+    """Return a name for each point; above 255 names continue in LABELS2, LABELS3, ..."""
     found = list(texts.get(("POINT", "LABELS"), []))
     for more in range(2, 260):
         if ("POINT", f"LABELS{more}") not in texts:

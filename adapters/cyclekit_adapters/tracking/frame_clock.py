@@ -1,8 +1,8 @@
-"""The clock of a take that counts frames: frame over rate, unless its Time column contradicts the rate.
+"""Clock of a take with frame numbers: frame / rate, unless its Time column contradicts the rate.
 
-Trackers write both, and the Time column is the worse one: it may be rounded to milliseconds. Only where the rows were
-edited by hand do the two disagree, and then the rate is what is wrong. That is decided by the first rows, so that a
-take of any length has one clock; where they part later, a warning says how far.
+Trackers write both, and the Time column is less exact, because it may be rounded to milliseconds. The two disagree only
+in manually edited files, where the rate is wrong. The first rows decide, so that a take of any length has one clock. A
+later deviation is reported in a warning.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 
 FRAME, TIME = "Frame", "Time"
 MOST_HZ = 1e6
-"""A higher rate in a header is none."""
+"""Maximum plausible rate in a header, Hz."""
 _LOOKED_AT = 1000  # rows
 
 
 @dataclass
 class FrameClock:
-    """Seconds of the rows of a take.
+    """Converts the rows of a take to seconds.
 
     Attributes:
         names: Those of FRAME and TIME that the table has as columns.
-        rate_hz: Frames per second, None where nobody states it.
+        rate_hz: Frames per second; None if unknown.
         first: Number of the frame at time zero.
         by_time: The Time column is the clock.
     """
@@ -44,7 +44,7 @@ class FrameClock:
 
     @property
     def known(self) -> bool:
-        """Whether there is a rate or a Time column."""
+        """True if there is a rate or a Time column."""
         return bool(self.rate_hz) or TIME in self.names
 
     @property
@@ -53,7 +53,7 @@ class FrameClock:
         return [TIME] if self.by_time else [name for name in self.names if name == FRAME]
 
     def decide(self, rows: Sequence[str], delimiter: str, *, decimal_comma: bool = False) -> None:
-        """Choose the clock by the first data rows of the log, as text."""
+        """Choose the clock from the first data rows of the log, as text."""
         if TIME not in self.names:
             return
         if not self.rate_hz:
@@ -79,7 +79,7 @@ class FrameClock:
         return (frame - self.first) / self.rate_hz if self.rate_hz else 0.0
 
     def at(self, frame: float) -> float | None:
-        """Return the time of a frame by its number, s; None where the Time column is the clock."""
+        """Return the time of a frame number, s; None if the Time column is the clock."""
         return self._exact(frame) if self.rate_hz and not self.by_time else None
 
     def seconds(self, frame: pl.DataFrame) -> pl.Series:
@@ -105,7 +105,7 @@ class FrameClock:
             self._off_s = max(self._off_s, most)
 
     def warnings(self) -> list[str]:
-        """Say where Time column and rate contradict each other, and which of them is used."""
+        """Return warnings about contradictions between Time column and rate, and which of them is used."""
         if self.by_time and self.rate_hz:
             return [f"the stated rate ({self.rate_hz:g} Hz) does not fit the Time column: the Time column is used"]
         if self._off_line:
@@ -115,7 +115,7 @@ class FrameClock:
 
 
 def positive(text: str, *, below: float) -> float | None:
-    """Return the positive number of a header, None for anything else; its decimal sign may be a comma."""
+    """Return a positive number from a header, with a decimal point or comma; None for anything else."""
     try:
         value = float(text.replace(",", "."))
     except ValueError:

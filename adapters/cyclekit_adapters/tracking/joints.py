@@ -1,6 +1,6 @@
-"""The rows of SKELETONS: every joint of every body, kept only where a person asked for it.
+"""Rows of table SKELETONS: every joint of every body, stored only on request.
 
-What the joints are called, and which body they belong to, is the adapters' business.
+The adapters name the joints and assign them to bodies.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ def joint_rows(
 
     Args:
         t_s: Time of each body, shape (N,), s.
-        person: Whose body it is, shape (N,), or one person for all.
+        person: Person of each body, shape (N,), or one person for all.
         joints: J names.
-        points_m: (N, J, 3), NaN = not seen.
-        source_row: (N,).
+        points_m: Positions, shape (N, J, 3), m, NaN = not seen.
+        source_row: Row of each body, shape (N,).
     """
     count, width = len(t_s), len(joints)
     body = np.repeat(np.arange(count), width)
@@ -46,16 +46,16 @@ def joint_rows(
 
 
 def all_joints(tables: Iterable[pl.DataFrame]) -> pl.DataFrame:
-    """Put the rows of several bodies together, in the order of the log."""
+    """Concatenate the rows of several bodies, in the order of the log."""
     return pl.concat([empty(SKELETONS), *tables]).sort("source_row", maintain_order=True)
 
 
 def points_of(frame: pl.DataFrame, columns: Sequence[str]) -> NDArray[np.float64]:
-    """Return number columns x, y, z, x, y, z, ... of N rows as an array (N, J, 3), NaN where null."""
+    """Return N rows of columns x, y, z, x, y, z, ... as an array (N, J, 3), NaN where null."""
     flat = frame.select(columns).to_numpy().astype(np.float64, copy=False)
     return flat.reshape(len(frame), len(columns) // 3, 3)
 
 
 def without_zeros(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return places (N, J, 3), NaN where all three numbers are zero: what some trackers write for what was not seen."""
+    """Return positions (N, J, 3) with NaN for (0, 0, 0), which some trackers write for a point not seen."""
     return np.where((points == 0.0).all(axis=2, keepdims=True), np.nan, points)

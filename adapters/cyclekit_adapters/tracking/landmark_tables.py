@@ -1,9 +1,9 @@
-"""Tables of body landmarks in a picture, in the dialects of the many scripts that write them.
+"""Detection of tables of body landmarks in images, in the formats of the many scripts that write them.
 
-MediaPipe has no table of its own, so each script makes one: a column per landmark and coordinate (`x0`, `L0_x`,
+MediaPipe defines no table format, so each script has its own: a column per landmark and coordinate (`x0`, `L0_x`,
 `LEFT_SHOULDER_x`, `nose_visibility`), a row per landmark (`frame, landmark, x, y, z, visibility`), tuples in a cell, or
-bare numbers. Each is told by what MediaPipe alone has: its names, 33 numbered landmarks, a visibility, depths around
-the hips. Skeletons of depth cameras have none of these. What is done with them is the business of `mediapipe`.
+bare numbers. They are detected by features that only MediaPipe has: its names, 33 numbered landmarks, a visibility,
+depths relative to the hips. Skeletons of depth cameras have none of these. The adapter `mediapipe` handles such tables.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ OWN_NAMES = (
     *("lefteyeinner", "righteyeinner", "lefteyeouter", "righteyeouter", "mouthleft", "mouthright"),
     *("leftfootindex", "rightfootindex", "leftpinky", "rightpinky"),
 )
-"""What MediaPipe's pose has and other skeletons have not, without separators."""
+"""Names that only MediaPipe's pose has, without separators."""
 _WRITTEN_OUT = re.compile(
     r"""\b(?:Normalized)?Landmark\(x=-?\d|"\[?\{\s*(?:'|"")x(?:'|"")\s*:[^}]+(?:visibility|presence)"""
     r"""|x: -?[\d.e-]+\s+y: -?[\d.e-]+\s+z: -?[\d.e-]+\s+(?:visibility|presence):"""
 )
-"""Cells in the words of Python: objects of MediaPipe, dictionaries, messages of several lines."""
+"""Cells with text forms of Python objects: MediaPipe objects, dictionaries, multi-line messages."""
 _WHOLE = re.compile(r"[^a-z0-9]+")
 _PART = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _X = re.compile(r"(?<![A-Za-z])[xX](?![A-Za-z])|(?<=[a-z0-9])X(?![A-Za-z])")
@@ -46,7 +46,7 @@ _FILLER |= {"m", "px", "pixel", "position", "pos", "coord", "coordinate", *_LAND
 _SEEN = {"visibility": "v", "vis": "v", "v": "v", "presence": "v"}
 _ABBREVIATED = {"l", "p", "k"}  # `L0_x`
 _HUMAN = {"nose", "hip", "knee", "ankle", "eye", "ear", "heel", "foot", "mouth"}
-_BODY = {"shoulder", "elbow", "wrist", *_HUMAN}  # arms of robots have these, too
+_BODY = {"shoulder", "elbow", "wrist", *_HUMAN}  # robot arms also have the first three
 _WHICH = _LANDMARK | {"keypoint", "kp", "joint", "bodypart", "part", "point", "name", "id", "index", "idx"}
 _COUNTS = {LANDMARKS, 75, 468, 478, 501, 543, 553}  # pose; with hands; face; pose and face; all of them
 _FEW = 2
@@ -55,13 +55,13 @@ _WORDS = ("Landmark(", "visibility", "presence")
 _LINES, _CELLS = 4 * LANDMARKS, 40
 
 
-@lru_cache(maxsize=16)  # several adapters ask for that of each file
+@lru_cache(maxsize=16)  # several adapters ask this for each file
 def landmarks_in(head: str) -> str:
-    """Return what shows that a text begins a table of landmarks in a picture, "" where nothing does."""
+    """Return the evidence that a text starts a table of landmarks in an image; "" if there is none."""
     if any(word in head for word in _WORDS) and _WRITTEN_OUT.search(head):
         return "landmarks are written out in its cells"
     lines = head.split("\n", _LINES + 1)[: _LINES + 1]
-    lines = lines[:-1] if len(lines) > _LINES or len(head) >= HEAD_BYTES // 2 else lines  # the last one may be cut
+    lines = lines[:-1] if len(lines) > _LINES or len(head) >= HEAD_BYTES // 2 else lines  # it may be incomplete
     lines = [line.rstrip("\r") for line in lines if line.strip() and not line.startswith("#")] or [""]
     delimiter = delimiter_of(lines[0], ",;\t ")
     delimiter = "\\s+" if delimiter == " " else delimiter
@@ -95,7 +95,7 @@ def _are_nameless(lines: list[str], delimiter: str) -> bool:
 
 
 def _has_names(cells: list[str]) -> bool:
-    """Tell whether a row is a header: rows of numbers may have a label, too."""
+    """Return whether a row is a header; rows of numbers may also hold a label."""
     words = sum(bool(cell) and not _is_number(cell) for cell in cells[:_CELLS])
     return words > len(cells[:_CELLS]) // 4
 
@@ -109,16 +109,16 @@ def _is_number(cell: str) -> bool:
 
 @dataclass
 class _Table:
-    """The columns of a header: which landmark and coordinate each is.
+    """Landmark and coordinate of each column of a header.
 
     Attributes:
-        numbered: Coordinate (x, y, z, or v for how well it is seen) -> number of the landmark -> column.
+        numbered: Coordinate (x, y, z, or v for visibility) -> number of the landmark -> column.
         named: Coordinate -> name of the landmark -> column.
-        plain: Coordinate -> column, where one column holds it for all landmarks.
-        which: Columns that may say which landmark a row is.
-        says_landmark: Columns with the word landmark in them.
-        says_point: Columns with the word joint or keypoint in them.
-        says_visibility: Columns with the word visibility or presence in them.
+        plain: Coordinate -> column, if one column holds it for all landmarks.
+        which: Columns that may hold the landmark of a row.
+        says_landmark: Number of columns with the word landmark.
+        says_point: Number of columns with the word joint or keypoint.
+        says_visibility: Number of columns with the word visibility or presence.
     """
 
     numbered: dict[str, dict[int, int]] = field(default_factory=dict)
@@ -162,7 +162,7 @@ def _own_names(header: list[str]) -> str:
 
 
 def _numbered(table: _Table) -> str:
-    """Judge columns such as `x0, y0, z0, v0` and `landmark_0_x`."""
+    """Return the evidence in columns such as `x0, y0, z0, v0` and `landmark_0_x`."""
     numbers = set(table.numbered.get("x", {})) & set(table.numbered.get("y", {}))
     seen = numbers & set(table.numbered.get("v", {}))
     if len(numbers) < _FEW:
@@ -178,7 +178,7 @@ def _numbered(table: _Table) -> str:
 
 
 def _named(table: _Table, rows: list[list[str]]) -> str:
-    """Judge columns such as `nose_x` and `LEFT_HIP_visibility`: points of a body that other skeletons have, too."""
+    """Return the evidence in columns such as `nose_x` and `LEFT_HIP_visibility`, which other skeletons also have."""
     flat = {name for name in table.named.get("x", {}) if _BODY.intersection(name.split("_"))}
     flat &= set(table.named.get("y", {}))
     if len(flat) < _FEW:
@@ -203,13 +203,13 @@ def _named(table: _Table, rows: list[list[str]]) -> str:
 
 
 def _hip(columns: dict[str, int], side: str) -> int | None:
-    """Return the column of the left or right hip, as people call it (`left_hip`, `HipLeft`, `l_hip`, `LHip`)."""
+    """Return the column of the left or right hip, in its usual spellings (`left_hip`, `HipLeft`, `l_hip`, `LHip`)."""
     found = (columns.get("_".join(sorted(name))) for name in ([side, "hip"], [side[0], "hip"], [f"{side[0]}hip"]))
     return next((at for at in found if at is not None), None)
 
 
 def _one_a_row(table: _Table, rows: list[list[str]]) -> str:
-    """Judge `frame, landmark, x, y, z, visibility`: a row for each landmark."""
+    """Return the evidence in `frame, landmark, x, y, z, visibility`, a row per landmark."""
     if "x" not in table.plain or "y" not in table.plain:
         return ""
     header, rows = rows[0], [row for row in rows[1:] if len(row) >= len(rows[0])]
@@ -230,7 +230,7 @@ def _one_a_row(table: _Table, rows: list[list[str]]) -> str:
 
 
 def _tells_landmark(rows: list[list[str]], at: int) -> bool:
-    """Tell whether a column names points of a body, or counts them, frame after frame."""
+    """Return whether a column names body points, or numbers them, frame after frame."""
     cells = [row[at] for row in rows]
     named = sum(bool(_BODY.intersection(word.lower() for word in _PART.findall(cell))) for cell in cells)
     if named >= max(_FEW, len(cells) // 4):

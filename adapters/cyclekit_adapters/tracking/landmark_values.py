@@ -1,8 +1,8 @@
-"""What the numbers of a table say of landmarks in a picture: depth that is counted from the hips, heads at the top.
+"""Detection of image landmarks by their values: depth relative to the hips, head at the top.
 
-MediaPipe gives depth from the middle of the hips, in its picture landmarks as in its world landmarks: one hip is as far
-in front of it as the other is behind. No camera sees hips around its own lens, so such depths are no places in a room.
-How tables are laid out is the business of `landmark_tables`.
+MediaPipe measures depth from the hip centre, in image landmarks and in world landmarks: one hip is as far in front of
+it as the other is behind. No camera sees hips around its own lens, so such depths are not positions in a room.
+`landmark_tables` handles the table formats.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ LANDMARKS = 33
 _FACE, _SHOULDERS, _HIPS, _FEET = slice(0, 11), slice(11, 13), slice(23, 25), slice(27, 33)
 _OPPOSITE, _MOST = 0.15, 0.8
 _PICTURE = (-1.0, 2.0)
-"""Fractions of a picture, and of what MediaPipe supposes beside it."""
-_MOST_OF_ALL = 1e9  # beyond it a number is garbled
+"""Range of coordinates as fractions of the image, including what MediaPipe extrapolates outside of it."""
+_MOST_OF_ALL = 1e9  # a larger number is garbled
 _FEW = 3  # rows, of many numbers each
 _LEAD, _TRAIL = 4, 1
-"""Columns that may stand before and behind the landmarks: frame, time, label."""
+"""Maximum number of columns before and after the landmarks: frame, time, label."""
 
 
 def depths_around_hips(left: NDArray[np.float64], right: NDArray[np.float64]) -> bool:
-    """Tell whether the depths of two hips, shape (N,), are opposite in nearly all rows: counted from their middle."""
+    """Return whether the depths of two hips, shape (N,), are opposite in most rows, so relative to their centre."""
     size = np.abs(left) + np.abs(right)
     seen = np.isfinite(size) & (size > 0.0)
     return bool(seen.any() and np.mean((np.abs(left + right) <= _OPPOSITE * size)[seen]) >= _MOST)
 
 
 def in_picture(above: NDArray[np.float64], below: NDArray[np.float64]) -> bool:
-    """Tell whether one height, shape (N,), is above another as in a picture (down is positive), in fractions of it."""
+    """Return whether heights, shape (N,), are above others in image fractions, with the vertical axis pointing down."""
     both = np.stack([above, below])
     seen = np.isfinite(both).all(axis=0) & both.any(axis=0)
     if not seen.any():
@@ -46,7 +46,7 @@ def in_picture(above: NDArray[np.float64], below: NDArray[np.float64]) -> bool:
 
 
 def is_pose(points: NDArray[np.float64]) -> bool:
-    """Tell whether (N, 33, 2 to 4) are MediaPipe's landmarks: by the hips' depths, or a person upright in a picture."""
+    """Return whether (N, 33, 2 to 4) are MediaPipe landmarks: by hip depths, or an upright person in an image."""
     if not len(points):
         return False
     if points.shape[2] == 2:
@@ -58,7 +58,7 @@ def is_pose(points: NDArray[np.float64]) -> bool:
 
 
 def _is_body(points: NDArray[np.float64]) -> bool:
-    """Tell whether (N, 33, 3) are bodies: a small face, and shoulders apart; on a path neighbours lie together."""
+    """Return whether (N, 33, 3) are bodies, with a small face and separate shoulders; points of a path lie in order."""
     size = np.linalg.norm(np.ptp(points, axis=1), axis=1)
     face = np.linalg.norm(np.ptp(points[:, _FACE, :2], axis=1), axis=1)
     shoulders = np.linalg.norm(points[:, 11] - points[:, 12], axis=1)
@@ -67,13 +67,13 @@ def _is_body(points: NDArray[np.float64]) -> bool:
 
 
 def may_be_nameless(width: int, rows: int) -> bool:
-    """Tell whether rows so wide, so many, may be landmarks without names."""
+    """Return whether a table of this width and number of rows may hold landmarks without names."""
     wide = any(0 <= width - count * LANDMARKS <= _LEAD + _TRAIL for count in (4, 3, 2))
     return wide or (rows >= LANDMARKS and 3 <= width <= 4 + _LEAD)
 
 
 def are_nameless_landmarks(rows: Sequence[Sequence[str]]) -> bool:
-    """Tell whether rows without a header are landmarks: 33 of them in a row, or one in each of 33 rows."""
+    """Return whether rows without a header are landmarks: 33 per row, or one in each of 33 rows."""
     width = len(rows[0])
     rows = rows[1:] if _are_counted(rows[0]) else rows
     if width <= 4 + _LEAD:
@@ -89,20 +89,20 @@ def are_nameless_landmarks(rows: Sequence[Sequence[str]]) -> bool:
 
 
 def _are_counted(cells: Sequence[str]) -> bool:
-    """Tell whether a row counts its columns, as pandas does where they have no names."""
+    """Return whether a row numbers its columns, as pandas does for columns without names."""
     numbers = [int(cell) for cell in cells if cell.isdecimal()]
     return len(numbers) >= len(cells) - _TRAIL and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
 def _are_poses(table: NDArray[np.float64], count: int) -> bool:
-    """Tell whether a table holds poses of `count` numbers a landmark, those that are known whole."""
+    """Return whether a table holds poses of `count` numbers per landmark; incomplete poses are ignored."""
     poses = table[: table.size // (LANDMARKS * count) * (LANDMARKS * count) // table.shape[1]]
     poses = poses.reshape(-1, LANDMARKS, count)
     return is_pose(poses[np.isfinite(poses).all(axis=(1, 2))])
 
 
 def as_numbers(rows: Sequence[Sequence[str]], columns: Sequence[int]) -> NDArray[np.float64]:
-    """Return cells as numbers, shape (N, C), NaN for none or a garbled one; rows that are too short are left out."""
+    """Return cells as numbers, shape (N, C), NaN if empty or garbled; rows that are too short are dropped."""
     most = max(columns, default=0)
     table = [[_number(row[at]) for at in columns] for row in rows if len(row) > most]
     return np.array(table, dtype=np.float64).reshape(len(table), len(columns))

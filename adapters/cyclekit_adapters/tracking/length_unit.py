@@ -1,6 +1,6 @@
-"""The length units that trackers state in their files, as they spell them.
+"""Length units in the spelling of trackers' files.
 
-Files that have one unit, or none, do not come here.
+Only for files in which the unit varies.
 """
 
 from __future__ import annotations
@@ -13,6 +13,6 @@ _WORDS = {
 
 
 def unit_of(text: str) -> str:
-    """Return the unit by its sign where `text` is one or its word, else `text` in lower case."""
+    """Return the symbol of the unit given as symbol or word; any other `text` in lower case."""
     plain = text.strip().lower()
     return _WORDS.get(plain, plain)

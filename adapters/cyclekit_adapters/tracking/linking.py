@@ -1,8 +1,8 @@
-"""Which body of this frame is which body of the last one, where a log's own ids do not say it.
+"""Assignment of the bodies in a frame to the bodies in the last frame, for logs without reliable ids.
 
-People walk: between two frames a body moves less than a stride, so each body is the track that is nearest to it. A
-track that nobody continued for a second is over. Where two people pass within a stride they may be exchanged, which
-does not matter for a distance to the nearest of them.
+Between two frames a body moves less than a stride, so each body continues the nearest track. A track without a body for
+a second ends. Two people who pass within a stride may be swapped, which does not affect the distance to the nearest of
+them.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
 Place = tuple[float, float, float]
 
 STRIDE_M = 0.5
-"""How far a body may seem to jump between two frames, however short the time: trackers are no better."""
+"""Maximum jump of a body between two frames, m, regardless of time: the error of trackers."""
 WALK_M_S = 3.0
-"""How fast it may go beyond that."""
+"""Additional distance per second, m/s."""
 FORGET_S = 1.0
-"""A track not seen for so long is over: who comes next is somebody new."""
+"""Maximum gap within a track, s; after it, a body is a new person."""
 
 
 @dataclass
 class Linker:
-    """Names the bodies of one frame after the other."""
+    """Assigns track names to the bodies of consecutive frames."""
 
     count: int = 0
     _last: dict[str, tuple[float, Place]] = field(default_factory=dict)
 
     def frame(self, now_s: float, bodies: Sequence[Place]) -> list[str]:
-        """Return a track name ("1", "2", ...) for each body, positions in metres."""
+        """Return a track name ("1", "2", ...) for each body, positions in m."""
         self._last = {name: seen for name, seen in self._last.items() if now_s - seen[0] <= FORGET_S}
         chosen = _nearest_pairs(now_s, bodies, self._last)
         for index, place in enumerate(bodies):
@@ -43,7 +43,7 @@ class Linker:
         return [chosen[index] for index in range(len(bodies))]
 
     def alone(self, now_s: float, place: Place) -> None:
-        """Take note of the only body there has been so far, whose name is "1"."""
+        """Set the track "1" of the only body so far."""
         self.count, self._last = 1, {"1": (now_s, place)}
 
 
@@ -51,8 +51,8 @@ def link(t_s: Sequence[float], bodies: Sequence[Sequence[Place]]) -> list[list[s
     """Return a track name ("1", "2", ...) for each body of each frame.
 
     Args:
-        t_s: Times of the frames, ascending.
-        bodies: Positions in each frame, metres.
+        t_s: Times of the frames, s, ascending.
+        bodies: Positions in each frame, m.
     """
     if max(map(len, bodies), default=0) <= 1:
         return [["1"] * len(frame) for frame in bodies]

@@ -1,8 +1,8 @@
-"""Which markers of an optical tracker are the person, and where that person is.
+"""Selection of the person among the markers of an optical tracker, and the person's position.
 
-A person's point is the middle of the pelvis markers that were seen; without any known pelvis marker, the middle of all
-markers of the subject. A subject is what stands before the colon of a marker's name. Where some subject wears pelvis
-markers, subjects without them are things. The cell file may name a subject, one marker, or the markers that count.
+The position is the centre of the visible pelvis markers, or without known pelvis markers the centre of all markers of
+the subject. The subject is the part of a marker's name before the colon. If any subject wears pelvis markers, subjects
+without them are objects. The cell file can give a subject, one marker, or a list of markers.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ _PELVIS = re.compile(
     rf"|(?:{_SIDE}_?)?(?:waist|pelvis|hips?|hjc)(?:_?{_SIDE})?(?:_?(?:front|back|[fb]))?"
     r"|(?:c|mid|center|centre)_?hips?|hips?_?(?:center|centre)"
 )
-_IPS = re.compile("[LR]IPS")  # in capitals: lips are no part of the pelvis
+_IPS = re.compile("[LR]IPS")  # upper case only: lips are not part of the pelvis
 _APART = re.compile(r"[\s._-]+")
 _ALONE = "person"
-_EARTH_M = 1e7  # farther away a marker is a garbled number
+_EARTH_M = 1e7  # a marker farther away is a garbled number
 
 
 @dataclass(frozen=True)
 class People:
-    """The people among the markers.
+    """People among the markers.
 
     Attributes:
-        tracks: Person -> the markers whose middle is the person.
-        point: What that middle is.
-        things: Subjects that are no people.
-        worn: Person -> all labelled markers of theirs: the joints of a skeleton.
+        tracks: Person -> markers whose centre is the position.
+        point: Description of that centre.
+        things: Subjects that are not people.
+        worn: Person -> all labelled markers of the person, the joints of a skeleton.
     """
 
     tracks: dict[str, list[int]]
@@ -62,12 +62,12 @@ class People:
     worn: dict[str, list[int]] = field(default_factory=dict)
 
     def used(self, *, skeletons: bool) -> list[int]:
-        """Return the markers whose places are needed, ascending."""
+        """Return the needed markers, ascending."""
         tracks = [*self.tracks.values(), *(self.worn.values() if skeletons else ())]
         return sorted({index for members in tracks for index in members})
 
     def among(self, used: Sequence[int]) -> People:
-        """Return the same people by the places of their markers in `used`."""
+        """Return the same people with markers numbered by their position in `used`."""
         at = {index: place for place, index in enumerate(used)}
         tracks = {who: [at[index] for index in members] for who, members in self.tracks.items()}
         worn = {who: [at[index] for index in members if index in at] for who, members in self.worn.items()}
@@ -75,10 +75,10 @@ class People:
 
 
 def marker_words(options: ReadOptions, adapter: str, more: Mapping[str, Sequence[str]] | None = None) -> dict[str, str]:
-    """Return the words of `[sources.map]`, checked: `up`, and those of the adapter's own keys `more`; not `markers`.
+    """Return the checked words of `[sources.map]`: `up` and the adapter's own keys `more`, without `markers`.
 
     Raises:
-        ConfigError: A key or a word is not known.
+        ConfigError: A key or a word is unknown.
     """
     _, rest = split_names(options, adapter, "markers")
     return words(replace(options, map=rest), adapter, {"up": ("y", "z"), "markers": (), **(more or {})})
@@ -88,8 +88,8 @@ def choose_people(path: Path, names: Sequence[str], options: ReadOptions, adapte
     """Find the people among markers called `names`.
 
     Raises:
-        LogError: `options` names a body or marker that is not there, or there is no marker at all.
-        ConfigError: `markers` of the map is no list of names.
+        LogError: `options` names a body or marker that is missing, or there are no markers.
+        ConfigError: `markers` of the map is not a list of names.
     """
     wanted, _ = split_names(options, adapter, "markers")
     subjects = _subjects(names)
@@ -117,9 +117,9 @@ def _point(hips: bool) -> str:
 
 
 def is_pelvis(name: str) -> bool:
-    """Tell whether a marker, with its subject or without, is one of the pelvis."""
+    """Return whether a marker, with or without subject, belongs to the pelvis."""
     own = name.rpartition(":")[2].strip()
-    plain = _APART.sub("_", own.lower()).removesuffix("_study")  # as OpenCap and Pose2Sim call what they infer
+    plain = _APART.sub("_", own.lower()).removesuffix("_study")  # suffix of OpenCap and Pose2Sim for inferred markers
     return _PELVIS.fullmatch(plain) is not None or _IPS.fullmatch(own) is not None
 
 
@@ -131,7 +131,7 @@ def _subjects(names: Sequence[str]) -> dict[str, list[int]]:
     labelled = {who: members for who, members in found.items() if who != _ALONE}
     loose = [i for i in found.get(_ALONE, []) if not names[i].startswith("*")]
     if labelled and not any(is_pelvis(names[i]) for i in loose):
-        return labelled  # markers of nobody beside those of named subjects
+        return labelled  # markers without a subject, next to named subjects
     return found
 
 
@@ -150,13 +150,13 @@ def _find(path: Path, names: Sequence[str], name: str) -> int:
 
 
 def people_table(people: People, points_m: NDArray[np.float64], t_s: pl.Series, source_row: pl.Series) -> pl.DataFrame:
-    """Return the rows of PEOPLE, ordered by time: the middle of what was seen, null where nothing was.
+    """Return the rows of PEOPLE, ordered by time: the centre of the visible markers, null if none is visible.
 
     Args:
-        people: Who wears which markers.
-        points_m: (T, M, 3), NaN = not seen.
-        t_s: (T,).
-        source_row: (T,).
+        people: Markers of each person.
+        points_m: Marker positions, shape (T, M, 3), m, NaN = not seen.
+        t_s: Times, shape (T,), s.
+        source_row: Rows, shape (T,).
     """
     tracks = []
     for person, members in people.tracks.items():
@@ -175,14 +175,14 @@ def people_table(people: People, points_m: NDArray[np.float64], t_s: pl.Series, 
 def skeleton_table(
     people: People, names: Sequence[str], points_m: NDArray[np.float64], t_s: pl.Series, source_row: pl.Series
 ) -> pl.DataFrame:
-    """Return the rows of SKELETONS: each person's labelled markers, by their names without the subject.
+    """Return the rows of SKELETONS: labelled markers of each person, with names without the subject.
 
     Args:
-        people: Who wears which markers.
+        people: Markers of each person.
         names: M names.
-        points_m: As for `people_table`.
-        t_s: (T,).
-        source_row: (T,).
+        points_m: As in `people_table`.
+        t_s: Times, shape (T,), s.
+        source_row: Rows, shape (T,).
     """
     tables = []
     for person, members in people.worn.items():
@@ -203,17 +203,17 @@ def recording_of(
     options: ReadOptions,
     up: Literal["y", "z"],
 ) -> Recording:
-    """Return one part of a table of markers as a recording, and note what was seen.
+    """Return one part of a table of markers as a recording, and add it to `seen`.
 
     Args:
-        people: Who wears which markers.
+        people: Markers of each person.
         names: M names.
-        points_m: As for `people_table`.
-        t_s: (T,), of the tracker's clock.
-        rows: The lines of the file, with `source_row`.
-        seen: What was seen in the file so far.
-        options: Whether skeletons are kept.
-        up: The axis that points up.
+        points_m: As in `people_table`.
+        t_s: Times of the tracker's clock, shape (T,), s.
+        rows: Lines of the file, with `source_row`.
+        seen: Counts of the file so far.
+        options: Whether skeletons are stored.
+        up: Vertical axis.
     """
     table = people_table(people, points_m, t_s, rows.frame["source_row"])
     seen.add(table)
@@ -231,7 +231,7 @@ def recording_of(
 
 
 def marker_warnings(people: People, seen: Sightings) -> list[str]:
-    """Say what a person must know about the choice of markers, and in how many frames they were hidden."""
+    """Return warnings about the choice of markers, and the number of frames in which they were hidden."""
     said = []
     if len(people.tracks) > 1:
         said.append(f"{len(people.tracks)} bodies tracked ({', '.join(people.tracks)}): name the operator with `body`")
@@ -245,7 +245,7 @@ def marker_warnings(people: People, seen: Sightings) -> list[str]:
 
 
 def marker_facts(people: People, names: Sequence[str]) -> dict[str, str]:
-    """Return what was tracked, for people to read."""
+    """Return facts about the tracked persons and markers, to display."""
     facts = {"tracked": ", ".join(people.tracks), "point": people.point}
     facts["markers_used"] = ", ".join(names[i] for members in people.tracks.values() for i in members)
     if people.things:

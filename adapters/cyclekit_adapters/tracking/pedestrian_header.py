@@ -1,7 +1,7 @@
-"""The columns, the unit and the rate of a table of pedestrians, told by its comments, its names and its first rows.
+"""Columns, unit and rate of a pedestrian table, from its comments, names and first rows.
 
-Nameless columns that are rather in another order, and numbers that cannot be metres where no unit is stated, are
-refused: both would be wrong without a sign of it. What the rows mean is the business of `pedestrian`.
+Refused are unnamed columns that are probably in another order, and numbers without a unit that cannot be metres: both
+would give wrong positions without notice. `pedestrian` interprets the rows.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ _TITLES = {
 }  # fmt: skip
 _TIMES = frozenset({"t", "time", "timestamp", "time_s", "seconds"})  # a table with times needs no rate: map it
 _TALLEST_M = 4.0
-_FASTEST_M_S = 15.0  # nobody runs so fast, and walked centimetres are a hundred times metres
+_FASTEST_M_S = 15.0  # faster than any runner; centimetres read as metres give 100 times walking speed
 _WIDEST = 64
 _LONGEST_TITLES = 64 * _WIDEST
 _LINES_LOOKED_AT = 200
-_FARTHER = 5.0  # a stranger's place is metres away, one's own in the next frame is centimetres
+_FARTHER = 5.0  # another person is metres away, the same person in the next frame centimetres
 
 
 @dataclass(frozen=True)
 class PedestrianHeader:
-    """Lines above the data, column names (`frame`, `id`, `x`, `y`, `z` or #n), unit and rate where stated."""
+    """Number of lines above the data, column names (`frame`, `id`, `x`, `y`, `z` or #n), unit and rate if given."""
 
     lines: int
     names: tuple[str, ...]
@@ -49,11 +49,11 @@ class PedestrianHeader:
 
 
 def read_header(path: Path, columns: str | None) -> PedestrianHeader:
-    """Return the header, its columns in the order that the file or the cell file states.
+    """Return the header, with columns in the order given in the file or the cell file.
 
     Raises:
-        DamagedLog: It is no such table.
-        LogError: Nameless columns that are rather in the other order.
+        DamagedLog: The file is no such table.
+        LogError: Unnamed columns are probably in the other order.
     """
     head = head_of(path, 1 << 20)
     header = header_of(head, columns)
@@ -75,7 +75,7 @@ def read_header(path: Path, columns: str | None) -> PedestrianHeader:
 
 
 def _step(rows: list[list[float]], names: tuple[str, ...]) -> float:
-    """Return how far a person typically moves in a frame, if these are the columns; 0 where nobody goes on."""
+    """Return the median step of a person per frame under these column names; 0 if no person occurs twice."""
     frame, who, x, y = (names.index(name) for name in ("frame", "id", "x", "y"))
     last: dict[float, list[float]] = {}
     steps = []
@@ -91,10 +91,10 @@ def _step(rows: list[list[float]], names: tuple[str, ...]) -> float:
 
 
 def metres_if_they_can_be(path: Path, header: PedestrianHeader, rate_hz: float) -> str:
-    """Return "m" for a table that states no unit, unless its people would be giants or run too fast for it.
+    """Return "m" for a table without a unit, if people then have plausible heights and speeds.
 
     Raises:
-        LogError: They would.
+        LogError: Heights or speeds in metres are implausible.
     """
     rows = [row for row in _rows(head_of(path, 1 << 20), header) if len(row) >= len(header.names)]
     heights = [abs(row[header.names.index("z")]) for row in rows] if "z" in header.names else []
@@ -112,9 +112,9 @@ def metres_if_they_can_be(path: Path, header: PedestrianHeader, rate_hz: float) 
 
 
 def header_of(head: str, columns: str | None = None) -> PedestrianHeader | None:
-    """Take apart comments, a line of column names if there is one, and the first data row; None if it is no table.
+    """Parse comments, an optional line of column names, and the first data row; None if the text is no such table.
 
-    Nameless rows have four fields, or as many as `columns` names.
+    Rows without names have four fields, or as many as `columns` lists.
     """
     lines = head.split("\n", _LINES_LOOKED_AT)[:_LINES_LOOKED_AT]
     at = next((i for i, line in enumerate(lines) if line.strip() and not _is_comment(line)), len(lines))
@@ -145,13 +145,13 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _unit_of(comments: list[str]) -> str | None:
-    """Return the unit that a comment states (`... coordinates in meters`)."""
+    """Return the unit in a comment (`... coordinates in meters`)."""
     found = next((match[1] for line in comments if (match := _IN_UNIT.search(line.lower()))), None)
     return "m" if found in ("metres", "meters") else found
 
 
 def _names(line: str) -> tuple[tuple[str, ...], str | None] | None:
-    """Return the canonical names in a line of column names and the unit it states; None if it is no such line."""
+    """Return the canonical names and the unit in a line of column names; None if it is no such line."""
     if len(line) > _LONGEST_TITLES:
         return None
     titles = [word for word in re.split(r"[,;\t ]+", line.strip().replace('"', "").lower()) if word]
@@ -171,7 +171,7 @@ def _names(line: str) -> tuple[tuple[str, ...], str | None] | None:
 
 
 def _rows(head: str, header: PedestrianHeader) -> list[list[float]]:
-    """Return the numbers of the first data rows, an empty list for what is no row of numbers."""
+    """Return the numbers of the first data rows; an empty list for a row that is not numeric."""
     whole = head.split("\n")[:-1] if len(head) >= HEAD_BYTES else head.split("\n")
     begin = whole[header.lines : header.lines + 2 * _LINES_LOOKED_AT]
     lines = [line for line in begin if line.strip() and not _is_comment(line)][:_LINES_LOOKED_AT]
@@ -179,7 +179,7 @@ def _rows(head: str, header: PedestrianHeader) -> list[list[float]]:
 
 
 def looks_like_frames(head: str, header: PedestrianHeader) -> bool:
-    """Tell whether nameless rows can be frame, id, x, y: whole numbers that are counted, then two places."""
+    """Return whether unnamed rows may be frame, id, x, y: two counting integers, then two coordinates."""
     rows = _rows(head, header)
     if len(rows) < 2 or any(len(row) != 4 for row in rows):
         return False

@@ -1,6 +1,6 @@
-"""The lines above the rows of a Qualisys TSV: keys, names, which columns there are, and what the frames count.
+"""Header of a Qualisys TSV: keys, names, columns, and the frame clock.
 
-What the columns mean is the business of `qualisys`.
+`qualisys` interprets the columns.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ KEYS = frozenset(
         *("MARKER_NAMES", "TRAJECTORY_TYPES", "BODY_NAMES"),
     }
 )
-_KEY = re.compile(r"[A-Z][A-Z0-9]*_[A-Z0-9_]+")  # a key that we do not know, and no name of a column
+_KEY = re.compile(r"[A-Z][A-Z0-9]*_[A-Z0-9_]+")  # an unknown key, but not a column name
 _NAMES = {MARKERS: "MARKER_NAMES", BODIES: "BODY_NAMES"}
 _HEADER_BYTES = 4 << 20
 _LOOKED_AT = 20  # rows
@@ -38,16 +38,16 @@ Cells = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class QualisysHeader:
-    """What stands above the rows.
+    """Lines above the rows.
 
     Attributes:
         about: Values by key.
         kind: MARKERS or BODIES.
-        names: Of the markers or rigid bodies.
-        cells: The columns of x, y, z of each.
-        layout: How the rows are written.
-        clock: What the frames count.
-        events: Line, name, frame and time (s; NaN where it is not stated) of each event set in QTM.
+        names: Names of the markers or rigid bodies.
+        cells: Columns of x, y, z of each.
+        layout: Layout of the rows.
+        clock: Frame clock.
+        events: Line, name, frame and time (s; NaN if absent) of each event set in QTM.
     """
 
     about: dict[str, list[str]]
@@ -59,24 +59,24 @@ class QualisysHeader:
     events: tuple[tuple[int, str, float, float], ...] = ()
 
     def facts(self) -> dict[str, str]:
-        """Return what the header states about the measurement."""
+        """Return facts about the measurement from the header."""
         passed_over = (*_NAMES.values(), "TRAJECTORY_TYPES", "EVENT")
         told = {key: " ".join(values) for key, values in self.about.items() if key not in passed_over}
         return {key: value[:200] for key, value in told.items() if value}
 
 
 def read_header(path: Path, rate_hz: float | None) -> QualisysHeader:
-    """Take the header apart; `rate_hz` is used where the file states no frequency.
+    """Parse the header; `rate_hz` is used if the file gives no frequency.
 
     Raises:
-        DamagedLog: It holds other data, no names, or rows that do not fit them.
-        LogError: Nothing tells the time.
+        DamagedLog: The file holds other data, no names, or rows that do not match them.
+        LogError: There is neither a frequency nor a Time column.
     """
     lines = [line.rstrip("\r") for line in head_of(path, _HEADER_BYTES).split("\n")]
     about: dict[str, list[str]] = {}
     events: list[tuple[int, str, float, float]] = []
     at = 0
-    for at, line in enumerate(lines):  # where the keys end is wanted, too
+    for at, line in enumerate(lines):  # `at` is needed after the loop, too
         key, *values = line.split("\t")
         if key not in KEYS and not (values and _KEY.fullmatch(key)):
             break
@@ -105,13 +105,13 @@ def read_header(path: Path, rate_hz: float | None) -> QualisysHeader:
 def _columns(
     path: Path, kind: str, names: tuple[str, ...], titles: list[str], row: list[str]
 ) -> tuple[tuple[str, ...], tuple[Cells, ...]]:
-    """Return the column names (Frame and Time where they are, then #0, #1, ...) and those of each marker or body."""
+    """Return the column names (Frame and Time if present, then #0, #1, ...) and those of each marker or body."""
     if kind == BODIES:
         return _body_columns(path, names, titles)
     count = 3 * len(names)
     lead = tuple(title for title in titles[:2] if title in (FRAME, TIME))
     if not titles:
-        width = len(row) - (len(row) > 1 and not row[-1].strip())  # data rows may end with a tab as well
+        width = len(row) - (len(row) > 1 and not row[-1].strip())  # data rows may also end with a tab
         if width not in (count, count + 2):
             cause = f"rows of {width} fields, where {len(names)} markers need {count}, or two more with time data"
             raise DamagedLog(path, cause, cure=f"{_EXPORT} and column names.")
@@ -121,7 +121,7 @@ def _columns(
 
 
 def _body_columns(path: Path, names: tuple[str, ...], titles: list[str]) -> tuple[tuple[str, ...], tuple[Cells, ...]]:
-    """Find each body's x, y, z by the column names: the name stands before its X, and bodies may lie a column apart."""
+    """Return the columns and those of x, y, z of each body, found by its name before X; bodies may be separated."""
     while titles and not titles[-1]:
         titles = titles[:-1]
     columns = tuple(title if title in (FRAME, TIME) and i < 2 else f"#{i}" for i, title in enumerate(titles))
@@ -155,7 +155,7 @@ def _is_word(text: str) -> bool:
 
 
 def _number(text: str) -> float:
-    """Return a number of the header, NaN where there is none."""
+    """Return a number of the header; NaN if it is none."""
     return float(text.replace(",", ".")) if _is_number(text.replace(",", ".")) else math.nan
 
 

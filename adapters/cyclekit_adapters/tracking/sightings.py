@@ -1,6 +1,6 @@
-"""Who was seen in a log of people, how often not, and whether its time goes on: gathered block after block.
+"""Counts over a log of people, block after block: rows per person, rows without position, backward time steps.
 
-A log that is larger than memory tells this only at its end. What is said about it is the adapters' business.
+For a log larger than memory, the counts are complete only at its end. The adapters turn them into messages.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ _SHOWN = 40
 
 @dataclass
 class Sightings:
-    """What the rows so far say.
+    """Counts over the rows so far.
 
     Attributes:
-        rows: Rows of each person, in order of appearance.
-        unseen: Rows of each person without a place.
-        back: How often the time of the log did not go on.
+        rows: Number of rows of each person, in order of appearance.
+        unseen: Number of rows of each person without a position.
+        back: Number of rows at which the time did not increase.
     """
 
     rows: dict[str, int] = field(default_factory=dict)
@@ -34,14 +34,14 @@ class Sightings:
     _last_s: float | None = None
 
     def add(self, people: pl.DataFrame) -> None:
-        """Take in the rows of a block: columns `person` and `x_m`."""
+        """Add the rows of a block: columns `person` and `x_m`."""
         counts = people.group_by("person", maintain_order=True).agg(rows=pl.len(), unseen=pl.col("x_m").null_count())
         for person, rows, unseen in counts.iter_rows():
             self.rows[person] = self.rows.get(person, 0) + rows
             self.unseen[person] = self.unseen.get(person, 0) + unseen
 
     def clock(self, t_s: pl.Series, *, repeats: bool = False) -> None:
-        """Take in the times of a block, one per row of the log; `repeats` says that equal neighbours are no fault."""
+        """Add the times of a block, one per row of the log; `repeats`: equal successive times are no fault."""
         if t_s.is_empty():
             return
         before = t_s.shift(1, fill_value=self._last_s)
@@ -49,7 +49,7 @@ class Sightings:
         self._last_s = float(t_s[-1])
 
     def hidden(self) -> list[str]:
-        """Say of each person in how many frames they are not seen."""
+        """Return messages with the number of frames in which each person is not seen."""
         return [
             f"{person!r} is not seen in {count} of {self.rows[person]} frames"
             for person, count in self.unseen.items()
@@ -57,10 +57,10 @@ class Sightings:
         ]
 
     def require(self, path: Path, body: str | None) -> None:
-        """Refuse a body that the cell file names and the log does not have.
+        """Refuse a body from the cell file that the log does not have.
 
         Raises:
-            LogError: `body` was in no row.
+            LogError: No row has `body`.
         """
         if body is not None and body not in self.rows:
             known = sorted(self.rows)
@@ -69,5 +69,5 @@ class Sightings:
 
 
 def only(people: pl.DataFrame, body: str | None) -> pl.DataFrame:
-    """Return the rows of `body`, or all of them if none is named."""
+    """Return the rows of `body`, or all rows if it is None."""
     return people if body is None else people.filter(pl.col("person") == body)

@@ -1,7 +1,7 @@
-"""Which axis points up, told by the people in a log: their heads are above their feet.
+"""Detection of the vertical axis from people in a log: their heads are above their feet.
 
-Files of motion capture that do not say which axis is up are often read with the wrong one, which makes heights of
-widths. Markers of heads and of feet are known by name. What is done where they tell nothing is the adapters' business.
+Motion-capture files without a stated vertical axis are often read with the wrong one, so that heights become widths.
+Markers of heads and feet are found by name. The adapters decide what to do without a result.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LOOKED_AT = 200
-"""Frames that are enough to tell."""
+"""Number of frames used."""
 _SIDE = "(?:left|right|l|r)?"
 _HIGH = re.compile(
     rf"{_SIDE}(?:head|tophead|nose|neck|eye|ear|fhd|bhd|shoulder|should|sho|acr|acromion|c7|cv7|sjn)(?:l|r)?"
 )
 _LOW = re.compile(rf"{_SIDE}(?:ankle|ank|heel|hee|toe|bigtoe|smalltoe|calc|mall|met|fcc|fal|tam|fm[125])(?:l|r)?")
 _PLAIN = re.compile(r"_study$|[\s._-]+")
-_EARTH_M = 1e7  # farther away a marker is a garbled number
+_EARTH_M = 1e7  # a marker farther away is a garbled number
 _BODY_M = 0.3
-"""Heads and feet closer than this along each axis tell nothing: nobody stands there."""
+"""Minimum distance between heads and feet along an axis, m; below it no person is upright."""
 
 
 def way_up(names: Sequence[str], points_m: NDArray[np.float64]) -> Literal["y", "z", "neither", ""]:
-    """Return the axis along which heads are above feet, "neither" where it is another way, "" where nothing tells.
+    """Return the axis along which heads are above feet, "neither" for another direction, "" if unknown.
 
     Args:
-        names: M names of markers, with their subject or without.
-        points_m: (N, M, 3), NaN = not seen.
+        names: M names of markers, with or without subject.
+        points_m: Positions, shape (N, M, 3), m, NaN = not seen.
     """
     plain = [_PLAIN.sub("", name.rpartition(":")[2].strip().lower()) for name in names]
     heads = [i for i, name in enumerate(plain) if _HIGH.fullmatch(name)]
@@ -55,7 +55,7 @@ def way_up(names: Sequence[str], points_m: NDArray[np.float64]) -> Literal["y", 
 
 
 def _middle(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the middle of the places seen, (N, M, 3) to (N, 3), NaN where none was."""
+    """Return the centre of the visible points, (N, M, 3) to (N, 3), NaN if none is visible."""
     seen = (np.abs(points) < _EARTH_M).all(axis=2, keepdims=True)  # NaN compares false
     count = seen.sum(axis=1)
     total = np.where(seen, points, 0.0).sum(axis=1)

@@ -1,8 +1,8 @@
-"""The lines above the rows of a TRC file: rate, unit, names of the markers, and which line the rows begin in.
+"""Header of a TRC file: rate, unit, marker names, and the first line of the rows.
 
 Line 1 is `PathFileType`, line 2 names the values in line 3 (`DataRate`, `NumFrames`, `NumMarkers`, `Units`, ...), line
-4 holds `Frame#`, `Time` and the markers' names, line 5 `X1 Y1 Z1 ...`; a blank line may follow. Names are taken in
-their order, since some writers leave out the empty cells behind them. What the rows mean is the business of `trc`.
+4 holds `Frame#`, `Time` and the marker names, line 5 `X1 Y1 Z1 ...`; a blank line may follow. Names are read in order,
+because some writers omit the empty cells after them. `trc` interprets the rows.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 FIRST = "PathFileType"
-_NAMES, _AXES = 3, 4  # indices of lines
+_NAMES, _AXES = 3, 4  # line indices
 _LOOKED_AT = 200  # rows
 _KEYS = ("DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units")
 _WRITE = "Write the file again with OpenSim or Pose2Sim, or copy it again."
 _WHOLE_FRAME = 0.1
-"""How far a time of the first row may be from a whole frame, in frames: what writers round times to."""
+"""Tolerance, frames: deviation of a time in the first row from a whole frame, due to rounding by writers."""
 
 
 @dataclass(frozen=True)
 class TrcHeader:
-    """What stands above the rows.
+    """Lines above the rows.
 
     Attributes:
         about: Values of line 3 by the keys of line 2.
-        names: Of the markers, in the order of their columns.
-        layout: How the rows are written: Frame, Time, then #0, #1, ... for x, y, z of each marker.
-        clock: What the frames count.
+        names: Marker names, in the order of their columns.
+        layout: Layout of the rows: Frame, Time, then #0, #1, ... for x, y, z of each marker.
+        clock: Frame clock.
         unit: A key of METRES.
-        rows: The cells of the first rows.
+        rows: Cells of the first rows.
     """
 
     about: dict[str, str]
@@ -56,15 +56,15 @@ class TrcHeader:
 
     @property
     def frames_stated(self) -> int:
-        """Return how many frames line 3 announces, 0 where it does not say."""
+        """Number of frames given in line 3; 0 if absent."""
         return int(positive(self.about.get("NumFrames", ""), below=1e9) or 0)
 
 
 def read_header(path: Path, rate_hz: float | None) -> TrcHeader:
-    """Take the header apart; `rate_hz` is used where the file states no rate.
+    """Parse the header; `rate_hz` is used if the file gives no rate.
 
     Raises:
-        DamagedLog: It is not whole, has no known unit, or its counts do not fit each other.
+        DamagedLog: The header is incomplete, has no known unit, or its counts contradict each other.
         LogError: The file cannot be opened.
     """
     encoding = file_encoding(path) or "utf-8"
@@ -121,20 +121,20 @@ def _names(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
 
 
 def _words(line: str) -> list[str]:
-    """Return what stands between tabs or blanks, else between commas or semicolons."""
+    """Return the words between tabs or blanks, else between commas or semicolons."""
     words = line.strip().split()
     return words if len(words) > 1 else re.split("[,;]", line.strip())
 
 
 def _are_axes(line: str) -> bool:
-    """Tell whether a line is `X1 Y1 Z1 X2 ...`."""
+    """Return whether a line is `X1 Y1 Z1 X2 ...`."""
     return [cell[:1].upper() for cell in _words(line) if cell][:3] == ["X", "Y", "Z"]
 
 
 def _require_counts(
     path: Path, about: dict[str, str], names: tuple[str, ...], lines: list[str], row: tuple[str, ...], begin: int
 ) -> None:
-    """Refuse names, axes and rows that do not fit each other: whose columns are whose cannot be told."""
+    """Refuse names, axes and rows with contradicting counts, because columns cannot be assigned to markers."""
     due = 3 * len(names)
     axes = sum(bool(cell) for cell in _words(lines[_AXES])) if _are_axes(lines[_AXES]) else due
     filled = max((i + 1 for i, cell in enumerate(row) if cell), default=0)
@@ -149,7 +149,7 @@ def _require_counts(
 
 
 def _clock(rows: list[tuple[str, ...]], rate_hz: float | None) -> FrameClock:
-    """Return the clock: frame / rate with the zero of the Time column, or the Time column where they contradict."""
+    """Return the clock: frame / rate with the zero of the Time column, or the Time column if the two contradict."""
     clock = FrameClock((FRAME, TIME), rate_hz, 1)
     begin = next((pair for row in rows if (pair := _pair(row))), None)
     if rate_hz and begin:

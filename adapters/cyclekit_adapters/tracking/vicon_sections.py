@@ -1,9 +1,8 @@
-"""The sections of a Vicon CSV: which there are, and the lines of the one that holds positions.
+"""Sections of a Vicon CSV: their titles, and the lines of the section that holds positions.
 
-A section is a title, its rate in Hz, names, axes and units, then rows that begin with a frame number; a blank line
-ends it. A spreadsheet fills that blank line with delimiters. Markers have X, Y, Z below their name; segments and
-objects a rotation (RX, RY, RZ, with RW where it is a quaternion) and TX, TY, TZ. What they mean is the business of
-`vicon`.
+A section is a title, its rate in Hz, names, axes and units, then rows that start with a frame number; a blank line ends
+it. A spreadsheet fills that blank line with delimiters. Markers have X, Y, Z below their name; segments and objects
+have a rotation (RX, RY, RZ, with RW for a quaternion) and TX, TY, TZ. `vicon` interprets them.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
 TRAJECTORIES = "Trajectories"
 WITH_PLACES = (TRAJECTORIES, "Objects", "Segments")
-"""Sections that hold positions, the better ones first."""
+"""Sections that hold positions, in order of preference."""
 TITLES = (*WITH_PLACES, "Devices", "Model Outputs", "Joints", "Events")
 METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 HEADER_LINES = 5
@@ -34,14 +33,14 @@ _MARKER, _TRANSLATION = ["X", "Y", "Z"], ["TX", "TY", "TZ"]
 _ANGLES = re.compile(r"^Global Angle (?:\([^)]*\) )?")
 _LOOKED_AT = 20  # rows
 _FILL = b' \t,;\r\n"'
-_BLANK = re.compile(rb'\n[ \t,;"]*\r?(?=\n)')  # found fast: rows begin with a digit
+_BLANK = re.compile(rb'\n[ \t,;"]*\r?(?=\n)')  # fast to search: rows start with a digit
 
 Triple = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
 class Section:
-    """A section of positions: its five header lines taken apart; places by the names of the markers or segments."""
+    """A section of positions: its five parsed header lines; columns of positions by marker or segment."""
 
     rate_hz: float
     layout: TextLayout
@@ -51,13 +50,13 @@ class Section:
 
 @dataclass
 class Sections:
-    """The lines of the first section of one title.
+    """Reader of the first section with a given title.
 
     Attributes:
         path: The file.
-        title: What the section is called.
-        first: Number of its first line, known once lines were taken.
-        titles: Those of all sections, known at the end.
+        title: Title of the section.
+        first: Number of its first line, known after iteration has started.
+        titles: Titles of all sections, complete at the end.
     """
 
     path: Path
@@ -66,7 +65,7 @@ class Sections:
     titles: list[str] = field(default_factory=list)
 
     def lines(self) -> Iterator[bytes]:
-        """Yield the lines of the section, from its title on, in pieces.
+        """Yield the lines of the section, starting with its title, in pieces.
 
         Raises:
             LogError: The file cannot be opened.
@@ -87,13 +86,13 @@ class Sections:
 
 
 def open_section(path: Path, title: str | None) -> tuple[Sections, Section, Iterator[bytes]]:
-    """Find the section that holds positions, or the one called `title`, and take its header lines apart.
+    """Find the section that holds positions, or the one called `title`, and parse its header lines.
 
     Returns:
-        What is known of the sections, the section, and its lines from the first header line on.
+        The sections reader, the section, and its lines from the first header line on.
 
     Raises:
-        DamagedLog: There is no such section, or its header is not whole.
+        DamagedLog: There is no such section, or its header is incomplete.
         LogError: The file cannot be opened.
     """
     log = Sections(path, "")
@@ -109,10 +108,10 @@ def open_section(path: Path, title: str | None) -> tuple[Sections, Section, Iter
 
 
 def _pieces(path: Path) -> Iterator[tuple[bytes, bool]]:
-    """Yield the lines of the file, many at once, and bare line ends (True) for the blank ones."""
+    """Yield the lines of the file in pieces of many lines, and each blank line as a bare line end with True."""
     for block in blocks_of(path, file_encoding(path) or "utf-8"):
         begin = 0
-        for blank in _BLANK.finditer(b"\n" + block):  # so that in `block` the blank line begins where this does
+        for blank in _BLANK.finditer(b"\n" + block):  # match starts are offsets in `block`
             if lines := block[begin : blank.start()]:
                 yield lines, False
             yield b"\n", True
@@ -122,9 +121,9 @@ def _pieces(path: Path) -> Iterator[tuple[bytes, bool]]:
 
 
 def _title(piece: bytes) -> str:
-    """Return the title that a piece begins with, "" if it goes on with rows.
+    """Return the title at the start of a piece; "" if the piece continues with rows.
 
-    A known title, or a line of a single word: a section that Nexus had added since.
+    A title is a line of a single word, known or not, because Nexus may add sections.
     """
     cells = [cell.strip(_FILL) for cell in re.split(rb"[,;\t]", piece.partition(b"\n")[0])]
     words = [cell.decode("utf-8", "replace") for cell in cells if cell]
@@ -132,7 +131,7 @@ def _title(piece: bytes) -> str:
 
 
 def _begin_of(lines: Iterator[bytes]) -> list[bytes]:
-    """Take the header lines and the first rows, nothing where there is no line."""
+    """Take the header lines and the first rows; empty if the section is absent."""
     taken: list[bytes] = []
     for piece in lines:
         taken.append(piece)
@@ -172,7 +171,7 @@ def _section(log: Sections, begin: list[bytes]) -> Section:
 
 
 def _places(titles: list[str], axes: list[str]) -> dict[str, int]:
-    """Return the column of x by the name over it, or over the rotation before it; the first of a name counts."""
+    """Return the x column for each name, which is above it or above the rotation before it; the first one counts."""
     found: dict[str, int] = {}
     for at, title in enumerate(titles[: len(axes)]):
         if at < 2 or not title:

@@ -1,8 +1,8 @@
-"""One body of a ZED dump: where it is, how large, which way up, in the file's own unit and axes.
+"""One body of a ZED dump: position, size and upward direction, in the file's unit and axes.
 
-The names and the order of the keypoints are those of the SDK's BODY_18, BODY_34 and BODY_38. A body that the SDK has
-not fitted yet is written in a rest pose about the camera itself, which is no measurement: its `position` stands for it.
-A body that is searched for is hidden, and where the SDK expects it is no measurement either.
+Names and order of the keypoints are those of the SDK's BODY_18, BODY_34 and BODY_38. The SDK writes a body that it has
+not fitted yet in a rest pose at the camera, which is no measurement; its `position` is used instead. A body that the
+SDK searches for is hidden, and its expected position is not a measurement either.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ JOINTS: dict[int, tuple[str, ...]] = {
 _PELVIS = {18: (8, 11), 34: (0,), 38: (0,)}
 _NECK = {18: 1, 34: 3, 38: 4}
 _SPAN_S = (9.4e8, 4.1e9)
-"""Seconds since 1970 that a log can hold: the years 2000 to 2099."""
-_ENOUGH = 5  # keypoints that show how large a body is
+"""Plausible times since 1970, s: the years 2000 to 2099."""
+_ENOUGH = 5  # minimum number of keypoints for the size of a body
 _HIDDEN = ("SEARCHING", "TERMINATE", "2", "3")
 
 
@@ -61,17 +61,17 @@ class ZedBody:
     """One body of one frame, in the file's unit and axes.
 
     Attributes:
-        t_s: When.
-        clock: What that counts from.
-        row: The frame.
-        name: Its id.
-        here: Where it is; None if that was not seen.
-        size: Longest edge of the box around its keypoints; None where they do not show it.
-        upward: From pelvis to neck.
-        joints: How many keypoints it has.
-        hidden: The SDK searches for it.
-        resting: It is in the SDK's rest pose.
-        keypoints: (J, 3), where they were asked for.
+        t_s: Time, s.
+        clock: Kind of clock.
+        row: Frame.
+        name: Id of the body.
+        here: Position; None if not seen.
+        size: Longest edge of the bounding box of its keypoints; None with too few keypoints.
+        upward: Vector from pelvis to neck.
+        joints: Number of keypoints.
+        hidden: The SDK searches for the body.
+        resting: The body is in the SDK's rest pose.
+        keypoints: Positions, shape (J, 3), if requested.
     """
 
     t_s: float
@@ -88,7 +88,7 @@ class ZedBody:
 
 
 def seconds_of(stamp: object) -> tuple[float, ClockKind] | None:
-    """Return a timestamp in seconds: since 1970 if it is that in s, ms, us or ns, else taken as the SDK's ns."""
+    """Return a timestamp in s: since 1970 if plausible in s, ms, us or ns, else as the SDK's ns of uptime."""
     if isinstance(stamp, str):
         if len(stamp) > 20 or not stamp.strip().isascii() or not stamp.strip().isdigit():
             return None
@@ -105,10 +105,10 @@ def seconds_of(stamp: object) -> tuple[float, ClockKind] | None:
 def body_of(
     path: Path, body: dict[str, object], time: tuple[float, ClockKind], row: int, *, skeletons: bool
 ) -> ZedBody | None:
-    """Return a body, None if it has neither keypoints nor a position.
+    """Return a body; None if it has neither keypoints nor a position.
 
     Raises:
-        DamagedLog: It has a number of keypoints that the SDK does not write.
+        DamagedLog: The SDK does not write this number of keypoints.
     """
     raw = body.get("keypoint")
     places = points(raw) if isinstance(raw, list) else np.empty((0, 3))
@@ -122,7 +122,7 @@ def body_of(
     resting = bool(len(places)) and _is_resting(places)
     if resting:
         places[:] = np.nan
-    places[(places == 0.0).all(axis=1)] = np.nan  # senders without NaN write zeros
+    places[(places == 0.0).all(axis=1)] = np.nan  # programs without NaN write zeros
     pelvis = _middle(places, _PELVIS.get(len(places), ()))
     neck = _middle(places, (_NECK[len(places)],)) if len(places) else None
     upward = (neck[0] - pelvis[0], neck[1] - pelvis[1], neck[2] - pelvis[2]) if neck and pelvis else None
@@ -143,7 +143,7 @@ def body_of(
 
 
 def _is_resting(places: NDArray[np.float64]) -> bool:
-    """Tell whether pelvis and neck lie on an axis of the camera itself: no measurement is so exactly zero."""
+    """Return whether pelvis and neck lie exactly on an axis of the camera, as no measurement does."""
     spine = [places[list(_PELVIS[len(places)])].mean(axis=0), places[_NECK[len(places)]]]
     return bool(((spine[0] == 0.0) & (spine[1] == 0.0)).sum() == 2)
 

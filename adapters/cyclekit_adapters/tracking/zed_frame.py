@@ -1,8 +1,9 @@
-"""In which unit and along which axes a ZED skeleton is written, told by the skeletons themselves.
+"""Length unit and axes of a ZED skeleton, inferred from the skeletons.
 
-The SDK lets its user choose both and writes neither. Metres and millimetres lie a factor of 1000 apart and people do
-not, so the size of the bodies decides; people stand and sit upright, so the way from pelvis to neck shows which axis is
-up. Left and right do not show in it: the SDK's exporters write right-handed axes, and anything else must be said.
+The SDK lets its user choose both and writes neither. Metres and millimetres differ by a factor of 1000 and people do
+not, so body size decides the unit. People stand and sit upright, so the vector from pelvis to neck shows the vertical
+axis. It does not show left and right: right-handed axes are assumed, as written by the SDK's exporters; anything else
+must be given.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 UNITS = {"m": 1.0, "mm": 1e-3}
 SIZE_M = (0.25, 3.0)
-"""Longest edge of the box around a body's seen keypoints: a crouching half to a man with raised arms."""
+"""Range of the longest edge of a body's bounding box, m: from half a crouching person to a man with raised arms."""
 
 Up = Literal["y", "z"]
 _SAME = np.eye(3)
@@ -36,21 +37,21 @@ AXES: dict[str, tuple[Numbers, Up]] = {
     "left_handed_y_up": (_MIRROR, "y"),
     "left_handed_z_up": (np.diag([1.0, -1.0, 1.0]), "z"),
 }
-"""The SDK's coordinate systems: the turn (or mirror) into right-handed axes, and which of those is up."""
+"""Coordinate systems of the SDK: rotation (or mirror) into right-handed axes, and their vertical axis."""
 
 _CLEAR = 0.6
 
 
 def metres_of(path: Path, sizes: Numbers, unit: str | None) -> tuple[float, str]:
-    """Return metres per unit of the file, and how that is known.
+    """Return metres per unit of the file, and the evidence.
 
     Args:
         path: The log.
-        sizes: (N,) size of each body in the file's unit.
-        unit: What the cell file says, if it does.
+        sizes: Size of each body in the file's unit, shape (N,).
+        unit: Unit given in the cell file, or None.
 
     Raises:
-        LogError: The bodies fit neither unit.
+        LogError: The body sizes fit neither unit.
     """
     if unit is not None:
         return UNITS[unit], f"{unit}, from the cell file"
@@ -64,12 +65,12 @@ def metres_of(path: Path, sizes: Numbers, unit: str | None) -> tuple[float, str]
 
 
 def axes_of(path: Path, upward: Numbers, axes: str | None) -> tuple[Numbers, Up, str]:
-    """Return the turn into right-handed axes (3, 3), which of those is up, and how that is known.
+    """Return the rotation into right-handed axes (3, 3), their vertical axis, and the evidence.
 
     Args:
         path: The log.
-        upward: (N, 3) from pelvis to neck of each body.
-        axes: What the cell file says, if it does.
+        upward: Vector from pelvis to neck of each body, shape (N, 3).
+        axes: Axes given in the cell file, or None.
 
     Raises:
         LogError: The bodies point neither up nor down along one axis.

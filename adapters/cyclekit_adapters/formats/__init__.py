@@ -1,4 +1,5 @@
-"""The formats: one module a format, each with its `ADAPTER`.
+"""The log formats: one module per format, each with its `ADAPTER`.
 
-A new format is a module here and one line in pyproject.toml. What several formats share lies in the folders beside.
+A new format needs a module here and one line in pyproject.toml. Code shared by several formats is in the sibling
+folders.
 """

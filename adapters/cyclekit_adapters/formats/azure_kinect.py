@@ -1,10 +1,10 @@
 """Azure Kinect body tracking as JSON, written by the offline processor.
 
-The person is the joint PELVIS, else the middle of SPINE_NAVEL and SPINE_CHEST, found by the file's own list of joint
-names; `body_id` is the track and changes after a loss. Positions are millimetres in the depth camera's frame (x right,
-y down, z forward), given here as metres turned to y up and z towards the camera. The clock is the device's, with an
-arbitrary zero. How sure a joint is was not exported: hidden joints look as good as seen ones. Where skeletons are asked
-for, they are all joints by those names.
+The person's position is the joint PELVIS, else the midpoint of SPINE_NAVEL and SPINE_CHEST, found by the file's own
+list of joint names. `body_id` is the track and changes after a loss. Positions are in mm in the depth camera's frame (x
+right, y down, z forward); they are returned in m with y up and z towards the camera. The clock is the device's, with an
+arbitrary zero. The confidence of joints is not exported, so hidden joints look like seen ones. Skeletons, if requested,
+hold all joints under the file's names.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     Points = NDArray[np.float64]
 
 _TURNED_M = np.array([1e-3, -1e-3, -1e-3])
-"""Millimetres of the depth camera to metres, y up and z towards the camera."""
+"""Millimetres of the depth camera to metres with y up and z towards the camera."""
 _SIDES = ("CLAVICLE", "SHOULDER", "ELBOW", "WRIST", "HAND", "HANDTIP", "THUMB")
 _LEGS = ("HIP", "KNEE", "ANKLE", "FOOT")
 _SDK = (
@@ -43,14 +43,14 @@ _SDK = (
     *(f"{part}_{side}" for side in ("LEFT", "RIGHT") for part in _LEGS),
     *("HEAD", "NOSE", "EYE_LEFT", "EAR_LEFT", "EYE_RIGHT", "EAR_RIGHT"),
 )
-"""The joints in the order of the SDK."""
+"""Joints in the order of the SDK."""
 _OBJECT = re.compile(r"\s*\{")
 _SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
 
 
 @dataclass
 class _Dump:
-    """What was found in the file; `bodies` (time, id, joints, frame) wait for the names, which may follow them."""
+    """Content of the file; `bodies` (time, id, joints, frame) are stored, because the joint names may follow them."""
 
     names: list[str] = field(default_factory=list)
     about: dict[str, str] = field(default_factory=dict)
@@ -142,7 +142,7 @@ def _take_frame(dump: _Dump, frame: object) -> None:
 
 
 def _names(path: Path, dump: _Dump) -> Sequence[str]:
-    """Return the names of the joints, by the file or, where it was cut before it named them, by the SDK."""
+    """Return the joint names from the file or, if it was cut before them, from the SDK."""
     if not dump.bodies:
         reason = f"; the first reason: {dump.aside[0][1]}" if dump.aside else ""
         cause = f"no body in any of its {dump.frames} frames{reason}"
@@ -160,7 +160,7 @@ def _spine(names: Sequence[str]) -> list[int]:
 
 
 def _table(path: Path, dump: _Dump, names: Sequence[str]) -> tuple[pl.DataFrame, int]:
-    """Return the rows of PEOPLE in order of time, and how many of them stand on the spine."""
+    """Return the rows of PEOPLE in order of time, and the number of them that use the spine."""
     pelvis = [names.index("PELVIS")] if "PELVIS" in names else []
     spine = _spine(names)
     rows, fallback = [], 0
@@ -178,7 +178,7 @@ def _table(path: Path, dump: _Dump, names: Sequence[str]) -> tuple[pl.DataFrame,
 
 
 def _middle(joints: Points, which: Sequence[int]) -> Points | None:
-    """Return the middle of these joints, None unless each of them is known."""
+    """Return the centre of these joints; None unless all of them are known."""
     if not which or max(which) >= len(joints):
         return None
     middle: Points = joints[list(which)].mean(axis=0)

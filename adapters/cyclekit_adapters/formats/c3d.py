@@ -1,11 +1,10 @@
-"""C3D, the binary file of motion capture that Vicon, Qualisys, Motive and others write.
+"""C3D, the binary motion-capture file that Vicon, Qualisys, Motive and others write.
 
-A person is the middle of the pelvis markers seen, by subject (`Subject:Marker`); a residual below zero or a NaN is a
-marker that was not seen. Lengths are in `POINT:UNITS`; up is the axis that `POINT:Y_SCREEN` names, else the one along
-which heads are above feet, else Z. The clock is the trial's: frame over `POINT:RATE`, with the first frame of the
-capture at (first - 1) / rate. No time of day is in the file. Analog channels are passed over, and so are points that
-the file lists as angles, forces, moments, powers or scalars. Where skeletons are asked for, their joints are the
-subject's labelled markers.
+A person's position is the centre of the visible pelvis markers, by subject (`Subject:Marker`). A marker with a negative
+residual or NaN was not seen. `POINT:UNITS` gives the length unit. The vertical axis is given by `POINT:Y_SCREEN`, else
+by heads above feet, else it is Z. The clock is the trial's: frame / `POINT:RATE`, with the first frame of the capture
+at (first - 1) / rate; the file holds no time of day. Analog channels are ignored, and so are points that the file lists
+as angles, forces, moments, powers or scalars. Skeletons, if requested, hold the subject's labelled markers.
 """
 
 from __future__ import annotations
@@ -79,7 +78,7 @@ class _C3d:
 
 
 def _markers(log: C3dFile) -> tuple[tuple[str, ...], NDArray[np.float64]]:
-    """Return the labels and positions (T, M, 3) of points that are positions: computed angles are points too."""
+    """Return labels and positions (T, M, 3), without points that are no positions, such as computed angles."""
     others = {name for kind in _NO_PLACES for name in log.texts.get(("POINT", kind), [])}
     kept = [index for index, label in enumerate(log.labels) if label not in others]
     if len(kept) == len(log.labels):
@@ -88,7 +87,7 @@ def _markers(log: C3dFile) -> tuple[tuple[str, ...], NDArray[np.float64]]:
 
 
 def _up(log: C3dFile, names: tuple[str, ...], places_m: NDArray[np.float64], said: list[str]) -> tuple[str, str]:
-    """Return the axis that points up, and how that is known; add warnings about it to `said`."""
+    """Return the vertical axis and the evidence; add warnings about it to `said`."""
     screen = log.text("POINT", "Y_SCREEN").upper().replace(" ", "")
     if shown := {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen):
         return shown, "by POINT:Y_SCREEN"

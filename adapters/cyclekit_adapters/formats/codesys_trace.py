@@ -1,13 +1,13 @@
-"""CODESYS Trace: what "Save Trace" and "Save Trace to File" write, as *.trace (XML), *.trace.csv and *.txt.
+"""CODESYS Trace: files of "Save Trace" and "Save Trace to File", as *.trace (XML), *.trace.csv and *.txt.
 
-The vendor's page "Command: Save Trace" (CODESYS Trace, online help) names the three file types and says what is in
-them, and "Data Sampling with Trace" that times count from the start of the recording. Their layouts are published
-nowhere; they are read as files of CODESYS 3.5 are written that others have published:
+The vendor's page "Command: Save Trace" (CODESYS Trace, online help) names the three file types and their content, and
+"Data Sampling with Trace" states that times count from the start of the recording. The layouts are not published; they
+were taken from published files of CODESYS 3.5:
 
-- csv: `[key]; [value]`, settings, then of each variable `0.Variable; NAME`, `0.Data; ` and lines `; time; value`.
-  Setting `Flags` says the unit of time: 16 is milliseconds, 32 microseconds.
-- trace: `TraceData`, in it of each variable `Values` and `Timestamps`, lists with commas; setting `MicroSeconds`.
-- txt: a line of title, the project's path, `Timestamp(ms) NAME NAME ...`, and rows with blanks.
+- csv: `[key]; [value]`, settings, then for each variable `0.Variable; NAME`, `0.Data; ` and lines `; time; value`.
+  Setting `Flags` gives the unit of time: 16 is milliseconds, 32 microseconds.
+- trace: `TraceData` with `Values` and `Timestamps` of each variable, comma-separated lists; setting `MicroSeconds`.
+- txt: a title line, the project's path, `Timestamp(ms) NAME NAME ...`, and rows separated by blanks.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _CUT = "the file ends in this line: it was cut while being written"
 
 @dataclass
 class _Samples:
-    """Of one variable: times as written, values, and the line (or number) of each."""
+    """Samples of one variable: times as written, values, and the line (or number) of each."""
 
     times: list[float] = field(default_factory=list)
     values: list[str] = field(default_factory=list)
@@ -53,13 +53,13 @@ class _Samples:
 
 @dataclass
 class _Trace:
-    """All that a file holds.
+    """Content of a file.
 
     Attributes:
-        samples: By variable.
-        unit: Of the times, `ms` or `us`; None where the file does not say it.
+        samples: Samples by variable.
+        unit: Unit of time, `ms` or `us`; None if the file does not give it.
         aside: Line and reason.
-        rows_read: Samples looked at.
+        rows_read: Number of samples read.
         warnings: One sentence each.
     """
 
@@ -179,7 +179,7 @@ def _of_xml(path: Path) -> _Trace:
 
 
 class _Document:
-    """The XML: variables as they come; everything else but the unit of time is skipped, and nothing is followed."""
+    """Parser of the XML: reads variables and the unit of time, skips everything else, and follows no reference."""
 
     def __init__(self, path: Path) -> None:
         self.trace = _Trace()

@@ -1,10 +1,10 @@
 """Operator events: CSV of time, signal and value, or of a time and a column of 0 and 1 per signal.
 
-Goal buttons, exports of a PLC's tags and digital inputs are logged in two forms. In the long one each row is one change
-and says which signal took which value; in the wide one each row holds the state of all signals, and only their changes
-are events, with the first state as the first one. Columns are known by the usual names, English and German. Times are
-dates (ISO 8601, or day.month.year), counts since 1970, or numbers whose unit the column's name states; other whole
-numbers could be seconds, milliseconds or cycles, and are refused. Values stay the text they are.
+Goal buttons, exports of PLC tags and digital inputs are logged in two forms. In the long form each row is one change of
+one signal. In the wide form each row holds the states of all signals; the first states and all changes become events.
+Columns are found by their usual names, English and German. Times are dates (ISO 8601, or day.month.year), counts since
+1970, or numbers with a unit in the column's name. Other integers may be seconds, milliseconds or cycles, and are
+refused. Values remain text.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class _EventCsv:
 
 
 def _said(options: ReadOptions) -> tuple[str | None, str | None]:
-    """Return the unit and the zone of its times that the cell file states."""
+    """Return the unit and time zone of times given in the cell file."""
     rest = dict(options.map)
     rest.pop("time_zone", None)
     unit = words(replace(options, map=rest), "event", {"time_unit": tuple(UNITS), "time_zone": ()}).get("time_unit")
@@ -100,11 +100,11 @@ def _said(options: ReadOptions) -> tuple[str | None, str | None]:
 
 
 def _table(path: Path, unit: str | None) -> EventTable:
-    """Return the table, its times decided.
+    """Return the table with its time format.
 
     Raises:
         DamagedLog: It is not an event log.
-        LogError: The unit of its times cannot be decided.
+        LogError: The unit of its times cannot be determined.
     """
     table = event_table(head_of(path))
     if table is None:
@@ -121,7 +121,7 @@ def _table(path: Path, unit: str | None) -> EventTable:
 
 
 def timed(rows: TextRows, times: TimeColumn, zone: str | None) -> TextRows:
-    """Add the time in seconds (column `T_S`); a row whose time has another format is set aside."""
+    """Add the time in seconds (column `T_S`); a row with a time in another format is set aside."""
     frame = rows.frame
     if not times.pattern:
         return replace(rows, frame=frame.with_columns((pl.col(times.columns[0]) * times.seconds).alias(T_S)))
@@ -141,13 +141,13 @@ def _long(frame: pl.DataFrame, table: EventTable) -> pl.DataFrame:
 
 @dataclass
 class _Seen:
-    """The clock so far."""
+    """Number of backward time steps so far."""
 
     back: int = 0
     _last_s: float | None = None
 
     def clock(self, t_s: pl.Series) -> None:
-        """Take in the times of a block."""
+        """Add the times of a block."""
         if t_s.is_empty():
             return
         self.back += int((t_s < t_s.shift(1, fill_value=self._last_s)).sum())

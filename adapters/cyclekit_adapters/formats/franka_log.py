@@ -1,9 +1,9 @@
 """Franka (Panda, FR3): CSV of libfranka's `franka::logToCSV`, the log of a control exception.
 
 One row per control cycle: `time` in whole milliseconds of the robot, the state of that cycle (`state.q[0..6]` rad,
-`state.dq[0..6]` rad/s) and the command before it. There is no measured TCP in it: `cmd.O_T_EE_d` is a command, and
-under a joint or torque controller it stays the identity, so it is never read. The TCP given here is the flange,
-computed from `state.q` (`panda_arm`); a hand or tool stands further out. The override is not logged and stays unknown.
+`state.dq[0..6]` rad/s) and the preceding command. The log holds no measured TCP: `cmd.O_T_EE_d` is a command, and with
+a joint or torque controller it stays the identity, so it is not read. The returned TCP is the flange, computed from
+`state.q` (`panda_arm`); a hand or tool extends beyond it. The override is not logged and stays unknown.
 """
 
 from __future__ import annotations
@@ -81,10 +81,10 @@ class _FrankaLogCsv:
 
 
 def _milliseconds(path: Path, rows: TextRows) -> TextRows:
-    """Return the rows of whole milliseconds; a few others are garbled, many are another logger's seconds.
+    """Return the rows with whole milliseconds; a few others are garbled, many are seconds of another logger.
 
     Raises:
-        DamagedLog: Most times are not whole numbers: read as milliseconds the log would be a thousand times too slow.
+        DamagedLog: Most times are not integers; read as milliseconds, the log would be a thousand times too slow.
     """
     odd = rows.frame[_TIME] % 1 != 0
     if 2 * odd.sum() > len(odd):

@@ -1,10 +1,10 @@
 """Kinect v2 skeletons as headerless CSV: 100 ns ticks, then 25 joints of x, y, z and tracking state.
 
-The person is joint 0, the base of the spine. Metres in the camera's frame: x to the sensor's left, y up (as the sensor
-is tilted), z away from it, which is right-handed. State 0 is "not tracked" and means unknown, 1 is inferred by the
-sensor and used, 2 is tracked. The clock is the sensor's. The file has no ids: as long as no two rows share a time there
-is one person, from there on bodies are linked by motion. Where skeletons are asked for, their joints are the SDK's
-JointType, in its order.
+The person's position is joint 0, the base of the spine. Positions are in m in the camera's frame: x to the sensor's
+left, y up (tilted with the sensor), z away from it, which is right-handed. State 0 is "not tracked" and means unknown,
+1 is inferred by the sensor and used, 2 is tracked. The clock is the sensor's. The file has no ids: until two rows share
+a time there is one person; from then on bodies are linked by motion. Skeletons, if requested, hold the SDK's JointType
+joints, in its order.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def _layout(path: Path) -> TextLayout:
 
 
 def _is_row(line: str) -> bool:
-    """Tell whether a line is ticks and 25 joints whose fourth number is a tracking state."""
+    """Return whether a line holds ticks and 25 joints whose fourth number is a tracking state."""
     delimiter = delimiter_of(line, ";\t,")
     if line.count(delimiter) not in (_FIELDS - 1, _FIELDS):
         return False
@@ -124,7 +124,7 @@ def _state(cell: str) -> float | None:
 
 
 def _placed(frame: pl.DataFrame, joints: int) -> pl.DataFrame:
-    """Return the rows with `t_s`, the base of the spine, and unknown where it was not tracked."""
+    """Return the rows with `t_s` and the base of the spine; null if it was not tracked."""
     known = []
     for joint in range(joints):
         cells = [f"{axis}{joint}" for axis in "xyz"]
@@ -141,13 +141,13 @@ def _skeletons(frame: pl.DataFrame) -> pl.DataFrame:
 
 @dataclass
 class _Bodies:
-    """Which row is whose, block after block.
+    """Assigns rows to persons, block after block.
 
     Attributes:
-        several: Two rows have the same time.
-        rows: Rows so far.
-        inferred: Rows whose base of the spine the sensor inferred.
-        unseen: Rows whose base of the spine was not tracked.
+        several: Two rows have had the same time.
+        rows: Number of rows so far.
+        inferred: Number of rows with an inferred base of the spine.
+        unseen: Number of rows with an untracked base of the spine.
     """
 
     several: bool = False
@@ -158,7 +158,7 @@ class _Bodies:
     _held: pl.DataFrame | None = None
 
     def named(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the rows of whole frames with `person`; the last frame waits: the next block may continue it."""
+        """Return the rows of complete frames with `person`; the last frame waits, as the next block may continue it."""
         frame = frame if self._held is None else pl.concat([self._held, frame])
         again = (frame["t_s"] == frame["t_s"][-1]).reverse() if frame.height else pl.Series([], dtype=pl.Boolean())
         waiting = frame.height if again.all() else int(again.arg_min() or 0)
@@ -166,7 +166,7 @@ class _Bodies:
         return self._named(frame.head(frame.height - waiting))
 
     def rest(self, last: pl.DataFrame) -> pl.DataFrame:
-        """Return the rows of the frame that waited; `last` has their columns."""
+        """Return the rows of the waiting frame; `last` has their columns."""
         return self._named(last.clear().drop("person") if self._held is None else self._held)
 
     def _named(self, frame: pl.DataFrame) -> pl.DataFrame:
@@ -184,7 +184,7 @@ class _Bodies:
         return pl.concat([first.with_columns(person=pl.lit("1")), self._linked(others.drop_nulls("x_m"))])
 
     def _linked(self, frame: pl.DataFrame) -> pl.DataFrame:
-        run = pl.col("t_s").rle_id().alias("run")  # not the time itself: it may come back
+        run = pl.col("t_s").rle_id().alias("run")  # not the time itself: it may repeat later
         runs = frame.group_by(run, maintain_order=True).agg(pl.col("t_s").first(), pl.concat_list("x_m", "y_m", "z_m"))
         names: list[str] = []
         for _, t_s, places in runs.iter_rows():

@@ -1,11 +1,11 @@
-"""KUKA: CSV of RSI values (`X_RIst`, `Y_RIst`, `Z_RIst`, `IPOC`), as people's RSI clients write it.
+"""KUKA: CSV of RSI values (`X_RIst`, `Y_RIst`, `Z_RIst`, `IPOC`), as RSI clients write it.
 
-RSI itself is a stream and has no file format, so the columns are those of the client; the names of the values are
-KUKA's, and clients put them together in several ways (`X_RIst`, `RIst.X`, `rist_x`). `RIst` is where the robot is (mm,
-base chosen in the RSI configuration), `AIPos` its axes (degrees), `RSol` only the set point of the next cycle. The
-clock is `IPOC`, the controller's count of milliseconds; a `Timestamp` beside it is the PC's, often in whole seconds of
-an unnamed zone: with `time_zone` in `[sources.map]` both stamps are kept, and the log can be placed among logs in epoch
-time. RSI does not carry the override: it stays unknown.
+RSI is a stream without a file format, so the columns depend on the client. The value names are KUKA's, and clients
+combine them in several ways (`X_RIst`, `RIst.X`, `rist_x`). `RIst` is the actual position (mm, base of the RSI
+configuration), `AIPos` the axis angles (degrees), `RSol` only the set point of the next cycle. The clock is `IPOC`, the
+controller's millisecond count. An additional `Timestamp` is the PC's, often in whole seconds of an unnamed zone; with
+`time_zone` in `[sources.map]` both stamps are stored, and the log can be aligned with logs in epoch time. RSI does not
+transmit the override, which stays unknown.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _NO_PLACE = "RIst not recorded: only joint angles are known"
 
 @dataclass(frozen=True)
 class _Columns:
-    """What the client called the values: its column of each axis of the place, of each joint, and of the clock."""
+    """Column names of the client: for each axis of the position, each joint, and the clock."""
 
     time: str | None
     place: dict[str, str]
@@ -57,7 +57,7 @@ class _Columns:
         return _Columns(time, places, joints if len(joints) == _AXES else {})
 
     def require(self, path: Path, names: Sequence[str]) -> str:
-        """Return the column of the clock."""
+        """Return the clock's column; raise if columns are missing."""
         missing = [f"{axis.upper()}_RIst" for axis in "xyz" if axis not in self.place]
         if self.time is not None and (not missing or (not self.place and self.joints)):
             return self.time
@@ -121,7 +121,7 @@ class _KukaRsiCsv:
 
 
 def _zone(options: ReadOptions) -> str | None:
-    """Return the time zone that the cell file gives; refuse any other key."""
+    """Return the time zone given in the cell file; refuse any other key."""
     where = "[sources.map] of a KUKA RSI log"
     for key in options.map:
         if key != "time_zone":

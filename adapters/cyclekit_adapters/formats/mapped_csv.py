@@ -1,9 +1,9 @@
-"""Any delimited table whose columns the cell file maps: logs without a public format.
+"""Any delimited table with columns mapped in the cell file: logs without a public format.
 
-This is how exports of FANUC, ABB, Yaskawa, Doosan, Techman and xArm, PLC logs and laser scanner tracks come in. The
-cell file says which column is what and in which unit, and nothing is guessed: no column is found by its name, no unit
-by the size of its values. Because such a table looks like any other, this adapter recognises nothing by itself and must
-be named; a person must check what `draft` proposes for the cell file.
+Used for exports of FANUC, ABB, Yaskawa, Doosan, Techman and xArm, PLC logs and laser scanner tracks. The cell file
+gives the meaning and unit of each column. Nothing is guessed: no column is found by its name, no unit by the size of
+its values. Such a table looks like any other, so this adapter recognises nothing by itself and has to be named. The
+user has to check what `draft` proposes for the cell file.
 """
 
 from __future__ import annotations
@@ -102,11 +102,11 @@ class _MappedCsv:
 
 
 def _found(path: Path, mapping: CsvMap, role: Role) -> tuple[MapTable, Columns]:
-    """Return the table and the columns that the map means.
+    """Return the table and the columns that the map refers to.
 
     Raises:
-        ConfigError: The map cannot be followed.
-        LogError: The table cannot be read, or has no such columns.
+        ConfigError: The map is invalid for this table.
+        LogError: The table cannot be read, or lacks these columns.
     """
     entries = {entry for kind in _columns(mapping, role) for entry in kind}
     table: MapTable = sheet_table(path, mapping) if is_workbook(path) else text_table(path, mapping, entries)
@@ -118,7 +118,7 @@ def _found(path: Path, mapping: CsvMap, role: Role) -> tuple[MapTable, Columns]:
 
 
 def _wanted(columns: Columns, role: Role) -> tuple[Wanted, ListCells]:
-    """Return what is read of the table, and what takes its lists apart."""
+    """Return the columns to read from the table, and the splitter of its list cells."""
     mapping, made = columns.mapping, {name for lists in columns.lists.values() for name in lists.values()}
     numbers, texts, required = _columns(mapping, role)
     if missing := {name for name in {*numbers, *texts} - made if name not in columns.names}:
@@ -140,7 +140,7 @@ def _wanted(columns: Columns, role: Role) -> tuple[Wanted, ListCells]:
 
 
 def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[str]]:
-    """Return the number columns, text columns and required columns of a role."""
+    """Return number columns, text columns and required columns for a role."""
     time = list(mapping.time)
     number_time, text_time = ([], time) if mapping.time_format else (time, [])
     places = mapping.places()
@@ -218,7 +218,7 @@ def _events(states: StateChanges, frame: pl.DataFrame, mapping: CsvMap) -> pl.Da
 
 
 def _of_good_quality(rows: TextRows, mapping: CsvMap) -> TextRows:
-    """Return the rows with those set aside whose values their writer does not vouch for."""
+    """Return the rows with those of insufficient quality set aside."""
     if mapping.quality is None or mapping.quality not in rows.frame.columns:
         return rows
     good = {word.strip().lower() for word in mapping.good}
@@ -228,7 +228,7 @@ def _of_good_quality(rows: TextRows, mapping: CsvMap) -> TextRows:
 
 @dataclass
 class _Seen:
-    """What was seen so far and must be reported."""
+    """Counts over the rows so far, for warnings."""
 
     mapping: CsvMap
     role: Role
@@ -242,9 +242,9 @@ class _Seen:
         self.spread = Spread((*self.mapping.scaling, *([self.mapping.slider] if self.mapping.slider else [])))
 
     def without_missing(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return rows with null for what was not seen: a position with all numbers missing, any other missing number.
+        """Return rows with null for missing values: a position with all numbers missing, or any other missing number.
 
-        Where the confidence is 0 a position is left over from an earlier row.
+        With confidence 0, a position is left over from an earlier row and also becomes null.
         """
         mapping, places = self.mapping, list(self.mapping.places().values())
         self.rows += frame.height

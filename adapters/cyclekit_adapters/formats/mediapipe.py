@@ -1,9 +1,9 @@
 """MediaPipe Pose landmarks: recognised and refused, because they do not give the person's position.
 
-World landmarks are metres from the middle of the person's own hips, so the pelvis is always at zero; the other kind are
-fractions of the picture. Neither can give a distance to a robot. JSON is known by MediaPipe's own names
-(`LEFT_EYE_INNER`, `RIGHT_FOOT_INDEX`, ...), by `pose_world_landmarks`, or by landmarks with a visibility; tables, of
-which every script writes its own, by `landmark_tables`.
+World landmarks are in m from the centre of the person's hips, so the pelvis is always at zero; the other kind are
+fractions of the image. Neither gives a distance to a robot. JSON is recognised by MediaPipe's own names
+(`LEFT_EYE_INNER`, `RIGHT_FOOT_INDEX`, ...), by `pose_world_landmarks`, or by landmarks with a visibility; tables, which
+differ between scripts, by `landmark_tables`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class _MediaPipe:
 
 
 def _shown(head: str) -> str:
-    """Return what shows that a text is of landmarks, "" where nothing does."""
+    """Return the evidence that a text holds landmarks; "" if there is none."""
     if not head.lstrip().startswith(("{", "[")):
         return landmarks_in(head)
     plain = _WHOLE.sub("", head.lower())

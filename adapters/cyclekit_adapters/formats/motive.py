@@ -1,11 +1,11 @@
 """OptiTrack Motive: CSV export of a take, versions 1.21 to 1.25.
 
-A person is the hip of a skeleton, a rigid body, or the middle of the seen markers (of the pelvis, where there are any)
-of a marker set, in that order of preference; each is a track of its own, and the cell file may name the one that
-counts. Lengths come in the unit that line 1 states; Y points up, unless the exporter was told otherwise, which is not
-in the file: `up = "z"` in the cell file says so. Rotation stands before position. The clock is the take's: frame number
-over export rate. An empty cell is a body that no camera saw, and stays unknown. Which way the volume is turned in the
-cell is not in the file. Where skeletons are asked for, their joints are the bones as Motive names them.
+A person is, in order of preference, the hip of a skeleton, a rigid body, or the centre of the visible markers of a
+marker set (of the pelvis markers, if present). Each is a separate track, and the cell file can select one. Line 1 gives
+the length unit. Y is up unless the exporter was configured otherwise, which the file does not show: then the cell file
+needs `up = "z"`. Rotation precedes position. The clock is the take's: frame number / export rate. An empty cell is a
+body that no camera saw, and stays unknown. The orientation of the capture volume in the cell is not in the file.
+Skeletons, if requested, hold the bones under Motive's names.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-_MARKS = ",;\t"  # Motive writes commas; a spreadsheet saves a take again in its own way
+_MARKS = ",;\t"  # Motive writes commas; a spreadsheet may change them
 _LOOKED_AT = 20  # rows
-_HEADER_BYTES = 4 << 20  # a take of many markers has header rows of megabytes
+_HEADER_BYTES = 4 << 20  # header rows of a take with many markers reach megabytes
 _METRES = {"meters": 1.0, "millimeters": 1e-3, "centimeters": 1e-2}
 _BODY, _BONE, _MARKER, _EXPECTED = "Rigid Body", "Bone", "Marker", "Rigid Body Marker"
-_SOLVED = {_EXPECTED, "Bone Marker"}  # where a marker should be: never empty, whatever the cameras saw
+_SOLVED = {_EXPECTED, "Bone Marker"}  # expected marker positions: never empty, even if no camera saw the marker
 _HIPS = {"hip", "hips", "pelvis"}
 _KEYS = {
     *("Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate", "Capture Start Time"),
@@ -51,13 +51,13 @@ _Points = list[tuple[str, str, str]]
 
 @dataclass(frozen=True)
 class _Header:
-    """What stands above the data.
+    """Lines above the data.
 
     Attributes:
-        about: Line 1.
-        layout: How the rows are written.
-        points: (type, name) -> its x, y, z columns.
-        clock: What the frames count.
+        about: Line 1, by key.
+        layout: Layout of the rows.
+        points: (type, name) -> x, y, z columns.
+        clock: Frame clock.
     """
 
     about: dict[str, str]
@@ -135,7 +135,7 @@ def _header(path: Path) -> _Header:
 
 
 def _about(cells: list[str], mark: str) -> dict[str, str]:
-    """Return line 1 as pairs; a name of a take or a note may hold the delimiter without quotes, and goes on then."""
+    """Return line 1 as pairs; a take name or note may hold unquoted delimiters and then continues in the next cells."""
     about: dict[str, str] = {}
     key, at = "", 0
     while at < len(cells):
@@ -162,7 +162,7 @@ def _clock(path: Path, about: dict[str, str], names: tuple[str, ...]) -> FrameCl
 
 
 def _width(above: list[list[str]], width: int) -> int:
-    """Count the columns that have an axis or, as quality columns do, only a component."""
+    """Return the number of columns with an axis or, as quality columns have, only a component."""
     component = above[-1] if above else []
     named = [index for index, cell in enumerate(component) if cell]
     return max([width, *(index + 1 for index in named)])
@@ -171,7 +171,7 @@ def _width(above: list[list[str]], width: int) -> int:
 def _points(
     path: Path, above: list[list[str]], axes: list[str], names: tuple[str, ...]
 ) -> dict[tuple[str, str], tuple[str, str, str]]:
-    """Find every column triple of positions; walk up from the axis row, because rows differ between versions."""
+    """Find the column triples of positions, upwards from the axis row, because header rows differ between versions."""
     labels = {row[1]: row for row in above if len(row) > 1 and row[1] in ("Type", "Name")}
     plain = [row for row in above[:-1] if len(row) > 1 and not row[1]]
     types = labels.get("Type") or (plain[0] if plain else [])
@@ -201,7 +201,7 @@ def _metres(path: Path, header: _Header) -> float:
 
 
 def _people_of(path: Path, header: _Header, body: str | None) -> dict[str, _Points]:
-    """Return the tracks of this take and the points that make up each."""
+    """Return the tracks of this take and the points of each."""
     tracks = _tracks(header.points)
     if body is None:
         return next(group for group in tracks if group)
@@ -216,14 +216,14 @@ def _people_of(path: Path, header: _Header, body: str | None) -> dict[str, _Poin
 
 
 def _tracks(points: dict[tuple[str, str], tuple[str, str, str]]) -> list[dict[str, _Points]]:
-    """Return groups of tracks, best first: skeletons by their hip, rigid bodies, marker sets, anything else."""
+    """Return groups of tracks, best first: skeletons by their hip, rigid bodies, marker sets, others."""
     bodies = {name: [xyz] for (kind, name), xyz in points.items() if kind == _BODY}
     skeletons: dict[str, _Points] = {}
     sets: dict[str, dict[str, tuple[str, str, str]]] = {}
     for (kind, name), xyz in points.items():
         owner, _, part = name.partition(":")
         if kind == _BONE and (part.lower() in _HIPS or owner not in skeletons):
-            skeletons[owner] = [xyz]  # the first bone is the top of the hierarchy; one called hip replaces it
+            skeletons[owner] = [xyz]  # the first bone is the root; one called hip replaces it
         if kind == _MARKER and part and not owner.startswith("Unlabeled"):
             sets.setdefault(owner, {})[name] = xyz
     worn = {owner: [xyz for name, xyz in markers.items() if is_pelvis(name)] for owner, markers in sets.items()}
@@ -232,12 +232,12 @@ def _tracks(points: dict[tuple[str, str], tuple[str, str, str]]) -> list[dict[st
 
 
 def _bones(header: _Header, body: str | None) -> dict[str, dict[str, tuple[str, str, str]]]:
-    """Return the bones of each skeleton, or of the one named: person -> joint -> its columns."""
+    """Return the bones of each skeleton, or of `body` only: person -> joint -> columns."""
     found: dict[str, dict[str, tuple[str, str, str]]] = {}
     for (kind, name), xyz in header.points.items():
         owner, _, part = name.partition(":")
         if kind == _BONE and body in (None, owner):
-            name = "hip" if part in ("", owner) else part.lower()  # the top of the hierarchy is named after it all
+            name = "hip" if part in ("", owner) else part.lower()  # the root bone is named after the skeleton
             found.setdefault(owner, {})[name] = xyz
     return found
 
@@ -251,7 +251,7 @@ def _skeletons(frame: pl.DataFrame, bones: dict[str, dict[str, tuple[str, str, s
 
 
 def _track(frame: pl.DataFrame, name: str, points: _Points, metres: float) -> pl.DataFrame:
-    """Return one person's rows: the mean of those of its points that were seen, null where none was."""
+    """Return one person's rows: the mean of the visible points, null if none is visible."""
     whole = [pl.all_horizontal(pl.col(point).is_not_null()) for point in points]
     axes = {
         f"{axis}_m": pl.mean_horizontal(

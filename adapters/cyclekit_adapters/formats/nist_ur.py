@@ -1,11 +1,10 @@
 """Universal Robots: the layout of NIST's UR5 recordings (`ROBOT_TIME`, `ROBOT_ACTUAL_JOINT_POSITIONS (J1)`, ...).
 
-One row per controller sample: the time and twelve groups of six values. NIST publishes the column names in a file of
-their own and the rows without them, each group in brackets: `([0.0], [q1, ..., q6], ...)`; others publish plain tables
-with the header on top, the names joined by a space or by an underscore. All are read alike. No file states its units;
-they are those of a UR controller (seconds since it was started, m, rad, rad/s) unless the cell file says otherwise,
-and joint speeds are held against the joint angles to notice another unit. The override is not logged and stays
-unknown.
+One row per controller sample: the time and twelve groups of six values. NIST publishes the column names in a separate
+file and the rows without them, each group in brackets: `([0.0], [q1, ..., q6], ...)`. Others publish plain tables with
+a header, with names joined by a space or an underscore. All of them are accepted. The files hold no units; those of a
+UR controller are assumed (seconds since its start, m, rad, rad/s) unless the cell file gives others, and joint speeds
+are compared with joint angles to detect another unit. The override is not logged and stays unknown.
 """
 
 from __future__ import annotations
@@ -31,12 +30,12 @@ if TYPE_CHECKING:
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _JOINTS = tuple(f"J{joint}" for joint in range(1, 7))
-_GROUPS = (  # in the order of the rows that carry no names
+_GROUPS = (  # in the order of rows without names
     ("ROBOT_TARGET_JOINT_POSITIONS", _JOINTS),
     ("ROBOT_ACTUAL_JOINT_POSITIONS", _JOINTS),
     ("ROBOT_TARGET_JOINT_VELOCITIES", _JOINTS),
     ("ROBOT_ACTUAL_JOINT_VELOCITIES", _JOINTS),
-    ("ROBOT_TARGET_JOITN_CURRENT", _JOINTS),  # written like this in NIST's own list of names
+    ("ROBOT_TARGET_JOITN_CURRENT", _JOINTS),  # spelled like this in NIST's list of names
     ("ROBOT_ACTUAL_JOINT_CURRENT", _JOINTS),
     ("ROBOT_TARGET_JOINT_ACCELERATIONS", _JOINTS),
     ("ROBOT_TARGET_JOINT_TORQUES", _JOINTS),
@@ -53,13 +52,13 @@ _PLACES = [f"ROBOT_CARTESIAN_COORD_TOOL ({axis})" for axis in "xyz"]
 _COLUMN = re.compile(r"(ROBOT_[A-Z_]+?)[ _]\(?(J[1-6]|r?[xyz])\)?")
 _GROUP = re.compile(r"\[([^][]*)\]")
 _BRACKETS = "()[] \t\r"
-_DELIMITERS = ",;\t"  # a space stands inside the names
+_DELIMITERS = ",;\t"  # names contain spaces
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "length_unit": {"m": 1.0, "mm": 1e-3},
     "joint_unit": {"rad": 1.0, "deg": 0.017453292519943295},
     "joint_speed_unit": {"rad/s": 1.0, "deg/s": 0.017453292519943295},
 }
-_FACTOR_APART = 5.0  # angles and speeds of one unit agree to a few percent; degrees are 57 times as many as radians
+_FACTOR_APART = 5.0  # in consistent units, angles and speeds agree to a few percent; degrees differ by a factor of 57
 
 
 class _NistUr:
@@ -120,7 +119,7 @@ def _units(options: ReadOptions) -> dict[str, float]:
 
 
 def _is_bare(head: str) -> bool:
-    """Tell whether the first line is one time and the twelve groups of six numbers, the groups in brackets."""
+    """Return whether the first line is a time and twelve bracketed groups of six numbers."""
     line, newline, _ = head.partition("\n")
     groups = [group.split(",") for group in _GROUP.findall(line)]
     sizes = [len(group) for group in groups]
@@ -143,12 +142,12 @@ def _layout(path: Path) -> TextLayout:
 
 
 def _as_nist(name: str) -> str:
-    """Return a name in NIST's own spelling; names of others stay as they are."""
+    """Return a name in NIST's spelling; other names are unchanged."""
     return f"{found[1]} ({found[2]})" if (found := _COLUMN.fullmatch(name)) else name
 
 
 def _as_numbers(rows: TextRows, names: Sequence[str]) -> TextRows:
-    """Take the brackets off; a row with a word where a number is due, or without a time, is set aside."""
+    """Remove the brackets; a row with a word instead of a number, or without a time, is set aside."""
     texts = rows.frame.with_columns(pl.col(names).str.strip_chars(_BRACKETS).replace("", None))
     frame = texts.with_columns(pl.col(names).cast(pl.Float64, strict=False))
     aside, numbers = [rows.set_aside], frame
@@ -190,7 +189,7 @@ def _warnings(options: ReadOptions) -> list[str]:
 
 @dataclass
 class _Turning:
-    """How far the joints turned, and how far their speeds imply, so far."""
+    """Total joint rotation, and the rotation implied by joint speeds, so far."""
 
     known: bool
     units: Mapping[str, float]

@@ -1,11 +1,11 @@
 """Nuitrack CSV recorder: skeletons of a depth camera.
 
-The person is JOINT_WAIST, row by row else JOINT_TORSO. Metres, y up, z away from the camera; to which side x points
-is not documented, so check it when the tracker's place in the cell is measured. `timestamp` is microseconds since 1970
-(smaller numbers: since the device started); `id` is the track, and with several cameras `serial/id`, each in its own
-camera's frame. The recorder repeats rows: a row that repeats the time of the one before it of the same camera and id
-counts once. A joint at exactly 0, 0, 0, where the camera is, was not seen. Where skeletons are asked for, their joints
-are all JOINT_*, without that word: `waist`, `left_hand`, ...
+The person's position is JOINT_WAIST, or JOINT_TORSO in rows without it. Positions are in m, y up, z away from the
+camera; the direction of x is not documented, so check it when measuring the tracker's pose in the cell. `timestamp` is
+in microseconds since 1970 (smaller numbers: since device start). `id` is the track; with several cameras it is
+`serial/id`, each in the frame of its camera. The recorder repeats rows: a row with the same time, camera and id as the
+one before counts once. A joint at exactly 0, 0, 0, the camera's position, was not seen. Skeletons, if requested, hold
+all JOINT_*, without that prefix: `waist`, `left_hand`, ...
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class _NuitrackCsv:
 
 
 def _points(path: Path, layout: TextLayout) -> list[str]:
-    """Return the joints that can be used as the person's position, best first."""
+    """Return the joints usable as the person's position, best first."""
     names = layout.names
     if missing := {"timestamp", "id"}.difference(names):
         raise MissingColumns(path, missing, names, "Record again with Nuitrack's CSV recorder.")
@@ -103,7 +103,7 @@ def _joints(names: tuple[str, ...]) -> list[str]:
 
 
 def _first_rows(path: Path, layout: TextLayout) -> tuple[bool, frozenset[str]]:
-    """Return whether the first rows count from 1970, and the cameras in them: the clock and names of the whole log."""
+    """Return whether the first rows count from 1970, and their cameras; both apply to the whole log."""
     times, cameras = [], set()
     for line in head_of(path).split("\n")[1:-1]:
         row = dict(zip(layout.names, fields_of(line, layout.delimiter), strict=False))
@@ -118,12 +118,12 @@ def _first_rows(path: Path, layout: TextLayout) -> tuple[bool, frozenset[str]]:
 
 @dataclass
 class _Tracks:
-    """Identity of each row, and which rows the recorder repeated, block after block.
+    """Assigns rows to persons and finds repeated rows, block after block.
 
     Attributes:
         epoch: Times count from 1970.
-        named: Cameras whose bodies are called by `id` alone: the one in the first rows.
-        cameras: Those so far.
+        first: Cameras in the first rows; if there is only one, its bodies are named by `id` alone.
+        cameras: Cameras so far.
     """
 
     epoch: bool
@@ -132,7 +132,7 @@ class _Tracks:
     _last: dict[str, float] = field(default_factory=dict)
 
     def once(self, rows: TextRows) -> TextRows:
-        """Return the rows with `person`; those that the recorder repeated are set aside."""
+        """Return the rows with `person`; repeated rows are set aside."""
         frame = rows.frame
         serial = frame["serial"].fill_null("") if "serial" in frame.columns else pl.Series([""] * frame.height)
         self.cameras |= set(serial.unique().to_list())

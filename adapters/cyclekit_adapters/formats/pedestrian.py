@@ -1,10 +1,10 @@
 """Tables of pedestrians: `frame id x y`, with or without a header (PeTrack, JuPedSim, PedPy, trajectory benchmarks).
 
-The person is the tracked point as the file has it, usually head or feet, by `id`. A header of column names, or a last
-comment line of them (`# id frame x/m y/m z/m`), says the order and the unit; without one the four columns are frame,
-id, x, y in metres, unless `columns` and `unit` in the cell file say otherwise. People walk: where the nameless columns
-taken in the other order give much smaller steps, the log is refused until `columns` says which it is. The clock is
-frame / rate; the rate comes from a comment `# framerate: 25` or from `rate_hz` in the cell file and is never invented.
+The person's position is the tracked point of the file, usually head or feet, by `id`. A header of column names, or a
+last comment line of them (`# id frame x/m y/m z/m`), gives order and unit. Without one, the four columns are frame, id,
+x, y in m, unless `columns` and `unit` in the cell file give others. If unnamed columns give much smaller steps in the
+other order, the log is refused until `columns` gives the order. The clock is frame / rate; the rate comes from a
+comment `# framerate: 25` or from `rate_hz` in the cell file and is never guessed.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _SPREAD_M = 500.0
 class _Pedestrians:
     def recognises(self, path: Path) -> bool:
         header = header_of(head_of(path))
-        if header is None or landmarks_in(head_of(path)):  # `frame, id, x, y` may be points of a body in a picture
+        if header is None or landmarks_in(head_of(path)):  # `frame, id, x, y` may also be body points in an image
             return False
         return header.titled or looks_like_frames(head_of(path), header)
 
@@ -104,7 +104,7 @@ class _Pedestrians:
 
 @dataclass
 class _Reach:
-    """Largest distance of the positions from zero, so far."""
+    """Maximum absolute coordinate of the positions so far."""
 
     most_m: float = 0.0
 
@@ -113,7 +113,7 @@ class _Reach:
 
 
 def _lines(path: Path, header: PedestrianHeader) -> Iterator[bytes]:
-    """Yield the lines below the header, comments as blank lines; runs of blanks are one delimiter."""
+    """Yield the lines below the header, with comments as blank lines and runs of blanks as one delimiter."""
     delimiter = "\\s+" if header.delimiter == " " else header.delimiter
     for block in blocks_of(path, file_encoding(path) or "utf-8", skip_lines=header.lines, delimiter=delimiter):
         yield re.sub(rb"(?m)^[ \t\x1f]*#[^\r\n]*", b"", block) if b"#" in block else block

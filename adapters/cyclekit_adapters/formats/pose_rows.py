@@ -1,9 +1,9 @@
-"""Robot poses without any clock: CSV of `x, y, z` or of libfranka's `O_T_EE`, one row per sample.
+"""Robot poses without a clock: CSV of `x, y, z` or of libfranka's `O_T_EE`, one row per sample.
 
-Scripts around libfranka often write nothing but the pose: a place in metres, perhaps with an orientation, or the 16
-numbers of the matrix `O_T_EE` (column by column, so the place is its numbers 12, 13 and 14), perhaps with the joint
-angles `q` beside it. Nothing in such a file says how fast the rows were written, and no rate is invented: it must be
-given as `rate_hz`. A table with a time column is not one of these; it is mapped with the adapter `csv`.
+Scripts around libfranka often write only the pose: a position in m, possibly with an orientation, or the 16 numbers of
+the matrix `O_T_EE` (column by column, so the position is in numbers 12, 13 and 14), possibly with the joint angles `q`.
+The file does not give its sampling rate, which is never guessed: `rate_hz` is required. A table with a time column has
+to be mapped with the adapter `csv`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _WHERE = "[sources.map] of a table of poses"
 _METRES = {"m": 1.0, "mm": 1e-3}
 _ORIENTATIONS = ({"qx", "qy", "qz", "qw"}, {"rx", "ry", "rz"}, {"roll", "pitch", "yaw"})
 _ELEMENT = re.compile(r"(?:state\.)?(O_T_EE|q|dq)(?:\[(\d+)\]|_(\d+))")
-_MATRIX, _PLACE, _BELOW, _JOINTS = 16, (12, 13, 14), (3, 7, 11), 7  # below the rotation stand zeros
+_MATRIX, _PLACE, _BELOW, _JOINTS = 16, (12, 13, 14), (3, 7, 11), 7  # the row below the rotation is zero
 
 
 class _PoseCsv:
@@ -101,7 +101,7 @@ def _metres(options: ReadOptions) -> float:
 
 
 def _below(names: tuple[str, ...]) -> list[str]:
-    """Return the numbers of the matrix that are zero if it was written column by column."""
+    """Return the matrix elements that are zero if it was written column by column."""
     found = {(m[1], int(m[2] or m[3])): name for name in names if (m := _ELEMENT.fullmatch(name))}
     return [found["O_T_EE", element] for element in _BELOW if ("O_T_EE", element) in found]
 
@@ -117,7 +117,7 @@ def _require_columns_first(path: Path, frame: pl.DataFrame, places: list[str], b
 
 
 def _columns(names: tuple[str, ...]) -> dict[str, str]:
-    """Return canonical column -> column of the file; empty unless every column of the file belongs to a pose."""
+    """Return canonical column -> column of the file; empty unless all columns of the file belong to a pose."""
     small = {name.lower(): name for name in names}
     if len(small) == len(names) and {"x", "y", "z"}.issubset(small):
         rest = set(small) - {"x", "y", "z"}

@@ -1,12 +1,11 @@
 """Qualisys Track Manager TSV: 3D trajectories of markers, or 6DOF rigid bodies.
 
-Header lines are a key, a tab and values; a row of column names may follow (for rigid bodies it must). A person is the
-middle of the pelvis markers seen, or the origin of a rigid body worn. Lengths are millimetres; Z is up unless the cell
-file says `up = "y"`. An empty cell, `NULL` and a place of exactly 0, 0, 0 are not seen. The clock is the measurement's,
+Header lines are a key, a tab and values; a row of column names may follow (mandatory for rigid bodies). A person's
+position is the centre of the visible pelvis markers, or the origin of a rigid body. Lengths are in mm; Z is up unless
+the cell file gives `up = "y"`. An empty cell, `NULL` and exactly 0, 0, 0 mean not seen. The clock is the measurement's,
 (frame - 1) / frequency: `TIME_STAMP` counts from the start of the PC, and Qualisys advises against using it. With an
-external timebase (`FREQUENCY EXT`) the Time column is the clock. Events set in QTM are events, at the time of their
-frame. Where skeletons are asked for, their joints are the
-subject's labelled markers.
+external timebase (`FREQUENCY EXT`) the Time column is the clock. Events set in QTM become events at the time of their
+frame. Skeletons, if requested, hold the subject's labelled markers.
 """
 
 from __future__ import annotations
@@ -92,13 +91,13 @@ def _people(path: Path, header: QualisysHeader, options: ReadOptions) -> People:
     tracks = {name: [index] for index, name in enumerate(header.names)}
     if options.body is not None:
         if options.body not in tracks:
-            return choose_people(path, header.names, options, "Qualisys")  # which says what there is
+            return choose_people(path, header.names, options, "Qualisys")  # raises with the list of names
         tracks = {options.body: tracks[options.body]}
     return People(tracks, "origin of the rigid body")
 
 
 def _events(header: QualisysHeader) -> pl.DataFrame:
-    """Return table EVENTS: one row per event, told apart by its frame."""
+    """Return table EVENTS: one row per event, with the frame as its value."""
     rows = [
         (time if (at := header.clock.at(frame)) is None else at, name, f"frame {frame:.0f}", line)
         for line, name, frame, time in header.events
@@ -109,7 +108,7 @@ def _events(header: QualisysHeader) -> pl.DataFrame:
 
 
 def _filled(header: QualisysHeader, people: People) -> list[str]:
-    """Say which markers in use were not simply measured: a filled gap is no measurement."""
+    """Return a warning with the used markers that were gap-filled or edited instead of measured."""
     kinds = [kind for kind in header.about.get("TRAJECTORY_TYPES", []) if kind]
     used = people.used(skeletons=False)
     made = [header.names[i] for i in used if i < len(kinds) and kinds[i] != _MEASURED]

@@ -1,9 +1,9 @@
-"""Safety systems' logs of themselves: speed override, distance robot to person, or both over time, as CSV.
+"""Logs of safety systems: speed override, distance between robot and person, or both over time, as CSV.
 
-A safety node or PLC writes when the override changes, or at some 10 to 30 Hz: a time, the override in percent, or the
-distance in metres, perhaps with its deviation and the name of the execution. There are no positions in it. Several
-overrides are factors, so their product counts. An override is percent by convention, never by its values: a robot at
-1 % looks like one at full speed; `override_max = 1` in `[sources.map]` says that it is a fraction.
+A safety node or PLC writes at changes of the override, or at 10 to 30 Hz: a time, the override in percent or the
+distance in m, possibly with its standard deviation and the name of the execution. The logs hold no positions. Several
+overrides are multiplied. An override is in percent by convention, never by its values, because 1 % looks like full
+speed as a fraction; `override_max = 1` in `[sources.map]` declares a fraction.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 FAR_M = 100.0
-"""No safety system measures farther."""
+"""Maximum plausible distance measured by a safety system, m."""
 _FIRST = 200
 _DECIMALS = 12
 _UNKNOWN = {"", "nan", "null", "none", "na", "n/a", "-"}
@@ -37,13 +37,13 @@ _UNKNOWN = {"", "nan", "null", "none", "na", "n/a", "-"}
 
 @dataclass
 class _Seen:
-    """What the rows so far show.
+    """Counts over the rows so far.
 
     Attributes:
-        most: Largest override as written.
-        outside: Rows whose override is below zero or above full speed.
-        far_m: Largest distance.
-        back: How often time stepped back.
+        most: Maximum override as written.
+        outside: Number of rows with an override below zero or above full speed.
+        far_m: Maximum distance, m.
+        back: Number of backward time steps.
     """
 
     most: float = 0.0
@@ -53,7 +53,7 @@ class _Seen:
     _last_s: float | None = None
 
     def add(self, t_s: pl.Series) -> None:
-        """Take in the times of a block."""
+        """Add the times of a block."""
         if t_s.len():
             self.back += int((t_s < t_s.shift(1, fill_value=self._last_s)).sum())
             self._last_s = float(t_s[-1])
@@ -61,7 +61,7 @@ class _Seen:
 
 @dataclass(frozen=True)
 class _Said:
-    """What the cell file says: full speed as written (`sure`: it is given), unit and zone of times, and columns."""
+    """Settings of the cell file: full speed as written (`sure`: it is given), unit and zone of times, and columns."""
 
     full: float
     sure: bool
@@ -185,7 +185,7 @@ def _table(frame: pl.DataFrame, columns: SafetyColumns, full: float, seen: _Seen
         product: pl.Expr = parts[0]
         for part in parts[1:]:
             product = product * part
-        known["override"] = product.round(_DECIMALS)  # so that 47 percent is 0.47 to the last bit
+        known["override"] = product.round(_DECIMALS)  # so that 47 percent is exactly 0.47
     if columns.distance:
         known["distance_m"] = pl.col(columns.distance) * columns.metres
         seen.far_m = max(seen.far_m, float(frame[columns.distance].max() or 0.0) * columns.metres)  # type: ignore[arg-type]
@@ -197,7 +197,7 @@ def _table(frame: pl.DataFrame, columns: SafetyColumns, full: float, seen: _Seen
 
 
 def _check(path: Path, columns: SafetyColumns, said: _Said, seen: _Seen) -> None:
-    """Refuse an override that could be percent as well as a fraction.
+    """Refuse an override that may be percent or a fraction.
 
     Raises:
         LogError: It never exceeds 1, and override_max is not given.

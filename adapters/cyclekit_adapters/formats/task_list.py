@@ -1,8 +1,8 @@
-"""Task lists: who did which task from when to when, as CSV, JSON (also of MongoDB) or XES.
+"""Task lists: agent, task, start and end, as CSV, JSON (also of MongoDB) or XES.
 
-Task planners, MES exports and process mining write them: an agent, a task, its start and end, and often the execution,
-the planned times and the outcome. They hold no positions. Agents called human, operator, person or worker are people,
-all others robots; `robot` and `operator` in `[sources.map]` say otherwise.
+Written by task planners, MES exports and process mining: an agent, a task, its start and end, and often the execution,
+planned times and outcome. They hold no positions. Agents called human, operator, person or worker are people, all
+others robots, unless `robot` and `operator` in `[sources.map]` assign them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cyclekit_adapters.tasks.task_json import Record
 
 MOST = 5_000_000
-"""Most tasks in one list, which is held in memory as a whole."""
+"""Maximum number of tasks in one list, which is held in memory as a whole."""
 _ASIDE = pl.Schema({"source_row": pl.Int64(), "reason": pl.String()})
 
 
@@ -41,10 +41,10 @@ class _Cells:
 
     Attributes:
         frame: A column for each field of `columns`, and `source_row`.
-        columns: What each field is called in the log.
-        rows_read: Rows, records or events looked at.
-        rows_are: What `source_row` counts.
-        written: How it is written.
+        columns: Field -> column name in the log.
+        rows_read: Number of rows, records or events read.
+        rows_are: Unit of `source_row`.
+        written: File format.
         aside: Rows that are not tasks.
         warnings: One sentence each.
         decimal_comma: Numbers may be written `0,5`.

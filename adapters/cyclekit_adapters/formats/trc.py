@@ -1,11 +1,10 @@
-"""TRC, the text file of marker places that OpenSim, Pose2Sim, OpenCap and Cortex write.
+"""TRC, the text file of marker positions that OpenSim, Pose2Sim, OpenCap and Cortex write.
 
-Tabs between the cells; markers or keypoints of one person, in the unit of `Units`. The person is the middle of the
-pelvis markers seen (`RHip`, `L.ASIS`, ...). An empty cell, NaN and a place of exactly 0, 0, 0 are not seen. Time is
-frame / `DataRate`, with the zero of the Time column; the Time column where the two contradict each other. OpenSim is Y
-up, and nothing in a file says so: files that were exported as they were recorded are often Z up, so heads and feet
-decide, where there are any, unless the cell file says `up = "z"`. Where skeletons are asked for, their joints are the
-markers.
+Tab-separated cells; markers or keypoints of one person, in the unit of `Units`. The person's position is the centre of
+the visible pelvis markers (`RHip`, `L.ASIS`, ...). An empty cell, NaN and exactly 0, 0, 0 mean not seen. Time is frame
+/ `DataRate`, with the zero of the Time column, or the Time column if the two contradict each other. OpenSim uses Y up,
+which the file does not show, and files exported as recorded are often Z up. So heads above feet decide, if such markers
+exist, unless the cell file gives `up = "z"`. Skeletons, if requested, hold the markers.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ if TYPE_CHECKING:
 
 _AT_ZERO_M = 0.01
 _ROWS = 10
-"""A pelvis at zero in this many rows is not a position in the room."""
+"""Minimum number of rows: a pelvis at zero in all of them is not a position in the room."""
 
 
 class _Trc:
@@ -88,7 +87,7 @@ _UNCLEAR = "heads are not above feet"
 
 
 def _up(header: TrcHeader) -> tuple[str, str]:
-    """Return the axis that points up and how that is known: by heads above feet, else as OpenSim has it."""
+    """Return the vertical axis and the evidence: heads above feet, else the default of OpenSim."""
     found = way_up(header.names, _points(header) * METRES[header.unit])
     if found == "neither":
         return "y", f"{_UNCLEAR} along y or z: y assumed, the default of OpenSim; check `up`"
@@ -96,7 +95,7 @@ def _up(header: TrcHeader) -> tuple[str, str]:
 
 
 def _points(header: TrcHeader) -> NDArray[np.float64]:
-    """Return the places in the first rows, shape (N, M, 3), in the unit of the file; NaN where a cell is no number."""
+    """Return the positions in the first rows, shape (N, M, 3), in the unit of the file; NaN for a garbled cell."""
     width = 2 + 3 * len(header.names)
     rows = [[_number(cell) for cell in row[2:width]] for row in header.rows if len(row) >= width]
     points = np.array(rows, dtype=np.float64).reshape(len(rows), len(header.names), 3)
@@ -111,7 +110,7 @@ def _number(cell: str) -> float:
 
 
 def _require_a_place(path: Path, people: pl.DataFrame | None) -> None:
-    """Refuse keypoints around the person's own hips: MediaPipe's world landmarks, written as TRC."""
+    """Refuse keypoints relative to the person's own hips: MediaPipe's world landmarks, written as TRC."""
     if people is None or people.height < _ROWS:
         return
     places = people.select("x_m", "y_m", "z_m").drop_nulls().to_numpy()

@@ -1,11 +1,11 @@
 """Beckhoff TwinCAT Scope: the text file that Scope View and the Scope Export Tool write ("Export to csv").
 
-A block about the file (Name, File, start and end of the export), a block of header lines about the channels (Name,
-Data-Type, SampleTime[ms], ...), and rows. Channels of one sample time stand side by side behind a time column of their
-own, and every header line repeats its key above that column. Times are milliseconds since the start of the export, or,
-with "Full Timestamp", 100 ns since 1601 as the start itself; the start is UTC. Beckhoff's pages "Export to csv" and
-"Export to svb" (TE13xx TC3 ScopeView) and "Scope Settings" (TwinCAT Scope 2) describe all this; files of Scope
-3.4.3145 that are published were looked at for separators and line forms.
+The file holds a block about itself (Name, File, start and end of the export), a block of header lines about the
+channels (Name, Data-Type, SampleTime[ms], ...), and rows. Channels with one sample time follow a time column of their
+own, and every header line repeats its key above that column. Times are milliseconds since the start of the export or,
+with "Full Timestamp", counts of 100 ns since 1601, like the start; the start is in UTC. Sources: Beckhoff's pages
+"Export to csv" and "Export to svb" (TE13xx TC3 ScopeView) and "Scope Settings" (TwinCAT Scope 2), and published files
+of Scope 3.4.3145 for separators and line forms.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _HEADER_LINES = 600
 _STARTS = ("Starttime of export", "StartRecord")
 _TICKS_1970, _TICK_S = 116_444_736_000_000_000, 1e-7
 _FULL_TICKS = 1e16
-"""Times above this many are ticks since 1601; as milliseconds they were 300,000 years."""
+"""Minimum time value that counts ticks since 1601; in milliseconds it would be 300,000 years."""
 _NUMBER = re.compile(r"[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
 _T_S = "\x1ft_s"
 _LOOKED_AT = 200
@@ -50,15 +50,15 @@ class _Group:
 
 @dataclass(frozen=True)
 class _Header:
-    """What the lines above the rows say.
+    """Content of the lines above the rows.
 
     Attributes:
-        layout: Of the rows; its header lines are all lines above them.
-        groups: The columns by time column.
-        start_s: Start of the export, s since 1970; None where the file does not say it.
+        layout: Layout of the rows; its header lines are all lines above them.
+        groups: Channels by time column.
+        start_s: Start of the export, s since 1970; None if the file does not give it.
         full: Times are ticks since 1601.
-        real: Channels left out, since they are of real numbers.
-        facts: For people.
+        real: Channels of real numbers, which are left out.
+        facts: Facts to display.
     """
 
     layout: TextLayout
@@ -127,7 +127,7 @@ def _events(frame: pl.DataFrame, group: _Group, header: _Header, states: StateCh
 
 
 def _header(path: Path) -> _Header:
-    """Return what the lines above the rows say.
+    """Parse the lines above the rows.
 
     Raises:
         DamagedLog: They are not those of a TwinCAT Scope export, or no channel is a signal.
@@ -175,7 +175,7 @@ def _header(path: Path) -> _Header:
 
 
 def _types(lines: list[str], mark: str, names: list[str]) -> list[str]:
-    """Return the data type of each column; empty where the export has none."""
+    """Return the data type of each column; empty if the export has none."""
     found = next((line.rstrip(mark).split(mark) for line in lines if _key(line, mark) == "Data-Type"), [])
     return found if len(found) == len(names) else []
 
@@ -200,7 +200,7 @@ def _start(about: dict[str, str], mark: str) -> float | None:
 
 
 def _whole_rows(path: Path, header: _Header) -> Iterator[bytes]:
-    """Yield the rows; one that ends with a group of channels, since slower ones are over, is filled up."""
+    """Yield the rows; a row that lacks slower channels, because they have ended, is filled up."""
     layout = header.layout
     mark, width = layout.delimiter.encode(), len(layout.names)
     ends = {layout.names.index(group.time) for group in header.groups}

@@ -1,13 +1,12 @@
 """Universal Robots: RTDE fields as UR's `record.py` (text or `--binary`) and `ur_rtde` write them.
 
-One row per controller sample; `record.py` separates by a space, `ur_rtde` by a comma, the column names are the same.
-A binary recording differs only in how its rows are packed (`rtde_binary`). Programs of one's own on `ur_rtde` write a
-vector as one list, `"[0.1, -0.2, ...]"` in a column `actual_q`; it becomes the columns of the others.
-Metres, radians, seconds since the controller was started; a program of one's own may write the PC's time instead.
-Two columns together are the override: the trajectory limiter (`speed_scaling`) times the slider
-(`target_speed_fraction`), and that product says something about speed only while the program plays (`runtime_state` 2).
-A pause writes the limiter as 0, which is no safety slow-down: there, and where a factor was not recorded, the scaling
-stays unknown.
+One row per controller sample; `record.py` separates by a space, `ur_rtde` by a comma, with the same column names. A
+binary recording differs only in the packing of its rows (`rtde_binary`). Users' programs based on `ur_rtde` write a
+vector as one list, `"[0.1, -0.2, ...]"` in a column `actual_q`, which is split into the usual columns. Units are m, rad
+and seconds since controller start; users' programs may write the PC's time instead. The override is the product of two
+columns: the trajectory limiter (`speed_scaling`) and the slider (`target_speed_fraction`). It describes the speed only
+while the program plays (`runtime_state` 2). During a pause the limiter is 0, which is no safety slow-down: there, and
+if a factor was not recorded, the scaling stays unknown.
 """
 
 from __future__ import annotations
@@ -53,8 +52,8 @@ _OUTPUTS, _INPUTS = "actual_digital_output_bits", "actual_digital_input_bits"
 _RECORD_IT = "Add the field to record_configuration.xml (or to the list of variables) and record again."
 _MAP = "[sources.map] of a UR RTDE log"
 _KEYS = ["inputs", "register", "time_zone"]
-_LOOKED_AT = 20  # rows, for what their time is
-_SLACK = 1e-3  # a fraction may exceed 1 by rounding; by more it is something else
+_LOOKED_AT = 20  # rows, to find the kind of time
+_SLACK = 1e-3  # tolerance for fractions rounded to above 1
 
 
 class _UrRtdeCsv:
@@ -131,7 +130,7 @@ def _clock(path: Path, layout: TextLayout | BinaryLayout, options: ReadOptions) 
 
 
 def _lists(names: Sequence[str]) -> dict[str, dict[int, str]]:
-    """Return the columns of lists, and what the numbers of each are called elsewhere."""
+    """Return the columns of lists, with the usual column name for each of their numbers."""
     return {
         name: {place: f"{name}_{place}" for place in range(length)}
         for name, length in _VECTORS.items()
@@ -162,7 +161,7 @@ def _register(path: Path, layout: TextLayout | BinaryLayout, options: ReadOption
 
 
 def _inputs(path: Path, layout: TextLayout | BinaryLayout, options: ReadOptions) -> InputEvents | None:
-    """Return what finds the changes of the digital inputs, where the cell file wants them as events."""
+    """Return the detector of digital input changes, if the cell file requests them as events."""
     wanted = options.map.get("inputs", "no")
     if wanted not in ("events", "no"):
         raise UnknownName(_MAP, "inputs", str(wanted), ["events", "no"])
@@ -174,14 +173,14 @@ def _inputs(path: Path, layout: TextLayout | BinaryLayout, options: ReadOptions)
 
 
 def _joints(names: tuple[str, ...]) -> dict[str, str]:
-    """Return the joint columns present and what they are called in the canonical table."""
+    """Return the joint columns present and their names in the canonical table."""
     angles = {f"actual_q_{joint}": f"q{joint}_rad" for joint in range(6)}
     speeds = {f"actual_qd_{joint}": f"qd{joint}_rad_s" for joint in range(6)}
     return {name: column for name, column in (angles | speeds).items() if name in names}
 
 
 def _fields(register: str, joints: dict[str, str], columns: Sequence[str]) -> list[str]:
-    """Return the fields that some canonical columns are made of; those of all, where none is named."""
+    """Return the fields needed for some canonical columns; for all of them if `columns` is empty."""
     made_of = {f"tcp_{axis}_m": _POSITION for axis in "xyz"} | {
         "tcp_speed_m_s": _SPEED,
         "scaling": [*_FRACTIONS, "runtime_state"],
@@ -204,7 +203,7 @@ def _require(path: Path, names: tuple[str, ...], joints: dict[str, str]) -> None
 
 
 def _robot(frame: pl.DataFrame, register: str, joints: dict[str, str]) -> pl.DataFrame:
-    """Return the rows in the canonical columns; by numpy, since a query costs more than the rows of a small log."""
+    """Return the rows in the canonical columns; numpy is faster than a polars query on a small log."""
     have = set(frame.columns)
     named = {"source_row": "source_row", "timestamp": "t_s"}
     if have.issuperset(_POSITION):
@@ -231,7 +230,7 @@ def _series(name: str, values: Vector) -> pl.Series:
 
 
 def _states(code: Vector) -> pl.Series:
-    """Return the states of the program by their codes (N,), NaN = unknown."""
+    """Return the program states of codes (N,), NaN = unknown."""
     if len(code) and 0 <= code[0] < len(_STATES) and (code == code[0]).all():
         return pl.Series("state", [_STATES[int(code[0])]]).new_from_index(0, len(code))
     known = (code >= 0) & (code < len(_STATES))
@@ -240,17 +239,17 @@ def _states(code: Vector) -> pl.Series:
 
 
 def _fraction(frame: pl.DataFrame, name: str) -> Vector:
-    """Return a column where it is a fraction, NaN where it is none: a log in percent is not guessed at."""
+    """Return a column with NaN where it is no fraction: percent is not guessed."""
     value = frame.get_column(name).to_numpy()
     return np.where((value >= 0.0) & (value <= 1.0 + _SLACK), np.minimum(value, 1.0), np.nan)
 
 
 @dataclass
 class _Seen:
-    """What was seen of the speed scaling so far.
+    """Observations of the speed scaling so far.
 
     Attributes:
-        played: Whether the program played in any row; None = that field is not read.
+        played: Whether the program played in any row; None = the field is not read.
     """
 
     played: bool | None = None

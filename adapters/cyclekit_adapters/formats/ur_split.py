@@ -1,9 +1,9 @@
 """Universal Robots: a folder of headerless CSV files, one per signal (`log_tool_vector.csv`, `log_q_actual.csv`, ...).
 
-Each row is `seconds, six values`; metres, radians, m/s; the first column counts from the start of the recording.
-The signals are put together on the time of the TCP pose, each with the row nearest in time. Loggers of this kind
-are often killed while writing, so files differ in length and end inside a number: a last line without a line end is
-set aside, and a signal that ended earlier is unknown from there on. The override is not logged and stays unknown.
+Each row is `seconds, six values`; units are m, rad, m/s; the first column counts from the start of the recording. The
+signals are joined on the time of the TCP pose, each with its row nearest in time. Such loggers are often killed while
+writing, so files differ in length and end inside a number: a last line without a line end is set aside, and a signal
+that ended earlier is unknown from there on. The override is not logged and stays unknown.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _COLUMNS = {
     _JOINT_SPEEDS: tuple(f"qd{joint}_rad_s" for joint in range(6)),
 }
 _LAYOUT = ("t_s", *_AXES)
-_NEAR_PERIODS = 0.75  # a value further away in time than this many periods of its own signal is no value
+_NEAR_PERIODS = 0.75  # maximum time difference of a joined value, in periods of its signal
 _STANDS = "its time does not increase"
 
 
@@ -95,14 +95,14 @@ def _looks_right(path: Path) -> bool:
 
 
 def _signals(path: Path) -> dict[str, _Signal]:
-    """Open the existing files; one without a usable row counts as absent."""
+    """Open the existing files; a file without a usable row counts as absent."""
     found = {name: _Signal(name, path / f"{name}.csv") for name in _COLUMNS if (path / f"{name}.csv").is_file()}
     return {name: signal for name, signal in found.items() if signal.begins()}
 
 
 @dataclass
 class _Signal:
-    """One file, read block by block and no further than the others need it."""
+    """One file, read block by block only as far as needed."""
 
     name: str
     path: Path
@@ -121,11 +121,11 @@ class _Signal:
         self._here = self.empty()
 
     def empty(self) -> pl.DataFrame:
-        """Return no rows with the columns of this signal."""
+        """Return an empty table with the columns of this signal."""
         return self._named(joined([], _LAYOUT).frame)
 
     def begins(self) -> bool:
-        """Tell whether there is a usable row; the rows read for this are kept."""
+        """Return whether there is a usable row; the rows read for this are kept."""
         while (frame := self._take()) is not None:
             if frame.height:
                 self._here = frame
@@ -133,7 +133,7 @@ class _Signal:
         return False
 
     def next(self) -> pl.DataFrame | None:
-        """Return the next rows, None at the end."""
+        """Return the next rows; None at the end."""
         if self._here.height:
             frame, self._here = self._here, self.empty()
             return frame
@@ -177,18 +177,18 @@ class _Signal:
             pass
 
     def taken_rows(self) -> int:
-        """Return how many rows were read since this was last asked."""
+        """Return the number of rows read since the last call."""
         rows, self._rows = self._rows, 0
         return rows
 
     def taken_aside(self) -> pl.DataFrame:
-        """Return the rows set aside since this was last asked."""
+        """Return the rows set aside since the last call."""
         aside, self._aside = self._aside, []
         return pl.concat([joined([]).set_aside, *aside])
 
 
 def _period_s(path: Path, delimiter: str) -> float:
-    """Return the time between two rows, by the first of them."""
+    """Return the median time between rows, from the first rows."""
     times = []
     for line in head_of(path).split("\n")[:-1]:
         try:

@@ -1,13 +1,12 @@
 """Vicon CSV: markers (section Trajectories), else segments (Objects, Segments), of an ASCII export.
 
-A file is one or more sections with a blank line between them; each has a title, its rate in Hz, names over the first of
-their columns, `Frame, Sub Frame, X, Y, Z, ...` or `..., RX, RY, RZ, TX, TY, TZ, ...`, and a row of units. A file of
-devices or model outputs alone is refused. A person is the middle of the pelvis markers seen, by subject
-(`Subject:Marker`), or the origin of the segment that is the pelvis. An object of one segment bears its name twice
-(`hip:hip`): where one of them is a pelvis, all are segments of one person; where none is, each is a body of its own.
-The clock is the trial's, (frame - 1) / rate: no time is in the file. Which axis is up is not in it either; Vicon is Z
-up unless the cell file says `up = "y"`. Where skeletons are asked for, their joints are the subject's markers or
-segments.
+A file holds one or more sections separated by a blank line. Each has a title, its rate in Hz, names above the first of
+their columns, `Frame, Sub Frame, X, Y, Z, ...` or `..., RX, RY, RZ, TX, TY, TZ, ...`, and a row of units. A file with
+only devices or model outputs is refused. A person's position is the centre of the visible pelvis markers, by subject
+(`Subject:Marker`), or the origin of the pelvis segment. An object of one segment repeats its name (`hip:hip`): if one
+of the objects is a pelvis, all are segments of one person; otherwise each is a separate body. The clock is the trial's,
+(frame - 1) / rate; the file holds no time of day and no vertical axis. Z is up unless the cell file gives `up = "y"`.
+Skeletons, if requested, hold the subject's markers or segments.
 """
 
 from __future__ import annotations
@@ -96,13 +95,13 @@ class _ViconCsv:
 
 
 def _segment(name: str) -> str:
-    """Return the name of a segment, once where object and segment are called the same (`hip:hip`)."""
+    """Return the name of a segment, without the object if both have the same name (`hip:hip`)."""
     subject, _, segment = name.rpartition(":")
     return segment if subject == segment else name
 
 
 def _people(path: Path, section: str, names: Sequence[str], options: ReadOptions) -> People:
-    """Find the people: by subject and pelvis; each object is one, where none of them is a pelvis."""
+    """Find the people by subject and pelvis; without a pelvis, each object is one."""
     people = choose_people(path, names, options, "Vicon")
     if section == TRAJECTORIES or "markers" in options.map:
         return people
@@ -113,7 +112,7 @@ def _people(path: Path, section: str, names: Sequence[str], options: ReadOptions
 
 
 def _not_read(log: Sections) -> list[str]:
-    """Name the sections that hold positions, too."""
+    """Return warnings with the other sections that hold positions."""
     said = []
     if log.titles.count(log.title) > 1:
         said.append(f"a second section {log.title} is not read: split the file before it to read it too")
@@ -125,6 +124,6 @@ def _not_read(log: Sections) -> list[str]:
     return said
 
 
-_EVENTS = ("Events", "Subject")  # that section has names where the others have their axes
+_EVENTS = ("Events", "Subject")  # this section has names where others have axes
 
 ADAPTER: StreamingAdapter = _ViconCsv()

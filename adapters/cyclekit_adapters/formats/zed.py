@@ -1,12 +1,12 @@
 """Stereolabs ZED body tracking as JSON: 18, 34 or 38 keypoints.
 
-The SDK's own exporters write an object keyed by millisecond timestamps; others write an array of frames. The person is
-the pelvis (keypoint 0 of BODY_34 and BODY_38, the middle of keypoints 8 and 11 of BODY_18), else the SDK's `position`.
-Neither unit nor axes are in the file, so both are taken from the bodies themselves: people are 0.25 to 3 m from end to
-end, and stand upright. What cannot be decided so is refused; `unit` and `axes` in the cell file decide it. Time is the
-host's clock, of frames with bodies only where empty frames carry none. Ids that live one frame are no ids: those
-bodies are linked by motion. A recording without any body is refused, since nothing in it says when nobody was there.
-Where skeletons are asked for, their joints are the SDK's keypoints.
+The SDK's exporters write an object keyed by millisecond timestamps; others write an array of frames. The person's
+position is the pelvis (keypoint 0 of BODY_34 and BODY_38, the midpoint of keypoints 8 and 11 of BODY_18), else the
+SDK's `position`. The file holds neither unit nor axes, so both are inferred from the bodies: people measure 0.25 to 3 m
+and are upright. An ambiguous file is refused unless the cell file gives `unit` and `axes`. Time is the host's clock; if
+empty frames carry no time, only frames with bodies have one. Ids that change in every frame are ignored, and bodies are
+linked by motion. A recording without any body is refused, because it does not show when the scene was empty. Skeletons,
+if requested, hold the SDK's keypoints.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _SDK = ('"body_list"', '"is_tracked"')
 
 @dataclass
 class _Dump:
-    """What was found in the file, frame by frame."""
+    """Content of the file, frame by frame."""
 
     bodies: list[ZedBody] = field(default_factory=list)
     aside: list[tuple[int, str]] = field(default_factory=list)
@@ -110,7 +110,7 @@ _SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
 
 
 def _dump(path: Path, *, skeletons: bool) -> tuple[_Dump, list[str]]:
-    """Take the document apart; a cut one gives the frames before the cut."""
+    """Parse the document; a truncated one gives the frames before the cut."""
     dump = _Dump()
     try:
         for key, value in parts(json_pieces(path)):
@@ -129,9 +129,9 @@ def _take_frame(path: Path, dump: _Dump, key: str, value: object, *, skeletons: 
     row = dump.frames
     if isinstance(value, dict):
         alone = [value] if "keypoint" in value else []  # a list of bodies without frames
-        bodies = value.get("body_list", alone)  # the C++ exporter leaves the key out where nobody is
+        bodies = value.get("body_list", alone)  # the C++ exporter omits the key in empty frames
         stamp = next((value[name] for name in ("timestamp", "ts") if value.get(name) is not None), key)
-        stamp = key if key.isdigit() and not stamp else stamp  # the key tells it where the writer left it at 0
+        stamp = key if key.isdigit() and not stamp else stamp  # the key holds the time if the writer left it at 0
     else:
         bodies, stamp = value, key
     if not isinstance(bodies, list):
@@ -162,7 +162,7 @@ def _refuse_without_bodies(path: Path, dump: _Dump) -> None:
 
 @dataclass(frozen=True)
 class _Tracks:
-    """The bodies that become rows, the person of each, and what to report about their ids."""
+    """Bodies that become rows, the person of each, and what to report about their ids."""
 
     bodies: list[ZedBody]
     people: list[str]
@@ -171,7 +171,7 @@ class _Tracks:
 
 
 def _tracks(bodies: list[ZedBody], metres: float) -> _Tracks:
-    """Assign bodies to persons: by ids that last, else by motion."""
+    """Assign bodies to persons: by ids that persist, else by motion."""
     if _ids_are_real(bodies):
         kept = [body for body in bodies if body.here is not None or body.hidden]
         return _Tracks(kept, [body.name for body in kept], "of the tracker")
@@ -187,7 +187,7 @@ def _tracks(bodies: list[ZedBody], metres: float) -> _Tracks:
 
 
 def _table(tracks: _Tracks, turn: NDArray[np.float64]) -> pl.DataFrame:
-    """Return the rows of PEOPLE, null where a body was hidden; `turn` (3, 3) leads to metres and right-handed axes."""
+    """Return the rows of PEOPLE, null if a body was hidden; `turn` (3, 3) converts to metres and right-handed axes."""
     here = np.array([body.here or (np.nan,) * 3 for body in tracks.bodies]).reshape(-1, 3) @ turn.T
     return conform(
         pl.DataFrame(
@@ -206,7 +206,7 @@ def _table(tracks: _Tracks, turn: NDArray[np.float64]) -> pl.DataFrame:
 
 
 def _skeletons(tracks: _Tracks, turn: NDArray[np.float64], body: str | None) -> pl.DataFrame:
-    """Return the rows of SKELETONS; a file may change its number of keypoints."""
+    """Return the rows of SKELETONS; the number of keypoints may change within a file."""
     tables = []
     pairs = zip(tracks.bodies, tracks.people, strict=True)
     mine = [(item, who) for item, who in pairs if item.keypoints is not None and body in (None, who)]
@@ -220,7 +220,7 @@ def _skeletons(tracks: _Tracks, turn: NDArray[np.float64], body: str | None) -> 
 
 
 def _ids_are_real(bodies: list[ZedBody]) -> bool:
-    """Tell whether an id means the same body later: seen in two frames on average, and never twice in one."""
+    """Return whether ids persist: seen in two frames on average, and never twice in one."""
     ids = {body.name for body in bodies}
     once = len({(body.t_s, body.row, body.name) for body in bodies}) == len(bodies)
     return once and "" not in ids and (len(bodies) == 1 or len(bodies) >= 2 * len(ids))

@@ -1,7 +1,8 @@
 """Pose at the end of a chain of transforms, over time.
 
-Links that never move are taken as they are; the others at the wanted moments, each nearest in time, and only if that
-is near enough: where a transform was not published for a while, nothing is known. Metres; rotations as x, y, z, w.
+Static links are used as they are. Moving links are looked up at the requested times, by the nearest message, and only
+if it is close enough: after a gap in publication the pose is unknown. Positions are in m; rotations are quaternions x,
+y, z, w.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from cyclekit_adapters.rosbag.envelope import middle
 from cyclekit_adapters.rosbag.transforms import Array, FrameTransforms, Step
 
 NEAR_S = 0.5
-"""A transform that moves is known this long before and after it was published, or two of its periods."""
+"""Maximum time, s, between a moving transform and the requested time; at least two of its periods."""
 
 
 def leading(way: Sequence[Step]) -> FrameTransforms:
@@ -24,14 +25,14 @@ def leading(way: Sequence[Step]) -> FrameTransforms:
 
 
 def followed(way: Sequence[Step], at_s: Array) -> tuple[Array, Array]:
-    """Return where the frame at the end of a way is, seen from its beginning, and how it is turned.
+    """Return position and rotation of the frame at the end of a chain, relative to its start.
 
     Args:
-        way: From the one frame to the other; empty if they are one.
+        way: Links from the first frame to the last; empty if both are the same.
         at_s: Times, shape (T,), s.
 
     Returns:
-        Position, shape (T, 3), m, and rotation, shape (T, 4); NaN where a link is not known.
+        Positions, shape (T, 3), m, and rotations, shape (T, 4); NaN where a link is unknown.
     """
     place, turn = np.zeros((at_s.size, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (at_s.size, 1))
     for step in way:
@@ -46,12 +47,12 @@ def followed(way: Sequence[Step], at_s: Array) -> tuple[Array, Array]:
 
 
 def brought(way: Sequence[Step], at_s: Array, places: Array) -> Array:
-    """Return places given in the frame at the end of a way, seen from its beginning.
+    """Transform positions from the frame at the end of a chain to the frame at its start.
 
     Args:
-        way: From the one frame to the other.
-        at_s: The time of each row, shape (T,), s.
-        places: Shape (T, 3) or (T, K, 3), m; NaN stays.
+        way: Links from the first frame to the last.
+        at_s: Time of each row, shape (T,), s.
+        places: Positions, shape (T, 3) or (T, K, 3), m; NaN stays NaN.
     """
     place, turn = followed(way, at_s)
     if places.ndim == 2:
@@ -62,7 +63,7 @@ def brought(way: Sequence[Step], at_s: Array, places: Array) -> Array:
 
 
 def _pose(link: FrameTransforms, at_s: Array) -> Array:
-    """Return the pose of a link at some moments, shape (T, 7), the rotation of length one; NaN where unknown."""
+    """Return the pose of a link at some times, shape (T, 7), with unit quaternions; NaN where unknown."""
     if link.is_still():
         pose: Array = np.repeat(link.pose[:1], at_s.size, axis=0)
     else:
@@ -86,7 +87,7 @@ def _nearest(times: Array, wanted: Array) -> npt.NDArray[np.int64]:
 
 
 def rotate(turn: Array, move: Array) -> Array:
-    """Return vectors turned by rotations, shapes (T, 3) and (T, 4)."""
+    """Return vectors (T, 3) rotated by quaternions (T, 4)."""
     axis, scalar = turn[:, :3], turn[:, 3:]
     twice = 2.0 * np.cross(axis, move)
     rotated: Array = move + scalar * twice + np.cross(axis, twice)

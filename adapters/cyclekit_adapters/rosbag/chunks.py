@@ -1,8 +1,8 @@
-"""Walk through a file made of chunks: find every message, put aside the chunks that are damaged.
+"""Reader of files made of chunks: finds every message, sets damaged chunks aside.
 
-An mcap and a ROS 1 bag are built alike: chunks of whole records, most often followed by an index of where each
-message is. The index is used but not believed: only where its records lie end to end and fill the chunk are they all
-there is; otherwise the chunk is walked record by record. What the records look like inside is told by a `Format`.
+An mcap and a ROS 1 bag have the same structure: chunks of whole records, most often followed by an index with the
+position of each message. The index is used but not trusted: it is complete only if its records lie end to end and fill
+the chunk; otherwise the chunk is read record by record. A `Format` describes the records.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from cyclekit_adapters.rosbag.inflate import MAX_BYTES, MAX_RATIO, STORED, check
 from cyclekit_adapters.rosbag.payloads import BLOCK_BYTES, Bytes, Channel, Damage, Ints, Payloads, distinct
 
 MAX_RECORDS = 4_000_000
-"""A chunk of more records than this was not written by a logger; it is read up to there."""
+"""Maximum number of records of a chunk: no logger writes more, so the rest is ignored."""
 _SMALL_BYTES = 4096
-"""A smaller chunk is sooner walked than looked up in its index; a bag may have a million of them."""
-_MAX_STEP = 64  # gaps between indexed records are few (connections); more, and the plain walk is faster
+"""Size, bytes, below which a chunk is faster to read than its index; a bag may have a million such chunks."""
+_MAX_STEP = 64  # indexed chunks have few gaps (connections); with more, a plain read is faster
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Where a chunk is and what it says of itself.
+    """Position and header of a chunk.
 
     Attributes:
         place: File offset of the stored bytes.
-        stored: Bytes in the file.
-        size: Bytes when unpacked.
+        stored: Number of bytes in the file.
+        size: Number of bytes when decompressed.
         compression: See `inflate`.
-        crc: CRC-32 of the unpacked bytes; 0 where the writer computed none.
-        index: Channel, file offset and bytes of each index of this chunk.
-        cut: The file ends within it: there is no more of it than `size` says, and the last record is not whole.
+        crc: CRC-32 of the decompressed bytes; 0 if the writer computed none.
+        index: Channel, file offset and number of bytes of each index of this chunk.
+        cut: The file ends within the chunk: it holds at most `size` bytes, and its last record is incomplete.
     """
 
     place: int
@@ -52,7 +52,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Messages:
-    """The messages among the records of a chunk, each shape (N,), and the starts of all other records."""
+    """Messages among the records of a chunk, each shape (N,), and the starts of all other records."""
 
     channel: Ints
     receive_ns: Ints
@@ -61,33 +61,33 @@ class Messages:
     other: Sequence[int] = ()
 
     def by_channel(self) -> dict[int, int]:
-        """Return how many messages each channel has."""
+        """Return channel -> number of messages."""
         return {number: int(np.count_nonzero(self.channel == number)) for number in distinct(self.channel).tolist()}
 
 
 class Format(Protocol):
-    """How records look inside a chunk."""
+    """Record format within a chunk."""
 
     def walk(self, raw: Bytes, begin: int, end: int) -> tuple[list[int], int]:
-        """Return the starts of the whole records from `begin`, and where the last of them ends."""
+        """Return the starts of the complete records from `begin`, and the end of the last one."""
         ...
 
     def ends(self, buffer: Bytes, start: Ints, end: int) -> Ints | None:
-        """Return where each record ends, shape (N,); None if one of them cannot be a record before `end`."""
+        """Return the end of each record, shape (N,); None if one of them cannot be a record before `end`."""
         ...
 
     def indexed(self, raw: bytes) -> Ints:
-        """Return the starts that an index names, relative to its chunk."""
+        """Return the starts in an index, relative to its chunk."""
         ...
 
     def messages(self, buffer: Bytes, start: Ints) -> Messages:
-        """Read the heads of the records that begin at `start`, shape (N,)."""
+        """Parse the headers of the records that start at `start`, shape (N,)."""
         ...
 
 
 @dataclass
 class ChunkedFile:
-    """An mcap or a ROS 1 bag as far as it is whole; meets `payloads.BagFile`."""
+    """The readable part of an mcap or a ROS 1 bag; implements `payloads.BagFile`."""
 
     path: Path
     form: Format
@@ -102,7 +102,7 @@ class ChunkedFile:
     _piece: bytes = b""
 
     def refuse_bombs(self) -> None:
-        """Set aside the chunks that announce more than any logger writes; call it before any chunk is opened."""
+        """Set aside chunks with an implausible declared size; call it before any chunk is opened."""
         kept = []
         for chunk in self.chunks:
             try:
@@ -115,9 +115,9 @@ class ChunkedFile:
         self.chunks = kept
 
     def unpacked(self, log: BufferedReader, chunk: Chunk, into: Bytes | None = None) -> Bytes | None:
-        """Return the bytes of a chunk, shape (size,), in `into` where that is given.
+        """Return the bytes of a chunk, shape (size,), in `into` if given.
 
-        None if it is broken: then that is said, and it is not tried again.
+        Returns None for a damaged chunk, which is reported once and not read again.
         """
         if chunk.place in self._broken:
             return None
@@ -141,9 +141,9 @@ class ChunkedFile:
             raise Damage("its checksum does not match")
 
     def add_cut(self, log: BufferedReader, chunk: Chunk) -> None:
-        """Add what there is of a chunk within which the file ends; what it announced may be more than any holds.
+        """Add the readable part of a chunk within which the file ends; its declared size may be wrong.
 
-        Its checksum is of all of it, so it cannot be checked.
+        Its checksum covers the whole chunk, so it cannot be checked.
         """
         size = min(chunk.size, chunk.stored * MAX_RATIO, MAX_BYTES)
         if chunk.compression in STORED:
@@ -160,14 +160,14 @@ class ChunkedFile:
             self.chunks.append(replace(chunk, stored=stored, size=size, crc=0, cut=True))
 
     def drop(self, chunk: Chunk, reason: object) -> None:
-        """Say once that a chunk, or its rest, is not used."""
+        """Report once that a chunk, or the rest of it, is not used."""
         said = f"chunk at byte {chunk.place}: {reason}"
         if said not in self._said:
             self._said.add(said)
             self.set_aside.append(said)
 
     def blocks(self, wanted: set[int]) -> Iterator[Mapping[int, Payloads]]:
-        """Yield the messages of the wanted channels in the order of the file, about BLOCK_BYTES at a time."""
+        """Yield the messages of the wanted channels in file order, about BLOCK_BYTES at a time."""
         room = np.empty(0, np.uint8)
         with self.path.open("rb") as log:
             for group in _in_blocks(self.chunks):
@@ -202,12 +202,12 @@ class ChunkedFile:
 
 
 def records(form: Format, raw: Bytes, indexed: Ints) -> tuple[Ints, int]:
-    """Return the starts of all records of a chunk, shape (N,), and the byte up to which they were found.
+    """Return the starts of all records of a chunk, shape (N,), and the byte at which reading stopped.
 
     Args:
-        form: The format of the records.
-        raw: The unpacked chunk.
-        indexed: Starts that its index names; a help, not a truth.
+        form: Format of the records.
+        raw: The decompressed chunk.
+        indexed: Starts in its index, used only if consistent.
     """
     if indexed.size:
         start = np.sort(indexed)
@@ -219,7 +219,7 @@ def records(form: Format, raw: Bytes, indexed: Ints) -> tuple[Ints, int]:
 
 
 def _filled(form: Format, raw: Bytes, start: Ints) -> Ints | None:
-    """Return the starts with those of the gaps between them; None if they do not fill the chunk end to end."""
+    """Return the starts including those in gaps; None if the records do not fill the chunk end to end."""
     ends = form.ends(raw, start, len(raw))
     if ends is None:
         return None
@@ -251,7 +251,7 @@ def _in_blocks(chunks: list[Chunk]) -> Iterator[list[Chunk]]:
 
 
 def moment(receive_ns: int) -> str:
-    """Return a time as people read it: the date where it counts from 1970, else seconds."""
+    """Return a time as text: a date if it counts from 1970, else seconds."""
     if 10**17 < receive_ns < 10**19:
         return datetime.fromtimestamp(receive_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3] + " UTC"
     return f"{receive_ns / 1e9:.3f} s"

@@ -1,10 +1,10 @@
-"""Which clock each topic's times are in, and how they come into one.
+"""Selection of each topic's time stamps, and their conversion to one clock.
 
-Every message has the moment at which the recorder received it, most have a header with a time of their own. A header
-of the recorder's own clock is the better time: it is when something was measured. A header of another clock (a camera
-that counts from when it was switched on, a second computer) must not be mixed with it: it runs ahead of the moments
-of recording, further behind than messages take, or apart from them. Such a topic is put on the recorder's clock by the
-line under its delays; where all topics in use share one other clock, the log keeps that one, and both stamps are kept.
+Every message has a receive time of the recorder; most also have a header time. If the header uses the recorder's clock,
+it is the better time, because it is the time of the measurement. A header of another clock (a camera that counts from
+its start, a second computer) must not be mixed with it. Such a clock is ahead of the receive times, further behind them
+than transport takes, or drifts. The topic is then mapped to the recorder's clock by the line below its delays. If all
+topics in use share one other clock, the log keeps that clock, and both stamps are stored.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ How = Literal["header", "receive", "own-clock"]
 HOWS: tuple[How, ...] = ("header", "receive", "own-clock")
 
 EPOCH_S = 1e8
-"""A clock below this (1973) counts from the start of something, not from 1970; a recorder's does in a simulation."""
+"""Minimum time since 1970, s (1973). A smaller time counts from another start, as a recorder's does in a simulation."""
 AHEAD_S = 0.02
-"""A message received this long before its stamp was stamped by another clock; but simulated time goes in steps."""
+"""Minimum lead of stamps over receive times, s, that indicates another clock; simulated time goes in larger steps."""
 BEHIND_S = 0.5
-"""Messages that all take longer than this were stamped by another clock."""
+"""Minimum delay, s, of all messages that indicates another clock."""
 SLOW_S = 0.2
-"""If all messages take longer than this, that is reported."""
+"""Minimum delay, s, of all messages that is reported."""
 BACK_S = 1.0
-"""A header clock that jumps back by more than this is no clock."""
+"""Maximum backward step of a header clock, s; beyond it the clock is not used."""
 DRIFT_S = 0.01
-"""A clock that moves by less than this against the recorder's, over all of the recording, does no harm."""
+"""Maximum drift against the recorder's clock over the recording, s, that is ignored."""
 STEP_S = 0.25
-"""A clock that was set by less than this while recording is taken for delays."""
+"""Minimum step, s, of a clock set during recording; a smaller one is taken for delays."""
 BACKLOG = 0.05
-"""A recorder that falls behind lets delays grow; by more than this per second it is the header's clock that is slow."""
+"""Maximum growth of delays, s/s, that a recorder can cause by falling behind; beyond it the header clock is slow."""
 NO_LINE = "header and recorder's clock drift apart faster than clocks do, and no line fits them"
 AGREE_S = 0.1
-"""Topics whose clocks differ by less share one."""
-_LEAST_S, _LEAST_MESSAGES = 20.0, 100  # a rate told from less is noise
+"""Maximum difference, s, at which the clocks of topics count as one."""
+_LEAST_S, _LEAST_MESSAGES = 20.0, 100  # a rate from fewer is noise
 _PARTS = 16
 
 
 @dataclass(frozen=True)
 class StampSource:
-    """The times of a topic, or of a link of the transforms: received and stamped (NaN: no header), shape (N,), s."""
+    """Times of a topic or of a transform link: receive times and header stamps (NaN: none), shape (N,), s."""
 
     receive_s: Array
     stamp_s: Array
@@ -56,11 +56,11 @@ class StampSource:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Which time of a source is used, and why.
+    """The time used for a source, and why.
 
     Attributes:
-        line: From the header's clock to the recorder's, where it is another one.
-        least_s: Least time between stamp and receipt; None without stamps.
+        line: Conversion from the header's clock to the recorder's, if they differ.
+        least_s: Minimum time between stamp and receipt, s; None without stamps.
     """
 
     how: How
@@ -75,7 +75,7 @@ class Chosen:
         return source.stamp_s if self.line is None else self.line.of(source.stamp_s)
 
     def fact(self) -> str:
-        """Return what is known of it, as text."""
+        """Return a description of the choice."""
         if self.line is None:
             said = f", received at least {self.least_s:.3f} s later" if self.least_s is not None else ""
             return f"{'header stamp' if self.how == 'header' else 'receive time'} ({self.why}{said})"
@@ -88,12 +88,12 @@ class Chosen:
 
 @dataclass
 class BagTimes:
-    """The clock of a log.
+    """Clock of a log.
 
     Attributes:
-        chosen: By the name of the source.
+        chosen: Chosen time, by name of the source.
         own: The log keeps the clock of its headers, which is not the recorder's.
-        warnings: What a person must know of it, one sentence each.
+        warnings: What the user must know about it, one sentence each.
     """
 
     chosen: dict[str, Chosen] = field(default_factory=dict)
@@ -102,11 +102,11 @@ class BagTimes:
 
 
 def choose_times(sources: Mapping[str, StampSource], asked: Mapping[str, How]) -> BagTimes:
-    """Decide for every source which of its times to use.
+    """Choose the time to use for every source.
 
     Args:
-        sources: By name; none is empty.
-        asked: What the cell file says of some of them.
+        sources: Times by name; none is empty.
+        asked: Choices given in the cell file.
     """
     times = BagTimes({name: _choice(source, asked.get(name)) for name, source in sources.items()})
     fitted = {name: chosen.line for name, chosen in times.chosen.items() if chosen.line is not None}
@@ -162,7 +162,7 @@ def _choice(source: StampSource, asked: How | None) -> Chosen:
 
 
 def _long_enough(source: StampSource) -> bool:
-    """Tell whether a rate can be told at all."""
+    """Return whether the recording is long enough to determine a clock rate."""
     return _span_s(source) >= _LEAST_S and source.stamp_s.size >= _LEAST_MESSAGES
 
 
@@ -171,20 +171,20 @@ def _span_s(source: StampSource) -> float:
 
 
 def _floors(delay: Array) -> Array:
-    """Return the least delay in each of up to 16 consecutive parts."""
+    """Return the minimum delay in each of up to 16 consecutive parts."""
     lowest = delay[least_delays(delay, PARTS)]
     return np.array([part.min() for part in np.array_split(lowest, min(_PARTS, lowest.size))])
 
 
 def _unsteady(source: StampSource, delay: Array) -> str:
-    """Return why the header clock is none that a line can follow: it was set, or runs at another speed; else empty."""
+    """Return why no line fits the header clock (it was set, or runs at another speed); empty if a line may fit."""
     if not _long_enough(source):
         return ""
     floors = _floors(delay)
     steps = np.abs(np.diff(floors))
     jump = int(steps.argmax())
     moved = float(floors[-1] - floors[0])
-    inside = 0 < jump < steps.size - 1  # in the first or last part, delays that build up look the same
+    inside = 0 < jump < steps.size - 1  # in the first or last part, growing delays look the same
     if inside and abs(moved) > STEP_S and steps[jump] > 0.6 * steps.sum():
         return f"the header clock was set by about {-moved:+.2f} s while recording"
     speed = moved / (_span_s(source) * (1.0 - 1.0 / floors.size))
@@ -194,7 +194,7 @@ def _unsteady(source: StampSource, delay: Array) -> str:
 
 
 def _drifts(source: StampSource, delay: Array, line: ClockLine) -> bool:
-    """Tell whether header and receive times move apart steadily, and not by more than clocks do."""
+    """Return whether header and receive times drift apart steadily, at a rate plausible for clocks."""
     if not _long_enough(source) or not line.drifts:
         return False
     moved = abs(line.rate - 1.0) * _span_s(source)
@@ -203,7 +203,7 @@ def _drifts(source: StampSource, delay: Array, line: ClockLine) -> bool:
 
 
 def _one_clock(sources: Mapping[str, StampSource], lines: Mapping[str, ClockLine]) -> bool:
-    """Tell whether the header clocks of all sources are one: their lines agree wherever either has messages."""
+    """Return whether the header clocks of all sources are one: their lines agree over the time of all messages."""
     ends = [float(end) for name in lines for end in (sources[name].stamp_s.min(), sources[name].stamp_s.max())]
     at = np.array([[line.of(np.array([end]))[0] for end in ends] for line in lines.values()])
     return bool(float(np.ptp(at, axis=0).max()) < AGREE_S)
@@ -230,7 +230,7 @@ def _put(line: ClockLine) -> str:
 
 
 def _speed(line: ClockLine) -> str:
-    """Say that a clock runs at a speed that no clock has, if it does."""
+    """Return a remark on a clock rate that no real clock has; else empty."""
     if line.drifts:
         return ""
     return (
@@ -240,12 +240,12 @@ def _speed(line: ClockLine) -> str:
 
 
 def simulated(source_s: Array, clock_receive_s: Array, clock_s: Array) -> Array:
-    """Return moments of recording in simulated time, by what `/clock` said when; shape (N,), s.
+    """Return receive times in simulated time, interpolated from `/clock`; shape (N,), s.
 
     Args:
-        source_s: Moments of recording, shape (N,).
-        clock_receive_s: When `/clock` was received, shape (M,), M >= 1.
-        clock_s: What it said, shape (M,).
+        source_s: Receive times, shape (N,), s.
+        clock_receive_s: Receive times of `/clock`, shape (M,), M >= 1, s.
+        clock_s: Values of `/clock`, shape (M,), s.
     """
     order: npt.NDArray[np.int64] = np.argsort(clock_receive_s, kind="stable")
     at, said = clock_receive_s[order], clock_s[order]

@@ -1,8 +1,8 @@
-"""Open a bag, whatever wrote it, and hand out the messages of chosen topics in groups.
+"""Access to a bag of any container format: messages of chosen topics in groups.
 
-Whatever goes wrong in a damaged file (a KeyError as well as a failed assertion) comes out of here as one error that
-names cause and cure, unless something can be recovered: then the bag is read as far as it is whole, and what is lost
-is said. One message that cannot be decoded is counted and left out.
+Any error of a damaged file (a KeyError as well as a failed assertion) becomes one error with cause and cure, unless
+some of the bag can be recovered: then it is read as far as possible, and the loss is reported. A single message that
+cannot be decoded is counted and left out.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ class Bag:
     Attributes:
         path: The file or folder.
         topics: Message type of every topic, as `package/msg/Type`, in ROS 1 bags too.
-        counts: Messages per topic.
-        warnings: What is damaged in the bag, one sentence each.
-        messages_read: Messages of wanted topics met so far, decoded or not.
+        counts: Number of messages per topic.
+        warnings: Damage of the bag, one sentence each.
+        messages_read: Number of messages of wanted topics so far, decoded or not.
         undecodable: (topic, arrival number within the topic, reason) of every message that cannot be used.
-        layouts: Of topics without a definition in the bag, what was found out about their messages.
+        layouts: For topics without a definition in the bag: how their layout was determined.
     """
 
     path: Path
@@ -65,16 +65,16 @@ class Bag:
     _received: dict[str, list[tuple[int, Ints]]] = field(default_factory=dict)
 
     def has_checksums(self) -> bool:
-        """Tell whether every chunk of the bag carries a checksum, so that a flipped bit cannot pass unnoticed."""
+        """Return whether every chunk of the bag has a checksum, so that a flipped bit is detected."""
         chunked = [file for file in self.files if isinstance(file, ChunkedFile)]
         chunks = [chunk for file in chunked for chunk in file.chunks]
         return len(chunked) == len(self.files) and bool(chunks) and all(chunk.crc for chunk in chunks)
 
     def messages(self, wanted: set[str]) -> Iterator[Arrived]:
-        """Yield the messages of the `wanted` topics, grouped, in the order of the files.
+        """Yield the messages of the `wanted` topics, in groups, in the order of the files.
 
         Raises:
-            DamagedLog: The container is broken and nothing of it can be recovered.
+            DamagedLog: The container is damaged and nothing can be recovered.
         """
         try:
             for number, file in enumerate(self.files):
@@ -101,9 +101,9 @@ class Bag:
                 self.undecodable += [(topic, before + row, reason) for row, reason in decoder.broken]
 
     def order(self, topic: str) -> Ints:
-        """Return for each arrival number of a topic its index; complete once all messages were taken.
+        """Return the index of each arrival number of a topic; complete once all messages were taken.
 
-        Messages are counted file by file, in the order in which the files begin, and by time within a file.
+        Messages are numbered file by file, in the order of the files' first times, and by time within a file.
         """
         parts = self._received[topic]
         received = np.concatenate([part for _, part in parts])
@@ -116,7 +116,7 @@ class Bag:
         return index
 
     def parts(self, topic: str) -> list[tuple[str, int]]:
-        """Return the files that hold messages of a topic, in the order of their index, and how many each holds."""
+        """Return the files that hold messages of a topic, and their number of messages, in the order of the index."""
         counts: dict[int, int] = {}
         for place, part in self._received.get(topic, []):
             counts[place] = counts.get(place, 0) + part.size
@@ -124,7 +124,7 @@ class Bag:
         return [(self.files[place].path.name, counts[place]) for place in sorted(counts, key=lambda one: ranks[one])]
 
     def _ranks(self) -> dict[int, int]:
-        """Return for each file the place of its beginning among all files."""
+        """Return the rank of each file by its first time."""
         begins: dict[int, int] = {}
         for parts in self._received.values():
             for place, part in parts:
@@ -134,7 +134,7 @@ class Bag:
         return {place: rank for rank, place in enumerate(ordered)}
 
     def settle(self, topics: set[str]) -> dict[str, str]:
-        """Decide on the layout of topics without a definition; return those that cannot be read, and why."""
+        """Determine the layout of topics without a definition; return unreadable topics with reasons."""
         lost: dict[str, str] = {}
         for file in self.files:
             for number, channel in file.channels.items():
@@ -150,12 +150,12 @@ class Bag:
         return lost
 
     def set_aside(self) -> list[str]:
-        """Return the reason for every part of the container that cannot be used."""
+        """Return the reason for every unusable part of the container."""
         return [reason for file in self.files for reason in file.set_aside]
 
 
 def _is_defined(channel: Channel) -> bool:
-    """Tell whether it is known what the messages of a channel look like; of types that changed, only by the bag."""
+    """Return whether the layout of a channel's messages is known; for types that changed, only from the bag."""
     return is_known(channel) and bool(channel.definition or channel.kind not in KNOWN)
 
 
@@ -164,8 +164,8 @@ def opened(path: Path) -> Iterator[Bag]:
     """Open a ROS 1 .bag, a ROS 2 folder, or a bare .mcap or .db3.
 
     Raises:
-        LogError: There is no such file, or it cannot be read.
-        DamagedLog: It is no bag, or one of which nothing can be recovered.
+        LogError: The file does not exist, or cannot be read.
+        DamagedLog: The file is no bag, or nothing of it can be recovered.
     """
     if not path.exists():
         raise LogError(path, "there is no such file or folder", cure="Check the path.")
@@ -192,7 +192,7 @@ def opened(path: Path) -> Iterator[Bag]:
 
 
 def _check(file: Path) -> None:
-    """Refuse files whose fault is known at once."""
+    """Refuse files with an obvious fault."""
     first = head(file, 64)
     if first.startswith(_LFS):
         raise DamagedLog(file, "this is a Git LFS pointer, not the bag itself", cure="Fetch the content: git lfs pull")

@@ -1,8 +1,8 @@
-"""Decode messages in bulk: groups of equal form at once, the odd ones one by one.
+"""Bulk decoding of messages: groups of equal layout at once, the others one by one.
 
-The first message of a group is walked through, field by field; its texts and lengths are those of the whole group, and
-the numbers of all are read in one go. Groups too small to be worth that, and messages that cannot be walked through,
-are decoded by the rosbags library, which is the slow path here and the judge in the tests.
+The first message of a group is traced field by field. Its texts and lengths apply to the whole group, and the numbers
+of all messages are read in one operation. Small groups, and messages that cannot be traced, are decoded by the rosbags
+library, which is slower and serves as reference in the tests.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from cyclekit_adapters.rosbag.layout import MessageLayout, NoLayout, Numbers, To
 from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Ints, Payloads, distinct
 
 MIN_ROWS = 32
-"""A smaller group is decoded one by one: finding its layout would take as long."""
-_MAX_MISSES = 8  # so many groups that came out small, and the rest of that size is decoded one by one
-_FEW = 16  # so few messages are walked through: the library first writes itself code for their type
-_LARGE = 1 << 16  # bytes; a message beyond is walked through, since the walk knows when to stop
+"""Minimum size of a group for bulk decoding: finding the layout of a smaller one takes as long as decoding it."""
+_MAX_MISSES = 8  # after this many small groups, the rest of that size is decoded one by one
+_FEW = 16  # below this number, messages are traced: the library first generates code for their type
+_LARGE = 1 << 16  # bytes; a larger message is traced, because tracing has a limit
 
 _CODINGS = ("cdr", "ros1")
 
-# A message of a bag has whatever fields its recorded definition has.
+# The fields of a message depend on its recorded definition.
 Message = Any
 
 
 @dataclass(frozen=True)
 class Group:
-    """N messages of one channel that differ in their numbers alone.
+    """N messages of one channel that differ only in their numbers.
 
     Attributes:
-        rows: Which of the payloads these are, ascending, shape (N,).
-        receive_ns: When each was received, ns, shape (N,).
-        message: The first of them, decoded: texts and lengths of all are as in this one.
+        rows: Indices among the payloads, ascending, shape (N,).
+        receive_ns: Receive times, ns, shape (N,).
+        message: The first message, decoded; its texts and lengths apply to all.
     """
 
     rows: Ints
@@ -64,12 +64,12 @@ class Group:
             raise TypeError(f"{'.'.join(map(str, path))} holds no numbers") from None
 
     def has_places_of(self, other: Group) -> bool:
-        """Tell whether the numbers of both groups stand at the same places under the same names."""
+        """Return whether the numbers of both groups have the same positions and names."""
         mine, theirs = ({} if one._layout is None else one._layout.leaves for one in (self, other))
         return mine == theirs
 
     def first(self, *path: str | int) -> Any:  # noqa: ANN401 - a field is whatever its definition says
-        """Return a field of the first message: for texts and lengths, that of all.
+        """Return a field of the first message; texts and lengths apply to all messages.
 
         Raises:
             AttributeError: These messages have no such field.
@@ -82,18 +82,18 @@ class Group:
 
 @dataclass
 class Decoder:
-    """Decodes the messages of one channel.
+    """Decoder of the messages of one channel.
 
     Attributes:
         channel: The channel.
-        broken: Row and reason of every message of the last call of `groups` that cannot be decoded.
+        broken: Row and reason of every message that the last call of `groups` could not decode.
     """
 
     channel: Channel
     broken: list[tuple[int, str]] = field(default_factory=list)
 
     def groups(self, payloads: Payloads) -> Iterator[Group]:
-        """Yield the messages in groups of equal form, those with the earliest first row of each size first."""
+        """Yield the messages in groups of equal layout; for each message size, in the order of their first rows."""
         self.broken = []
         types = types_of(self.channel)
         try:
@@ -128,12 +128,12 @@ class Decoder:
         yield from self._one_by_one(types, payloads, rows)
 
     def _leading(self, types: Types, payloads: Payloads, rows: Ints, block: Bytes) -> tuple[Group | None, Any]:
-        """Return the group of the first row, None if it is none, and which rows it covers, shape (N,)."""
+        """Return the group of the first row (None if it is too small), and a mask of the rows it covers, shape (N,)."""
         try:
             layout, message = trace(types, self.channel.kind, block[0].tobytes(), cdr=self.channel.coding == "cdr")
         except TooMany:
             return None, np.ones(len(rows), bool)
-        except NoLayout:  # the slow path says why
+        except NoLayout:  # the slow path reports the reason
             return None, np.arange(len(rows)) == 0
         alike = layout.alike(block)
         if np.count_nonzero(alike) < MIN_ROWS:
@@ -149,7 +149,7 @@ class Decoder:
             except TooMany as error:
                 self._leave(rows[number:], error)  # the others of this size would take as long
                 return
-            except Exception as error:  # a broken payload raises anything
+            except Exception as error:  # a damaged payload may raise anything
                 self._leave(rows[number : number + 1], error)
                 continue
             yield Group(np.array([row]), payloads.receive_ns[row : row + 1], message)

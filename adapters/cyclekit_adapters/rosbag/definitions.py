@@ -1,8 +1,8 @@
-"""What a message of a channel looks like: by the definition recorded with it, else by the well-known one.
+"""Message types of a channel: from the recorded definition, else from the well-known one.
 
-Each channel has its own types: two recordings, and two channels of one recording, may carry the same type name with
-different fields. A definition that contradicts itself or its own hash gives way to the well-known one (bags of 2010
-name types that no longer exist), and one that would keep a decoder busy for ever is refused.
+Each channel has its own types: two recordings, and two channels of one recording, may use the same type name with
+different fields. A definition that contradicts itself or its own hash is replaced by the well-known one (bags of 2010
+refer to types that no longer exist). A definition that would take a decoder excessive time is refused.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ _RULE = "=" * 80 + "\n"
 _COMMON = (Stores.ROS2_HUMBLE, Stores.ROS1_NOETIC)
 _DISTRIBUTIONS = {"humble": Stores.ROS2_HUMBLE, "foxy": Stores.ROS2_FOXY}
 _WIDTH = {"string": 4, "8": 1, "16": 2, "32": 4, "64": 8, "bool": 1, "byte": 1, "char": 1}
-_MOST_DEFINED = 1 << 20  # bytes of the text of one definition
+_MOST_DEFINED = 1 << 20  # bytes of the text of a definition
 _MOST_STEPS = 100_000  # fields of the smallest message of a type
-_STEPS_PER_BYTE = 8  # a definition with more has fields that hold nothing
+_STEPS_PER_BYTE = 8  # with more, a definition has fields without content
 
 
 class NoDefinition(ValueError):
-    """No definition of the type can be used."""
+    """No usable definition of the type."""
 
 
 @dataclass
 class Types:
-    """The fields of a type and of all types that it is made of, by full name.
+    """Fields of a type and of all types it consists of, by full name.
 
     Attributes:
         fields: Fields by type, as `msg_text` reads them.
@@ -45,7 +45,7 @@ class Types:
     _sound: set[str] = field(default_factory=set)
 
     def store(self, kind: str) -> Typestore:
-        """Return the library's store of these types, made when it is first needed: that takes as long as a bag."""
+        """Return the library's store of these types, created on first use: that takes as long as reading a bag."""
         if kind not in self._stores:
             self.check(kind)
             store = get_typestore(Stores.EMPTY)
@@ -55,10 +55,10 @@ class Types:
         return self._stores[kind]
 
     def check(self, kind: str) -> None:
-        """Refuse a type that contains itself, lacks a part, or would take endless time to decode.
+        """Refuse a type that contains itself, lacks a part, or would take excessive time to decode.
 
         Raises:
-            NoDefinition: It is one.
+            NoDefinition: The type is one of these.
         """
         if kind in self._sound:
             return
@@ -78,7 +78,7 @@ class Types:
                 yield from self._parts(item[1], seen)
 
     def _least(self, kind: str, above: tuple[str, ...], known: dict[str, tuple[int, int]]) -> tuple[int, int]:
-        """Return how many fields the smallest message of a type has, and how many bytes."""
+        """Return number of fields and number of bytes of the smallest message of a type."""
         if kind in above:
             raise NoDefinition(f"the definition of {kind} contains itself")
         if kind not in self.fields:
@@ -104,12 +104,12 @@ class Types:
 
 
 def types_of(channel: Channel) -> Types:
-    """Return the types of a channel; its own type may be missing where no definition is known."""
+    """Return the types of a channel; its own type is missing if no definition is known."""
     return _types(channel.kind, channel.definition, channel.notation, channel.coding, channel.digest)
 
 
 def is_known(channel: Channel) -> bool:
-    """Tell whether the messages of a channel can be decoded: a definition is in the bag, or well known."""
+    """Return whether the messages of a channel can be decoded: the definition is in the bag, or well known."""
     return channel.kind in types_of(channel).fields
 
 
@@ -130,14 +130,14 @@ def _types(kind: str, definition: str, notation: str, coding: str, digest: str) 
                 pass
         try:
             return _by_the_library(kind, definition, notation, expected)
-        except Exception:  # whatever the parser raises, the well-known definition is next
+        except Exception:  # after any error of the parser, the well-known definition is used
             return well_known(_COMMON[coding == "ros1"])
     return well_known(_COMMON[coding == "ros1"])
 
 
 @lru_cache(maxsize=3)
 def well_known(distribution: Stores) -> Types:
-    """Return the types that a ROS distribution brings along."""
+    """Return the types that a ROS distribution provides."""
     return Types(_fields(get_typestore(distribution)))
 
 

@@ -1,6 +1,6 @@
-"""The line from a header's clock to the recorder's: nothing arrives before it was sent, so it lies under the cloud.
+"""Line from a header's clock to the recorder's, below all points, as no message arrives before it is sent.
 
-How the line is found: `cyclekit.adapter.clock_line`. Which clock a topic gets is decided in `clocks`.
+`cyclekit.adapter.clock_line` finds the line; `clocks` chooses the clock of a topic.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from cyclekit.adapter.clock_line import EXPLAINED, MAX_DRIFT, MAX_RATE, least_de
 Array = npt.NDArray[np.float64]
 
 PARTS = 512
-_TYPICAL = 20_000  # messages looked at for the typical delay
+_TYPICAL = 20_000  # maximum number of messages used for the typical delay
 
 
 @dataclass(frozen=True)
 class ClockLine:
-    """t_receive = rate * t_header + offset_s, for the messages that took no longer than they must.
+    """t_receive = rate * t_header + offset_s, for the messages with minimum delay.
 
     Attributes:
-        delay_s: Median of what messages took longer.
-        steps: Messages in whose delays the line was looked for.
-        fits: False = the clocks move apart by more than clocks do, and no line follows them.
+        delay_s: Median delay above the minimum, s.
+        steps: Number of messages used for the fit.
+        fits: False if the clocks drift apart faster than clocks do, and no line fits.
     """
 
     offset_s: float
@@ -36,26 +36,26 @@ class ClockLine:
 
     @property
     def drifts(self) -> bool:
-        """Whether the rate is one that clocks have; else the time is simulated, or made up."""
+        """True if the rate is plausible for a clock; otherwise the time is simulated or artificial."""
         return abs(self.rate - 1.0) < MAX_DRIFT
 
     def of(self, stamp_s: Array) -> Array:
-        """Return header times, shape (N,), in the recorder's clock."""
+        """Return header times, shape (N,), s, in the recorder's clock."""
         return self.rate * stamp_s + self.offset_s
 
 
 def middle(values: Array) -> float:
-    """Return the median, the upper of two; `numpy.median` would import a part of numpy that nothing here needs."""
+    """Return the median, the upper one of two; `numpy.median` would import more of numpy."""
     return float(np.partition(values, values.size // 2)[values.size // 2])
 
 
 def line_under(stamp_s: Array, receive_s: Array, *, drifts: bool = True) -> ClockLine:
-    """Return the line under the cloud of (header, receive) times.
+    """Return the line below all (header, receive) points.
 
     Args:
         stamp_s: Header times, shape (N,), N >= 1, finite, s; in the order of receipt.
-        receive_s: When each was received, shape (N,), finite, s.
-        drifts: False = a rate of 1 (for a recording too short to tell one).
+        receive_s: Receive times, shape (N,), finite, s.
+        drifts: False = use rate 1 (for a recording too short to fit a rate).
     """
     x0, y0 = float(stamp_s[0]), float(receive_s[0])
     x, y = stamp_s - x0, receive_s - y0

@@ -1,4 +1,4 @@
-"""What a bag states about itself, for people to read: which topic was used for what, on which clock, in which frame."""
+"""Facts of a bag, to display: use, clock and frame of each topic."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _scale(factor: Factor) -> str:
 
 
 def _times(contents: Contents) -> dict[str, str]:
-    """Say which time was used: of the whole bag, and of every topic."""
+    """Return facts about the time used, for the whole bag and for every topic."""
     chosen = contents.times.chosen
     ways = Counter(_HOW[one.how] for one in chosen.values())
     reasons = dict.fromkeys(one.why for one in chosen.values() if one.how == "receive")
@@ -79,7 +79,7 @@ def _frames(roles: Roles, contents: Contents, frames: Frames) -> dict[str, str]:
 
 
 def _rows(bag: Bag, roles: Roles, contents: Contents) -> dict[str, str]:
-    """Say what `source_row` counts, and in which file of a recording of several a message lies."""
+    """Return the unit of `source_row` and, for a recording of several files, the file of each message."""
     found = {f"rows of {table}": f"messages of {topics}" for table, topics in contents.rows_of.items() if topics}
     if len(bag.files) < 2:
         return {**found, "message_index": "within its topic, by receive time, from 0"}

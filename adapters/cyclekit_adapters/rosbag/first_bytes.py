@@ -1,6 +1,6 @@
-"""What the first bytes of a file say: which container of messages it is, if any.
+"""Detection of bags by the first bytes of a file.
 
-Every file that cyclekit comes across is asked this, so nothing is imported here that reads a bag.
+Called for every file, so this module imports nothing that reads a bag.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ SQLITE = b"SQLite format 3\0"
 
 
 def is_bag(path: Path) -> bool:
-    """Tell from the first bytes whether `path` is a bag; a folder is one if its metadata.yaml says so."""
+    """Return whether `path` is a bag, by its first bytes; for a folder, by its metadata.yaml."""
     if path.is_dir():
         return b"rosbag2_bagfile_information" in head(path / "metadata.yaml", 4096)
     first = head(path, 65536)
@@ -24,7 +24,7 @@ def is_bag(path: Path) -> bool:
 
 
 def head(path: Path, size: int) -> bytes:
-    """Return the first `size` bytes of a file, none of what cannot be read."""
+    """Return the first `size` bytes of a file; empty if it cannot be read."""
     try:
         if not path.is_file():
             return b""

@@ -1,8 +1,7 @@
-"""Which files a ROS 2 recording of several parts consists of.
+"""Files of a ROS 2 recording of several parts.
 
-The order of the parts does not matter, since messages are put in the order of their time; what matters is that none
-is missing and none is another recording's. metadata.yaml says so; where it cannot be read, every bag in the folder is
-taken, and that is said.
+The order of the parts does not matter, because messages are ordered by time, but none may be missing or belong to
+another recording. metadata.yaml lists them. If it cannot be read, all bags in the folder are used, with a warning.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from cyclekit.adapter import inside
 from cyclekit.errors import DamagedLog, OutsideFolder
 
 _SUFFIXES = (".mcap", ".db3", ".zstd")
-_MAX_BYTES = 1 << 20  # of metadata.yaml: no recorder writes so much
+_MAX_BYTES = 1 << 20  # of metadata.yaml: no recorder writes more
 _HEAD = "rosbag2_bagfile_information:\n"
 _MODE = re.compile(r"^  compression_mode: *(['\"]?)(\w*)\1 *$", re.MULTILINE)
 _FILES = re.compile(r"^  relative_file_paths:\n((?: +- (['\"]?)[\w./ -]+\2\n)+)(?=  \w|\Z)", re.MULTILINE)
@@ -24,7 +23,7 @@ _FILES = re.compile(r"^  relative_file_paths:\n((?: +- (['\"]?)[\w./ -]+\2\n)+)(
 
 @dataclass
 class Folder:
-    """The files of a recording; `compressed`: they, or their messages one by one, are packed once more."""
+    """Files of a recording; `compressed`: the files, or single messages, are compressed additionally."""
 
     files: list[Path]
     compressed: bool = False
@@ -35,7 +34,7 @@ def folder_of(path: Path) -> Folder:
     """Return the files of the recording in a folder.
 
     Raises:
-        DamagedLog: None of its files is there.
+        DamagedLog: None of its files exists.
     """
     present = sorted(file for file in path.iterdir() if file.suffix in _SUFFIXES)
     folder = Folder(present)
@@ -62,7 +61,7 @@ def folder_of(path: Path) -> Folder:
 
 
 def _about(file: Path) -> dict[str, Any]:
-    """Return what metadata.yaml says; as rosbag2 writes it, line by line, since parsing YAML takes as long as a bag."""
+    """Return the content of metadata.yaml; rosbag2's usual form is read by line, as YAML parsing is slow."""
     if file.stat().st_size > _MAX_BYTES:
         raise ValueError("it is larger than any recorder writes")
     text = file.read_text(encoding="utf-8")

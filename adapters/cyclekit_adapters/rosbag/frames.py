@@ -1,9 +1,8 @@
-"""In which frame the people are, and how they come into the robot's base.
+"""Frame of the people, and its transform to the robot's base.
 
-The robot's base is the frame that the cell file names, else the one in the headers of the TCP pose, else the one that
-the transforms lead to the tool from. Where the transforms of the bag lead from there to the frame of the people, the
-people are brought into the base; where they do not, or the cell file says itself where the log's frame stands, they
-stay where they are.
+The robot's base is the frame given in the cell file, else the one in the headers of the TCP pose, else the start of the
+transforms to the tool. If the bag holds transforms from there to the frame of the people, their positions are
+transformed to the base. If not, or if the cell file gives the pose of the log's frame, they stay in their frame.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TransformedBody:
-    """A body among the transforms, or a joint of it.
+    """A body among the transforms, or one of its joints.
 
     Attributes:
-        person: Its id.
-        way: From the frame that its places are given in.
+        person: Id of the body.
+        way: Links from the frame of the output positions.
         joint: Name of the joint; empty for the body.
     """
 
@@ -41,22 +40,22 @@ class TransformedBody:
 
     @property
     def link(self) -> FrameTransforms:
-        """The link that tells the moments at which it was tracked."""
+        """The link whose times are those of the track."""
         return self.way[-1].link
 
 
 @dataclass
 class Frames:
-    """The ways through the transforms that a bag needs.
+    """Chains of transforms that a bag needs.
 
     Attributes:
-        base: The robot's base frame, empty where nothing tells it.
-        tool: From the base to the tool, where no topic tells the TCP.
-        rivals: The tools, where the transforms lead to those of several arms alike.
-        people: From the base to each frame that people are in and that is another one.
-        adrift: Frames that people are in, without a way to the base.
-        kept: Frames that people are in and stay in, since the cell file says where they stand.
-        bodies: The bodies among the transforms, and their joints where those are wanted.
+        base: The robot's base frame; empty if unknown.
+        tool: Links from base to tool, if no topic holds the TCP.
+        rivals: Tool frames, if the transforms lead to several arms equally.
+        people: Links from the base to each other frame of people.
+        adrift: Frames of people without a connection to the base.
+        kept: Frames of people that are kept, because the cell file gives their pose.
+        bodies: Bodies among the transforms and, if requested, their joints.
     """
 
     base: str = ""
@@ -68,26 +67,26 @@ class Frames:
     bodies: list[TransformedBody] = field(default_factory=list)
 
     def links(self) -> list[FrameTransforms]:
-        """Return the links that move, of all ways, each once."""
+        """Return all moving links, each once."""
         ways = [self.tool, *self.people.values(), *(body.way for body in self.bodies)]
         found = {id(step.link): step.link for way in ways for step in way}
         own = {id(body.link) for body in self.bodies}
         return [link for key, link in found.items() if key in own or not link.is_still()]
 
     def placed(self, frame: str, at_s: Array, places: Array) -> Array:
-        """Return places of people, shape (T, 3) or (T, K, 3), in the frame that they are to be given in."""
+        """Return positions of people, shape (T, 3) or (T, K, 3), m, in the output frame."""
         way = self.people.get(frame.strip("/"))
         return brought(way, at_s, places) if way else places
 
 
 def find_frames(contents: Contents, roles: Roles, *, skeletons: bool, frame_given: bool) -> Frames:
-    """Find the robot's base and the ways to the tool and to the people.
+    """Find the robot's base and the chains to the tool and to the people.
 
     Args:
-        contents: The tracks and transforms of the bag; what is to be said is added to its warnings.
-        roles: What the topics are used for.
-        skeletons: Whether the joints of bodies are wanted.
-        frame_given: Whether the cell file says where the log's frame stands.
+        contents: Tracks and transforms of the bag; warnings are added to it.
+        roles: Use of the topics.
+        skeletons: Whether the joints of bodies are requested.
+        frame_given: Whether the cell file gives the pose of the log's frame.
     """
     tree, frames = contents.transforms, Frames()
     if roles.tcp not in contents.tracks and (found := tree.tool_way(roles.base_frame, roles.tool_frame)):
@@ -151,10 +150,10 @@ def _said(contents: Contents, frames: Frames) -> Iterator[str]:
 
 
 def described(way: list[Step], begin: str) -> str:
-    """Return a way as people read it: `base <- world <- camera`."""
+    """Return a chain as text: `base <- world <- camera`."""
     return " <- ".join([begin, *map(str, way)])
 
 
 def unknown(places: Array) -> int:
-    """Return how many places became unknown, shape (..., 3)."""
+    """Return the number of unknown positions, shape (..., 3)."""
     return int(np.count_nonzero(np.isnan(places[..., 0])))

@@ -1,7 +1,7 @@
-"""Unpack one compressed chunk, but never more than was announced, and never a bomb.
+"""Decompression of one chunk, limited to its declared size, with protection against decompression bombs.
 
-A chunk says how large it will be. Unpacking goes piece by piece and stops one byte after that, so a lying chunk costs
-no more memory than an honest one, and what announces more than any logger writes is refused before it is unpacked.
+A chunk declares its decompressed size. Decompression goes piece by piece and stops one byte after that size, so a wrong
+declaration costs no more memory. A chunk that declares more than any logger writes is refused before decompression.
 """
 
 from __future__ import annotations
@@ -20,31 +20,30 @@ else:
     from backports import zstd
 
 STORED = ("", "none")
-"""What a chunk is called that is not compressed."""
+"""Names for "not compressed"."""
 MAX_BYTES = 1 << 30
-"""No logger writes chunks of a gigabyte."""
-_STEP = 4 << 20  # bytes unpacked at once
-_SLICE = 1 << 20  # bytes handed over at once: lz4 copies at every step what it was given and has not read yet
+"""Maximum size of a chunk, bytes: no logger writes a gigabyte."""
+_STEP = 4 << 20  # bytes decompressed at once
+_SLICE = 1 << 20  # bytes handed over at once: lz4 copies its unread input at every step
 MAX_RATIO = 1000
-"""Messages of a robot do not compress a thousandfold; zeros do."""
+"""Maximum compression ratio: only zeros reach a thousand, not messages of a robot."""
 
 
 def inflate(stored: bytes, compression: str, into: Bytes, *, whole: bool = True) -> tuple[int, bytes]:
-    """Unpack a chunk piece by piece into an array of the size that the chunk announces.
+    """Decompress a chunk piece by piece into an array of its declared size.
 
-    Returns how many bytes that are, and the last piece.
-
-    Whoever unpacks many chunks should hold that piece until the next is there: if it is freed before, the memory goes
-    back to the system and has to be asked for again, which takes as long as unpacking.
+    Returns the number of bytes and the last piece. A caller that decompresses many chunks should keep that piece until
+    the next one exists. Otherwise its memory goes back to the system and is requested again, which takes as long as
+    decompression.
 
     Args:
-        stored: The chunk as it is in the file.
+        stored: The chunk as stored in the file.
         compression: `lz4` (frames), `zstd`, `bz2`.
-        into: Where its bytes go, shape (announced size,).
-        whole: False = the file ends within the chunk, and as much of it is unpacked as there is.
+        into: Output, shape (declared size,).
+        whole: False = the file ends within the chunk; decompress what exists.
 
     Raises:
-        Damage: It announces too much, holds less or more than it announces, cannot be unpacked, or is not cut.
+        Damage: The declared size is implausible or wrong, the chunk cannot be decompressed, or it is not cut.
     """
     if whole:
         check_size(len(stored), into.size)
@@ -54,7 +53,7 @@ def inflate(stored: bytes, compression: str, into: Bytes, *, whole: bool = True)
         given += len(piece)
         try:
             part = decompressor.decompress(piece, max_length=min(_STEP, into.size - filled + 1))
-        except Exception as error:  # each of the three libraries has errors of its own
+        except Exception as error:  # each of the three libraries has its own errors
             raise Damage(f"it cannot be unpacked ({compression}: {str(error)[:60]})") from error
         if filled + len(part) > into.size and whole:
             raise Damage(f"it holds more than the {into.size} bytes it announces")
@@ -71,7 +70,7 @@ def inflate(stored: bytes, compression: str, into: Bytes, *, whole: bool = True)
 
 
 def check_size(stored: int, size: int) -> None:
-    """Raise Damage for a chunk of `stored` bytes that announces a `size` no logger writes."""
+    """Raise Damage for a chunk of `stored` bytes that declares an implausible `size`."""
     if size > MAX_BYTES or size > stored * MAX_RATIO:
         raise Damage(f"it announces {size} bytes in {stored}: more than any logger writes, so it is not unpacked")
 

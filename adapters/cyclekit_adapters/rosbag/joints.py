@@ -1,7 +1,7 @@
-"""The joints of bodies by number and name, as the makers of the trackers number them; names in lower case.
+"""Body joints by number and name, in the numbering of the tracker makers; names in lower case.
 
 Azure Kinect: the enumeration of its body tracking SDK. ZED: its body formats of 18, 34, 38 and 70 joints. ROS4HRI: the
-links of the human model in REP-155, of which those that only split a rotation have no place of their own.
+links of the human model in REP-155, without those that only split a rotation and have no position.
 """
 
 from __future__ import annotations
@@ -67,13 +67,13 @@ ZED = {
     2: (*_ZED_BODY, *(f"{side}_{part}" for part in _HAND_38 for side in _SIDES)),
     3: (*_ZED_BODY, *(f"{side}_hand_{part}_{n}" for side in _SIDES for part in _FINGERS for n in (1, 2, 3, 4))),
 }
-"""By `body_format`; the array in the message is always 70 long, and only as many as here hold anything."""
+"""Joint names by `body_format`; the array in the message always has 70 entries, of which only these are used."""
 
 _ROTATION = re.compile(r"[ypr]_head|[lr]_[ypr]_(?:shoulder|hip)")
 
 
 def of_human(frame: str, body: str) -> str | None:
-    """Return the joint that a frame of a ROS4HRI body is (`l_elbow_<id>`), None for any other frame."""
+    """Return the joint of a ROS4HRI body frame (`l_elbow_<id>`); None for any other frame."""
     name = frame.rpartition("/")[2].lower()
     joint = name.removesuffix(f"_{body.lower()}")
     known = joint != name and not joint.startswith(("body", "person", "face", "gaze", "voice", "focus"))

@@ -1,8 +1,8 @@
-"""Layouts of messages that no ROS distribution brings along, for bags that carry no definitions.
+"""Message layouts of types outside the ROS distributions, for bags without definitions.
 
-ROS 2 up to Humble stores none in its sqlite3 bags. Then a type is read only if exactly one of the layouts that it ever
-had decodes every message of its topic to the last byte; which one is the business of `undefined`. Field names and
-types are those of the packages named; only the fields are given here, in the language of message definitions.
+ROS 2 up to Humble stores no definitions in sqlite3 bags. A type is then read only if exactly one of its historic
+layouts decodes every message of its topic to the last byte; `undefined` decides that. Field names and types are those
+of the named packages; only the fields are listed, in message definition syntax.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ RULE = "=" * 80
 
 @dataclass(frozen=True)
 class Known:
-    """A layout that a type had.
+    """A historic layout of a type.
 
     Attributes:
-        name: Since when, or in which version, for people to read.
+        name: Version or first release, to display.
         text: Its definition; types of other packages are those of `distribution`.
-        distribution: The ROS distribution whose common types it is made of.
+        distribution: ROS distribution of the common types it uses.
     """
 
     name: str
@@ -28,7 +28,7 @@ class Known:
 
 
 def _joined(first: str, **others: str) -> str:
-    """Put the definition of a type and of the others of its package into one text."""
+    """Join the definition of a type and those of other types of its package into one text."""
     return f"\n{RULE}\n".join([first, *(f"MSG: {kind.replace('__', '/')}\n{text}" for kind, text in others.items())])
 
 
@@ -41,7 +41,7 @@ _HEAD = ("std_msgs/Header header", "string[] joint_names")
 
 
 def _controller(*names: str, many: bool = True, scaling: bool = False) -> str:
-    """A controller's state with these points, and again for joints of several degrees of freedom."""
+    """Return a controller's state with these points, and optionally those of multi-axis joints."""
     multi = ["string[] multi_dof_joint_names", *(f"{_MULTI} multi_dof_{name}" for name in names)] if many else []
     return _lines(*_HEAD, *(f"{_POINT} {name}" for name in names), *multi, *["float64 speed_scaling_factor"] * scaling)
 
@@ -160,7 +160,7 @@ KNOWN: dict[str, tuple[Known, ...]] = {
     "zed_interfaces/msg/ObjectsStamped": _zed("zed_interfaces"),
     "visualization_msgs/msg/MarkerArray": (Known("Galactic and later"), Known("up to Foxy", distribution="foxy")),
 }
-"""By type; the markers of ROS 2 itself changed once too."""
+"""Layouts by type; the markers of ROS 2 itself also changed once."""
 
 
 def known(kind: str, name: str) -> Known:

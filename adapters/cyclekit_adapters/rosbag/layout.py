@@ -1,11 +1,11 @@
-"""Where each number of a message stands, and reading it out of many messages at once.
+"""Positions of all numbers in a message, and bulk reading of them from many messages.
 
-In CDR (XCDR1) and in ROS 1 the place of every field depends on the definition and on the length words (of texts and
-sequences) before it, and on nothing else. So one message is traced, field by field. Another message of the same size
-with the same length words has the same layout, by induction over its fields; if its texts are the same too, then its
-numbers are all that can differ. Those are read as one strided view over the whole group.
+In CDR (XCDR1) and in ROS 1, the position of a field depends only on the definition and on the length words (of texts
+and sequences) before it. So one message is traced field by field. Another message of the same size with the same length
+words has the same layout, by induction over its fields. If its texts are also equal, only its numbers can differ. These
+are read as one strided view over the whole group.
 
-What the numbers mean is the business of `tracks`; what cannot be traced is left to the rosbags library, one by one.
+`tracks` interprets the numbers; messages that cannot be traced are decoded by the rosbags library, one by one.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from cyclekit_adapters.rosbag.payloads import Bytes
 Path = tuple[str | int, ...]
 Numbers = npt.NDArray[Any]
 
-# As the library unpacks them: a byte is signed, a char is not.
+# As in the library: a byte is signed, a char is not.
 _DTYPES = {
     "bool": "?",
     "byte": "i1",
@@ -44,19 +44,19 @@ _DTYPES = {
 }
 _LETTERS = {"?": "?", "i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q"}
 _LETTERS |= {"f4": "f", "f8": "d"}
-_MAX_STEPS = 20_000  # a message of more fields than this was not written by a robot or a tracker
+_MAX_STEPS = 20_000  # no robot or tracker writes a message with more fields
 _CDR_HEAD = 4
-_PADDING = 3  # bytes at most between a text and the length word after it
-_SLAB = 1024  # rows compared at once: what is compared then stays in the processor's cache
+_PADDING = 3  # maximum number of bytes between a text and the next length word
+_SLAB = 1024  # rows compared at once, so that they stay in the processor's cache
 
 
 class NoLayout(ValueError):
-    """The message cannot be traced: cut, of an unknown kind, or too large."""
+    """The message cannot be traced: cut, of unknown type, or too large."""
 
 
 @dataclass(frozen=True)
 class Leaf:
-    """Where one number, or one array of numbers, stands: offset in bytes, dtype, count (None for a single one)."""
+    """Position of one number or one array of numbers: offset in bytes, dtype, count (None for a single number)."""
 
     offset: int
     dtype: str
@@ -65,13 +65,13 @@ class Leaf:
 
 @dataclass
 class MessageLayout:
-    """The places of all numbers in messages of one form.
+    """Positions of all numbers in messages of one layout.
 
     Attributes:
-        size: Bytes of such a message.
-        leaves: By the path of the field, as ("pose", "position", "x") or ("poses", 0, "position", "x").
-        fixed: Ranges of bytes (begin, end) that are the same in all messages of this form: the head that says which
-            CDR it is, length words, texts.
+        size: Number of bytes of such a message.
+        leaves: Positions by path of the field, as ("pose", "position", "x") or ("poses", 0, "position", "x").
+        fixed: Byte ranges (begin, end) that are equal in all messages of this layout: the header with the CDR kind,
+            length words, texts.
     """
 
     size: int
@@ -79,8 +79,8 @@ class MessageLayout:
     fixed: list[tuple[int, int]] = field(default_factory=list)
 
     def alike(self, block: Bytes) -> npt.NDArray[np.bool_]:
-        """Tell which rows of `block`, shape (N, size), have the form of its first row; shape (N,)."""
-        for begin, end in _spans(self.fixed):  # padding included, which most writers leave as zeros
+        """Return a mask of the rows of `block`, shape (N, size), with the layout of its first row; shape (N,)."""
+        for begin, end in _spans(self.fixed):  # with padding, which most writers set to zero
             for row in range(0, len(block), _SLAB):
                 same = block[row : row + _SLAB, begin:end] == block[0, begin:end]
                 if not same.all():
@@ -93,7 +93,7 @@ class MessageLayout:
         return alike
 
     def read(self, block: Bytes, path: Path) -> Numbers:
-        """Return one field of all rows, shape (N,) or (N, count), in the machine's byte order.
+        """Return one field of all rows, shape (N,) or (N, count), in native byte order.
 
         Raises:
             KeyError: These messages have no number of this name.
@@ -109,7 +109,7 @@ class MessageLayout:
 
 
 def _spans(fixed: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Join ranges with nothing but padding between them."""
+    """Join ranges separated only by padding."""
     spans: list[tuple[int, int]] = []
     for begin, end in fixed:
         if spans and begin - spans[-1][1] <= _PADDING:
@@ -120,22 +120,22 @@ def _spans(fixed: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 class TooMany(ValueError):
-    """The message has more fields than any that is of use here."""
+    """The message has too many fields to be of use."""
 
 
 def trace(types: Types, kind: str, raw: bytes, *, cdr: bool) -> tuple[MessageLayout, SimpleNamespace]:
-    """Walk through one message; return where its numbers stand, and what it says.
+    """Trace one message; return the positions of its numbers, and its content.
 
     Args:
-        types: The definitions in force.
+        types: Type definitions.
         kind: Type of the message.
         raw: The message.
-        cdr: CDR with its head of four bytes, else ROS 1.
+        cdr: True for CDR with its 4-byte header, False for ROS 1.
 
     Raises:
-        NoLayout: It cannot be traced.
+        NoLayout: The message cannot be traced.
         TooMany: It has too many fields.
-        NoDefinition: Its type is not defined, or in a way that no message has.
+        NoDefinition: Its type has no usable definition.
     """
     types.check(kind)
     walk = _Walk(types, raw, cdr=cdr)

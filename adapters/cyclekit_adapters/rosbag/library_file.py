@@ -1,6 +1,6 @@
-"""Read a recording that was compressed as a whole, or message by message, through the rosbags library.
+"""Reader of a recording that was compressed as a whole or per message, based on the rosbags library.
 
-Such folders are rare and say so in metadata.yaml; everything else is read by the files beside this one.
+Such folders are rare and declared in metadata.yaml; the sibling modules read all others.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _NOTATIONS = {MessageDefinitionFormat.MSG: "msg", MessageDefinitionFormat.IDL: "
 
 @dataclass
 class LibraryFile:
-    """A compressed ROS 2 folder; meets `payloads.BagFile`."""
+    """A compressed ROS 2 folder; implements `payloads.BagFile`."""
 
     path: Path
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -29,7 +29,7 @@ class LibraryFile:
     set_aside: list[str] = field(default_factory=list)
 
     def blocks(self, wanted: set[int]) -> Iterator[Mapping[int, Payloads]]:
-        """Yield the messages of the wanted channels in the order of the file, about BLOCK_BYTES at a time."""
+        """Yield the messages of the wanted channels in file order, about BLOCK_BYTES at a time."""
         with Reader(self.path) as reader:
             connections = [connection for connection in reader.connections if connection.id in wanted]
             kept: dict[int, list[tuple[int, bytes]]] = {}
@@ -44,7 +44,7 @@ class LibraryFile:
 
 
 def look(path: Path) -> LibraryFile:
-    """Return what a compressed folder holds; raises whatever the library raises on a damaged one."""
+    """Return the content of a compressed folder; passes on any error of the library for a damaged one."""
     found = LibraryFile(path)
     with Reader(path) as reader:
         for connection in reader.connections:

@@ -1,8 +1,8 @@
-"""Look through an mcap: its channels, its chunks, and how far it is whole.
+"""Survey of an mcap: its channels, its chunks, and how far it is readable.
 
-Only the heads of records are read, so a large file takes milliseconds; a chunk is opened here only where it has no
-index or names a channel that is not known yet (a file that was cut lost its summary, but every chunk that introduces
-a channel holds it). ROS 2 and ROS 1 profiles are read alike. The layout is that of the MCAP specification 1.
+Only record headers are read, so a large file takes milliseconds. A chunk is opened only if it has no index or names an
+unknown channel: a truncated file lost its summary, but every chunk that introduces a channel holds its definition. ROS
+2 and ROS 1 profiles are read alike. Format: MCAP specification 1.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from cyclekit_adapters.rosbag.first_bytes import MCAP
 from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Ints, column, gather
 
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX, _DATA_END = 2, 3, 4, 5, 6, 7, 15
-_STATISTICS, _CHUNK_COUNT = 11, 22  # its number, and where in it the number of chunks stands
+_STATISTICS, _CHUNK_COUNT = 11, 22  # record number, and offset of the number of chunks in it
 _RECORD = struct.Struct("<BQ")
 _HEAD = 31  # bytes of a message record before its payload
-_WINDOW = 4 << 20  # bytes of messages outside chunks that make one chunk of our own
+_WINDOW = 4 << 20  # bytes of messages outside of chunks that are grouped into one chunk
 _NOTATIONS = {"ros2msg": "msg", "ros1msg": "msg", "ros2idl": "idl", "omgidl": "idl"}
 
 
@@ -54,7 +54,7 @@ class _Records:
         return entries[:, 1].astype(np.int64)
 
     def messages(self, buffer: Bytes, start: Ints) -> Messages:
-        # at once, if no record begins so near to the end that there is no room for the head of a message
+        # in one operation, unless a record starts too close to the end for the header of a message
         fits = not start.size or int(start[-1]) + _HEAD <= buffer.size
         heads = gather(buffer, start, _HEAD if fits else 9)
         size = column(heads, 1, "<u8") - (_HEAD - 9)
@@ -69,7 +69,7 @@ class _Records:
 
 @dataclass
 class _Survey:
-    """What was found so far."""
+    """Findings so far."""
 
     found: ChunkedFile
     schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)
@@ -104,7 +104,7 @@ class _Survey:
         )
 
     def end_of_data(self, position: int, after: int, crc: int) -> None:
-        """Remember what is known without the summary, in case the summary is damaged."""
+        """Store what is known without the summary, in case the summary is damaged."""
         self.data_end, self.summary, self.data_crc = position, after, crc
         self.before_summary = dict(self.found.channels), dict(self.schemas)
 
@@ -121,11 +121,11 @@ class _Survey:
 
 
 def look(path: Path) -> ChunkedFile:
-    """Return what an mcap holds, as far as it is whole.
+    """Return the content of an mcap, as far as it is readable.
 
     Raises:
         OSError: The file cannot be read.
-        Exception: A record makes no sense; any error of parsing.
+        Exception: A record is invalid; any parse error.
     """
     survey = _Survey(ChunkedFile(path, _Records()))
     with path.open("rb") as log:
@@ -145,7 +145,7 @@ def look(path: Path) -> ChunkedFile:
 
 
 def _heads(log: BufferedReader, survey: _Survey, end: int) -> int | None:
-    """Read the heads of all records; return where the file stops making sense, None if it is whole."""
+    """Read the headers of all records; return the offset at which the file becomes unreadable, or None."""
     position, chunks = len(MCAP), survey.found.chunks
     while True:
         log.seek(position)
@@ -195,13 +195,13 @@ def _chunk(log: BufferedReader, found: ChunkedFile, position: int, after: int) -
 
 
 def _closed(log: BufferedReader, end: int) -> bool:
-    """Return whether the file has its own end: then it is not cut, and what says otherwise is damaged."""
+    """Return whether the file has its end mark: then it is not cut, and a contradicting record is damaged."""
     log.seek(max(0, end - len(MCAP)))
     return log.read() == MCAP
 
 
 def _cut_chunk(log: BufferedReader, found: ChunkedFile, position: int, length: int) -> None:
-    """Keep what there is of a chunk within which the file ends."""
+    """Keep the readable part of a chunk within which the file ends."""
     last_ns, end = found.last_ns, log.seek(0, 2)
     log.seek(position + 9)
     try:
@@ -209,15 +209,15 @@ def _cut_chunk(log: BufferedReader, found: ChunkedFile, position: int, length: i
     except (struct.error, UnicodeDecodeError):
         return
     finally:
-        found.last_ns = last_ns  # the chunk tells of messages that are not there
+        found.last_ns = last_ns  # the chunk header refers to messages that are lost
     log.seek(chunk.place - 8)
-    # the length of the chunk is written twice: if they differ, a bit is wrong and the file may not be cut at all
+    # the chunk length is written twice: if the two differ, a bit is wrong and the file may not be cut at all
     if chunk.place < end and struct.unpack("<Q", log.read(8))[0] == position + 9 + length - chunk.place:
         found.add_cut(log, replace(chunk, stored=end - chunk.place))
 
 
 def _loose(log: BufferedReader, survey: _Survey, position: int, first: int) -> int:
-    """Make a chunk of messages that stand outside of chunks; return where it ends."""
+    """Make a chunk from messages outside of chunks; return its end."""
     log.seek(position)
     raw = np.frombuffer(log.read(max(_WINDOW, first)), np.uint8)
     starts, reached = _Records().walk(raw, 0, len(raw))
@@ -229,7 +229,7 @@ def _loose(log: BufferedReader, survey: _Survey, position: int, first: int) -> i
 
 
 def _open(log: BufferedReader, survey: _Survey, chunk: Chunk) -> None:
-    """Look into a chunk for what its index does not tell."""
+    """Open a chunk for information that its index lacks."""
     found = survey.found
     raw = found.unpacked(log, chunk)
     if raw is None:
@@ -249,7 +249,7 @@ def _open(log: BufferedReader, survey: _Survey, chunk: Chunk) -> None:
 
 
 def _how_much(found: ChunkedFile, log: BufferedReader, cut: int, end: int) -> str:
-    """Describe what a cut bag has lost, as far as that is known."""
+    """Return a description of what a cut bag has lost, as far as known."""
     said = f"its last {end - cut} of {end} bytes cannot be read"
     if _closed(log, end):
         return f"the bag is damaged at byte {cut}: {said}; copy the bag again if the original is whole"
@@ -264,7 +264,7 @@ def _how_much(found: ChunkedFile, log: BufferedReader, cut: int, end: int) -> st
     log.seek(cut)
     head = log.read(9 + 16)
     if len(head) == 25 and head[0] == _CHUNK:
-        lost_ns = struct.unpack_from("<Q", head, 17)[0] - found.last_ns  # the last time in the chunk that is cut
+        lost_ns = struct.unpack_from("<Q", head, 17)[0] - found.last_ns  # last time of the cut chunk
         if 0 < lost_ns < 10**13:
             said += f" (at least {lost_ns / 1e9:.1f} s)"
     return f"{said}; copy the bag again if the original is whole"

@@ -1,7 +1,7 @@
-"""What a UR driver says of the robot's mode, in words: latched, one message at each change.
+"""Names of the robot and safety modes of a UR driver; latched, one message per change.
 
-The numbers are the controller's. RUNNING means that the brakes are released and says nothing of the program; in any
-other mode no program moves the arm. Numbers that newer software adds stay numbers.
+The numbers are the controller's. RUNNING means that the brakes are released, independent of the program; in any other
+mode no program moves the arm. Numbers added by newer software stay numbers.
 """
 
 from __future__ import annotations
@@ -54,6 +54,6 @@ _SAFETY = dict(
 
 
 def mode_names(kind: str, group: Group) -> list[str]:
-    """Return the mode of each message, in words."""
+    """Return the name of each message's mode."""
     words = _ROBOT if kind == ROBOT_MODE else _SAFETY
     return [words.get(int(mode), str(int(mode))) for mode in group.numbers("mode")]

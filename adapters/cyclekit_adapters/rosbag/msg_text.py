@@ -1,8 +1,8 @@
-"""Read the text of a message definition: the fields of a type and of all types that it is made of.
+"""Parser of message definitions: the fields of a type and of all types it consists of.
 
-The text is what a recorder stores beside the messages: `type name` per line, then each type used, below a rule and a
-line `MSG: package/Type`. Lines that are not of this plain form (annotations, wide strings, odd constants) are not
-guessed at: whoever asked falls back to the rosbags library's own parser, which is complete and slower.
+A recorder stores the text with the messages: `type name` per line, then each type used, below a separator and a line
+`MSG: package/Type`. Lines of another form (annotations, wide strings, odd constants) are not guessed: the caller then
+uses the parser of the rosbags library, which is complete and slower.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from typing import Any
 
 from rosbags.interfaces import Nodetype
 
-# As the library writes it: (BASE, (name, limit)), (NAME, type), (ARRAY or SEQUENCE, (item, count)).
+# In the library's form: (BASE, (name, limit)), (NAME, type), (ARRAY or SEQUENCE, (item, count)).
 Description = Any
 Fields = list[tuple[str, Description]]
 
 FILLER = "structure_needs_at_least_one_member"
-"""In CDR an empty message holds one byte, in ROS 1 none."""
+"""Field of an empty message: one byte in CDR, none in ROS 1."""
 TIMES: dict[str, Fields] = {
     f"builtin_interfaces/msg/{kind}": [
         ("sec", (Nodetype.BASE, ("int32", 0))),
@@ -29,7 +29,7 @@ TIMES: dict[str, Fields] = {
     ]
     for kind in ("Time", "Duration")
 }
-"""The types that definitions use without defining them."""
+"""Types that definitions use without defining them."""
 _NOTHING: Fields = [(FILLER, (Nodetype.BASE, ("uint8", 0)))]
 _RULE = re.compile(r"^={80}\n", re.MULTILINE)
 _BASES = "bool|byte|char|float32|float64|u?int8|u?int16|u?int32|u?int64|string"
@@ -47,38 +47,38 @@ _UNKNOWN = ("wstring", "wchar", "float128")
 
 
 class Unfamiliar(ValueError):
-    """The text is not of the plain form."""
+    """The text is not in the plain form."""
 
 
 @dataclass
 class TypeTexts:
-    """The types that one text defines, by their full names.
+    """Types defined in one text, by full name.
 
     Attributes:
         fields: Fields by type.
-        lines: What each type is hashed by in ROS 1, constants first: a line and the type that it is of; where that is
-            a message, its hash stands before the line.
+        lines: Input of each type's ROS 1 hash, constants first: a line and the type of its field; for a message type,
+            its hash precedes the line.
     """
 
     fields: dict[str, Fields] = field(default_factory=dict)
     lines: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
 
     def digest(self, kind: str) -> str:
-        """Return the hash by which ROS 1 tells definitions apart."""
+        """Return the hash that identifies a definition in ROS 1."""
         said = [f"{self.digest(of)} {line}" if of in self.lines else line for line, of in self.lines[kind]]
         return hashlib.md5("\n".join(said).encode(), usedforsecurity=False).hexdigest()
 
 
 def read_text(text: str, kind: str, beside: Mapping[str, Fields] = TIMES) -> TypeTexts:
-    """Return the types that a text defines.
+    """Return the types defined in a text.
 
     Args:
         text: The definition of `kind`, followed by those of the types in it.
         kind: Full name, `package/msg/Type`.
-        beside: Types that it may use without defining them.
+        beside: Types that may be used without definition.
 
     Raises:
-        Unfamiliar: It is not of the plain form, or speaks of a type that it does not define.
+        Unfamiliar: The text is not in the plain form, or uses an undefined type.
     """
     found = TypeTexts(dict(beside))
     for number, part in enumerate(_RULE.split(text.replace("\r\n", "\n"))):
@@ -95,7 +95,7 @@ def read_text(text: str, kind: str, beside: Mapping[str, Fields] = TIMES) -> Typ
 
 
 def item_of(description: Description) -> Description:
-    """Return what an array or a sequence holds; any other field is what it is."""
+    """Return the item type of an array or sequence; any other description unchanged."""
     return description[1][0] if description[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else description
 
 
@@ -131,7 +131,7 @@ def _read_part(owner: str, body: str) -> tuple[Fields, list[tuple[str, str]]]:
 
 
 def _value(constant: re.Match[str]) -> str:
-    """Return a constant as ROS 1 hashes it: a text keeps everything, a number loses its comment."""
+    """Return a constant as hashed by ROS 1: a text is kept complete, a number loses its comment."""
     value = constant["value"]
     return value.strip() if constant["kind"] == "string" else value.partition("#")[0].strip()
 
@@ -149,7 +149,7 @@ def _field(owner: str, match: re.Match[str]) -> Description:
 
 
 def _full(kind: str, owner: str) -> str:
-    """Return the full name of a type that is used by `owner`."""
+    """Return the full name of a type used by `owner`."""
     if kind in _SHORT:
         return _SHORT[kind]
     *packages, name = kind.split("/")

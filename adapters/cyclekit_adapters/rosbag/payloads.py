@@ -1,7 +1,7 @@
-"""Messages in bulk: which topic they belong to, when they came, and their bytes, many in one buffer.
+"""Messages in bulk: topic, receive time and bytes, many in one buffer.
 
-Every container hands out the same two things: its channels (a topic, its message type and the definition recorded
-with it) and blocks of undecoded messages. How a container is laid out is the business of the files beside this one.
+Every container provides its channels (a topic, its message type and the recorded definition) and blocks of undecoded
+messages. The sibling modules handle the container formats.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Bytes = npt.NDArray[np.uint8]
 Ints = npt.NDArray[np.int64]
 
 BLOCK_BYTES = 8 << 20
-"""About as much of a bag as is held in memory at once; larger blocks do not fit the cache and are slower."""
+"""Approximate amount of a bag in memory at once, bytes; larger blocks exceed the cache and are slower."""
 
 
 @dataclass(frozen=True)
@@ -26,13 +26,13 @@ class Channel:
     """One source of one topic.
 
     Attributes:
-        number: Its number within its file.
+        number: Number within its file.
         topic: Topic.
         kind: Message type as `package/msg/Type`, in ROS 1 bags too.
-        definition: Text of the definition recorded with it, empty where none was.
+        definition: Text of the recorded definition; empty if none.
         notation: `msg` or `idl`, the language of the definition.
-        coding: `cdr` or `ros1`; messages of another one cannot be decoded.
-        digest: Hash of the definition, empty where none was recorded.
+        coding: `cdr` or `ros1`; messages of other encodings cannot be decoded.
+        digest: Hash of the definition; empty if none was recorded.
     """
 
     number: int
@@ -59,19 +59,19 @@ class Payloads:
         return self.buffer[begin : begin + int(self.size[row])].tobytes()
 
     def block(self, rows: Ints) -> Bytes:
-        """Return the bytes of messages that all have the same size, shape (rows, size)."""
+        """Return the bytes of messages of equal size, shape (rows, size)."""
         return gather(self.buffer, self.start[rows], int(self.size[rows[0]]))
 
 
 class BagFile(Protocol):
-    """One file of a recording, looked through and ready to be read.
+    """One file of a recording, surveyed and ready to be read.
 
     Attributes:
-        path: Where it is.
-        channels: By their number.
-        counts: Messages by channel number, or some of them where counting all would mean reading all; absent is none.
-        warnings: What is damaged, one sentence each.
-        set_aside: The reason for every part that cannot be used; complete once all blocks were read.
+        path: Path of the file.
+        channels: Channels by number.
+        counts: Messages by channel number; a lower bound if an exact count would need a full read; no entry means none.
+        warnings: Damage, one sentence each.
+        set_aside: Reason for every unusable part; complete once all blocks were read.
     """
 
     path: Path
@@ -81,9 +81,9 @@ class BagFile(Protocol):
     set_aside: list[str]
 
     def blocks(self, wanted: set[int]) -> Iterator[Mapping[int, Payloads]]:
-        """Yield the messages of the wanted channels in the order of the file, about BLOCK_BYTES at a time.
+        """Yield the messages of the wanted channels in file order, about BLOCK_BYTES at a time.
 
-        The payloads of a block hold until the next one is asked for: their memory is used again.
+        The payloads of a block are valid until the next one is requested, because their memory is reused.
         """
         ...
 
@@ -99,10 +99,10 @@ class Damage(Exception):
 
 
 def gather(buffer: Bytes, start: Ints, width: int) -> Bytes:
-    """Return `width` bytes from each start, shape (N, width); the starts must leave room for them."""
+    """Return `width` bytes from each start, shape (N, width); all of them must lie within the buffer."""
     if not start.size or not width:
         return np.zeros((start.size, width), np.uint8)
-    places = np.ndarray((buffer.size - width + 1,), f"V{width}", buffer, strides=(1,))  # one at every byte
+    places = np.ndarray((buffer.size - width + 1,), f"V{width}", buffer, strides=(1,))  # one at each byte
     return places[start].view(np.uint8).reshape(start.size, width)
 
 
@@ -113,7 +113,7 @@ def column(rows: Bytes, offset: int, dtype: str) -> Ints:
 
 
 def distinct(values: Ints) -> Ints:
-    """Return the different values, ascending; `numpy.unique` would import a part of numpy that nothing here needs."""
+    """Return the distinct values, ascending; `numpy.unique` would import more of numpy."""
     if not values.size or (values == values[0]).all():
         return values[:1]
     ordered = np.sort(values)

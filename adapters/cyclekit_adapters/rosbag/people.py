@@ -1,8 +1,8 @@
 """Positions of people from the messages of people trackers, each with its own numbering.
 
-One group of messages becomes the names and places of its people, and of their joints where those are wanted. A place
-that the tracker only predicts (occluded, searching) is not one it has seen: that person is there, the place unknown.
-Metres, in the frame of the message, or of the entry where that has one of its own.
+A group of messages gives names and positions of its people and, if requested, of their joints. A position that the
+tracker only predicts (occluded, searching) was not seen: the person is present, the position unknown. Positions are in
+m, in the frame of the message, or of the entry if it has its own.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ PEOPLE, LEG, LEGS = (
 )
 ZED, ZED_EARLIER = "zed_msgs/msg/ObjectsStamped", "zed_interfaces/msg/ObjectsStamped"
 TRACKERS = {TRACKED, PEOPLE, LEG, LEGS, ZED, ZED_EARLIER}
-"""Types that speak of people whatever their topic is called; markers do so only from a body tracker."""
+"""Types that always describe people; markers do so only from a body tracker."""
 
 _JOINTS_PER_BODY = 100  # Azure Kinect: id = body * 100 + joint, and joint 0 is the pelvis
-_UNSET_VARIANCE = 99999.0  # SPENCER: a planar tracker says so of the height
-_HEIGHT_VARIANCE = 14  # zz of a 6 x 6 covariance
+_UNSET_VARIANCE = 99999.0  # SPENCER: value of a planar tracker for the unknown height
+_HEIGHT_VARIANCE = 14  # index of zz in a 6 x 6 covariance
 _ZED_OK = 1
 _HIPS = {0: (8, 11), 1: (0,), 2: (0,), 3: (0,)}  # ZED's BODY_18, 34, 38 and 70
 _LISTS = {MARKERS: "markers", TRACKED: "tracks", ZED: "objects", ZED_EARLIER: "objects", PEOPLE: "people"}
@@ -45,12 +45,12 @@ class Persons:
     """N messages about K people, or about K joints of people.
 
     Attributes:
-        names: Shape (N, K), empty for none.
-        places: Shape (N, K, 3), m; NaN = not seen.
-        frames: Frame of each entry where it says its own, else empty; length K, or none for all.
-        said: Why places are unknown.
+        names: Shape (N, K), empty for no person.
+        places: Positions, shape (N, K, 3), m; NaN = not seen.
+        frames: Frame of each entry, empty if it has none; length K, or no entries at all.
+        said: Reason for unknown positions.
         joints: Name of the joint, shape (N, K); None for people.
-        bodies: The joints of these people, where they are wanted.
+        bodies: Joints of these people, if requested.
     """
 
     names: Names
@@ -62,15 +62,15 @@ class Persons:
 
 
 def persons(kind: str, group: Group, *, skeletons: bool = False) -> Persons:
-    """Return the people of a group of messages of one of the `TRACKERS`, or of markers.
+    """Return the people in a group of messages of one of the `TRACKERS`, or of markers.
 
     Args:
         kind: Type of the messages.
         group: The messages.
-        skeletons: The joints too, where the type has any.
+        skeletons: Also return the joints, if the type has any.
 
     Raises:
-        AttributeError, TypeError, ValueError: The messages have other fields than the type is known for.
+        AttributeError, TypeError, ValueError: The messages have other fields than known for this type.
     """
     if kind == LEG:
         return _joined(group, [_measured(group, (), 0)])
@@ -93,7 +93,7 @@ def persons(kind: str, group: Group, *, skeletons: bool = False) -> Persons:
 
 
 def headers(group: Group) -> list[tuple[Step, ...]]:
-    """Return where these messages have headers: their own, then that of their first entry."""
+    """Return the paths of these messages' headers: their own, then that of their first entry."""
     found: list[tuple[Step, ...]] = [("header",)] if hasattr(group.message, "header") else []
     field = _list(group)
     if field and len(group.first(field)) and hasattr(group.first(field, 0), "header"):
@@ -102,7 +102,7 @@ def headers(group: Group) -> list[tuple[Step, ...]]:
 
 
 def _list(group: Group) -> str:
-    """Return the name of the field that holds the entries: the one list of messages, not of numbers."""
+    """Return the name of the field with the entries: the only list of messages, not of numbers."""
     lists = (name for name, value in vars(group.message).items() if isinstance(value, list))
     return next(lists, "")
 
@@ -126,7 +126,7 @@ def _joined(group: Group, found: list[Entry], frames: tuple[str, ...] = ()) -> P
 
 
 def _marker_numbers(group: Group, at: tuple[Step, ...]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return the id of a marker and whether it is added (0); the other actions take markers away."""
+    """Return the id of a marker and whether it is added (0); other actions remove markers."""
     return group.numbers(*at, "id").astype(np.int64), group.numbers(*at, "action") == 0
 
 
@@ -137,7 +137,7 @@ def _marker(group: Group, at: tuple[Step, ...], number: int) -> Entry:
 
 
 def _marker_joints(group: Group, entries: list[tuple[Step, ...]], found: Persons) -> Persons:
-    """Every marker of a body tracker is a joint; numbers that the tracker does not have are none."""
+    """Return every marker of a body tracker as a joint; unknown numbers are ignored."""
     known = np.array([*AZURE_KINECT, *[""] * (_JOINTS_PER_BODY - len(AZURE_KINECT))])
     names, joints = np.zeros(found.names.shape, "U20"), np.zeros(found.names.shape, known.dtype)
     for number, at in enumerate(entries):
@@ -178,7 +178,7 @@ def _zed(group: Group, at: tuple[Step, ...], number: int) -> Entry:
 
 
 def _zed_form(group: Group, at: tuple[Step, ...]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return the body format and whether there is a skeleton, shape (N,); the array is there, as zeros, without too."""
+    """Return body format and presence of a skeleton, shape (N,); without a skeleton its array holds zeros."""
     here, count = group.first(*at), group.rows.size
     form = group.numbers(*at, "body_format") if hasattr(here, "body_format") else np.zeros(count)
     there = np.full(count, hasattr(here, "skeleton_3d"))
@@ -188,14 +188,14 @@ def _zed_form(group: Group, at: tuple[Step, ...]) -> tuple[npt.NDArray[np.int64]
 
 
 def _zed_joint(group: Group, at: tuple[Step, ...], joint: int) -> Array:
-    """Return the place of a joint, shape (N, 3); exact zeros are a joint that was not seen."""
+    """Return the position of a joint, shape (N, 3); exact zeros mean not seen."""
     place = group.numbers(*at, "skeleton_3d", "keypoints", joint, "kp").astype(np.float64)
     place[(place == 0.0).all(1)] = np.nan
     return place
 
 
 def _zed_joints(group: Group, entries: list[tuple[Step, ...]], found: Persons) -> Persons:
-    """Of the array of keypoints as many as the body format has."""
+    """Return the keypoints that the body format has."""
     names, joints, places = [], [], []
     for number, at in enumerate(entries):
         form, skeleton = _zed_form(group, at)
@@ -214,7 +214,7 @@ def _zed_joints(group: Group, entries: list[tuple[Step, ...]], found: Persons) -
 
 
 def _names(group: Group, at: tuple[Step, ...], fields: tuple[str, ...], number: int) -> Names:
-    """Return the id of an entry as text, shape (N,); its place in the array where it has none."""
+    """Return the id of an entry as text, shape (N,); its index in the array if it has none."""
     field = next((name for name in fields if hasattr(group.first(*at), name)), None)
     if field is None:
         return np.full(group.rows.size, str(number))

@@ -1,7 +1,7 @@
-"""The tables of people and of their joints out of the messages of a bag.
+"""Tables of people and of their joints from the messages of a bag.
 
-Of an array without identities the index is the person; trackers name theirs. All are brought into the robot's base
-where the transforms of the bag lead there; `frames` knows the ways.
+In an array without ids, the index is the person; trackers name theirs. Positions are transformed to the robot's base if
+the bag holds the transforms; `frames` knows the chains.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Columns = dict[str, list[npt.NDArray[np.generic]]]
 
 
 def people_table(contents: Contents, roles: Roles, frames: Frames) -> pl.DataFrame:
-    """Return table PEOPLE; of an array the index is the person, and one with fewer entries has people not seen."""
+    """Return table PEOPLE; in an array without ids the index is the person, and missing entries are people not seen."""
     columns: Columns = {}
     for topic in roles.people:
         parts = contents.tracks[topic].parts if topic in contents.tracks else []
@@ -50,7 +50,7 @@ def people_table(contents: Contents, roles: Roles, frames: Frames) -> pl.DataFra
 
 
 def skeletons_table(contents: Contents, roles: Roles, frames: Frames) -> pl.DataFrame | None:
-    """Return table SKELETONS, None where the bag has no joints of people."""
+    """Return table SKELETONS; None if the bag has no joints of people."""
     columns: Columns = {}
     for topic in roles.people:
         prefix = f"{topic} " if len(roles.people) > 1 else ""
@@ -68,7 +68,7 @@ def _named(contents: Contents, topic: str) -> Iterator[tuple[MessagePart, Person
 
 
 def _add_numbered(contents: Contents, frames: Frames, topic: str, prefix: str, columns: Columns) -> None:
-    """Add the people of a topic of places: by their index in the array; nobody ever is one person never seen."""
+    """Add the people of a topic of positions, by index in the array; a topic without any gets one person never seen."""
     track, times = contents.tracks[topic], contents.at(topic)
     seen = [(part, _several(part.value)) for part in track.parts if isinstance(part.value, np.ndarray)]
     most = max([1, *(places.shape[1] for _, places in seen)])
@@ -92,7 +92,7 @@ def _add_numbered(contents: Contents, frames: Frames, topic: str, prefix: str, c
 
 
 def _add_named(contents: Contents, frames: Frames, topic: str, prefix: str, columns: Columns) -> None:
-    """Add the people of a topic whose messages name them; who is not named is not there."""
+    """Add the people of a topic whose messages name them; a person without a name is absent."""
     hidden, why, lost, nobody = 0, "", 0, 0
     if all(not value.names.shape[1] for _, value in _named(contents, topic)):
         _add_nobody(contents, topic, columns)
@@ -125,7 +125,7 @@ def _add_nobody(contents: Contents, topic: str, columns: Columns) -> None:
 def _add(
     contents: Contents, frames: Frames, topic: str, prefix: str, part: MessagePart, value: Persons, columns: Columns
 ) -> tuple[int, int]:
-    """Add those who are named in one part of a topic; return how many places were unknown, and how many are now."""
+    """Add the named people in one part of a topic; return the numbers of unknown positions before and after."""
     times, index = contents.at(topic), contents.tracks[topic].index
     message, entry = np.nonzero(value.names != "")
     given = value.places[message, entry]
@@ -145,7 +145,7 @@ def _add(
 
 
 def _add_bodies(contents: Contents, roles: Roles, frames: Frames, columns: Columns, *, joints: bool = False) -> None:
-    """Add the bodies among the transforms, or their joints, each at the moments it was tracked."""
+    """Add the bodies among the transforms, or their joints, each at the times of its track."""
     for body in frames.bodies:
         if bool(body.joint) != joints or not body.way:
             continue
@@ -162,7 +162,7 @@ def _add_bodies(contents: Contents, roles: Roles, frames: Frames, columns: Colum
 
 
 def _of_somebody(places: Array) -> Array:
-    """Return positions, shape (..., 3), NaN where they mean no person, before any transform moves them."""
+    """Return positions, shape (..., 3), NaN where they mean no person; applied before any transform."""
     nobody = (places == 0.0).all(axis=-1) | (places == -1.0).all(axis=-1)
     return np.where(nobody[..., None], np.nan, places)
 
@@ -182,7 +182,7 @@ def _say_lost(contents: Contents, what: str, lost: int) -> None:
 
 
 def _topics(contents: Contents, roles: Roles, frames: Frames) -> str:
-    """Name the topics whose messages the rows are; of several each person's name begins with its own."""
+    """Return the topics of the rows; with several topics, each person's name starts with its topic."""
     topics = [topic for topic in roles.people if topic in contents.tracks]
     return ", ".join(dict.fromkeys([*topics, *(body.link.topic for body in frames.bodies)]))
 
@@ -192,7 +192,7 @@ def _append(columns: Columns, name: str, values: npt.NDArray[np.generic]) -> Non
 
 
 def _several(value: npt.NDArray[np.generic]) -> Array:
-    """Return places as (N, K, 3), those of one person too."""
+    """Return positions as (N, K, 3), also for a single person."""
     places = np.asarray(value, dtype=np.float64)
     return places[:, None, :] if places.ndim == 2 else places
 

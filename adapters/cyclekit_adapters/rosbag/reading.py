@@ -1,4 +1,4 @@
-"""A bag -> its recording: what its topics are for, which clock each has, and the tables that come of them."""
+"""Reading of a bag: roles and clocks of its topics, and the tables made from them."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from cyclekit_adapters.rosbag.tracks import Contents, collect
 if TYPE_CHECKING:
     from pathlib import Path
 
-_NEAR_S = 1.0  # a recorder whose moments are this near to `/clock` recorded in simulated time
+_NEAR_S = 1.0  # s; receive times this close to `/clock` were recorded in simulated time
 
 
 def read_bag(path: Path, options: ReadOptions) -> Recording:
-    """Return what a bag says; raises as an adapter's `read`."""
+    """Return the recording of a bag; raises as an adapter's `read`."""
     with opened(path) as bag:
         roles, lost = _roles(bag, path, options)
         contents = collect(bag, roles, skeletons=options.skeletons)
@@ -59,7 +59,7 @@ def read_bag(path: Path, options: ReadOptions) -> Recording:
 
 
 def _roles(bag: Bag, path: Path, options: ReadOptions) -> tuple[Roles, dict[str, str]]:
-    """Decide what the topics are for; return that, and the topics that would be of use and cannot be decoded."""
+    """Assign the topics; return the roles, and useful topics that cannot be decoded."""
     lost: dict[str, str] = {}
     while True:
         counts = {**bag.counts, **dict.fromkeys(lost, 0)}
@@ -73,7 +73,7 @@ def _roles(bag: Bag, path: Path, options: ReadOptions) -> tuple[Roles, dict[str,
 
 
 def _wanted(roles: Roles, options: ReadOptions) -> Roles:
-    """Keep only what the cell file wants of this bag, where it says so."""
+    """Return only the roles that the cell file requests for this bag."""
     if options.role == "people":
         return replace(
             roles, tcp=None, joints=None, scaling=(), running=None, events=(), modes=(),
@@ -118,7 +118,7 @@ def _choose_times(contents: Contents, roles: Roles, frames: Frames) -> bool:
 
 
 def _stamps(contents: Contents, frames: Frames) -> pl.DataFrame | None:
-    """Return table STAMPS where the log keeps a clock that is not the recorder's; None where it does not."""
+    """Return table STAMPS if the log keeps a clock other than the recorder's; else None."""
     if not contents.times.own:
         return None
     both = [contents.source(topic) for topic in contents.tracks]

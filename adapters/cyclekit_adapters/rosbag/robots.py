@@ -1,8 +1,8 @@
-"""Which topics are of one robot, where a bag holds several.
+"""Selection of one robot's topics in a bag with several robots.
 
-The drivers of several robots write the same topics, each in a namespace of its own. A pose of one with the scaling of
-another is no robot, so one is chosen: by a topic that the cell file names, else by the only TCP pose. Topics below no
-robot's namespace (people, `/joint_states` of all) are everybody's. What the topics mean is the business of `roles`.
+The drivers of several robots write the same topics, each in its own namespace. Topics of different robots must not be
+mixed, so one robot is chosen: by a topic given in the cell file, else by the only TCP pose. Topics outside of the
+robots' namespaces (people, a common `/joint_states`) are kept. `roles` interprets the topics.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ Space = tuple[str, ...]
 
 
 def parts(topic: str) -> Space:
-    """Return the names in a topic: `/left/joint_states` is ("left", "joint_states")."""
+    """Return the names in a topic: `/left/joint_states` gives ("left", "joint_states")."""
     return tuple(topic.strip("/").split("/"))
 
 
 def spaces(topics: Iterable[str], quantity: Callable[[str], str | None]) -> set[Space]:
-    """Return the namespaces of the robots: those in which one quantity stands that stands in others too.
+    """Return the namespaces of the robots: those with a quantity that also occurs in another namespace.
 
     Args:
-        topics: Those of the bag.
-        quantity: The end of a topic's name that says what it tells of a robot; None if it tells nothing of one.
+        topics: Topics of the bag.
+        quantity: Function from a topic to the ending that names a quantity of a robot; None for other topics.
     """
     found: dict[str, set[Space]] = {}
     for topic in topics:
@@ -38,7 +38,7 @@ def spaces(topics: Iterable[str], quantity: Callable[[str], str | None]) -> set[
 
 
 def space_of(topic: str, robots: Iterable[Space]) -> Space | None:
-    """Return the namespace that a topic lies in, the innermost of them; None if it lies in none."""
+    """Return the innermost of the namespaces that contains a topic; None if there is none."""
     names = parts(topic)
     return max((space for space in robots if names[: len(space)] == space), key=len, default=None)
 
@@ -49,11 +49,11 @@ def of_one_robot(path: Path, types: Mapping[str, str], robots: set[Space], ancho
     Args:
         path: The bag, for messages.
         types: Message type of each topic.
-        robots: Namespaces of the robots; nothing is left out where there are fewer than two.
-        anchors: Topics of the robot that is meant, the surest first.
+        robots: Namespaces of the robots; with fewer than two, all topics are returned.
+        anchors: Topics of the wanted robot, the most certain first.
 
     Raises:
-        LogError: There are several robots, and no anchor tells which is meant.
+        LogError: There are several robots, and no anchor identifies one.
     """
     if len(robots) < 2:
         return dict(types)

@@ -1,8 +1,8 @@
-"""Which topic of a bag means what, and in which unit.
+"""Roles and units of the topics of a bag.
 
-A name alone decides nothing: `/speed_scaling_factor` is a state in 0..1 where a UR driver writes it as Float64, and a
-command in 0..100 where a FANUC driver reads it as Int32. So every rule here asks for a message type and a name
-ending (drivers prefix their names), and what no rule knows is left to the cell file.
+A name alone is not sufficient: `/speed_scaling_factor` is a state in 0..1 as Float64 of a UR driver, and a command in
+0..100 as Int32 of a FANUC driver. So each rule requires a message type and a name ending (drivers prefix their names).
+Other topics are left to the cell file.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _TYPES = {
     "people": {POSES, POSE, POINT, MARKERS, *TRACKERS, TRANSFORMS, _TF1},
     "events": {TEXT, FLAG, ROBOT_MODE, SAFETY_MODE},
 }
-"""What a topic that the cell file names for something must be; of any other nothing would be read."""
+"""Message types allowed for a topic given in the cell file, by key; other types hold nothing usable."""
 _PEOPLE_WORDS = {"poses", "people", "persons", "humans", "bodies", "human", "person", "operator"}
 _TOPICS = ("tcp", "joints", "scaling", "running", "people", "events")
 _TCP, _RUNNING = ("tcp_pose_broadcaster/pose", "tcp_pose"), "robot_program_running"
@@ -58,7 +58,7 @@ class Factor:
 
 @dataclass(frozen=True)
 class Roles:
-    """What each topic of this bag is used for; None and () where there is none."""
+    """Use of each topic of this bag; None and () if there is none."""
 
     tcp: str | None = None
     joints: str | None = None
@@ -76,7 +76,7 @@ class Roles:
     time: Mapping[str, How] = field(default_factory=dict)
 
     def topics(self) -> set[str]:
-        """Return every topic in use."""
+        """Return all topics in use."""
         single = [topic for topic in (self.tcp, self.joints, self.running, self.inputs) if topic]
         factors = [factor.topic for factor in self.scaling]
         transforms = self.transforms if self.bodies or self.people or not self.tcp else ()
@@ -92,20 +92,20 @@ def roles_in(
     *,
     robot: bool = True,
 ) -> Roles:
-    """Decide what the topics of a bag are for.
+    """Assign roles to the topics of a bag.
 
     Args:
         path: The bag, for messages.
         types: Message type of each topic.
-        counts: Messages of each topic; a topic without any is no candidate.
-        chosen: `[sources.map]` of the cell file, which beats every rule.
-        body: Topic of the person, where the cell file names one.
-        robot: Whether the robot is wanted of this bag; of several then one must be meant.
+        counts: Number of messages of each topic; a topic without messages is no candidate.
+        chosen: `[sources.map]` of the cell file, which takes precedence over all rules.
+        body: Topic of the person, if given in the cell file.
+        robot: Whether the robot is requested; among several robots one must then be identified.
 
     Raises:
-        UnknownName: The cell file uses a key that a bag does not know.
+        UnknownName: The cell file uses an unknown key.
         ConfigError: The cell file names a scaling topic of unknown unit.
-        LogError: The cell file names a topic that the bag does not hold, or not which of several robots is meant.
+        LogError: The cell file names a topic that is missing, or does not identify one of several robots.
     """
     for key in chosen:
         if key not in _KEYS:
@@ -143,7 +143,7 @@ def roles_in(
 
 
 def _of_robot(path: Path, live: Mapping[str, str], named: Mapping[str, list[str]]) -> dict[str, str]:
-    """Return the topics of one robot and those of none; the robot is that of a topic named, else of the only pose."""
+    """Return the topics of one robot and those of none; the robot is that of a given topic, else of the only pose."""
 
     def quantity(topic: str) -> str | None:
         kind = live[topic]
@@ -162,7 +162,7 @@ def _of_robot(path: Path, live: Mapping[str, str], named: Mapping[str, list[str]
 
 
 def _times(path: Path, types: Mapping[str, str], asked: object) -> dict[str, How]:
-    """Return which of its times each topic is to be read by, as the cell file says."""
+    """Return the kind of time to use for each topic, as given in the cell file."""
     if not isinstance(asked, Mapping):
         cure = f'Write time = {{ "/topic" = "{HOWS[0]}" }}; known: {", ".join(HOWS)}.'
         raise ConfigError(f"{_WHERE}: time = {asked!r} is not a table", cure=cure)
@@ -175,10 +175,10 @@ def _times(path: Path, types: Mapping[str, str], asked: object) -> dict[str, How
 
 
 def _named(path: Path, types: Mapping[str, str], value: object, key: str = "") -> list[str]:
-    """Return the topics that a value of the cell file names; a leading slash may be left out.
+    """Return the topics named in a value of the cell file; a leading slash is optional.
 
     Raises:
-        LogError: There is no such topic, or it is of a type that tells nothing of what `key` is for.
+        LogError: There is no such topic, or its type does not suit `key`.
     """
     names = (
         [str(item) for item in value] if isinstance(value, Sequence) and not isinstance(value, str) else [str(value)]
@@ -209,7 +209,7 @@ def _is_description(topic: str) -> bool:
 
 
 def _joints(types: Mapping[str, str]) -> list[str]:
-    """Return joint topics, best first; set points are no measurement. A controller's state is the last resort."""
+    """Return joint topics, best first, without set points; a controller's state is the last resort."""
     measured = [t for t in _ending_of_type(types, JOINTS) if "target" not in t and "command" not in t]
     return sorted(
         measured, key=lambda topic: (topic.strip("/") != "joint_states", not _ends(topic, "joint_states"))
@@ -228,7 +228,7 @@ def _people(types: Mapping[str, str]) -> list[str]:
 
 
 def _has_humans(types: Mapping[str, str]) -> bool:
-    """Tell whether someone speaks ROS4HRI: its lists and bodies are below `humans`, the bodies' places in TF."""
+    """Return whether ROS4HRI is used: its lists and bodies are below `humans`, the positions of bodies in TF."""
     return any("/humans/" in f"/{topic.strip('/')}/" for topic in types)
 
 
@@ -240,13 +240,13 @@ def _speaks_of_people(topic: str, kind: str) -> bool:
 
 
 def _factors(types: Mapping[str, str]) -> tuple[Factor, ...]:
-    """Return the topics whose product is the scaling in force; a command only where no state was recorded."""
+    """Return the topics whose product is the effective scaling; a command only if no state was recorded."""
     found = [factor for topic, kind in types.items() if (factor := _factor(topic, kind))]
     families = {factor.family for factor in found}
     if "ur-2" in families:
         found = [factor for factor in found if factor.family != "ur-1"]
     state = [factor for factor in found if factor.family in ("ur-1", "ur-2", "cnr")]
-    if not state:  # a controller's state has a factor from Jazzy on: the command stands in where it has none
+    if not state:  # a controller's state has a factor since Jazzy; without one the command is used
         state = [factor for factor in found if factor.family == "controller"][:1]
         state += [factor for factor in found if factor.family == "command"][:1]
         state += [factor for factor in found if factor.family == "clamp"]
@@ -272,13 +272,13 @@ def _factor(topic: str, kind: str) -> Factor | None:
 
 
 def _override_of(topic: str) -> str | None:
-    """Return which of the three overrides of the CNR stack a topic carries, if any; all its variants are percent."""
+    """Return which of the three overrides of the CNR stack a topic holds, if any; all variants are in percent."""
     stem = topic.rpartition("/")[2].removesuffix("_float64").removesuffix("_float")
     return stem if stem in ("speed_ovr", "safe_ovr_1", "safe_ovr_2") else None
 
 
 def _once_per_override(factors: list[Factor]) -> list[Factor]:
-    """Drop the Float32 and Float64 copies of an override that is there as an integer too."""
+    """Drop the Float32 and Float64 copies of an override that also exists as an integer."""
     best: dict[str, Factor] = {}
     for factor in sorted(factors, key=lambda f: len(f.topic)):
         best.setdefault(_override_of(factor.topic) or factor.topic, factor)

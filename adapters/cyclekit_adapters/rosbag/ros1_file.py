@@ -1,8 +1,8 @@
-"""Look through a ROS 1 bag: its connections, its chunks, and how far it is whole.
+"""Survey of a ROS 1 bag: its connections, its chunks, and how far it is readable.
 
 The index at the end of the file is not needed: every chunk that introduces a connection holds its definition, and the
-index records behind each chunk say what is in it. So a bag that was cut, or never closed, is read like any other as
-far as its chunks are whole. ROS 1 bags have no checksums. The layout is that of bag format 2.0.
+index records after each chunk list its content. So a bag that was cut or never closed is read like any other, as far as
+its chunks are complete. ROS 1 bags have no checksums. Format: bag format 2.0.
 """
 
 from __future__ import annotations
@@ -75,9 +75,9 @@ class _Records:
 
 
 def _alike(buffer: Bytes, start: Ints, length: int) -> tuple[tuple[Ints, Ints, Ints, Ints] | None, list[int]]:
-    """Read the message heads among records whose headers have one length; return the other records beside them.
+    """Parse the message headers among records with headers of one length; also return the starts of other records.
 
-    The first message shows where its fields stand; another one with the same bytes around them has them there too.
+    The first message gives the positions of its fields; they apply to all messages with the same bytes around them.
     """
     heads = gather(buffer, start, length + 8)
     other: list[int] = []
@@ -102,7 +102,7 @@ def _alike(buffer: Bytes, start: Ints, length: int) -> tuple[tuple[Ints, Ints, I
 
 
 def _places(header: bytes) -> dict[str, int] | None:
-    """Return where the values of a message's header stand, None if it is no message."""
+    """Return the positions of the values in a message's header; None if the record is no message."""
     places, position = {}, 0
     try:
         while position < len(header):
@@ -119,12 +119,12 @@ def _places(header: bytes) -> dict[str, int] | None:
 
 
 def look(path: Path) -> ChunkedFile:
-    """Return what a ROS 1 bag holds, as far as it is whole.
+    """Return the content of a ROS 1 bag, as far as it is readable.
 
     Raises:
-        Damage: It is encrypted, or of another version of the format.
+        Damage: The bag is encrypted, or of another format version.
         OSError: The file cannot be read.
-        Exception: A record makes no sense; any error of parsing.
+        Exception: A record is invalid; any parse error.
     """
     found = ChunkedFile(path, _Records())
     with path.open("rb") as log:
@@ -156,12 +156,12 @@ def look(path: Path) -> ChunkedFile:
 
 
 def _heads(log: BufferedReader, found: ChunkedFile, end: int) -> tuple[int | None, dict[bytes, bytes]]:
-    """Read the heads of all records; return where the file stops making sense (None if it is whole) and the bag's."""
+    """Read the headers of all records; return where the file becomes unreadable (else None), and the bag header."""
     position, about = log.tell(), dict[bytes, bytes]()
     while position < end:
         log.seek(position)
         fields = _header(log)
-        if fields is None or b"op" not in fields:  # zeros would be one empty record after another
+        if fields is None or b"op" not in fields:  # zeros would be an endless series of empty records
             return position, about
         size = log.read(4)
         place = log.tell()
@@ -188,14 +188,14 @@ def _heads(log: BufferedReader, found: ChunkedFile, end: int) -> tuple[int | Non
 
 
 def _chunks_end(about: dict[bytes, bytes], end: int) -> int:
-    """Return where the chunks of a file end that reaches beyond them, so that none of them is cut; 0 if unknown."""
+    """Return the end of the chunks, if the file extends beyond it, so that no chunk is cut; 0 if unknown."""
     at = _number(about, b"index_pos")
     return at if at < end else 0
 
 
 def _cut_chunk(log: BufferedReader, found: ChunkedFile, chunk: Chunk, after: int) -> None:
-    """Keep what there is of a chunk within which the file ends; `after` is where it would end."""
-    # the length of a chunk that is not compressed is written twice: if they differ, a bit is wrong
+    """Keep the readable part of a chunk within which the file ends; `after` is its expected end."""
+    # the length of an uncompressed chunk is written twice: if the two differ, a bit is wrong
     if chunk.compression not in STORED or chunk.size == after - chunk.place:
         found.add_cut(log, chunk)
 
@@ -245,7 +245,7 @@ def _connect(found: ChunkedFile, fields: dict[bytes, bytes], data: bytes) -> Non
 
 
 def _open(log: BufferedReader, found: ChunkedFile, chunk: Chunk) -> Messages | None:
-    """Look into a chunk for what its index does not tell."""
+    """Open a chunk for information that its index lacks."""
     raw = found.unpacked(log, chunk)
     if raw is None:
         return None
@@ -263,7 +263,7 @@ def _open(log: BufferedReader, found: ChunkedFile, chunk: Chunk) -> Messages | N
 
 
 def _last(log: BufferedReader, found: ChunkedFile) -> None:
-    """Find the last time recovered: in the last chunk that can be read."""
+    """Find the last recovered time, in the last readable chunk."""
     for chunk in reversed(found.chunks):
         messages = _open(log, found, replace(chunk, index=chunk.index or [(-1, 0, 0)]))
         if messages is not None and messages.receive_ns.size:
@@ -272,7 +272,7 @@ def _last(log: BufferedReader, found: ChunkedFile) -> None:
 
 
 def _how_much(found: ChunkedFile, said: str) -> str:
-    """Describe what a cut bag has lost, as far as that is known."""
+    """Return a description of what a cut bag has lost, as far as known."""
     if found.last_ns is not None:
         said += f"; messages up to {moment(found.last_ns)} are recovered, later ones are lost"
     return f"{said}; copy the bag again if the original is whole"

@@ -1,8 +1,8 @@
-"""Look through a sqlite3 bag (.db3) and read it topic by topic.
+"""Survey of a sqlite3 bag (.db3), and its messages topic by topic.
 
-One SELECT per topic hands the rows over without a step of Python in between. What sqlite does not open any more, or not
-to its end, is read page by page instead (`sqlite_pages`). The bags of older ROS 2 versions record no definitions; what
-stands in for them is the business of `undefined`.
+One SELECT per topic returns the rows without Python code in between. A file that sqlite cannot open, or not read to its
+end, is read page by page instead (`sqlite_pages`). Bags of older ROS 2 versions store no definitions; `undefined`
+replaces them.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from cyclekit_adapters.rosbag.payloads import BLOCK_BYTES, Channel, Damage, Ints
 from cyclekit_adapters.rosbag.sqlite_pages import NoPages, Pages, Value
 
 _NOTATIONS = {"ros2msg": "msg", "ros2idl": "idl"}
-_ROWS = 512  # rows fetched at once; many more, and they leave the processor's cache before they are joined
-_GLANCE = 10_000  # rows looked at before all of them are counted
-_MAX_ROW = 64 << 20  # bytes; sqlite makes no larger value, whatever a table promises
+_ROWS = 512  # rows fetched at once; more of them leave the processor's cache before they are joined
+_GLANCE = 10_000  # rows read before all of them are counted
+_MAX_ROW = 64 << 20  # bytes; limit for sqlite values, whatever a table declares
 _SELECT = "SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY rowid"
 _DATABASE = "no tables of topics and messages"
 
 
 @dataclass
 class SqliteFile:
-    """A .db3 as far as it is whole; meets `payloads.BagFile`.
+    """The readable part of a .db3; implements `payloads.BagFile`.
 
     Attributes:
-        salvaged: Sqlite does not read it: its pages are read one by one.
-        copy: What is read instead, where the recorder was killed.
+        salvaged: Sqlite cannot read the file, so its pages are read one by one.
+        copy: File that is read instead, if the recorder was killed.
     """
 
     path: Path
@@ -50,7 +50,7 @@ class SqliteFile:
     copy: Path | None = None
 
     def blocks(self, wanted: set[int]) -> Iterator[Mapping[int, Payloads]]:
-        """Yield the messages of the wanted channels in the order of the file, about BLOCK_BYTES at a time."""
+        """Yield the messages of the wanted channels in file order, about BLOCK_BYTES at a time."""
         if self.salvaged:
             yield from self._from_pages(wanted, {})
             return
@@ -69,7 +69,7 @@ class SqliteFile:
             yield from self._from_pages(set(broken), broken)
 
     def _batches(self, bag: sqlite3.Connection, number: int, broken: dict[int, int]) -> Iterator[_Batch]:
-        """Yield the rows of a topic; where sqlite stops, note the last row that it gave."""
+        """Yield the rows of a topic; if sqlite stops, store the last row that it returned."""
         done = 0
         try:
             cursor = bag.execute(_SELECT, (number,))
@@ -82,7 +82,7 @@ class SqliteFile:
             broken[number] = _last_row(bag, number, done)
 
     def _batch(self, rows: list[tuple[object, object]]) -> _Batch:
-        """Join rows; those whose columns are not what they should be, as in a damaged file, are set aside."""
+        """Join rows; rows with columns of wrong type, as in a damaged file, are set aside."""
         times, messages = zip(*rows, strict=True)
         if set(map(type, times)) != {int} or set(map(type, messages)) != {bytes}:
             sound = [row for row in rows if isinstance(row[0], int) and isinstance(row[1], bytes)]
@@ -92,7 +92,7 @@ class SqliteFile:
         return _Batch(np.array(times, np.int64), size, b"".join(messages))
 
     def _from_pages(self, wanted: set[int], after: Mapping[int, int]) -> Iterator[Mapping[int, Payloads]]:
-        """Yield the messages behind some row of each topic, out of the pages."""
+        """Yield the messages after a given row of each topic, from the pages."""
         with (self.copy or self.path).open("rb") as log:
             rows = _messages(Pages(log), set(self.channels))
             found = ((t, at, raw) for row, t, at, raw in rows if t in wanted and row > after.get(t, -1))
@@ -105,7 +105,7 @@ class SqliteFile:
 
 @dataclass(frozen=True)
 class _Batch:
-    """Some rows of one topic: receive times (ns) and sizes, shape (N,), and the messages end to end."""
+    """Some rows of one topic: receive times (ns) and sizes, shape (N,), and the concatenated messages."""
 
     receive_ns: Ints
     size: Ints
@@ -128,11 +128,11 @@ def _up_to(rows: Iterable[tuple[int, int, bytes]], most: int) -> Iterator[tuple[
 
 
 def look(path: Path) -> SqliteFile:
-    """Return what a sqlite3 bag holds.
+    """Return the content of a sqlite3 bag.
 
     Raises:
         sqlite3.Error: The tables of topics cannot be read.
-        Damage: It is a database, and no bag.
+        Damage: The file is a database, but no bag.
     """
     found = SqliteFile(path)
     beside = path.with_name(path.name + "-wal")
@@ -148,7 +148,7 @@ def look(path: Path) -> SqliteFile:
 
 
 def _recovered(found: SqliteFile, beside: Path) -> Path | None:
-    """Let sqlite put what a killed recorder had not yet moved into the bag into a copy of it; None if it cannot."""
+    """Return a copy of the bag into which sqlite merged the log of a killed recorder; None if that fails."""
     scratch = Scratch()
     folder = scratch.path
     weakref.finalize(found, scratch.remove)
@@ -167,21 +167,21 @@ def _recovered(found: SqliteFile, beside: Path) -> Path | None:
 
 
 def _torn(path: Path) -> int:
-    """Return how many bytes of a page that is not whole stand at the end of the file."""
+    """Return the number of bytes of an incomplete page at the end of the file."""
     with path.open("rb") as log:
         page = int.from_bytes(log.read(18)[16:], "big")
         return log.seek(0, 2) % {0: 512, 1: 65536}.get(page, page)
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """Open for reading alone."""
+    """Open read-only."""
     bag = sqlite3.connect(f"file:{quote(str(path.absolute()))}?immutable=1&mode=ro", uri=True)
     bag.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MAX_ROW)
     return bag
 
 
 def _last_row(bag: sqlite3.Connection, number: int, done: int) -> int:
-    """Return the number of the last row of a topic that was handed over, -1 for none."""
+    """Return the number of the last returned row of a topic; -1 if none."""
     select = "SELECT rowid FROM messages WHERE topic_id = ? ORDER BY rowid LIMIT ?"
     with suppress(sqlite3.DatabaseError):
         return max((int(row) for (row,) in bag.execute(select, (number, done))), default=-1)
@@ -202,7 +202,7 @@ def _channels(bag: sqlite3.Connection) -> dict[int, Channel]:
 
 
 def _made(topics: Iterable[tuple[Value, ...]], definitions: Iterable[tuple[Value, ...]]) -> dict[int, Channel]:
-    """Return channels out of (number, name, type, coding) and (type, notation, text)."""
+    """Return channels from (number, name, type, coding) and (type, notation, text)."""
     known: dict[object, tuple[str, str]] = {}
     for kind, encoding, text in definitions:
         if encoding in _NOTATIONS:
@@ -215,7 +215,7 @@ def _made(topics: Iterable[tuple[Value, ...]], definitions: Iterable[tuple[Value
 
 
 def _present(bag: sqlite3.Connection, topics: set[int], *, torn: bool) -> dict[int, int]:
-    """Count messages by topic; where the first rows already show every topic, theirs are count enough."""
+    """Count messages by topic; if the first rows already show every topic, their counts suffice."""
     if torn:
         raise sqlite3.DatabaseError("its last page is not whole")
     for rows in (f"(SELECT topic_id FROM messages LIMIT {_GLANCE})", "messages"):
@@ -226,7 +226,7 @@ def _present(bag: sqlite3.Connection, topics: set[int], *, torn: bool) -> dict[i
 
 
 def _salvage(found: SqliteFile, error: sqlite3.DatabaseError) -> None:
-    """Look through the pages of a file that sqlite does not read.
+    """Read the pages of a file that sqlite cannot read.
 
     Raises:
         sqlite3.DatabaseError: Not even the topics can be read.
@@ -259,7 +259,7 @@ def _salvage(found: SqliteFile, error: sqlite3.DatabaseError) -> None:
 
 
 def _messages(pages: Pages, topics: set[int]) -> Iterator[tuple[int, int, int, bytes]]:
-    """Yield row number, topic, time (ns) and bytes of every message, on whatever page it stands."""
+    """Yield row number, topic, time (ns) and bytes of every message, from any page."""
     others = {page for name, root in pages.tables().items() if name != "messages" for page in pages.pages_below(root)}
     for number, row in pages.everywhere(but=others):
         if len(row) == 4:

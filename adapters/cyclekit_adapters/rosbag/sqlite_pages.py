@@ -1,10 +1,10 @@
-"""Rows of a sqlite3 file that sqlite itself does not open any more: cut, or damaged in a page that leads to others.
+"""Rows of a sqlite3 file that sqlite cannot open: cut, or damaged in a page that leads to others.
 
-Sqlite finds a row by going down a tree of pages, and the pages at its top are often written last, so of a cut file it
-reads little or nothing. But every page at the bottom is complete in itself: it lists its rows, each with its number and
-its columns. Here those pages are read one by one, wherever they stand. Rows whose pages are missing stay missing.
+Sqlite finds a row through a tree of pages. The pages at its top are often written last, so sqlite reads little or
+nothing of a truncated file. But every leaf page is self-contained: it lists its rows, each with its number and columns.
+This module reads the leaf pages one by one, at any position. Rows of missing pages stay missing.
 
-The layout is that of the database file format of sqlite 3; its tables of rows alone, since a bag needs nothing else.
+Format: the database file format of sqlite 3, limited to its row tables, which are all that a bag needs.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ Value = int | float | str | bytes | None
 _LEAF, _INNER = 13, 5
 _INT_SIZES = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}
 _MAX_ROW = 64 << 20
-"""Bytes of a row; no message of use here is larger."""
-_HEAD = 100  # bytes at the beginning of the first page that are no part of its tree
-_AT_ONCE = 1 << 20  # bytes read at once
+"""Maximum size of a row, bytes; no usable message is larger."""
+_HEAD = 100  # bytes at the start of the first page that are not part of its tree
+_AT_ONCE = 1 << 20  # bytes per read
 
 
 class NoPages(ValueError):
-    """The file is no sqlite3 database as far as its first page tells."""
+    """The first page is not that of a sqlite3 database."""
 
 
 @dataclass
 class Pages:
-    """The pages of a database that are wholly there.
+    """Complete pages of a database.
 
     Attributes:
         log: The file, open for reading.
-        size: Bytes of a page; `usable`: of them in use.
-        count: Whole pages that there are; `missing`: pages that the file's head counts beyond those.
+        size: Bytes per page; `usable`: those in use.
+        count: Number of complete pages; `missing`: further pages according to the file header.
     """
 
     log: BufferedReader
@@ -42,7 +42,7 @@ class Pages:
     count: int = field(init=False)
     missing: int = field(init=False)
     _read: bytes = b""
-    _first: int = 0  # page with which `_read` begins
+    _first: int = 0  # first page in `_read`
 
     def __post_init__(self) -> None:
         self.log.seek(0)
@@ -58,7 +58,7 @@ class Pages:
         self.missing = max(0, int.from_bytes(head[28:32], "big") - self.count)
 
     def _page(self, number: int) -> bytes:
-        """Return the bytes of a page; pages are most often asked for one after the other."""
+        """Return the bytes of a page; optimised for consecutive pages."""
         if not 1 <= number <= self.count:
             raise ValueError("a page is missing")
         at = (number - self._first) * self.size
@@ -68,7 +68,7 @@ class Pages:
         return self._read[at : at + self.size]
 
     def tables(self) -> dict[str, int]:
-        """Return the first page of each table that page 1 tells of."""
+        """Return the first page of each table listed in page 1."""
         found = {}
         for _, row in self._rows(1) if self.count else ():
             if len(row) >= 4 and row[0] == "table" and isinstance(row[1], str) and isinstance(row[3], int):
@@ -76,12 +76,12 @@ class Pages:
         return found
 
     def below(self, root: int) -> Iterator[tuple[int, list[Value]]]:
-        """Yield number and columns of every row of a table as far as its pages are there."""
+        """Yield number and columns of every row of a table, as far as its pages exist."""
         for page in self.pages_below(root):
             yield from self._rows(page)
 
     def pages_below(self, root: int) -> list[int]:
-        """Return the bottom pages of a table that can be reached from its first page."""
+        """Return the leaf pages of a table that can be reached from its first page."""
         found, todo, seen = [], [root], set[int]()
         while todo:
             page = todo.pop()
@@ -98,14 +98,14 @@ class Pages:
         return sorted(found)
 
     def everywhere(self, but: set[int]) -> Iterator[tuple[int, list[Value]]]:
-        """Yield number and columns of every row on every bottom page of the file, but for some pages and free ones."""
+        """Yield number and columns of every row on all leaf pages of the file, except pages in `but` and free ones."""
         unused = but | self._free()
         for page in range(2, self.count + 1):
             if page not in unused:
                 yield from self._rows(page)
 
     def _free(self) -> set[int]:
-        """Return the pages that hold nothing any more, as far as their list is there."""
+        """Return the free pages, as far as their list exists."""
         found = set[int]()
         page = int.from_bytes(self._page(1)[32:36], "big") if self.count else 0
         while 1 <= page <= self.count and page not in found:
@@ -116,7 +116,7 @@ class Pages:
         return found
 
     def _cells(self, page: int, raw: bytes) -> tuple[int, list[int]]:
-        """Return the kind of a page and where its cells begin within it."""
+        """Return the kind of a page and the offsets of its cells."""
         head = _HEAD if page == 1 else 0
         kind = raw[head]
         count = int.from_bytes(raw[head + 3 : head + 5], "big")
@@ -133,7 +133,7 @@ class Pages:
         for cell in cells if kind == _LEAF else ():
             try:
                 yield self._row(raw, cell)
-            except (IndexError, ValueError):  # a garbled cell, or one whose rest stands on a missing page
+            except (IndexError, ValueError):  # a garbled cell, or one that continues on a missing page
                 continue
 
     def _row(self, raw: bytes, at: int) -> tuple[int, list[Value]]:
@@ -150,7 +150,7 @@ class Pages:
         return number, _columns(payload)
 
     def _here(self, size: int) -> int:
-        """Return how many bytes of a row of some size stand on its own page; the rest is a chain of others."""
+        """Return how many bytes of a row of this size are on its own page; the rest is a chain of other pages."""
         most, least = self.usable - 35, (self.usable - 12) * 32 // 255 - 23
         if size <= most:
             return size
@@ -197,5 +197,5 @@ def _columns(payload: bytes) -> list[Value]:
         elif kind >= 12:
             found.append(part.decode() if kind % 2 else part)
         else:
-            found.append({8: 0, 9: 1}.get(kind))  # null, and numbers that no column of a bag holds
+            found.append({8: 0, 9: 1}.get(kind))  # null, and numbers that do not occur in a bag
     return found

@@ -1,8 +1,8 @@
-"""The tables of robot and events out of the messages of a bag.
+"""Tables of robot and events from the messages of a bag.
 
-Topics come at rates of their own. The robot's table stands on the time of its TCP pose (of its joints, where there
-is none): a position is taken from the nearest message, a scaling or a program state holds until the next message.
-What was not recorded, or not yet, stays unknown.
+Topics have different rates. The robot's table uses the times of its TCP pose (of its joints, if there is none). A
+position comes from the nearest message; a scaling or a program state holds until the next message. Values that were not
+recorded, or not yet, stay unknown.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ if TYPE_CHECKING:
     from cyclekit_adapters.rosbag.roles import Factor, Roles
     from cyclekit_adapters.rosbag.tracks import Contents
 
-_NEAR_PERIODS = 2.0  # a position further away in time than this many of its periods is unknown
-_NEAR_S = 0.1  # the same, where one message tells no period
+_NEAR_PERIODS = 2.0  # maximum time to the nearest position, in periods of its topic
+_NEAR_S = 0.1  # the same, s, for a single message without period
 _SLACK = 1e-3
 _STATES = ("stopped", "playing")
 _UNKNOWN = -1
-_FINGER = re.compile(r"finger|gripper|knuckle|robotiq", re.IGNORECASE)  # of these positions are metres, or no arm's
+_FINGER = re.compile(r"finger|gripper|knuckle|robotiq", re.IGNORECASE)  # positions in m, or not of the arm
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of a table in the making, one per instant.
+    """Rows of a table under construction, one per time.
 
     Attributes:
-        t_s: Times, ascending, shape (T,), s; `index`: of the message, shape (T,).
-        numbers: Shape (T, C); `columns`: what they are called, C names.
+        t_s: Times, ascending, shape (T,), s; `index`: index of the message, shape (T,).
+        numbers: Values, shape (T, C); `columns`: their C names.
     """
 
     t_s: Array
@@ -59,7 +59,7 @@ class _Rows:
 
 
 def robot_table(contents: Contents, roles: Roles, frames: Frames) -> pl.DataFrame | None:
-    """Return table ROBOT, None where the bag says nothing of where the robot is."""
+    """Return table ROBOT; None if the bag holds no robot position."""
     rows = _tcp(contents, roles, frames)
     joints = _joints(contents, str(roles.joints)) if roles.joints in contents.tracks else None
     numbers = rows.series() if rows is not None else []
@@ -104,7 +104,7 @@ def _placed(times: Array, index: Ints, place: Array) -> _Rows:
 
 
 def in_order(times: Array) -> Ints | slice:
-    """Return the rows by which times ascend, the first of each instant; all of them where they do so already."""
+    """Return the rows in ascending order of time, the first one of each time; all if already ascending."""
     if (times[1:] > times[:-1]).all() and np.isfinite(times).all():
         return slice(None)
     order = np.argsort(times, kind="stable")
@@ -148,14 +148,14 @@ def _joints(contents: Contents, topic: str) -> _Rows | None:
 
 
 def _ordered(values: Array, names: tuple[str, ...], order: tuple[str, ...]) -> Array:
-    """Return the columns in `order`, shape (N, J); NaN where the driver left them out."""
+    """Return the columns in `order`, shape (N, J); NaN if the driver omitted them."""
     if values.shape[1] != len(names):
         return np.full((len(values), len(order)), np.nan)
     return values if names == order else values[:, [names.index(name) for name in order]]
 
 
 def _nearest(rows: _Rows, at_s: Array) -> _Rows:
-    """Return the nearest row at each moment, NaN where none is near."""
+    """Return the nearest row at each time; NaN if none is close enough."""
     near = _NEAR_PERIODS * middle(np.diff(rows.t_s)) if rows.t_s.size > 1 else _NEAR_S
     after = np.clip(np.searchsorted(rows.t_s, at_s), 0, rows.t_s.size - 1)
     before = np.maximum(after - 1, 0)
@@ -166,7 +166,7 @@ def _nearest(rows: _Rows, at_s: Array) -> _Rows:
 
 
 def _held(times: Array, at_s: Array) -> Ints:
-    """Return for each moment the row that holds then, shape (T,): the last one before it; -1 before the first."""
+    """Return for each time the index of the last row before it, shape (T,); -1 before the first."""
     order = np.argsort(times, kind="stable")
     order = order[np.isfinite(times[order])]
     place = np.searchsorted(times[order], at_s, side="right") - 1
@@ -174,10 +174,10 @@ def _held(times: Array, at_s: Array) -> Ints:
 
 
 def _state(contents: Contents, roles: Roles, at_s: Array) -> npt.NDArray[np.int8] | None:
-    """Return the program's state at each moment, an index of `_STATES`, -1 = unknown; None if nothing tells it.
+    """Return the program's state at each time as an index of `_STATES`, -1 = unknown; None without a source.
 
-    While the robot is in a mode in which no program moves it, the program counts as stopped; modes and states hold
-    until the next one.
+    In a mode in which no program moves the robot, the program counts as stopped. Modes and states hold until the next
+    one.
     """
     state: npt.NDArray[np.int8] | None = None
     if roles.running in contents.tracks:
@@ -195,7 +195,7 @@ def _state(contents: Contents, roles: Roles, at_s: Array) -> npt.NDArray[np.int8
 
 
 def _digital(contents: Contents, roles: Roles, at_s: Array) -> list[pl.Series]:
-    """Return the digital inputs and outputs at each moment as bit fields; unknown before the first message."""
+    """Return digital inputs and outputs at each time as bit fields; unknown before the first message."""
     if roles.inputs not in contents.tracks:
         return []
     row, said = _held(contents.at(roles.inputs), at_s), contents.tracks[roles.inputs].joined()
@@ -205,7 +205,7 @@ def _digital(contents: Contents, roles: Roles, at_s: Array) -> list[pl.Series]:
 
 
 def _factors(contents: Contents, roles: Roles) -> list[Factor]:
-    """Return the factors that were recorded; what the controller used beats what was commanded."""
+    """Return the recorded factors; those used by the controller take precedence over commands."""
     found = [factor for factor in roles.scaling if factor.topic in contents.tracks]
     silent = {one.topic for one in found if np.isnan(contents.tracks[one.topic].joined()).all()}
     found = [factor for factor in found if factor.topic not in silent]
@@ -214,7 +214,7 @@ def _factors(contents: Contents, roles: Roles) -> list[Factor]:
 
 
 def _scaling(contents: Contents, roles: Roles, at_s: Array, state: npt.NDArray[np.int8] | None) -> Array | None:
-    """Return the product of all factors in force; NaN before the first message and while the program is stopped."""
+    """Return the product of all factors; NaN before the first message and while the program is stopped."""
     factors = _factors(contents, roles)
     if not factors:
         contents.warnings.append("no speed scaling in the bag: it is unknown")
@@ -229,7 +229,7 @@ def _scaling(contents: Contents, roles: Roles, at_s: Array, state: npt.NDArray[n
             contents.warnings.append(f"{factor.topic} exceeds {factor.full:g} in some messages: unknown there")
         known.append(np.where(row >= 0, _clamped(said, factor)[row], np.nan))
     if all(factor.family == "cnr" for factor in factors) and len(factors) > 1:
-        # An override that has not spoken yet does not slow: the controllers start from 100 percent.
+        # An override without a message so far does not slow down: the controllers start from 100 percent.
         spoken = ~np.all([np.isnan(values) for values in known], axis=0)
         known = [np.where(spoken & np.isnan(values), 1.0, values) for values in known]
     product: Array = np.prod(known, axis=0)
@@ -239,7 +239,7 @@ def _scaling(contents: Contents, roles: Roles, at_s: Array, state: npt.NDArray[n
 
 
 def _clamped(value: Array, factor: Factor) -> Array:
-    """Clamp as the controllers do; a state beyond its range is not that state, and unknown."""
+    """Return values clamped as the controllers do; a state outside of its range is invalid and becomes NaN."""
     clipped: Array = np.clip(value, 0.0, 1.0)
     if factor.family not in ("cnr", "command"):
         clipped[~((value >= 0.0) & (value <= 1.0 + _SLACK))] = np.nan
@@ -261,7 +261,7 @@ def events_table(contents: Contents, roles: Roles) -> pl.DataFrame:
                 if value != last:
                     rows.append((float(times[row]), topic, "true" if value else "false", int(track.index[row])))
                 last = value
-            elif topic not in roles.modes or value != last:  # a latched mode is said again to each listener
+            elif topic not in roles.modes or value != last:  # a latched mode is sent again to each new subscriber
                 rows.append((float(times[row]), topic, str(value), int(track.index[row])))
                 last = value
     schema = {name: column.dtype for name, column in EVENTS.items()}

@@ -1,8 +1,7 @@
-"""What the topics in use say, as arrays: one track per topic, in the order of their messages.
+"""Content of the topics in use as arrays: one track per topic, in message order.
 
-A track holds when its messages were received and stamped, and the part of them that is used. Messages come in groups
-of equal form, so the parts do too; parts of one shape can be joined. What the tracks mean together is the business of
-`tables`, which of their times counts that of `clocks`.
+A track holds receive times, header stamps and the used part of its messages. Messages come in groups of equal layout,
+and so do these parts; parts of one shape can be joined. `tables` combines the tracks; `clocks` chooses their times.
 """
 
 from __future__ import annotations
@@ -29,9 +28,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JointStates:
-    """N messages about the same joints: names (J), angles (N, A) and speeds (N, S); a driver may leave out either.
+    """N messages about the same joints: names (J), angles (N, A) and speeds (N, S); a driver may omit either.
 
-    A controller's state may tell the speed scaling besides, shape (N,); NaN where it does not.
+    A controller's state may also hold the speed scaling, shape (N,); NaN where it does not.
     """
 
     names: tuple[str, ...]
@@ -46,12 +45,13 @@ Value = Array | JointStates | Persons | list[str] | npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class MessagePart:
-    """What M messages of one form say.
+    """Content of M messages of one layout.
 
     Attributes:
         rows: Rows of the track, shape (M,).
-        value: Places (M, 3), places of several (M, K, 3), numbers (M,), flags (M,), texts, joints, or people by name.
-        frame: The frame in their headers, empty where they have none.
+        value: Positions (M, 3), positions of several people (M, K, 3), numbers (M,), flags (M,), texts, joints, or
+            named people.
+        frame: Frame in their headers; empty if they have none.
     """
 
     rows: Ints
@@ -61,12 +61,12 @@ class MessagePart:
 
 @dataclass
 class TopicMessages:
-    """The messages of one topic.
+    """Messages of one topic.
 
     Attributes:
-        receive_s, stamp_s: When received and stamped (NaN: no header or an unset one), shape (N,), s.
+        receive_s, stamp_s: Receive times and header stamps (NaN: no header, or an unset one), shape (N,), s.
         index: Index within the topic, shape (N,), ascending.
-        parts: What they say.
+        parts: Their content.
     """
 
     receive_s: Array = field(default_factory=lambda: np.zeros(0))
@@ -75,7 +75,7 @@ class TopicMessages:
     parts: list[MessagePart] = field(default_factory=list)
 
     def joined(self) -> Array:
-        """Return places or numbers of all messages in order, shape (N, 3) or (N,); of joints the scaling."""
+        """Return positions or numbers of all messages in order, shape (N, 3) or (N,); for joint states, the scaling."""
         said = [part.value.scaling if isinstance(part.value, JointStates) else part.value for part in self.parts]
         rows = np.concatenate([part.rows for part in self.parts])
         if len(said) == 1 and (rows[1:] > rows[:-1]).all():
@@ -86,7 +86,7 @@ class TopicMessages:
         return ordered
 
     def each(self) -> list[object]:
-        """Return what each message says, in order: a text, a flag, or places of several, shape (K, 3)."""
+        """Return the content of each message in order: a text, a flag, or positions of several people, shape (K, 3)."""
         found: list[object] = [None] * self.index.size
         for part in self.parts:
             items: Sequence[object] = part.value if isinstance(part.value, list) else list(np.asarray(part.value))
@@ -97,13 +97,13 @@ class TopicMessages:
 
 @dataclass
 class Contents:
-    """What was collected from a bag, and what is to be said about it.
+    """Content collected from a bag, with warnings.
 
     Attributes:
-        tracks: By topic.
-        times: The clock of each track, once it is chosen.
-        joint_names: Names of the joints behind the angles, once the tables are made.
-        rows_of: For each table the topic whose messages its rows are.
+        tracks: Messages by topic.
+        times: Clock of each track, once chosen.
+        joint_names: Names of the joints of the angles, once the tables are made.
+        rows_of: Table -> topic whose messages are its rows.
     """
 
     tracks: dict[str, TopicMessages]
@@ -115,7 +115,7 @@ class Contents:
     warnings: list[str] = field(default_factory=list)
 
     def source(self, topic: str) -> StampSource:
-        """Return the times of a topic's messages."""
+        """Return the stamps of a topic's messages."""
         return StampSource(self.tracks[topic].receive_s, self.tracks[topic].stamp_s)
 
     def at(self, topic: str) -> Array:
@@ -138,7 +138,7 @@ class _Piece:
 
 
 def collect(bag: Bag, roles: Roles, *, skeletons: bool = False) -> Contents:
-    """Decode every topic in use; `skeletons`: the joints of people too."""
+    """Decode every topic in use; `skeletons`: also the joints of people."""
     contents = Contents({}, Transforms(), kinds=dict(bag.topics))
     factors = {factor.topic: factor for factor in roles.scaling}
     pieces: dict[str, list[_Piece]] = {}
@@ -151,11 +151,11 @@ def collect(bag: Bag, roles: Roles, *, skeletons: bool = False) -> Contents:
                 continue
             value = _value(arrived.kind, group, factors.get(topic), skeletons=skeletons)
             stamp_s, frame = _stamps(arrived)
-        except (AttributeError, TypeError, ValueError, IndexError) as error:  # not the definition that we know
+        except (AttributeError, TypeError, ValueError, IndexError) as error:  # another definition than the known one
             said = f"{topic}: a message has other fields ({error})"
             bag.undecodable += [(topic, number, said) for number in arrived.number.tolist()]
             continue
-        if value is not None:  # with nobody there may be no header either, and its time would be of another clock
+        if value is not None:  # messages without people may lack a header, and their time would be of another clock
             is_empty = isinstance(value, Persons) and not value.places.shape[1]
             into = nobody if is_empty else pieces
             into.setdefault(topic, []).append(_Piece(arrived.number, group.receive_ns, stamp_s, value, frame))
@@ -170,7 +170,7 @@ def collect(bag: Bag, roles: Roles, *, skeletons: bool = False) -> Contents:
 
 
 def _track(pieces: list[_Piece], order: Ints) -> TopicMessages:
-    """Put the pieces of one topic into the order of their index; `order` is the index of each arrival number."""
+    """Return the pieces of one topic in the order of their index; `order` is the index of each arrival number."""
     index = [order[piece.number] for piece in pieces]
     known = np.concatenate(index)
     by_index = np.argsort(known, kind="stable")
@@ -189,7 +189,7 @@ def _track(pieces: list[_Piece], order: Ints) -> TopicMessages:
 
 
 def _value(kind: str, group: Group, factor: Factor | None, *, skeletons: bool) -> Value | None:
-    """Return the part of the messages that is used, None if they have no such part."""
+    """Return the used part of the messages; None if they have none."""
     if kind == CONTROLLER:
         return _controller(group)
     if factor is not None:
@@ -221,7 +221,7 @@ def _value(kind: str, group: Group, factor: Factor | None, *, skeletons: bool) -
 
 
 def _bits(group: Group, name: str) -> Array:
-    """Return pins and their states as a bit field, shape (N,); pins that no float holds are left out."""
+    """Return pins and their states as a bit field, shape (N,); pins beyond the precision of a float are left out."""
     found = np.zeros(group.rows.size, np.int64)
     for place in range(len(group.first(name))):
         pin, state = (_scalars(group, name, place, part).astype(np.int64) for part in ("pin", "state"))
@@ -230,7 +230,7 @@ def _bits(group: Group, name: str) -> Array:
 
 
 def _controller(group: Group) -> JointStates:
-    """Read a controller's state by the fields it has: where the arm is was called `actual`, later `feedback`."""
+    """Read a controller's state by its fields: the measured position is called `actual`, later `feedback`."""
     measured = [name for name in ("feedback", "actual") if hasattr(group.message, name)]
     name = next((name for name in measured if len(group.first(name, "positions"))), measured[0])
     angles, speeds = (group.numbers(name, part).astype(np.float64, copy=False) for part in ("positions", "velocities"))
@@ -251,7 +251,7 @@ def _xyz(group: Group, *path: str | int) -> Array:
 
 
 def _stamps(arrived: Arrived) -> tuple[Array, str]:
-    """Return the header times, shape (N,), s, NaN where there is none or it is unset, and the frame."""
+    """Return the header times, shape (N,), s, NaN if missing or unset, and the frame."""
     group = arrived.group
     found, frame = np.full(group.rows.size, np.nan), ""
     for path in headers(group):

@@ -1,8 +1,8 @@
-"""The transforms of a bag as a tree of frames: who stands where in whom, and the way from one frame to another.
+"""The transforms of a bag as a tree of frames, and the chain from one frame to another.
 
-A driver publishes either one transform from the base to the tool, or one per link; a calibrated camera comes once, on
-`/tf_static`. A frame has one parent; where a bag names several (two cameras that see one body), the one named most
-often counts, and that is said. What a way comes to at each moment is the business of `chain`.
+A driver publishes either one transform from base to tool, or one per link; a calibrated camera is published once, on
+`/tf_static`. A frame has one parent. If a bag names several (two cameras that see one body), the most frequent one is
+used, with a warning. `chain` evaluates a chain over time.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ BASES = ("base", "base_link")
 
 @dataclass
 class FrameTransforms:
-    """The transforms of one frame in its parent, in the order of their messages.
+    """Transforms of one frame in its parent, in message order.
 
     Attributes:
         parent, child: Names of the frames.
-        topic: Where it was published; `index`: the messages within that topic, shape (N,).
-        receive_s, stamp_s: When received and stamped, shape (N,), s.
+        topic: Topic of the messages; `index`: their indices within it, shape (N,).
+        receive_s, stamp_s: Receive times and header stamps, shape (N,), s.
         pose: x, y, z in m and the rotation as x, y, z, w, shape (N, 7).
-        times: The times in the log's clock, shape (N,), s; set by whoever chooses that clock.
+        times: Times in the log's clock, shape (N,), s; set when that clock is chosen.
     """
 
     parent: str
@@ -46,17 +46,17 @@ class FrameTransforms:
 
     @property
     def name(self) -> str:
-        """How messages name this link."""
+        """Name of this link in messages."""
         return f"transform {self.parent} -> {self.child} on {self.topic}"
 
     def is_still(self) -> bool:
-        """Tell whether it says the same place all the time, however often."""
+        """Return whether the pose is constant."""
         return bool((self.pose == self.pose[:1]).all())
 
 
 @dataclass(frozen=True)
 class Step:
-    """One link of a way; `back`: from the child to its parent."""
+    """One link of a chain; `back`: from child to parent."""
 
     link: FrameTransforms
     back: bool = False
@@ -66,7 +66,7 @@ class Step:
 
 
 class Transforms:
-    """All links of a bag, by the name of the child frame; complete once `finish` was called."""
+    """All links of a bag, by name of the child frame; complete after `finish`."""
 
     def __init__(self) -> None:
         self.links: dict[str, FrameTransforms] = {}
@@ -74,7 +74,7 @@ class Transforms:
         self._parts: dict[tuple[str, str, str], list[tuple[Ints, Array, Array, Array]]] = {}
 
     def add(self, topic: str, number: Ints, group: Group) -> None:
-        """Take in a group of TFMessages; `number` is the arrival number of each, shape (N,)."""
+        """Add a group of TFMessages; `number` is the arrival number of each, shape (N,)."""
         found = []
         for entry, item in enumerate(group.first("transforms")):
             child, parent = _plain(item.child_frame_id), _plain(item.header.frame_id)
@@ -90,7 +90,7 @@ class Transforms:
             self._parts.setdefault((child, parent, topic), []).append((number, receive_s, stamp_s, pose))
 
     def finish(self, order: Callable[[str], Ints]) -> None:
-        """Make the links of what was taken in; `order` gives the index of each arrival number of a topic."""
+        """Build the links from the added messages; `order` gives the index of each arrival number of a topic."""
         best: dict[str, tuple[int, str, str]] = {}
         for (child, parent, topic), parts in self._parts.items():
             said = sum(number.size for number, *_ in parts)
@@ -114,7 +114,7 @@ class Transforms:
         return set(self.links) | {link.parent for link in self.links.values()}
 
     def way(self, base: str, frame: str) -> list[Step] | None:
-        """Return the way from one frame to another, empty if they are one; None if no transforms lead there."""
+        """Return the chain from one frame to another, empty if both are the same; None if they are not connected."""
         there, back = self._up(_plain(frame)), self._up(_plain(base))
         above = [_plain(frame), *(link.parent for link in there)]
         common = next((name for name in [_plain(base), *(link.parent for link in back)] if name in above), None)
@@ -125,11 +125,11 @@ class Transforms:
         return [*(Step(link, back=True) for link in back[:begin]), *(Step(link) for link in reversed(forth))]
 
     def tool_way(self, base: str | None, tool: str | None) -> tuple[str, list[Step], list[str]] | None:
-        """Return the base frame, the way from it to the tool, and tools of other arms; None if there is no way.
+        """Return base frame, chain from base to tool, and tools of other arms; None if there is no chain.
 
         Args:
-            base: Frame of the base; by default the one of the tool's own prefix, then `base`, then `base_link`.
-            tool: Frame of the tool; by default the first known name, with any prefix.
+            base: Base frame; by default the one with the tool's prefix, then `base`, then `base_link`.
+            tool: Tool frame; by default the first known name, with any prefix.
         """
         for name in [tool] if tool else TOOLS:
             alike = [tool] if tool else sorted(child for child in self.links if is_named(child, name))
@@ -148,7 +148,7 @@ class Transforms:
         return next(((end, way) for end, way in ways if way), None)
 
     def bases(self, base: str | None, first: Iterable[str] = ()) -> list[str]:
-        """Return the frames that may be the robot's base, those in `first` before others."""
+        """Return the possible base frames of the robot, those in `first` before others."""
         if base:
             return [_plain(base)]
         above = list(first)
@@ -156,12 +156,12 @@ class Transforms:
         return [frame for names in (above, others) for name in BASES for frame in names if is_named(frame, name)]
 
     def bodies(self) -> dict[str, str]:
-        """Return the frame of each person's body (ROS4HRI), by id; a `person_<id>` is the face, and no body."""
+        """Return the frame of each person's body (ROS4HRI), by id; `person_<id>` is a face, not a body."""
         names = {child: child.rpartition("/")[2] for child in sorted(self.links)}
         return {name.removeprefix("body_"): child for child, name in names.items() if name.startswith("body_")}
 
     def root(self, frame: str) -> str:
-        """Return the frame that a frame hangs from at last."""
+        """Return the root frame above a frame."""
         above = self._up(_plain(frame))
         return above[-1].parent if above else _plain(frame)
 
@@ -179,5 +179,5 @@ def _plain(frame: str) -> str:
 
 
 def is_named(frame: str, name: str) -> bool:
-    """Tell whether a frame goes by a name, with any prefix; a base only with one that ends in a slash."""
+    """Return whether a frame has a name, with any prefix; for a base only a prefix that ends in a slash."""
     return frame == name or frame.endswith(f"/{name}") or (name not in BASES and frame.endswith(f"_{name}"))

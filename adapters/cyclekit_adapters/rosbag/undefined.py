@@ -1,7 +1,7 @@
-"""Decide what the messages of a topic look like where nothing in the bag says so.
+"""Determination of the message layout of a topic without a definition in the bag.
 
-Every layout that the type ever had is tried on every message of the topic. If exactly one of them decodes all of them
-to their last byte, it is the one; if several do and they do not say the same, or none does, the topic is not read.
+Every historic layout of the type is tried on every message of the topic. If exactly one decodes all of them to their
+last byte, it is used. If several do and give different values, or none does, the topic is not read.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TopicFindings:
-    """What was found out about a topic without a definition.
+    """Result for a topic without a definition.
 
     Attributes:
-        channel: The channel, with the layout that was decided on; None where none was.
-        said: Why, for people to read.
+        channel: The channel with the chosen layout; None if there is none.
+        said: The reason, to display.
     """
 
     channel: Channel | None
@@ -36,7 +36,7 @@ def decide(file: BagFile, channel: Channel) -> TopicFindings:
 
     Args:
         file: The file that holds the channel.
-        channel: A channel of one of the types in `KNOWN`, without a definition.
+        channel: A channel of a type in `KNOWN`, without a definition.
     """
     left = [replace(channel, notation="known", definition=layout.name) for layout in KNOWN[channel.kind]]
     doubt, messages = False, 0
@@ -62,7 +62,7 @@ def decide(file: BagFile, channel: Channel) -> TopicFindings:
 
 
 def _same(some: list[Group], others: list[Group]) -> bool:
-    """Tell whether two ways to decode say the same; that of lists with nothing in them, for instance."""
+    """Return whether two decodings are equal, which holds for empty lists, for example."""
     if len(some) != len(others):
         return False
     return all(

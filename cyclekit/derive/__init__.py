@@ -1,5 +1,5 @@
-"""Recordings -> samples and tasks: alignment, segmentation, people and scaling put to work, session by session.
+"""Recordings -> samples and tasks: runs alignment, segmentation, people and scaling, session by session.
 
-In: the recordings of a dataset and the cell file. Out: the tables SAMPLES and TASKS. `passes` is the way in; called by
-`ingest` only. Needs no vendor's file, so it can be done again.
+In: the recordings of a dataset and the cell file. Out: the tables SAMPLES and TASKS. The entry point is `passes`,
+called only by `ingest`. It reads no vendor file, so it can be repeated.
 """

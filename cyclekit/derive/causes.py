@@ -1,10 +1,10 @@
-"""Which cause each lost second has, by evidence: inputs, limits of the path, people, protective stops; else unknown.
+"""Assign each lost second to a cause: input, limit of the path, person, protective stop; else unknown.
 
-What the log itself tells comes first (slider, program state: `segmentation.time_account`). Of what is left, slow motion
-while an input is on is the input's; slow motion at the same place of a path in every pass, also while nobody is near,
-is a limit's; slow motion where people usually cause it is the person's; a standstill midway where they do not is a
-protective stop. A cause has what it adds to those before it in this order, so a person has what would be saved without
-them, and no second counts twice.
+Causes that the log states come first (slider, program state: `segmentation.time_account`). The rest is assigned by
+evidence. Slow motion while an input is on belongs to the input. Slow motion at the same place of a path in every pass,
+also while nobody is near, belongs to a limit. Slow motion where people usually cause it belongs to the person. A
+standstill midway where they usually do not is a protective stop. A cause gets only what it adds to the causes before
+it in this order: the person's share is what would be saved without them, and no second counts twice.
 """
 
 from __future__ import annotations
@@ -26,39 +26,39 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Floats, Ints, Points, Vector
 
 SAME = 0.03
-"""Scalings that differ by less are the same; of inferred ones by less than three standard deviations."""
+"""Tolerance for equal scalings; three standard deviations where the scaling is inferred."""
 REACTION_S = 0.5
-"""A controller carries out an input, and lets go of it, within this time (UR reduced mode: up to 500 ms)."""
+"""Maximum time, s, for a controller to apply or release an input (UR reduced mode: up to 500 ms)."""
 BACK, AHEAD = 5, 2
-"""Samples before and after in which an operator must have been where people slow the robot."""
+"""Number of samples before and after a slow one in which the operator must have been where people slow the robot."""
 STAYS = 10
-"""Samples that a level may be held after its cause is gone, before the scaling rises."""
+"""Maximum number of samples for which a level persists after its cause has gone."""
 BRIEF = 20
-"""A dip of so many samples between slower motion for a person is the person's."""
+"""Maximum number of samples of a dip, between two parts caused by a person, that is assigned to the person as well."""
 EDGE_M = 0.02
-"""A robot that stops at a threshold stands just inside it; where the threshold lies is known no better than this."""
+"""Uncertainty, m, of a distance threshold: a robot that stops at a threshold is just inside it."""
 SELDOM = 0.35
-"""A level with a lower share among the samples where an operator is usually has another cause."""
+"""Minimum share of samples at a level for operator positions to explain it; below, it usually has another cause."""
 STEP_M, POOL_M = 0.05, 0.12
-"""Places of a path are told apart by STEP_M; whether a limit holds without people is asked within POOL_M."""
+"""Grid size of places along a path, m; diameter, m, within which samples without people are pooled to test a limit."""
 PASSES, FREE_PASSES = 5, 3
 ALWAYS = 0.9
 LEAST_ON = 50
-"""Samples in motion while a signal is on or off, below which it is not judged."""
+"""Minimum number of samples in motion in each state of a signal to judge it."""
 FOLLOWS = 0.9
-"""A signal that the operator's position predicts so well (balanced accuracy) watches the operator."""
+"""Minimum balanced accuracy with which the operator's position predicts a signal that watches the operator."""
 MOST_ROWS = 60_000
 
 
 class Input(NamedTuple):
-    """While a signal is `on` (or off) the scaling is at most `cap`."""
+    """Maximum scaling `cap` while a signal is in state `on`."""
 
     on: bool
     cap: float
 
 
 class Limit(NamedTuple):
-    """Places of a path, shape (K, 3), m, and the most that the scaling is at each, shape (K,); 1 = no limit there."""
+    """Places of a path, shape (K, 3), m, and the maximum scaling at each, shape (K,); 1 = no limit."""
 
     at_m: Points
     cap: Vector
@@ -66,15 +66,15 @@ class Limit(NamedTuple):
 
 @dataclass(frozen=True)
 class Evidence:
-    """What all sessions together tell.
+    """Evidence on the causes of lost time, from all sessions.
 
     Attributes:
-        top: Highest scaling there is.
+        top: Highest scaling.
         levels: Scaling of each class of `usual`.
-        usual: Which scalings are usual where the operator is; None: nothing tells.
+        usual: Usual scalings by operator position; None without data.
         inputs: Signals that slow the robot and do not watch the operator.
         watching: Signals that watch the operator.
-        limits: By task.
+        limits: Limits of the path, by task.
     """
 
     top: float
@@ -89,12 +89,12 @@ NOTHING = Evidence(1.0, np.ones(1), None, {}, (), {})
 
 
 def find_evidence(rows: Rows, levels: Sequence[float], people: Sequence[str] = ()) -> Evidence:
-    """Return what some executions tell.
+    """Return the evidence on causes of lost time from some executions.
 
     Args:
-        rows: Their samples.
-        levels: Of the scaling, ascending; fewer than two: classes are tenths.
-        people: Signals that tell of people; others are found by how they follow the operator's position.
+        rows: Samples of the executions.
+        levels: Levels of the scaling, ascending; with fewer than two, classes are tenths.
+        people: Signals that show people; if empty, signals that the operator's position predicts.
     """
     moving = rows.moving & np.isfinite(rows.scaling)
     if not moving.any():
@@ -126,7 +126,7 @@ def find_evidence(rows: Rows, levels: Sequence[float], people: Sequence[str] = (
 
 
 def _commanded(rows: Rows, levels: Sequence[float]) -> Ints:
-    """Return the level that is headed for at each sample, shape (N,), -1 = unknown: ramps are undone."""
+    """Return the commanded level at each sample with ramps removed, shape (N,), -1 = unknown."""
     parts = [part for part in np.split(np.arange(len(rows.t_s)), np.flatnonzero(rows.breaks)) if len(part)]
     changes = [change for part in parts for change in changes_of(rows.t_s[part], rows.scaling[part], levels)]
     down, up = (rate_of([change for change in changes if change.rises is rises]) for rises in (False, True))
@@ -141,11 +141,11 @@ def _tenths(rows: Rows) -> Ints:
 
 
 def lost_shares(rows: Rows, evidence: Evidence) -> Floats:
-    """Return which part of the time each cause took, shape (N, 5), in the order of SCALING_CAUSES.
+    """Return the share of each sample's time lost to each cause, shape (N, 5), in the order of SCALING_CAUSES.
 
-    Of a sample in motion of known scaling s they add up to 1 - s; of any other to 0.
+    For a sample in motion with known scaling s, the shares add up to 1 - s; for any other sample to 0.
     """
-    known = np.isfinite(rows.scaling)  # also while it stands: a ramp that began there goes on in the next motion
+    known = np.isfinite(rows.scaling)  # also at a standstill: a ramp that began there continues in the next motion
     s = np.where(known, rows.scaling, 1.0)
     same = np.maximum(SAME, np.minimum(3.0 * np.nan_to_num(rows.deviation), 0.1))
     top, limit = np.maximum(evidence.top, s), _limit_at(rows, evidence)
@@ -170,7 +170,7 @@ PERSON, INPUT, LIMITS, STOP, UNKNOWN = range(len(SCALING_CAUSES))
 
 
 def _whose(rows: Rows, s: Vector, slow: Bools, same: Vector, evidence: Evidence) -> Ints:
-    """Return the cause of what neither inputs nor limits explain, shape (N,)."""
+    """Return the cause of the loss that neither inputs nor limits explain, shape (N,)."""
     lowest = _around(_lowest(rows, evidence))
     told = np.isfinite(lowest)
     person = slow & told & (lowest <= s + same) & (lowest < evidence.top - same)
@@ -182,17 +182,17 @@ def _whose(rows: Rows, s: Vector, slow: Bools, same: Vector, evidence: Evidence)
     after = np.where(capped, INPUT, np.where(_limit_at(rows, evidence) < 1.0, LIMITS, UNKNOWN))
     held, base = 0, 0.0
     known = np.isfinite(rows.scaling)
-    last = np.maximum.accumulate(np.where(known | rows.breaks, np.arange(len(s)), 0))  # nothing is told in a pause
-    for i in np.flatnonzero(open_).tolist():  # a level ends late, and slowly
+    last = np.maximum.accumulate(np.where(known | rows.breaks, np.arange(len(s)), 0))  # a pause has no scaling
+    for i in np.flatnonzero(open_).tolist():  # the scaling recovers late and slowly
         j = int(last[i - 1])
         if i == 0 or rows.breaks[i] or s[i] < s[j] - same[i]:
             continue
         before = which[j] if slow[j] else after[j]
         held = held + 1 if open_[j] and s[i] <= base + HELD else 0
-        base = base if held else s[i]  # a slow ramp rises by less from sample to sample
+        base = base if held else s[i]  # a slow ramp rises by less than HELD per sample
         if before != UNKNOWN and held < STAYS:
             which[i] = before
-    for i in np.flatnonzero(open_)[::-1].tolist():  # and falls before it is at the next one
+    for i in np.flatnonzero(open_)[::-1].tolist():  # a ramp down belongs to the level that it ends at
         if which[i] == UNKNOWN and i + 1 < len(s) and not rows.breaks[i + 1] and slow[i + 1] and s[i] >= s[i + 1]:
             which[i] = which[i + 1]
     _between(which, slow, s <= HALTED, rows.breaks)
@@ -200,9 +200,9 @@ def _whose(rows: Rows, s: Vector, slow: Bools, same: Vector, evidence: Evidence)
 
 
 def _between(which: Ints, slow: Bools, halted: Bools, breaks: Bools) -> None:
-    """Give the person what lies between two parts of one slow-down that are the person's.
+    """Assign to the person the samples between two parts of one slow-down that the person caused.
 
-    That is the rest of one standstill, which nothing else ends there, and what of a brief dip is of unknown cause.
+    Applies to the rest of a standstill, and to a brief dip of unknown cause.
     """
     mine = np.flatnonzero(slow & (which == PERSON))
     for before, after in zip(mine[:-1].tolist(), mine[1:].tolist(), strict=True):
@@ -215,7 +215,7 @@ def _between(which: Ints, slow: Bools, halted: Bools, breaks: Bools) -> None:
 
 
 def _lowest(rows: Rows, evidence: Evidence) -> Vector:
-    """Return the lowest scaling that is usual where the operator is, shape (N,); NaN where that is unknown."""
+    """Return the lowest usual scaling for the operator's position, shape (N,); NaN = position unknown."""
     features, seen = features_of(rows, evidence.watching)
     if evidence.usual is None:
         return np.full(len(features), np.nan)
@@ -226,7 +226,7 @@ def _lowest(rows: Rows, evidence: Evidence) -> Vector:
 
 
 def _around(values: Vector) -> Vector:
-    """Return the lowest value from BACK samples before to AHEAD samples after each; NaN counts where all are."""
+    """Return the minimum from BACK samples before to AHEAD samples after each; NaN only where all are NaN."""
     padded = np.concatenate([np.full(BACK, np.nan), values, np.full(AHEAD, np.nan)])
     windows = np.lib.stride_tricks.sliding_window_view(np.where(np.isnan(padded), np.inf, padded), BACK + AHEAD + 1)
     lowest = windows.min(axis=1)
@@ -234,7 +234,7 @@ def _around(values: Vector) -> Vector:
 
 
 def _capping(rows: Rows, moving: Bools, top: float) -> dict[str, Input]:
-    """Return the signals in one state of which the robot is never at full speed, while in the other it is."""
+    """Return the signals with one state in which the robot rarely reaches full speed, while it does in the other."""
     found = {}
     for name, switch in rows.switches.items():
         on = switch.at(rows.t_s)
@@ -249,7 +249,7 @@ def _capping(rows: Rows, moving: Bools, top: float) -> dict[str, Input]:
 
 
 def _active(rows: Rows, inputs: Mapping[str, Input]) -> Bools:
-    """Tell where any of the inputs slows the robot, or has just let go of it."""
+    """Return whether any of the inputs slows the robot or was released within REACTION_S, shape (N,)."""
     active = np.zeros(len(rows.t_s), np.bool_)
     for name, how in inputs.items():
         active |= rows.switches[name].within(rows.t_s, REACTION_S, on=how.on) if name in rows.switches else False
@@ -265,7 +265,7 @@ def _input_cap(rows: Rows, evidence: Evidence) -> Vector:
 
 
 def _follows(on: Bools, features: Floats, seen: Bools, rows: Rows) -> bool:
-    """Tell whether the operator's position predicts a signal, in executions other than those it was learnt from."""
+    """Return whether the operator's position predicts a signal, on held-out executions."""
     even = rows.execution % 2 == 0
     learn, judge = np.flatnonzero(seen & even), np.flatnonzero(seen & ~even)
     if min(len(learn), len(judge)) < LEAST_ON or len(np.unique(on[learn])) < 2 or len(np.unique(on[judge])) < 2:
@@ -277,7 +277,7 @@ def _follows(on: Bools, features: Floats, seen: Bools, rows: Rows) -> bool:
 
 
 def _apart(rows: Rows, chosen: Ints, label: Ints) -> Ints:
-    """Return one sample of each execution for each level and pair of places, so that a standstill counts once."""
+    """Return one sample per execution, level and pair of places, so that a standstill counts once."""
     places = np.nan_to_num(np.column_stack([rows.robot_m, rows.human_m])[chosen], nan=1e4) / STEP_M
     key = np.column_stack(
         [rows.execution[chosen], label[chosen], np.floor(places / [1, 1, 1, 2, 2, 4]).astype(np.int64)]
@@ -286,12 +286,12 @@ def _apart(rows: Rows, chosen: Ints, label: Ints) -> Ints:
 
 
 def _cells(rows: Rows) -> Ints:
-    """Return task and place of each sample as whole numbers, shape (N, 4); places within STEP_M are one."""
+    """Return task and grid cell (STEP_M) of each sample as integers, shape (N, 4)."""
     return np.column_stack([rows.task, np.floor(np.nan_to_num(rows.robot_m) / STEP_M).astype(np.int64)])
 
 
 def _always_slow(rows: Rows, free: Bools, top: float) -> Bools:
-    """Tell which samples are where nearly every pass of a path is slow."""
+    """Return which samples are at places of a path where nearly every pass is slow, shape (N,)."""
     slow = np.zeros(len(rows.t_s), np.bool_)
     usable = np.flatnonzero(free & (rows.task >= 0) & np.isfinite(rows.robot_m[:, 0]))
     if not len(usable):
@@ -305,7 +305,7 @@ def _always_slow(rows: Rows, free: Bools, top: float) -> Bools:
 
 
 def _limits(rows: Rows, slow: Bools, alone: Bools, fast: Bools, top: float) -> dict[str, Limit]:
-    """Return where every pass is slow, also those that no operator and no input slows."""
+    """Return the limits of each task: where every pass is slow, also those that no operator and no input slows."""
     from scipy.spatial import cKDTree
 
     found = {}
@@ -323,13 +323,13 @@ def _limits(rows: Rows, slow: Bools, alone: Bools, fast: Bools, top: float) -> d
         if (sure := np.flatnonzero(np.isfinite(told))).size:
             around = here | ((fast | alone) & (rows.task == number))
             limit = _edges(rows, around, Limit(at_m[sure], np.array(told)[sure]), top)
-            if len(limit.cap):  # else no pass keeps to it
+            if len(limit.cap):  # else no pass respects it
                 found[task] = limit
     return found
 
 
 def _edges(rows: Rows, seen: Bools, limit: Limit, top: float) -> Limit:
-    """Return a limit by the samples around it: where the robot is at full speed, or no pass was slow, there is none."""
+    """Return a limit refined by the samples around it: no limit at full speed or where no pass was slow."""
     from scipy.spatial import cKDTree
 
     at_m = rows.robot_m[seen]
@@ -341,7 +341,7 @@ def _edges(rows: Rows, seen: Bools, limit: Limit, top: float) -> Limit:
 
 
 def _cap(scaling: Vector, execution: Ints, top: float) -> float:
-    """Return the limit that passes without people show; NaN if they show none."""
+    """Return the limit seen in passes without people; NaN = none."""
     slow = scaling < top - SAME
     if len(np.unique(execution[slow])) < FREE_PASSES or slow.mean() < 0.5:
         return np.nan

@@ -1,8 +1,8 @@
-"""Which signals tell of people, where no tracker does: fields of a scanner, light curtains, doors, mats.
+"""Find the signals that show people where there is no tracker: fields of a scanner, light curtains, doors, mats.
 
-A signal is believed if the level answers to it, always the same time later, and if with it more of the lost time is
-explained on held-out executions than by the robot's place and the signals before it. What the robot itself sets tells
-of nobody: outputs, the register, inputs that mirror an output, and what follows the speed instead of leading it.
+A signal is accepted if the level follows it with a constant delay, and if it explains more of the lost time on
+held-out executions than the robot's place and the signals accepted before it. Signals that the robot itself sets are
+excluded: outputs, the register, inputs that mirror an output, and signals that follow the speed instead of leading it.
 """
 
 from __future__ import annotations
@@ -26,33 +26,33 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Ints, Vector
 
 MOST_LAG_S, BIN_S = 1.0, 0.02
-"""A level answers to a signal within this time; delays are counted in bins of that width."""
+"""Maximum delay, s, from a signal to the level; bin width, s, of the histogram of delays."""
 LEAST_ALIKE, LEAST_ANSWERS, CHANCE = 2, 4, 4.0
-"""So many falls, or rises, must follow a signal after the same time, so many of both, and so many deviations more than
-by chance."""
+"""Minimum number of falls (or of rises) with the same delay; of both together; minimum excess over chance, in standard
+deviations."""
 SAME_S = 0.04
-"""Delays within this are the same."""
+"""Tolerance for equal delays, s."""
 AT_ONCE_S = 0.012
-"""A signal that changes with the level to within this may be its cause or its effect; believed after all others."""
+"""Maximum delay, s, at which a signal may be cause or effect of the level; such signals are tried after all others."""
 LATE_S = 0.5
-"""What follows the speed so soon may be a field that is logged late."""
+"""Maximum time, s, after a change of speed at which a signal may be a field that is logged late."""
 GAIN = 0.02
-"""A signal must explain this share of the lost time more."""
+"""Minimum additional share of the lost time that a signal must explain."""
 MIRRORS = 0.9
-"""An input of which this share of the changes follows an output within MIRROR_S only mirrors it."""
+"""Minimum share of an input's changes that follow an output within MIRROR_S for it to count as a mirror."""
 MIRROR_S = 0.5
 CELL_M = 0.05
-"""Places of the robot within this are one, m."""
+"""Grid size of the robot's places, m."""
 PROGRAM = 0.97
-"""A signal that the robot's task and place predict so well (balanced accuracy) is the program's own."""
+"""Minimum balanced accuracy with which the robot's task and place predict a signal that the program sets."""
 FOLDS, MOST_SIGNALS, MOST_ROWS = 5, 16, 30_000
 
 
 @dataclass(frozen=True)
 class SignalEvidence:
-    """What sessions tell: N samples, and at the log's own rate when the level and each signal changed.
+    """Data of some sessions: N samples, and the times of changes of level and signals, at the log's rate.
 
-    Times of several sessions lie apart from each other.
+    The times of different sessions do not overlap.
 
     Attributes:
         t_s: Time, shape (N,).
@@ -60,9 +60,9 @@ class SignalEvidence:
         place: The robot's TCP on the floor, shape (N, 2), m.
         task: Number of the robot's task, shape (N,).
         execution: Number of the execution, shape (N,).
-        falls_s, rises_s: When the level began to fall and to rise.
+        falls_s, rises_s: Times when the level began to fall and to rise, s.
         signals: Changes of each signal.
-        levels: Of the scaling, ascending.
+        levels: Levels of the scaling, ascending.
     """
 
     t_s: Vector
@@ -77,7 +77,7 @@ class SignalEvidence:
 
 
 class _Lead(NamedTuple):
-    """How the level answers to a signal: its value while somebody is there, and the delays, s, to fall and to rise."""
+    """Response of the level to a signal: the value that means occupied, and the delays, s, of falls and rises."""
 
     occupied: str
     delay_s: float
@@ -85,16 +85,16 @@ class _Lead(NamedTuple):
 
 
 class _Answers(NamedTuple):
-    """After which time most answers follow a cause, s, negative where they precede it, None: none; how many do."""
+    """Most frequent delay of responses to a cause, s (negative = before it, None = none), and how many have it."""
 
     delay_s: float | None = None
     many: int = 0
 
 
 class FoundSignals(NamedTuple):
-    """Signals that tell of people; reaction time to the first, and how much later the level rises; None: not seen.
+    """Signals that show people; reaction time to the first, s, and additional delay of rises, s; None = not seen.
 
-    `follow`: where there are none, the inputs that change after the speed, and how much later, s.
+    `follow`: inputs that change after the speed, and their delay, s; set only if no signal was found.
     """
 
     cards: tuple[OperatorSignalCard, ...] = ()
@@ -104,11 +104,11 @@ class FoundSignals(NamedTuple):
 
 
 def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) -> FoundSignals:
-    """Return the signals that tell of people.
+    """Return the signals that show people.
 
     Args:
-        evidence: Of all sessions, or of some.
-        told: Those that the cell file names; then no others are looked for.
+        evidence: Data of all sessions, or of some.
+        told: Signals that the cell file names; if given, no others are searched for.
 
     Raises:
         UnknownName: No log holds a signal that the cell file names, or it never changes.
@@ -150,7 +150,7 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
 
 
 def _leading(evidence: SignalEvidence) -> dict[str, _Lead]:
-    """Return the signals that the level answers to, and that the robot does not set."""
+    """Return the signals that the level follows and that the robot does not set."""
     own = [name for name in evidence.signals if name == REGISTER or name.startswith(OUTPUT)]
     own_s = np.sort(np.concatenate([np.empty(0), *(_flips(evidence.signals[name]) for name in own)]))
     found = {}
@@ -166,7 +166,7 @@ def _leading(evidence: SignalEvidence) -> dict[str, _Lead]:
 
 
 def _following(evidence: SignalEvidence) -> tuple[tuple[str, float], ...]:
-    """Return the inputs that change after the speed, always as much later, and by how much, s."""
+    """Return the inputs that change a constant time after the speed, and that delay, s."""
     found = []
     for name, changes in evidence.signals.items():
         if name != REGISTER and not name.startswith(OUTPUT):
@@ -183,9 +183,9 @@ def _following(evidence: SignalEvidence) -> tuple[tuple[str, float], ...]:
 
 
 def _lead(occupied: str, falls: _Answers, rises: _Answers) -> _Lead | None:
-    """Return how the level answers to a signal; None where it does not, or precedes it.
+    """Return the response of the level to a signal; None if the level does not follow it.
 
-    The fall is seldom seen where a field counts on a small part of the path alone: then the rise tells the delay.
+    Falls are rare if a field is effective on only a small part of the path; the delay is then taken from the rises.
     """
     often, seldom = sorted((falls, rises), key=lambda one: -one.many)
     if often.delay_s is None or often.delay_s <= -AT_ONCE_S or falls.many + rises.many < LEAST_ANSWERS:
@@ -196,7 +196,7 @@ def _lead(occupied: str, falls: _Answers, rises: _Answers) -> _Lead | None:
 
 
 def _believed(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> list[str]:
-    """Return the signals that explain what the robot's place and those before them do not, the best first."""
+    """Return the signals that explain more than the robot's place and the signals before them, best first."""
     chosen: list[str] = []
     on: list[Bools] = []
     share = _explained(evidence, on)
@@ -216,14 +216,14 @@ def _believed(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> list[str]
 
 
 def _delays(evidence: SignalEvidence, signal: str, occupied: str) -> tuple[_Answers, _Answers]:
-    """Return as of `_answers` how the level falls after a signal turned occupied, and rises after it turned free."""
+    """Return the delays of falls after a signal turned occupied, and of rises after it turned free (`_answers`)."""
     changes = evidence.signals[signal]
     free = np.sort(np.concatenate([changes.to(str(value)) for value in np.unique(changes.value) if value != occupied]))
     return _answers(changes.to(occupied), evidence.falls_s), _answers(free, evidence.rises_s)
 
 
 def _answers(cause_s: Vector, answer_s: Vector) -> _Answers:
-    """Return how answers follow a cause; none where no time between them is more frequent than by chance."""
+    """Return the delay of responses to a cause; none if no delay is more frequent than by chance."""
     if not len(cause_s) or not len(answer_s):
         return _Answers()
     first = np.searchsorted(cause_s, answer_s - MOST_LAG_S)
@@ -248,7 +248,7 @@ def _flips(changes: SignalChanges) -> Vector:
 
 
 def _mirrors(flips_s: Vector, own_s: Vector) -> bool:
-    """Tell whether the changes of a signal follow those of what the robot sets."""
+    """Return whether a signal changes with a constant delay after signals that the robot sets."""
     if not len(flips_s) or not len(own_s):
         return False
     before = np.searchsorted(own_s, flips_s + 1e-6) - 1
@@ -258,7 +258,7 @@ def _mirrors(flips_s: Vector, own_s: Vector) -> bool:
 
 
 def _of_program(evidence: SignalEvidence, on: Bools) -> bool:
-    """Tell whether the robot's task and place predict a signal, on executions held out."""
+    """Return whether the robot's task and place predict a signal, on held-out executions."""
     cells = np.floor(evidence.place / CELL_M)
     _, group = np.unique(np.column_stack([evidence.task, np.nan_to_num(cells)]), axis=0, return_inverse=True)
     even = evidence.execution % 2 == 0
@@ -269,7 +269,7 @@ def _of_program(evidence: SignalEvidence, on: Bools) -> bool:
 
 
 def _on(evidence: SignalEvidence, name: str, lead: _Lead) -> Bools:
-    """Return where somebody is there by a signal, (N,), as the level answers to it."""
+    """Return where a signal shows a person, shape (N,), shifted by the delay of the level."""
     changes = evidence.signals[name]
     on = changes.at(evidence.t_s - lead.delay_s) == lead.occupied
     if lead.rise_s is not None and lead.rise_s > lead.delay_s + SAME_S:
@@ -278,7 +278,7 @@ def _on(evidence: SignalEvidence, name: str, lead: _Lead) -> Bools:
 
 
 def _explained(evidence: SignalEvidence, on: Sequence[Bools]) -> float:
-    """Return the share of the lost time that signals and the robot's place explain, on executions held out."""
+    """Return the share of the lost time that signals and the robot's place explain, on held-out executions."""
     known = np.flatnonzero(evidence.level >= 0)
     known = known[:: 1 + len(known) // MOST_ROWS]
     levels, level, execution = np.asarray(evidence.levels), evidence.level[known], evidence.execution[known]
@@ -289,7 +289,7 @@ def _explained(evidence: SignalEvidence, on: Sequence[Bools]) -> float:
         learn = fold != part
         if not learn.any():
             return 0.0
-        together = np.zeros(int(learn.sum()), np.int64)  # cuts are judged by the executions held out here
+        together = np.zeros(int(learn.sum()), np.int64)  # one group: cuts are judged on the held-out fold
         tree = usual_levels(features[learn], level[learn], len(levels), together)
         said = tree.lowest(features[~learn], 0.5)
         wrong += float(np.abs(levels[said] - levels[level[~learn]]).sum())
@@ -298,7 +298,7 @@ def _explained(evidence: SignalEvidence, on: Sequence[Bools]) -> float:
 
 
 def _usual(group: Ints, state: Bools, learn: Bools) -> Bools:
-    """Return the more frequent state of each group in the samples to learn from, at each sample (N,)."""
+    """Return for each sample the more frequent state of its group in the training samples, shape (N,)."""
     count = int(group.max(initial=0)) + 1
     on, every = (np.bincount(group[learn], weight, count) for weight in (state[learn].astype(np.float64), None))
     return np.asarray(2 * on > every)[group]

@@ -1,4 +1,4 @@
-"""The operator's tasks as his track shows them: the way to each of his places, and the standstill there."""
+"""The operator's tasks from the track: the way to each place, and the standstill there."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from cyclekit.people.activity import Stays
 
 AWAY_S = 1.5
-"""Whoever stands at a place again within this time did not leave it."""
+"""Minimum absence, s: an operator who returns to a place sooner has not left it."""
 EDGE_S = 0.15
-"""A standstill this near to the begin or end of an execution has begun before it or ends after it."""
+"""Tolerance, s: a standstill this close to the start or end of an execution extends beyond it."""
 
 
 class _Visit(NamedTuple):
@@ -35,16 +35,16 @@ def operator_tasks(
     spots: Mapping[str, Place],
     until_s: Sequence[float] | None = None,
 ) -> list[tuple[object, ...]]:
-    """Return rows of table TASKS: one for each standstill of the operator at one of his places.
+    """Return rows of table TASKS: one per standstill of the operator at one of the places.
 
-    A task begins when he leaves the place before. A standstill at the begin of an execution has no arrival, one at its
-    end no end.
+    A task starts when the operator leaves the previous place. A standstill at the start of an execution has no
+    arrival, one at its end has no end.
 
     Args:
         cards: Executions of a session.
-        stays: Where the operator stayed in each.
-        spots: His places.
-        until_s: Until when his standstills are known, session seconds; None: to the end of the execution.
+        stays: The operator's standstills in each execution.
+        spots: The operator's places.
+        until_s: Time up to which standstills are known, session seconds; None: the end of the execution.
     """
     rows = []
     known_s = [card.end_s for card in cards] if until_s is None else until_s

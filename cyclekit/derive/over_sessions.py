@@ -1,4 +1,4 @@
-"""Functions run over all sessions on the engine: results in order, progress reported."""
+"""Run functions over all sessions on the engine."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 SHARED_ROWS = 2_000_000
-"""Of the robot, below which a pass takes less time than workers need to start."""
+"""Minimum number of robot rows for workers: below, a pass takes less time than they need to start."""
 SESSION_ROWS = 1000
-"""What a session costs besides its rows, in rows."""
+"""Fixed cost of a session, in rows."""
 
 
 def is_much(groups: Sequence[LogGroup]) -> bool:
-    """Tell whether a pass over the sessions takes longer than workers need to start."""
+    """Return whether a pass over the sessions takes longer than workers need to start."""
     rows = sum(log.rows.get("robot", 0) for group in groups for log in group.logs)
     return rows + SESSION_ROWS * len(groups) >= SHARED_ROWS
 
@@ -38,7 +38,7 @@ class Passes:
     def over(
         self, function: Callable[[Item], Result], items: Sequence[Item], begin: float, end: float, what: str
     ) -> list[Result]:
-        """Do a function for each item, by itself; see `over_files`."""
+        """Call a function for each item alone; see `over_files`."""
         files = [[number] for number in range(len(items))]
         return self.over_files(partial(_one, function), items, files, begin, end, what)
 
@@ -51,7 +51,7 @@ class Passes:
         end: float,
         what: str,
     ) -> list[Result]:
-        """Do a function for the items, those of each file together, and tell progress from `begin` to `end`."""
+        """Call a function once per file with its items; report progress from `begin` to `end`."""
         found, count = [], 0
         for done in self.engine.map(function, [[items[number] for number in numbers] for numbers in files]):
             found.append((files[done.number], done.get()))

@@ -1,9 +1,9 @@
-"""From recordings to samples and tasks: one clock, one base frame, executions, goals, scaling.
+"""Derive samples and tasks from recordings: one clock, one base frame, executions, goals, scaling.
 
-Everything here can be computed again from the recordings, without the vendor files. Reading those is done in
-`ingest`, finding places and executions in `segmentation`. What concerns one session is done session by session, on as
-many cores as the engine has (`session_look`, `session_samples`, `session_end`), and large tables stay in files. Between
-these passes is found what takes all sessions: places, executions, references of the speed, usual dwells, levels.
+All of it can be computed again from the recordings, without the vendor files. `ingest` reads those files;
+`segmentation` finds places and executions. Three passes go session by session, on all cores of the engine
+(`session_look`, `session_samples`, `session_end`); large tables stay in files. Between the passes, all sessions
+together give places, executions, speed references, usual dwells and levels.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Derived:
-    """All that a dataset says beyond the samples, which lie in files; `samples`: how many.
+    """Everything derived except the samples, which are in files; `samples` is their number.
 
-    `tasks_to_next`: `tasks` with those of the operator from the end of each execution to the start of the next one.
+    `tasks_to_next`: `tasks`, with the operator's tasks extended from the end of each execution to the next start.
     """
 
     recordings: list[RecordingCard]
@@ -91,21 +91,21 @@ def derive(
 
     Args:
         groups: The logs of each session.
-        sources: What the cell file says about each recording, by id.
+        sources: Section of the cell file for each recording, by id.
         read: Returns a native table of a recording (id, table), None if it has none.
-        stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
+        stored: Opens the robot table of a recording (id, columns) for reading by row ranges.
         cell: Places, execution rule, rates.
-        folder: Where the samples are written, a file a session.
-        progress: Told fraction and text.
-        engine: Who does the passes over the sessions; `read` and `stored` must work there.
-        coarse: Where nothing says how a clock relates to the robot's, align on the operator being near while the
-            robot slows; hides the reaction delay.
+        folder: Folder for the files of samples.
+        progress: Called with fraction and text.
+        engine: Runs the passes over the sessions; `read` and `stored` must work in its workers.
+        coarse: If nothing else relates a clock to the robot's, align on the operator being near while the robot
+            slows; this hides the reaction time.
 
     Raises:
-        UnknownName: The cell file's home is no place that was found.
-        ConfigError: Executions are to begin by a register or output that was not logged, or a clock or frame is to be
-            found in a way that these logs do not allow.
-        EstimateError: An execution cannot be so long.
+        UnknownName: The home of the cell file is not among the places found.
+        ConfigError: Executions begin by a register or output that was not logged, or the logs do not allow the given
+            way to find a clock or frame.
+        EstimateError: An execution is longer than plausible.
     """
     folder.mkdir(parents=True, exist_ok=True)
     passes = Passes(engine if is_much(groups) else LOCAL, progress)
@@ -120,7 +120,7 @@ def derive(
     files = shared_files(sessions, cell.rate_hz)
     made = passes.over_files(sample, works, files, 0.6, 0.85, "samples")
     if is_much(groups) or any(run.is_inferred for run in robot.runs):
-        forget()  # samples and scaling of many hours take that memory
+        forget()  # free the memory for samples and scaling of many hours
     runs = {work.session.name: list(work.runs.values()) for work in works}
     return _finished(passes, made, files, runs, robot, cell, folder, read, stored)
 
@@ -136,7 +136,7 @@ def _finished(
     read: Read,
     stored: Stored,
 ) -> Derived:
-    """Find the levels and the operator's places, and have the samples completed."""
+    """Find the levels and the operator's places, and complete the samples."""
     some = [one for one in made if one.samples]
     spots = operator_places([stays for one in some for stays in one.stays], cell)
     staircase = _staircase(made, files, cell, folder)
@@ -192,9 +192,9 @@ def _finished(
 def _tasks(
     made: Sequence[Made], lost: Sequence[Floats], spots: Mapping[str, Place], *, to_next: bool = False
 ) -> pl.DataFrame:
-    """Return table TASKS of both agents, with the seconds that each cause of a speed scaling below 1 took.
+    """Return table TASKS of both agents, with the seconds lost to each cause of a speed scaling below 1.
 
-    Samples tell the shares, and the account of time, at the log's own rate, how much there is to be shared.
+    The shares of the causes come from the samples; the total comes from the time account, at the log's rate.
     """
     columns = {name: column.dtype for name, column in schema.TASKS.items()}
     rows = [row for one in made for row in (*one.tasks, *_of_operator(one, spots, to_next=to_next))]
@@ -211,7 +211,7 @@ def _tasks(
 
 
 def _empty_trackers(made: Sequence[Made], gone: Sequence[Absence]) -> list[Note]:
-    """Say in how many sessions a tracker's log without rows counts as nobody there, and in how many as unknown."""
+    """Return a note: in how many sessions an empty tracker log means no operator, and in how many unknown."""
     empty = [absence for one, absence in zip(made, gone, strict=True) if one.silences and is_empty(one.silences)]
     absent = sum(absence.until_s == np.inf for absence in empty)
     return [note("tracker-empty", absent=absent, unknown=len(empty) - absent)] if empty else []
@@ -224,7 +224,7 @@ def _of_operator(made: Made, spots: Mapping[str, Place], *, to_next: bool) -> li
 
 
 def _inputs(evidence: Evidence) -> list[Note]:
-    """Say which inputs slow the robot."""
+    """Return a note for each input that slows the robot."""
     return [
         note("input-slows", signal=name, state="on" if how.on else "off", percent=round(100 * how.cap))
         for name, how in evidence.inputs.items()
@@ -232,7 +232,7 @@ def _inputs(evidence: Evidence) -> list[Note]:
 
 
 def _signals(found: FoundSignals) -> list[Note]:
-    """Say which signals were found to tell of people, or which only seem to."""
+    """Return notes: signals that were found to show people, or signals that follow the speed."""
     if found.follow:
         names, late_s = zip(*found.follow, strict=True)
         return [note("signals-follow", signals=", ".join(names), late_s=max(late_s))]
@@ -250,7 +250,7 @@ def _signals(found: FoundSignals) -> list[Note]:
 
 
 def _unseen(finished: Sequence[Finished]) -> list[Note]:
-    """Say how often a signal shows somebody whom the tracker does not."""
+    """Return a note: how often a signal shows a person whom the tracker misses."""
     samples, sessions = sum(one.unseen for one in finished), sum(one.unseen > 0 for one in finished)
     return [note("operator-unseen", samples=samples, sessions=sessions)] if samples else []
 
@@ -266,7 +266,7 @@ def _times_of(legs: Sequence[Leg]) -> Floats:
 
 
 def _switches(made: Made, read: Read) -> dict[str, Switches]:
-    """Return the signals of two states of a session, session time."""
+    """Return the two-state signals of a session, session time."""
     return {
         name: Switches(times * entry.clock.rate + entry.clock.offset_s, on)
         for entry in made.recordings
@@ -282,7 +282,7 @@ def _evidence(
     folder: Path,
     people: Sequence[str],
 ) -> Evidence:
-    """Return what tells the causes of lost time, from every k-th execution of long logs."""
+    """Return the evidence on causes of lost time; from long logs, of every k-th execution."""
     chosen = some_executions(made)
     found = []
     for numbers in files:
@@ -304,7 +304,7 @@ def _evidence(
 
 
 def _staircase(made: Sequence[Made], files: Sequence[Sequence[int]], cell: Cell, folder: Path) -> Staircase:
-    """Find the levels of the scaling of all executions, or label them by those that the cell file fixes."""
+    """Find the levels of the scaling in all executions, or use those that the cell file fixes."""
     if not any(one.samples for one in made):
         return find_staircase(np.empty(0))
     frame = pl.concat(in_order((numbers, _scaling_of([made[n] for n in numbers], folder)) for numbers in files))

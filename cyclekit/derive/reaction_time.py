@@ -1,8 +1,8 @@
-"""The reaction time that explains the commanded level best, where the places of its changes do not tell it.
+"""Estimate the reaction time that explains the commanded level best, if the places of its changes do not give it.
 
-At the right reaction time the positions of that long ago decide the level, whatever the rule is; at any other one the
-same positions have one level when people come and another one when they go. So a small decision tree is fitted to the
-positions of so long ago for each candidate (`usual_levels`), and the one that errs least counts.
+At the right reaction time, the positions of that time ago determine the level, whatever the rule; at any other, the
+same positions have different levels when people approach and when they leave. So a small decision tree
+(`usual_levels`) is fitted to the delayed positions for each candidate, and the candidate with fewest errors is chosen.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Vector
 
 LATEST_S, STEP_S = 0.8, 0.05
-"""Reaction times up to this are tried, in such steps."""
+"""Maximum candidate for the reaction time and step between candidates, s."""
 MOST, LEAST = 20_000, 500
-"""Samples near changes of the level that are looked at, and fewer that tell nothing."""
+"""Maximum and minimum number of samples near changes of the level."""
 NEAR_S = 1.5
-"""So near: far from a change any reaction time explains the level."""
+"""Maximum time from a change of level, s: farther away, any reaction time explains the level."""
 BETTER, SIGMAS = 0.8, 4.0
-"""Errors must be down to this part of those without a reaction time, and by so many standard errors of a count."""
+"""Maximum ratio of errors to those at reaction time 0; minimum reduction in standard errors of a count."""
 AWAY_M = 99.0
 _APART_S = 1e4
 _AXES = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
@@ -41,13 +41,13 @@ _AXES = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
 def reaction_time(
     made: Sequence[Made], levels: Sequence[float], response: SafetyResponse, folder: Path
 ) -> float | None:
-    """Return the reaction time that explains the commanded level best, s; None where none does clearly better than 0.
+    """Return the reaction time that explains the commanded level best, s; None if none is clearly better than 0.
 
     Args:
         made: The sessions, with their samples in files.
-        levels: Of the scaling, ascending.
-        response: Its ramps, which are undone.
-        folder: Where the files lie.
+        levels: Levels of the scaling, ascending.
+        response: Response with the ramps to remove.
+        folder: Folder of the files.
     """
     chosen = some_executions(made)
     found = [_of_file(folder / f"{part}.parquet", chosen, levels, response) for part in _parts(made)]
@@ -99,7 +99,7 @@ def _of_file(
 
 
 def _joined(found: Sequence[tuple[Vector, Ints, Floats, Ints]]) -> tuple[Vector, Ints, Floats, Ints]:
-    """Return the files one behind the other, far apart in time."""
+    """Return the files concatenated, far apart in time."""
     t_s, execution = [], []
     last_s, last = 0.0, 0
     for one in found:
@@ -122,12 +122,12 @@ def _near_changes(t_s: Vector, level: Ints) -> Ints:
 
 
 def _wrong(t_s: Vector, level: Ints, places: Floats, execution: Ints, rows: Ints, late_s: float) -> float:
-    """Return how many of the levels the positions of so long ago do not tell."""
+    """Return the number of levels that the positions `late_s` earlier do not predict."""
     seen_s = t_s[rows] - late_s
     after = np.clip(np.searchsorted(t_s, seen_s), 1, len(t_s) - 1)
     share = np.clip((seen_s - t_s[after - 1]) / (t_s[after] - t_s[after - 1]), 0.0, 1.0)[:, None]
     there = places[after - 1] * (1.0 - share) + places[after] * share
-    jumps = np.abs(places[after] - places[after - 1]).max(axis=1) > AWAY_M / 2  # he comes or goes just then
+    jumps = np.abs(places[after] - places[after - 1]).max(axis=1) > AWAY_M / 2  # the operator appears or leaves
     told = np.isfinite(there).all(axis=1) & ~jumps & (t_s[after] - t_s[after - 1] < 1.0)
     apart = there[:, 3:5] - there[:, :2]
     features = np.column_stack([there, np.hypot(*apart.T)])

@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.stored_run import Run
 
 KEPT_BYTES = 160 << 20
-"""Of decoded rows while the scaling is inferred: the fastest repetitions of each motion lie all over the log."""
+"""Cache of decoded rows while the scaling is inferred: the fastest repetitions of a motion are all over the log."""
 
 
 def numbered(looks: Sequence[Look]) -> list[Session]:
-    """Return the sessions with the numbers of their runs in the list of all runs."""
+    """Return the sessions, each with the indices of its runs in the list of all runs."""
     sessions: list[Session] = []
     count = 0
     for look in looks:
@@ -45,13 +45,13 @@ def numbered(looks: Sequence[Look]) -> list[Session]:
 
 
 class RobotInSessions(NamedTuple):
-    """What the robot of all sessions was doing.
+    """Runs, places and executions of the robot in all sessions.
 
     Attributes:
-        runs: All its runs; a session knows the numbers of its own.
-        places: All its places.
-        executions: Of each run, in the order of time.
-        warnings: What is to be said about the scaling.
+        runs: All runs; a session has the indices of its own.
+        places: All places.
+        executions: Executions of each run, in order of time.
+        warnings: Notes on the scaling.
     """
 
     runs: Sequence[Run]
@@ -76,7 +76,7 @@ def robot_of(
         scaled, warnings = with_scaling(runs, executions, places, sessions, overrides, progress, engine)
         known = [number for number, run in enumerate(scaled) if run.knows_scaling and not run.is_inferred]
         new = {number for number in known if not runs[number].knows_scaling}
-        if new:  # a protective stop is no standstill of the program: look again where the scaling tells
+        if new:  # now that the scaling is known, protective stops are not standstills of the program
             stops = [stop for stop in stops if stop.run not in new]
             stops += [stop for number in sorted(new) for stop in find_stops(scaled[number], number)]
             places, executions = _divided(scaled, sorted(stops, key=lambda stop: stop.run), marks, cell)
@@ -89,10 +89,10 @@ def robot_of(
 def _divided(
     runs: Sequence[Run], stops: list[Stop], marks: Sequence[Ints], cell: Cell
 ) -> tuple[dict[str, Place], list[Execution]]:
-    """Return the places of runs, and their executions."""
+    """Return the places and executions of runs."""
     places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
     visits = find_visits(stops, places, runs)
-    if all(len({visit.place for visit in seen}) < 2 for seen in visits):  # it rests at one place at most
+    if all(len({visit.place for visit in seen}) < 2 for seen in visits):  # at most one place with standstills
         stops = with_turns(runs, stops)
         places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
         visits = find_visits(stops, places, runs)
@@ -101,7 +101,7 @@ def _divided(
 
 
 def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Execution]:
-    """A run in which no task was found is still an execution: it can be inspected and replayed."""
+    """Return an execution for each run without tasks, so that it can be inspected and replayed."""
     covered = {execution.run for execution in executions}
     return [Execution(number, (), False) for number in range(len(runs)) if number not in covered]
 
@@ -109,7 +109,7 @@ def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Ex
 def with_stands(
     passes: Passes, sessions: Sequence[Session], robot: RobotInSessions
 ) -> tuple[list[SessionToSample], dict[str, Dwell]]:
-    """Return the work that each session is, and the usual dwell at each place."""
+    """Return the input of the sample pass for each session, and the usual dwell at each place."""
     works = [
         SessionToSample(
             session,

@@ -1,6 +1,6 @@
-"""Files of samples: which sessions share one, and how it is written; it may be larger than memory.
+"""Files of samples: which sessions share one, and how it is written; a file may be larger than memory.
 
-A file costs as much time as many samples, and there may be thousands of sessions.
+Sessions share files because a file takes as much time as many samples, and there may be thousands of sessions.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 
 AT_ONCE = 1 << 14
-"""Samples that become a table at once; a sample has four times the bytes there that its numbers have."""
+"""Maximum number of samples per table: building one takes four times the bytes of its numbers."""
 FEW_SESSIONS = 50
-"""Up to this many sessions, each has a file of its own."""
+"""Maximum number of sessions for one file each."""
 MOST_SESSIONS = 200
-"""Maximum of one file: a worker makes them together, and again after a crash."""
+"""Maximum number of sessions per file: one worker makes them together, and repeats all after a crash."""
 SHORT = AT_ONCE // 8
-"""A session of more samples has a file of its own."""
+"""Maximum number of samples for a session to share a file."""
 
 
 def shared_files(sessions: Sequence[Session], rate_hz: float) -> list[list[int]]:
-    """Return the numbers of the sessions of each file of samples, which has the name of its first session.
+    """Return the indices of the sessions in each file of samples; a file is named after its first session.
 
-    Files in order of name hold the sessions in order of name.
+    Files sorted by name hold the sessions sorted by name.
 
     Args:
-        sessions: All, with their spans.
+        sessions: All sessions, with their spans.
         rate_hz: Rate of the samples.
     """
     numbers = sorted(range(len(sessions)), key=lambda number: f"{sessions[number].name}.parquet")
@@ -61,17 +61,17 @@ def shared_files(sessions: Sequence[Session], rate_hz: float) -> list[list[int]]
 
 
 def in_order(found: Iterable[tuple[Sequence[int], Sequence[Item]]]) -> list[Item]:
-    """Return what was found of the sessions of each file in the order of the sessions."""
+    """Return the results of the sessions, given per file, in the order of the sessions."""
     by_number = {number: one for numbers, mine in found for number, one in zip(numbers, mine, strict=True)}
     return [by_number[number] for number in range(len(by_number))]
 
 
 def write_samples(frames: Iterator[pl.DataFrame], file: Path) -> int:
-    """Write samples that come in parts, few of them at once, which takes less time; return how many there are.
+    """Write samples given in parts, in one call if they are few, which is faster; return their number.
 
     Args:
-        frames: The parts, each with exactly the columns of table SAMPLES; one at least.
-        file: Where.
+        frames: At least one part, each with exactly the columns of table SAMPLES.
+        file: Path of the file.
 
     Raises:
         OSError: The file cannot be written.
@@ -95,7 +95,7 @@ def write_samples(frames: Iterator[pl.DataFrame], file: Path) -> int:
 
 @dataclass(frozen=True)
 class Coded:
-    """Texts of N rows: `codes`, shape (N,), index into `texts`; -1 = null."""
+    """Texts of N rows as indices `codes`, shape (N,), into `texts`; -1 = null."""
 
     codes: NDArray[np.integer[Any]]
     texts: tuple[str, ...]
@@ -109,8 +109,8 @@ class SampleRows:
     """Consecutive samples.
 
     Attributes:
-        count: How many.
-        columns: Columns of table SAMPLES: arrays of numbers (NaN = null), lists, or `Coded`; absent ones are null.
+        count: Number of samples.
+        columns: Columns of table SAMPLES: arrays of numbers (NaN = null), lists, or `Coded`; missing ones are null.
     """
 
     count: int
@@ -118,7 +118,7 @@ class SampleRows:
 
 
 def in_frames(rows: Iterator[SampleRows], most: int) -> Iterator[pl.DataFrame]:
-    """Yield frames with the columns of table SAMPLES, of at most `most` rows (more only where one part has more)."""
+    """Yield frames with the columns of table SAMPLES, of at most `most` rows unless a single part has more."""
     waiting, count = list[SampleRows](), 0
     for some in rows:
         if waiting and count + some.count > most:

@@ -1,4 +1,4 @@
-"""Samples as arrays for the search for causes: scaling, places, operator, and which signals were on."""
+"""Samples as arrays for the search for causes: scaling, places, operator, and states of signals."""
 
 from __future__ import annotations
 
@@ -14,50 +14,50 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Floats, Ints, Points, Vector
 
 HALTED = 0.02
-"""Scaling at or below this is a standstill."""
+"""Maximum scaling of a standstill."""
 HELD, AROUND = 0.02, 3
-"""A level is held where the scaling changes by no more than this from AROUND samples before to AROUND after."""
+"""Maximum range of the scaling at a held level, from AROUND samples before to AROUND after."""
 DISTANCES = 2
-"""So many of the features, the first, are distances."""
+"""Number of distances, which are the first features."""
 FAR_M = 99.0
 _APART_S = 1e5
 UNSEEN_S = 5.0
-"""An operator lost for no longer than this is near where they were last seen."""
+"""Maximum time, s, for which a lost operator is assumed to be at the last position seen."""
 
 
 class Switches(NamedTuple):
-    """A signal of two states: it is `on` (N,) from the times `t_s` (N,), ascending, on."""
+    """A two-state signal: state `on`, shape (N,), from the times `t_s`, shape (N,), ascending."""
 
     t_s: Vector
     on: Bools
 
     def at(self, t_s: Vector) -> Bools:
-        """Return its state at times (M,); before its first change it was in the other one."""
+        """Return the state at times (M,); before the first change, it is the opposite of the first state."""
         number = np.searchsorted(self.t_s, t_s, side="right") - 1
         return np.asarray(np.where(number >= 0, self.on[np.maximum(number, 0)], ~self.on[0]))
 
     def within(self, t_s: Vector, past_s: float, *, on: bool) -> Bools:
-        """Tell whether it was in a state at some time in the last `past_s` seconds before times (M,)."""
+        """Return whether it was in state `on` at any time in the `past_s` seconds up to times (M,)."""
         now, then = (np.searchsorted(self.t_s, t - shift, side="right") - 1 for t, shift in ((t_s, 0.0), (t_s, past_s)))
         return np.asarray((self.at(t_s) == on) | (self.at(t_s - past_s) == on) | (now - then > 1))
 
 
 @dataclass(frozen=True)
 class Rows:
-    """N samples, in the order of time, of one session or of several one after the other.
+    """N samples in order of time, from one session or from several concatenated ones.
 
     Attributes:
-        t_s: Time, shape (N,); of several sessions apart from each other.
+        t_s: Time, shape (N,); times of different sessions do not overlap.
         execution: Number of the execution, shape (N,).
-        task: Number in `tasks`, shape (N,), -1 = none.
+        task: Index into `tasks`, shape (N,), -1 = none.
         tasks: Names of the robot's tasks.
-        robot_m, human_m: Shape (N, 3), NaN = unknown.
-        absent: Nobody was there, shape (N,).
-        moving: The robot is on its way, shape (N,).
-        scaling, deviation: Shape (N,), NaN = unknown.
+        robot_m, human_m: Positions, shape (N, 3), m, NaN = unknown.
+        absent: Whether no operator was present, shape (N,).
+        moving: Whether the robot is moving to its goal, shape (N,).
+        scaling, deviation: Speed scaling and its standard deviation, shape (N,), NaN = unknown.
         step: Index of the level, shape (N,), -1 = none.
-        breaks: A sample does not follow the one before it, shape (N,).
-        switches: Signals of two states.
+        breaks: Whether there is a gap before the sample, shape (N,).
+        switches: Two-state signals.
     """
 
     t_s: Vector
@@ -84,7 +84,7 @@ class Rows:
 
 
 def rows_of(samples: pl.DataFrame, switches: Mapping[str, Switches]) -> Rows:
-    """Return samples of table SAMPLES as arrays."""
+    """Return rows of table SAMPLES as arrays."""
     t_s = samples["t_s"].to_numpy()
     period_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.1
     other = (samples["execution"] != samples["execution"].shift(1)).fill_null(value=True).to_numpy()
@@ -107,14 +107,14 @@ def rows_of(samples: pl.DataFrame, switches: Mapping[str, Switches]) -> Rows:
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
-    """Return several as one: times, executions and signals of each follow those before."""
+    """Return several parts concatenated: times, executions and signals of each follow those before."""
     names = list(dict.fromkeys(name for part in parts for name in part.tasks))
     shift_s, executions, shifted = 0.0, 0, list[Rows]()
     told: dict[str, list[Switches]] = {}
     for part in parts:
         shift, number = shift_s - float(part.t_s[0]), np.array([names.index(name) for name in part.tasks] + [-1])
         for name, switch in part.switches.items():
-            first_s = min(float(switch.t_s[0]), float(part.t_s[0])) - 1.0  # before it, it was in the other state
+            first_s = min(float(switch.t_s[0]), float(part.t_s[0])) - 1.0  # before that, the opposite state
             told.setdefault(name, []).append(
                 Switches(np.append(first_s, switch.t_s) + shift, np.append(~switch.on[0], switch.on))
             )
@@ -133,11 +133,11 @@ def joined(parts: Sequence[Rows]) -> Rows:
 
 
 def features_of(rows: Rows, watching: Sequence[str]) -> tuple[Floats, Bools]:
-    """Return what a slow-down by people may depend on, shape (N, F), and where all of that is known, shape (N,).
+    """Return the features of a slow-down by people, shape (N, F), and where all are known, shape (N,).
 
-    Those are distances from robot to operator (in space and on the floor), where the operator is, and the signals that
-    watch the operator. Nobody is FAR_M away. Where no position of an operator is known at all, the signals tell it all,
-    and how they count depends on where the robot is.
+    Features are the distances from robot to operator (in space and on the floor), the operator's position, and the
+    signals that watch the operator. An absent operator is FAR_M away. If no operator position is known at all, the
+    signals are combined with the robot's position (`counting`).
     """
     seen = np.isfinite(rows.human_m[:, :2]).all(axis=1) & np.isfinite(rows.robot_m).all(axis=1) & ~rows.absent
     way = rows.human_m - rows.robot_m
@@ -152,9 +152,16 @@ def features_of(rows: Rows, watching: Sequence[str]) -> tuple[Floats, Bools]:
 
 
 def counting(place: Floats, on: Sequence[Vector | Bools]) -> Floats:
-    """Return where the robot is, (N, 2), m, and where it is while each signal is on, beside FAR_M on either side.
+    """Return the robot's position, and per signal its position while the signal is on, else -FAR_M and +FAR_M.
 
-    Of these features, shape (N, 2 + 4 * signals), one cut tells that a signal is on and the robot in a region.
+    With these features, a single cut can express that a signal is on and the robot is in a region.
+
+    Args:
+        place: Position of the robot, shape (N, 2), m.
+        on: State of each signal, shape (N,).
+
+    Returns:
+        Features, shape (N, 2 + 4 * signals).
     """
     there = [np.where(np.asarray(state, np.bool_)[:, None], place, away) for state in on for away in (-FAR_M, FAR_M)]
     return np.column_stack([place, *there])
@@ -166,7 +173,7 @@ def _numbered(values: pl.Series, names: Sequence[str]) -> Ints:
 
 
 def _filled(samples: pl.DataFrame, most: int) -> pl.DataFrame:
-    """Fill where the operator was lost for a short time."""
+    """Fill short gaps in the operator's position with the last known one."""
     axes = [f"human_{axis}_m" for axis in "xyz"]
     lost = pl.col("human_gap") == "occluded"
     return samples.select(pl.when(lost).then(pl.col(axes).forward_fill(limit=most)).otherwise(pl.col(axes)))

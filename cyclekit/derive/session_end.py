@@ -1,4 +1,4 @@
-"""The rest of one session's samples, when all sessions are known: levels, goals of the operator; how levels change."""
+"""Last pass over a session, when all sessions are known: levels, the operator's goals, changes of level."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Vector
 
 _LEAST = 0.03
-"""Part of its time that a sample loses at least where a cause is named."""
+"""Minimum share of a sample's time that must be lost for its cause to be named."""
 
 
 @dataclass(frozen=True)
 class Left:
-    """What is left to be done for one session.
+    """Input of the last pass for one session.
 
     Attributes:
-        part: The name of its file of samples.
+        part: Name of its file of samples.
         runs: Runs of its robot.
-        label: Index of the level in force at each sample, shape (N,), -1 = none.
-        stays: Where the operator stayed, of each execution.
-        absence: When a silent tracker says that nobody was there.
-        switches: Signals of two states, session time; where any tell of people those alone, on while somebody is there.
-        legs: Of each of the robot's tasks its start, arrival, end of the dwell and end, and from when to when it waited
-            short of its goal, shape (L, 6), session seconds.
+        label: Index of the level at each sample, shape (N,), -1 = none.
+        stays: The operator's standstills in each execution.
+        absence: When a silent tracker means that no operator was present.
+        switches: Two-state signals, session time; if any show people, only those, on while a person is present.
+        legs: Start, arrival, end of dwell, end, and start and end of a wait short of the goal, for each task of the
+            robot, shape (L, 6), session seconds.
     """
 
     part: str
@@ -57,14 +57,14 @@ class Left:
 
     @property
     def told(self) -> bool:
-        """Whether events tell the goals."""
+        """Whether logged events give the goals."""
         return any(mine.told for mine in self.stays)
 
 
 class Finished(NamedTuple):
-    """How the level of a session changed at the log's own rate; what each task lost to SCALING_CAUSES, (L, 5), s.
+    """Changes of level in a session, at the log's rate; time lost per task to each of SCALING_CAUSES, (L, 5), s.
 
-    `unseen`: samples in which a signal shows somebody and the tracker nobody.
+    `unseen`: number of samples in which a signal shows a person whom the tracker misses.
     """
 
     changes: Changes
@@ -82,16 +82,16 @@ def finish(
     most_changes: int,
     folder: Path,
 ) -> list[Finished]:
-    """Complete the samples of sessions that share a file; return what the changes and the causes in each were.
+    """Complete the samples of sessions that share a file; return the changes of level and the lost time of each.
 
     Args:
         left: The sessions.
         spots: Places of the operator.
-        levels: Of the scaling, ascending.
-        evidence: What tells the causes of lost time.
-        signals: Signals that tell of people, by name, in the order of their bits.
-        most_changes: Of so many changes of one session the distances are told at most.
-        folder: Where the files of samples lie.
+        levels: Levels of the scaling, ascending.
+        evidence: Evidence on causes of lost time.
+        signals: Names of the signals that show people, in the order of their bits.
+        most_changes: Maximum number of changes per session for which distances are returned.
+        folder: Folder of the files of samples.
     """
     times: list[Vector] = [np.empty(0)]
     places: list[Vector] = [np.empty((0, 6))]
@@ -102,7 +102,7 @@ def finish(
         made = file.with_suffix(".part")
         frames = _completed(file, left, spots, times, places)
         write_samples(_with_causes(frames, left, evidence, signals, lost, unseen), made)
-        made.replace(file)  # whoever does this again finds the one or the other
+        made.replace(file)  # a repetition after a crash finds either file
     ends = np.cumsum(counts)[:-1]
     apart = (np.split(np.concatenate(parts), ends) for parts in (times, places))
     return [
@@ -119,9 +119,9 @@ def _with_causes(
     lost: Sequence[Floats],
     unseen: list[int],
 ) -> Iterator[pl.DataFrame]:
-    """Yield the samples with what is lost there, and the signals of people; add what each task lost to `lost`.
+    """Yield the samples with the cause of lost time and the presence signals; add the lost time per task to `lost`.
 
-    Somebody whom a signal shows and the tracker does not is there, unseen: `occluded`, counted in `unseen`.
+    A person whom a signal shows and the tracker misses is marked `occluded` and counted in `unseen`.
     """
     ends = np.cumsum([len(one.label) for one in left])
     first = 0
@@ -144,7 +144,7 @@ def _with_causes(
 def _with_unseen(
     samples: pl.DataFrame, switches: Mapping[str, Switches], signals: Sequence[str]
 ) -> tuple[pl.DataFrame, int]:
-    """Return samples of one session with an operator whom a signal shows as `occluded` where he counted as absent."""
+    """Return samples of one session, `occluded` instead of `absent` where a signal shows a person; and their number."""
     absent = (samples["human_gap"] == "absent").fill_null(value=False).to_numpy()
     known = [name for name in signals if name in switches]
     if not absent.any() or not known:
@@ -156,7 +156,7 @@ def _with_unseen(
 
 
 def _bits(samples: pl.DataFrame, switches: Mapping[str, Switches], signals: Sequence[str]) -> pl.Series:
-    """Return which signals of people are on, as a bit field; null where not all of them were logged."""
+    """Return the states of the presence signals as a bit field; null unless all were logged."""
     if not signals or not all(name in switches for name in signals):
         return pl.Series([None], dtype=pl.Int64).new_from_index(0, samples.height)
     t_s, found = samples["t_s"].to_numpy(), np.zeros(samples.height, np.int64)
@@ -166,7 +166,7 @@ def _bits(samples: pl.DataFrame, switches: Mapping[str, Switches], signals: Sequ
 
 
 def _told(samples: pl.DataFrame, left: Left, evidence: Evidence, lost: Floats) -> pl.Series:
-    """Return the cause that takes most of each sample of one session; add what each task lost."""
+    """Return the main cause of lost time for each sample of one session; add the lost time per task to `lost`."""
     shares = lost_shares(rows_of(samples, left.switches), evidence)
     t_s, moving = samples["t_s"].to_numpy(), samples["robot_moving"].fill_null(value=False).to_numpy()
     slider = (samples["slider"].fill_null(1.0) * -1 + 1) * samples["scaling"].fill_null(0.0)
@@ -187,7 +187,7 @@ def _told(samples: pl.DataFrame, left: Left, evidence: Evidence, lost: Floats) -
 
 def _changes(left: Left, levels: Sequence[float]) -> list[LevelChange]:
     if len(levels) < 2:
-        return []  # and nothing is read
+        return []  # without reading the log
     parts = (part for run in left.runs for _, part in pieces(run))
     return [change for part in parts for change in changes_of(part.t_s, part.scaling, levels)]
 
@@ -195,7 +195,7 @@ def _changes(left: Left, levels: Sequence[float]) -> list[LevelChange]:
 def _completed(
     file: Path, left: Sequence[Left], spots: Mapping[str, Place], times: list[Vector], places: list[Vector]
 ) -> Iterator[pl.DataFrame]:
-    """Yield the samples with goals and levels, in parts; add their times and where TCP and operator are, (N, 6)."""
+    """Yield the samples with goals and levels, in parts; append times and positions of TCP and operator, (N, 6)."""
     goals = [goal for one in left for goal in _goals(one, spots)]
     labels = np.concatenate([one.label for one in left])
     ends = np.cumsum([len(one.label) for one in left])
@@ -218,19 +218,19 @@ def _completed(
 
 
 def _goals(left: Left, spots: Mapping[str, Place]) -> list[str | None]:
-    """Return the goal at each sample of a session by where the operator stayed; none where events tell it."""
+    """Return the operator's goal at each sample, from standstills; None where logged events give it."""
     if left.told:
         return [None] * len(left.label)
     return [goal for s in left.stays for goal in goals_from_stays(s.spans, s.at_m, s.samples, spots)]
 
 
 def _with_absence(samples: pl.DataFrame, until_s: Vector, from_s: Vector) -> pl.DataFrame:
-    """Return samples with the operator marked absent where a tracker's silence proves it; before, it counted as off.
+    """Return samples with gap `outside` replaced by `absent` where the tracker's silence proves it.
 
     Args:
-        samples: N of them.
-        until_s: Until when nobody was there, in the time of each sample, shape (N,).
-        from_s: From when on, likewise.
+        samples: N samples.
+        until_s: Time until which no operator was present, session seconds, for each sample, shape (N,).
+        from_s: Time from which no operator was present, likewise.
     """
     silent = (pl.col("t_s") < pl.Series(until_s)) | (pl.col("t_s") > pl.Series(from_s))
     gap = pl.col("human_gap")

@@ -1,6 +1,6 @@
-"""What a session shows by itself: the clocks of its recordings, the runs of its robot, and where it stands.
+"""First pass over a session: clocks of its recordings, runs of its robot, standstills.
 
-The first of the passes of `derive` over the sessions; each is looked at alone, so that they can be shared out.
+It needs no other session, so sessions can be distributed to workers.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Look:
-    """What one session shows by itself.
+    """Result of the first pass over one session.
 
     Attributes:
-        session: Its recordings, in one clock; the numbers of its runs are still to come.
+        session: Its recordings, in one clock; the indices of its runs are set later.
         runs: Runs of its robot.
-        marks: Of each run the rows at which something logged says that a cycle begins.
-        stops: Its standstills; their runs are counted from 0 here.
-        override: What its safety system logged; None = nothing, or its robot's log holds the scaling itself.
+        marks: Rows of each run at which a logged signal marks the start of a cycle.
+        stops: Its standstills; their runs are numbered from 0.
+        override: Override logged by its safety system; None if not logged, or if the robot's log has the scaling.
     """
 
     session: Session
@@ -46,19 +46,19 @@ class Look:
 def look_at(
     group: LogGroup, *, sources: Mapping[str, Source | None], read: Read, stored: Stored, cell: Cell, coarse: bool
 ) -> Look:
-    """Look at one session.
+    """Run the first pass over one session.
 
     Args:
         group: The logs of the session.
-        sources: What the cell file says about each recording, by id.
+        sources: Section of the cell file for each recording, by id.
         read: Returns a native table of a recording (id, table), None if it has none.
-        stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
+        stored: Opens the robot table of a recording (id, columns) for reading by row ranges.
         cell: Execution rule, rates.
-        coarse: Align clocks on the operator being near while the robot slows, where nothing else tells.
+        coarse: If nothing else relates the clocks, align them on the operator being near while the robot slows.
 
     Raises:
-        ConfigError: Executions are to begin by a register or output that was not logged, or a clock or frame is to be
-            found in a way that these logs do not allow.
+        ConfigError: Executions begin by a register or output that was not logged, or the logs do not allow the given
+            way to find a clock or frame.
     """
     step_s = 1.0 / cell.rate_hz if coarse else None
     recordings = place_in_time(group, sources, read, stored, coarse_step_s=step_s)

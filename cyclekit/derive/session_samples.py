@@ -1,7 +1,7 @@
-"""The samples and tasks of one session, as far as the session alone tells them, written to a file.
+"""Second pass over a session: the samples and tasks that need no other session, written to a file.
 
-Many short sessions share a file (`sharing`). What needs all sessions (the levels of the scaling, where the operator's
-places are) is filled in by `finish`.
+Short sessions share a file (`sample_file`). The last pass (`session_end`) adds what needs all sessions: the levels of
+the scaling and the operator's places.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ if TYPE_CHECKING:
 
 
 _MOST_SAMPLES = 10_000_000
-"""Of one execution: eleven days at 10 Hz. A time that cannot be would ask for more memory than there is."""
+"""Maximum number of samples per execution: eleven days at 10 Hz. A wrong timestamp would need too much memory."""
 
 
 @dataclass(frozen=True)
 class SessionToSample:
-    """One session, and what is known about it when all places are known.
+    """Input of the second pass for one session.
 
     Attributes:
         session: The session.
-        runs: Runs of its robot, by number.
-        executions: Their executions, in the order of time.
-        stands: When the robot arrived and left at every visit of them.
+        runs: Runs of its robot, by index.
+        executions: Their executions, in order of time.
+        stands: Times of the robot's arrival and departure at each visit.
     """
 
     session: Session
@@ -61,20 +61,21 @@ class SessionToSample:
 
 @dataclass
 class Made:
-    """What was made of one session; filled while it is made.
+    """Result of the second pass for one session; filled step by step.
 
     Attributes:
         session: Its name.
-        recordings: With what was seen of the operator, and used of task lists.
-        part: The name of its file of samples.
-        samples: How many there are.
-        cards: What the dataset's card says about each execution.
+        recordings: Cards of its recordings, with operator coverage and notes on task lists.
+        part: Name of its file of samples.
+        samples: Number of samples.
+        cards: Card of each execution.
         tasks: Rows of table TASKS.
-        stays: Where the operator stayed, of each execution.
-        later: Where he stayed from its start to that of the next one, and until when that is known.
-        origins: Whence the scaling comes: `logged`, `inferred`.
-        silences: How each of its logs of people begins, ends and pauses.
-        legs: The robot's tasks, in the order of time.
+        stays: The operator's standstills in each execution.
+        later: The operator's standstills from the start of each execution to the next start, and the time up to
+            which they are known.
+        origins: Origins of the scaling: `logged`, `inferred`.
+        silences: Start, end and pauses of each log of people.
+        legs: The robot's tasks, in order of time.
     """
 
     session: str
@@ -100,19 +101,19 @@ def samples_of(
     cell: Cell,
     folder: Path,
 ) -> list[Made]:
-    """Write the samples of sessions that share a file to `folder`; without executions there is no file.
+    """Write the samples of sessions that share a file to `folder`; without executions, no file is written.
 
     Args:
-        works: The sessions, their runs, executions and stands; the file has the name of the first one.
+        works: The sessions, their runs, executions and standstills; the file is named after the first session.
         places: All places.
-        dwells: The usual dwell at each, from all sessions.
-        sources: What the cell file says about each recording, by id.
+        dwells: The usual dwell at each place, from all sessions.
+        sources: Section of the cell file for each recording, by id.
         read: Returns a native table of a recording (id, table), None if it has none.
         cell: Rates, frames, the operator's places.
-        folder: Where the files of samples lie.
+        folder: Folder of the files of samples.
 
     Raises:
-        EstimateError: An execution cannot be so long.
+        EstimateError: An execution is longer than plausible.
     """
     part = works[0].session.name
     made = [Made(work.session.name, work.session.recordings, part) for work in works]
@@ -146,7 +147,7 @@ def samples_of(
 
 
 def _rows(session: Session, courses: Iterable[_Course], watch: Watch, made: Made) -> Iterator[SampleRows]:
-    """Yield the samples of a session, in parts, since an execution may last as long as its log; fill in the rest."""
+    """Yield the samples of a session in parts, as an execution may be as long as its log; fill `made`."""
     before: tuple[Seen, Vector, Points] | None = None
     for course in courses:
         seen = watch.during(course.t_s, course.tcp_m)
@@ -168,16 +169,16 @@ def _rows(session: Session, courses: Iterable[_Course], watch: Watch, made: Made
 
 @dataclass(frozen=True)
 class _Course:
-    """What the robot did in one execution.
+    """Motion and tasks of the robot in one execution.
 
     Attributes:
-        name: Of the execution.
-        complete: The log shows all of it.
+        name: Name of the execution.
+        complete: Whether the log covers all of it.
         t_s: Times of its samples, shape (T,).
-        robot: The robot there; None without a robot log.
-        inferred: Its scaling was inferred and not logged.
+        robot: State of the robot at these times; None without a robot log.
+        inferred: Whether the scaling was inferred.
         legs: Its tasks.
-        goals_m: Where each of them ends, shape (L, 3), metres.
+        goals_m: Goal of each task, shape (L, 3), m.
     """
 
     name: str
@@ -190,14 +191,14 @@ class _Course:
 
     @property
     def tcp_m(self) -> Points:
-        """The TCP at each sample, shape (T, 3), NaN = unknown."""
+        """The TCP at each sample, shape (T, 3), m, NaN = unknown."""
         return np.full((len(self.t_s), 3), np.nan) if self.robot is None else self.robot.xyz_m
 
 
 def _courses(
     work: SessionToSample, dwells: Mapping[str, Dwell], places: Mapping[str, Place], cell: Cell
 ) -> Iterator[_Course]:
-    """Yield the executions that last long enough for a sample, one at a time: all of them may be large."""
+    """Yield the executions with at least one sample, one at a time to save memory."""
     session = work.session
     for number, execution in enumerate(work.executions if work.runs else [None], 1):
         name = f"{session.name}.{number:03d}"

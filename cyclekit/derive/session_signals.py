@@ -1,4 +1,4 @@
-"""The signals of all sessions, laid side by side, to find those that tell of people (`operator_signals`)."""
+"""Collect the signals of all sessions, to find those that show people (`operator_signals`)."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.stored_run import Run
 
 EVIDENCE_SAMPLES = 200_000
-"""Causes of lost time, and signals of people, are told by so many samples, of executions evenly spread."""
+"""Approximate maximum number of samples, from evenly spread executions, to find causes of lost time and signals."""
 _APART_S = 1e5
 _ALWAYS_S = np.array([-_APART_S / 2])
-"""Before every time of a session, and after those of the session laid before it."""
+"""Time before all of a session, and after all of the session before it."""
 _COLUMNS = ["execution", "t_s", "scaling", "robot_x_m", "robot_y_m", "robot_task"]
 
 
 @dataclass(frozen=True)
 class Watched:
-    """Signals that tell of people.
+    """Signals that show people.
 
     Attributes:
-        found: Which.
-        switches: Of each session by name, on while somebody is there; empty where there are none.
+        found: The signals.
+        switches: State of each signal by name, on while a person is present, for each session; may be empty.
     """
 
     found: FoundSignals
@@ -51,11 +51,11 @@ class Watched:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Their names, in the order of their bits."""
+        """Names of the signals, in the order of their bits."""
         return tuple(one.name for one in self.found.cards)
 
     def response(self, seen: SafetyResponse) -> SafetyResponse:
-        """Return a response with the reaction time to the signals, where positions tell of none."""
+        """Return a response with the reaction time to the signals, unless positions gave one."""
         if not self.found.cards or seen.latency_s is not None:
             return seen
         return replace(seen, latency_s=self.found.latency_s, hold_s=self.found.hold_s)
@@ -70,18 +70,18 @@ def looked_for(
     read: Read,
     stored: Stored,
 ) -> Watched:
-    """Return the signals that tell of people: those of the cell file, else found ones, in sessions without a tracker.
+    """Return the signals that show people: those of the cell file, else those found in sessions without a tracker.
 
-    Where a tracker logs people in every session, none is looked for.
+    If a tracker logs people in every session, no signals are searched for.
 
     Args:
         made: The sessions.
-        runs: Of the robot of each session.
-        cell: Which signals are told.
-        levels: Of the scaling, ascending.
-        folder: Where the files of samples lie.
+        runs: Runs of the robot, by session.
+        cell: Signals named in the cell file.
+        levels: Levels of the scaling, ascending.
+        folder: Folder of the files of samples.
         read: Returns a native table of a recording (id, table), None if it has none.
-        stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
+        stored: Opens the robot table of a recording (id, columns) for reading by row ranges.
     """
     without = [not is_tracked(mine) and any(not card.reference for card in mine.cards) for mine in made]
     among = made if cell.operator_signals or not any(map(is_tracked, made)) else [*compress(made, without)]
@@ -95,12 +95,12 @@ def looked_for(
 
 
 def is_tracked(made: Made) -> bool:
-    """Tell whether a tracker logged the people of a session, or that there were none."""
+    """Return whether a tracker covered a session, also if it saw no one."""
     return bool(made.silences) or any("people" in one.tables for one in made.recordings)
 
 
 def mixed(made: Sequence[Made], watched: Watched) -> list[Note]:
-    """Say in how many executions what tells of people, where that is not one thing for all."""
+    """Return a note: executions with positions, with signals, and with neither, if they are not all alike."""
     positions = signals = neither = 0
     for mine, switches in zip(made, watched.switches, strict=True):
         count = sum(not card.reference for card in mine.cards)
@@ -114,13 +114,13 @@ def mixed(made: Sequence[Made], watched: Watched) -> list[Note]:
 
 
 def some_executions(made: Sequence[Made]) -> list[str]:
-    """Return the executions that serve as evidence: all, of long logs every k-th."""
+    """Return the executions used as evidence: all, or every k-th of long logs."""
     every = max(1, round(sum(one.samples for one in made) / EVIDENCE_SAMPLES))
     return [card.execution for one in made for card in one.cards][::every]
 
 
 def _values(made: Made, read: Read, stored: Stored) -> dict[str, SignalChanges]:
-    """Return all signals of a session, session time."""
+    """Return all signals of a session in session time."""
     found: dict[str, SignalChanges] = {}
     for entry in made.recordings:
         for name, changes in values_of(entry, read, stored).items():
@@ -129,11 +129,11 @@ def _values(made: Made, read: Read, stored: Stored) -> dict[str, SignalChanges]:
 
 
 def _add_held(made: Sequence[Made], values: dict[str, dict[str, SignalChanges]], stored: Stored) -> None:
-    """Add, for each session, the signals that change in other sessions and not in this one.
+    """Add to each session the signals that change only in other sessions.
 
-    A field that nobody enters during an execution says that nobody was there. A bit has its logged value. A log of
-    events has no row of it then: it has the state in which the session before ends, if the next one begins in it too.
-    Where a tracker logs people and no input ever changes, the fields may not be wired: there nothing is added.
+    A field without a change means that no one entered it. A bit gets its logged value. An event log has no row for an
+    unchanged signal: it gets the final state of the session before, provided the next session starts in that state.
+    If a tracker logs people and no input ever changes, the fields may not be wired: nothing is added.
     """
     names = dict.fromkeys(name for mine in values.values() for name in mine)
     bits = {name for name in names if name.startswith((INPUT, OUTPUT))}
@@ -151,7 +151,7 @@ def _add_held(made: Sequence[Made], values: dict[str, dict[str, SignalChanges]],
 
 
 def _held_events(made: Sequence[Made], states: Sequence[SignalChanges | None]) -> list[SignalChanges | None]:
-    """Return a signal of two states that is no row of a session's events; None where it is one, or not known."""
+    """Return the state of a two-state signal in each session whose events lack it; None if logged or unknown."""
     known = [one for one in states if one is not None]
     two = sorted({str(value) for one in known for value in one.value})
     found: list[SignalChanges | None] = [None] * len(made)
@@ -183,7 +183,7 @@ def _evidence(
     levels: Sequence[float],
     folder: Path,
 ) -> SignalEvidence:
-    """Return what some executions tell, with the times of the sessions apart from each other."""
+    """Return the data of some executions, with sessions shifted so that their times do not overlap."""
     chosen = set(some_executions(made))
     shifts = np.cumsum([0.0, *(_APART_S + max((card.end_s for card in mine.cards), default=0.0) for mine in made)])
     changes = [_changes(mine, chosen, runs[mine.session], levels) for mine in made]
@@ -205,7 +205,7 @@ def _evidence(
 
 
 def _joined(values: Sequence[Mapping[str, SignalChanges]], shifts: Sequence[float]) -> dict[str, SignalChanges]:
-    """Return each signal over all sessions; where one lacks it, it is unknown."""
+    """Return each signal over all sessions; unknown in sessions without it."""
     names = dict.fromkeys(name for mine in values for name in mine)
     unknown = SignalChanges(_ALWAYS_S, np.array([""]))
     found = {}
@@ -217,7 +217,7 @@ def _joined(values: Sequence[Mapping[str, SignalChanges]], shifts: Sequence[floa
 
 
 def _changes(made: Made, chosen: Collection[str], runs: Sequence[Run], levels: Sequence[float]) -> list[LevelChange]:
-    """Return the changes of level in the chosen executions of a session, at the log's own rate."""
+    """Return the changes of level in the chosen executions of a session, at the log's rate."""
     return [
         change
         for card in made.cards

@@ -1,8 +1,8 @@
-"""The tasks of task lists: executions of sessions without a robot's log, and the operator's tasks beside the robot's.
+"""Tasks from task lists: executions of sessions without a robot log, and the operator's tasks of those with one.
 
-A task list says itself which execution a task belongs to. Beside a robot's log its executions count, and so do its
-tasks: they rest on its motion. Of the list the operator's tasks are then put into the execution that they began in,
-or reach into from the time between two of them.
+A task list assigns its tasks to executions. If there is a robot log, its executions and its robot tasks are used
+instead, as they come from the motion; only the operator's tasks are taken from the list. Such a task belongs to the
+execution in which it starts, or to the next one if it starts between two executions and ends after that start.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ _TIMES = ("t_s", "end_s", "planned_start_s", "planned_end_s")
 
 @dataclass(frozen=True)
 class Listed:
-    """One execution as a task list has it.
+    """One execution of a task list.
 
     Attributes:
-        name: Its name in the dataset.
-        logged_as: Its name in the list; None where that has none.
+        name: Name in the dataset.
+        logged_as: Name in the list; None if unnamed.
         tasks: Its tasks, table TASK_LIST in session time, in order of start.
     """
 
@@ -46,7 +46,7 @@ class Listed:
 
     @property
     def end_s(self) -> float:
-        """Last time that is known, session time."""
+        """Last known time, session time."""
         return max(float(self.tasks[name].max() or self.start_s) for name in ("t_s", "end_s"))  # type: ignore[arg-type]
 
     @property
@@ -59,7 +59,7 @@ class Listed:
         return task_rows(self.name, self.tasks)
 
     def card(self, session: Session) -> ExecutionCard:
-        """Return what the card of the dataset says about it."""
+        """Return its card."""
         return ExecutionCard(
             execution=self.name,
             session=session.name,
@@ -89,10 +89,10 @@ def task_rows(name: str, tasks: pl.DataFrame) -> list[tuple[object, ...]]:
 
 
 def listed_in(session: Session, read: Read, cell: Cell) -> list[Listed]:
-    """Return the executions that the task lists of a session name, in order of start.
+    """Return the executions of the task lists of a session, in order of start.
 
-    A list without executions is one, or, where executions are to begin by gaps, begins a new one wherever nobody has a
-    task for longer than a gap.
+    A list without execution names is one execution; if executions begin by gaps, a new one starts after each time
+    without any task that is longer than the gap.
     """
     tasks = _tasks_of(session, read)
     if tasks is None:
@@ -111,10 +111,10 @@ def listed_in(session: Session, read: Read, cell: Cell) -> list[Listed]:
 def operator_rows(
     session: Session, cards: Sequence[ExecutionCard], read: Read
 ) -> tuple[list[tuple[object, ...]], tuple[Note, ...]]:
-    """Return the operator's listed tasks as rows of table TASKS, each in its execution, and what was left out.
+    """Return the operator's listed tasks as rows of table TASKS, each in its execution, and notes on omitted tasks.
 
     Args:
-        session: With a robot's log.
+        session: Session with a robot log.
         cards: Its executions.
         read: Returns a native table of a recording (id, table), None if it has none.
     """

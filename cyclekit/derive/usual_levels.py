@@ -1,7 +1,7 @@
-"""Which scalings are usual where the operator is: a small decision tree over positions, quickly learned and applied.
+"""Usual scalings by operator position: a small decision tree, fast to learn and to apply.
 
-It names no rule and predicts nothing; it only tells a slow-down that people usually cause there from one that they do
-not. Rules are found by `learning.rules`, on commanded levels.
+It only separates slow-downs that people usually cause at a position from others. Rules are found by `learning.rules`,
+on commanded levels.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Floats, Ints, Vector
 
 BINS = 256
-"""Each feature is cut at up to so many of its quantiles."""
+"""Maximum number of bins per feature, bounded by quantiles."""
 MOST_LEAVES, LEAST_ROWS = 96, 12
 GAIN = 1e-4
-"""A cut lowers the impurity of all rows by at least this, or is not made."""
+"""Minimum reduction of the Gini impurity by a cut, per row of the whole data."""
 LIKELIER = 10.0
-"""By how much a cut must raise the log-likelihood of rows that it was not found in."""
+"""Minimum gain of a cut in log-likelihood on held-out rows."""
 
 STRAY = 0.1
-"""So many rows near a cut may lie on its wrong side: positions are noisy, and the robot answers late."""
+"""Share of rows that may be on the wrong side of a cut: positions are noisy, and the robot reacts late."""
 
 
 class _Cut(NamedTuple):
-    """Rows with `feature` up to `at` go to leaf or cut `low`, others to `high`; below zero: leaf -1 - number."""
+    """Rows with `feature` <= `at` go to cut `low`, others to cut `high`; a negative value means leaf -1 - value."""
 
     feature: int
     at: float
@@ -36,7 +36,7 @@ class _Cut(NamedTuple):
 
 
 class _Node(NamedTuple):
-    """A group of rows (numbers), and the best cut of it: gain, feature, bin."""
+    """Indices of a group of rows, and its best cut: gain, feature, bin."""
 
     rows: Ints
     gain: float
@@ -46,7 +46,7 @@ class _Node(NamedTuple):
 
 @dataclass(frozen=True)
 class UsualLevels:
-    """A tree over F features, and the shares of P classes at each leaf, shape (L, P)."""
+    """Decision tree over F features, with the shares of P classes at each leaf, shape (L, P)."""
 
     cuts: tuple[_Cut, ...]
     shares: Floats
@@ -60,19 +60,19 @@ class UsualLevels:
         return np.asarray(-1 - at)
 
     def lowest(self, features: Floats, share: float) -> Ints:
-        """Return the lowest class at each row, shape (N,), that with those below it has at least this share there."""
+        """Return for each row the lowest class whose cumulative share at its leaf is at least `share`, shape (N,)."""
         lowest = (np.cumsum(self.shares, axis=1) >= share).argmax(axis=1)
         return np.asarray(lowest[self.leaf(features)])
 
 
 def usual_levels(features: Floats, label: Ints, classes: int, group: Ints) -> UsualLevels:
-    """Return the tree of some rows: cuts are found in groups of even number, and kept where they help in the others.
+    """Return a tree fitted to rows: cuts are found in even groups and kept if they help in odd groups.
 
     Args:
         features: Shape (N, F), N > 0, finite.
-        label: Class of each row, shape (N,), from 0 to below `classes`.
-        classes: How many there are.
-        group: What happens once happens in one group, such as an execution; numbers, shape (N,).
+        label: Class of each row, shape (N,), from 0 to `classes` - 1.
+        classes: Number of classes.
+        group: Group of each row, such as the index of its execution, shape (N,); rows of a group are not independent.
     """
     edges = [np.unique(np.quantile(column, np.linspace(0, 1, BINS + 1)[1:-1])) for column in features.T]
     binned = np.stack([np.searchsorted(e, column) for e, column in zip(edges, features.T, strict=True)])
@@ -93,7 +93,7 @@ def usual_levels(features: Floats, label: Ints, classes: int, group: Ints) -> Us
 
 
 def _tree(nodes: list[_Node], cuts: list[_Cut | None], label: Ints, classes: int) -> UsualLevels:
-    """Number cuts and leaves apart from each other."""
+    """Return the tree with cuts and leaves numbered separately."""
     inner = [n for n, cut in enumerate(cuts) if cut is not None]
     leaves = [n for n, cut in enumerate(cuts) if cut is None]
     number = {n: i for i, n in enumerate(inner)} | {n: -1 - i for i, n in enumerate(leaves)}
@@ -103,7 +103,7 @@ def _tree(nodes: list[_Node], cuts: list[_Cut | None], label: Ints, classes: int
 
 
 def _looked_at(binned: Ints, label: Ints, classes: int, every: Ints, learn: Bools) -> _Node:
-    """Return a group of rows with its best cut that helps: the largest fall of the Gini impurity times rows."""
+    """Return a group of rows with its best helpful cut: the largest reduction of Gini impurity times rows."""
     rows, found = every[learn[every]], list[tuple[float, int, int]]()
     for feature, column in enumerate(binned if len(rows) >= 2 * LEAST_ROWS else ()):
         counts = np.bincount(column[rows] * classes + label[rows], minlength=BINS * classes)
@@ -118,7 +118,7 @@ def _looked_at(binned: Ints, label: Ints, classes: int, every: Ints, learn: Bool
 
 
 def _helps(low: Bools, label: Ints, every: Ints, learn: Bools, classes: int) -> bool:
-    """Tell whether the shares on each side of a cut make the other rows likelier, which it was not found in."""
+    """Return whether a cut raises the log-likelihood of the held-out rows by more than LIKELIER."""
     found, others = every[learn[every]], every[~learn[every]]
     if not len(others):
         return bool(learn.all())
@@ -136,6 +136,6 @@ def _shares(label: Ints, classes: int) -> Vector:
 
 
 def _purity(counts: Floats) -> Vector:
-    """Return the sum of squared counts over their sum, for each row of (K, P)."""
+    """Return the sum of squared counts divided by their sum, for each row of (K, P)."""
     total = np.maximum(counts.sum(axis=1), 1e-9)
     return np.asarray((counts.astype(np.float64) ** 2).sum(axis=1) / total)

@@ -1,8 +1,8 @@
-"""At which reaction time the places agree at which one level gives way to the next.
+"""Find the reaction time at which the places of equal changes of level agree best.
 
-A threshold is crossed at the same distance each time, or on the same line across the floor. So for each time that may
-have passed since, it is asked how near the distances at the changes of one kind lie to each other, and how near each
-place of the operator lies to the line through those around it. At the right time both are exact.
+A threshold is crossed at the same distance each time, or on the same line on the floor. So for each candidate reaction
+time, two spreads are computed: of the distances at changes of one kind, and of the operator's places about the line
+through their neighbours. At the right reaction time, the one that the safety function uses vanishes.
 """
 
 from __future__ import annotations
@@ -23,45 +23,45 @@ if TYPE_CHECKING:
 
 
 LATEST_S, STEP_S = 1.0, 0.01
-"""Reaction times up to this are tried, in such steps."""
+"""Maximum reaction time and step between candidates, s."""
 LONGEST_S, COARSE_S = 3.5, 0.02
-"""With a hold time the robot speeds up as late as this; tried in such steps."""
+"""Maximum delay of a rise, including a hold time, and step between candidates above LATEST_S, s."""
 LATENCIES_S = np.concatenate(
     [np.arange(0.0, LATEST_S + STEP_S / 2, STEP_S), np.arange(LATEST_S + COARSE_S, LONGEST_S, COARSE_S)]
 )
 _LATEST = round(LATEST_S / STEP_S)
 HOLD_S = 0.06
-"""A robot that speeds up later than it slows down by less than this is not held."""
+"""Minimum hold time, s: minimum by which rises must be later than falls."""
 _HELD = 0.4
 """Maximum ratio of the rising changes' spread with a hold time to the spread without one."""
 LEAST, LEAST_KIND = 20, 5
-"""Fewer changes in all, or of one kind, say nothing."""
+"""Minimum number of changes: in total, and of one kind."""
 AGREE_M = 0.04
-"""Places agree if half of them are within this of where the others of their kind are."""
+"""Maximum median deviation, m, at which places of one kind agree."""
 LEAST_M = 0.01
-"""A hysteresis of less is the error of its reading."""
+"""Minimum hysteresis, m: smaller values are measurement error and count as 0."""
 _SHARE = 0.4
-"""Of the changes of one kind so many must share a distance: a zone may cause the others."""
+"""Minimum share of the changes of one kind at a common distance: a zone may cause the others."""
 _AROUND = 8
-"""So many neighbours show the line of a zone."""
+"""Number of neighbours for the line of a zone."""
 _MOST_AROUND = 400
-"""More changes of one kind say no more about lines."""
+"""Maximum number of changes of one kind used for lines."""
 _EXACT_M, _BETTER = 0.005, 0.6
-"""Where distances alone agree so well nothing else is asked; else lines must make it so much better."""
+"""Spread, m, at which distances alone suffice; else, maximum ratio of the spread with lines to that without."""
 _SHARPER = 0.6
-"""A line must make the places agree so much better than the worst reaction time does."""
+"""Maximum ratio of the spread with lines to the median spread over all reaction times."""
 
 
 @dataclass(frozen=True)
 class PlacesBefore:
-    """Where TCP and operator were, at each time before N changes.
+    """Positions of TCP and operator at L times before each of N changes.
 
     Attributes:
-        kind: Which threshold and direction, shape (N,): twice the slower level, one more where it rises.
-        apart_m: Their distance, shape (N, L), metres.
-        floor_m: The operator on the floor, shape (N, L, 2), metres.
-        floor_apart_m: Their horizontal distance, shape (N, L), metres.
-        samples: How many distances were known in all.
+        kind: Threshold and direction, shape (N,): twice the index of the slower level, plus 1 for a rise.
+        apart_m: Distance between TCP and operator, shape (N, L), m.
+        floor_m: The operator's position on the floor, shape (N, L, 2), m.
+        floor_apart_m: Horizontal distance between TCP and operator, shape (N, L), m.
+        samples: Number of samples with a known distance.
     """
 
     kind: Ints
@@ -86,13 +86,13 @@ class PlacesBefore:
 
 @dataclass(frozen=True)
 class Agreement:
-    """What the places tell.
+    """Reaction time and hysteresis from the places of changes.
 
     Attributes:
-        latency_s: At which they agree best; None: at none.
-        falling_s, rising_s: That of the changes down and up; they differ by a hold time.
-        hysteresis_m: How much farther than the falling changes the rising ones are; None where it is no distance.
-        spread_m: Median deviation at `latency_s`.
+        latency_s: Reaction time at which the places agree best, s; None if they agree at none.
+        falling_s, rising_s: Reaction time of falls and of rises, s; they differ by a hold time.
+        hysteresis_m: Distance of rises minus distance of falls, m; None unless the thresholds are distances.
+        spread_m: Median deviation at `latency_s`, m.
     """
 
     latency_s: float | None
@@ -108,7 +108,7 @@ class Agreement:
 
 
 def agreement_of(seen: Sequence[PlacesBefore]) -> Agreement | None:
-    """Return at which reaction time the places agree; None where there are too few."""
+    """Return the reaction time at which the places agree; None if there are too few changes."""
     kind = np.concatenate([np.empty(0, np.int64), *(mine.kind for mine in seen)])
     if len(kind) < LEAST or sum(mine.samples for mine in seen) < LEAST:
         return None
@@ -127,7 +127,7 @@ def agreement_of(seen: Sequence[PlacesBefore]) -> Agreement | None:
 
 
 def _by_distance(apart: NDArray[np.float64], kind: Ints) -> Agreement | None:
-    """Return at which reaction time distances (N, L) agree, m; None if changes of each kind are too rare."""
+    """Return the reaction time at which distances (N, L), m, agree; None if changes of each kind are too rare."""
     spreads = _spreads(apart, kind)
     if spreads is None:
         return None
@@ -139,7 +139,7 @@ def _by_distance(apart: NDArray[np.float64], kind: Ints) -> Agreement | None:
 
 
 def _agreement(spreads: NDArray[np.float64], kind: Ints, most_m: float = AGREE_M) -> Agreement:
-    """Return at which time changes agree, of how far each is from the others, shape (N, L); hysteresis is left out."""
+    """Return the reaction time with the smallest median of `spreads`, shape (N, L); without hysteresis."""
     falling, rising = _best(spreads[kind % 2 == 0, : _LATEST + 1]), _best(spreads[kind % 2 == 1])
     apart = Agreement(falling, falling, rising, None, 0.0)
     if apart.held and _is_held(spreads[kind % 2 == 1], falling, rising):
@@ -160,7 +160,7 @@ def _is_held(spreads: NDArray[np.float64], falling: float | None, rising: float 
 
 
 def _at(values: NDArray[np.float64], kind: Ints, late_s: tuple[float | None, float | None]) -> Vector:
-    """Return values (N, L) at the times of falling and of rising changes, shape (N,)."""
+    """Return values (N, L) at the reaction time of falls or rises, by the kind of change, shape (N,)."""
     column = np.searchsorted(LATENCIES_S, np.array(late_s, np.float64) - 1e-9)
     return np.asarray(values[np.arange(len(values)), column[kind % 2]])
 
@@ -175,7 +175,7 @@ def _best(spreads: NDArray[np.float64]) -> float | None:
 
 
 def _spreads(apart: NDArray[np.float64], kind: Ints) -> NDArray[np.float64] | None:
-    """Return how far each change is from the others of its kind, shape (N, L); NaN of kinds that are too rare."""
+    """Return the deviation of each change from the median of its kind, shape (N, L); NaN for rare kinds."""
     off = np.full(apart.shape, np.nan)
     for one in np.unique(kind):
         mine = kind == one
@@ -185,7 +185,7 @@ def _spreads(apart: NDArray[np.float64], kind: Ints) -> NDArray[np.float64] | No
 
 
 def _by_lines(apart: NDArray[np.float64], floor: NDArray[np.float64], kind: Ints, spread_m: float) -> Agreement:
-    """Return at which reaction time places agree that share a line on the floor, or a distance that others have too."""
+    """Return the reaction time at which places agree on a line on the floor, or on a common distance."""
     every = [np.flatnonzero(kind == one) for one in np.unique(kind)]
     every = [mine[:: -(-len(mine) // _MOST_AROUND)] for mine in every if len(mine) > 2 * _AROUND]
     if sum(len(mine) for mine in every) < LEAST:
@@ -200,7 +200,7 @@ def _by_lines(apart: NDArray[np.float64], floor: NDArray[np.float64], kind: Ints
 
 
 def _off_lines(floor: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how far places (N, L, 2) are from the line through those around them, shape (N, L)."""
+    """Return the deviation of places (N, L, 2) from the line through their neighbours, shape (N, L), m."""
     off = np.empty(floor.shape[:2])
     for number in range(floor.shape[1]):
         at = floor[:, number]
@@ -212,7 +212,7 @@ def _off_lines(floor: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _off_shared(apart: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how far distances (N, L) are from the one that most of them are near, shape (N, L)."""
+    """Return the deviation of distances (N, L) from the most common one, shape (N, L), m."""
     ordered = np.sort(apart, axis=0)
     count = max(2, int(_SHARE * len(apart)))
     width = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
@@ -222,7 +222,7 @@ def _off_shared(apart: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _lag(apart: Vector, kind: Ints) -> float | None:
-    """Return how much farther than it slows the robot speeds up again."""
+    """Return the hysteresis: distance at which the robot speeds up minus distance at which it slows, m."""
     lag = [
         float(np.median(apart[kind == 2 * step + 1]) - np.median(apart[kind == 2 * step]))
         for step in np.unique(kind // 2).tolist()

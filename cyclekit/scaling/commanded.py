@@ -1,8 +1,8 @@
-"""The commanded level: for which level the safety system heads, once its response is undone.
+"""The commanded level: the level set by the safety function, with the response (latency, ramps) removed.
 
-What is logged answers late (latency) and slowly (ramps). The command is known where a level is held and in the last
-part of a way to it. Before that a ramp hides it: while the scaling rises past other levels all that is known is that
-the command is higher. The time of a command is the begin of the change less the reaction time.
+The logged scaling follows the command late (latency) and slowly (ramps). The command is known where a level is held
+and in the last part of a transition to it. Before that, the ramp hides it: while the scaling rises past other levels,
+the command is only known to be higher. The time of a command is the start of the change minus the reaction time.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ if TYPE_CHECKING:
 
 UNKNOWN = -1
 _SLOWER = 1.5
-"""A way that takes so many times as long as its ramp, and _STALLS_S more, heads for nothing that is known."""
+"""A transition longer than this many times its ramp plus _STALLS_S has an unknown command."""
 _STALLS_S = 0.3
 SHORT_S = 0.6
-"""In the last part of a way that takes no longer the level it ends at is the command; a longer one may have headed for
-a farther level first."""
+"""Maximum time, s, of the last part of a transition for its final level to be the command; in a longer one, the command
+may first have been a level farther on."""
 
 
 class Response(Protocol):
-    """What is known of the response: `SafetyResponse`, or a dataset's card."""
+    """Response of the safety function: `SafetyResponse`, or a dataset's card."""
 
     @property
     def latency_s(self) -> float | None:
-        """From the command to the beginning of the change."""
+        """Time from the command to the start of the change, s."""
 
     @property
     def ramp_down_per_s(self) -> float | None:
@@ -60,16 +60,16 @@ class Response(Protocol):
 
     @property
     def hold_s(self) -> float | None:
-        """How much later than it slows down the robot speeds up again."""
+        """Additional delay of rises, s."""
 
 
 @dataclass(frozen=True)
 class CommandedLevels:
-    """The level that the safety system heads for, at N times.
+    """The commanded level at N times.
 
     Attributes:
         level: Index of the level, shape (N,), int32; -1 = unknown.
-        at_least, at_most: Between which levels it lies in any case, shape (N,), int32.
+        at_least, at_most: Bounds of the level, known in any case, shape (N,), int32.
     """
 
     level: Levels
@@ -78,7 +78,7 @@ class CommandedLevels:
 
 
 class _Command(NamedTuple):
-    """From when on which level, at least and at most which, is headed for."""
+    """Commanded level and its bounds from `since_s` on."""
 
     since_s: float
     level: int
@@ -89,17 +89,17 @@ class _Command(NamedTuple):
 def commanded_levels(
     t_s: ArrayLike, scaling: ArrayLike, levels: Sequence[float], response: Response, at_s: ArrayLike | None = None
 ) -> CommandedLevels:
-    """Return the commanded level of one unbroken stretch of a log.
+    """Return the commanded level of one stretch of a log without gaps.
 
     Args:
-        t_s: Time, shape (T,), native rate, seconds, ascending.
-        scaling: Shape (T,), fractions; NaN = unknown.
+        t_s: Time, shape (T,), native rate, s, ascending.
+        scaling: Speed scaling, shape (T,), fractions; NaN = unknown.
         levels: Level values, shape (P,), ascending.
-        response: The response, to be undone; None in it = at once.
-        at_s: Times at which to tell, shape (N,); None: those of the rows.
+        response: The response to remove; None in it means no delay.
+        at_s: Times to evaluate, shape (N,); None: those of the rows.
 
     Returns:
-        The levels of N times. -1 from the reaction time before the end of the log on: nobody saw the answer.
+        The levels at N times; -1 within the reaction time of the end of the log, where the reaction was not logged.
     """
     time, values = np.asarray(t_s, np.float64), np.asarray(scaling, np.float64)
     steps, at = np.asarray(levels, np.float64), time if at_s is None else np.asarray(at_s, np.float64)
@@ -118,7 +118,7 @@ def commanded_levels(
 
 
 def _held(since: Vector, lowest: Ints, highest: Ints, at: Vector, hold_s: float) -> Bools:
-    """Return at which times the level may only be held: it rises so shortly after that it was allowed to before."""
+    """Return the times at which the level may be held back by the hold time: it rises within `hold_s`."""
     rises = since[1:][lowest[1:] > highest[:-1]]
     after = np.searchsorted(rises, at, side="right")
     known = after < len(rises)
@@ -128,11 +128,11 @@ def _held(since: Vector, lowest: Ints, highest: Ints, at: Vector, hold_s: float)
 
 
 def _commands(t_s: Vector, scaling: Vector, levels: Vector, rates: RampRates) -> list[_Command]:
-    """Return the commands in the order in which they are obeyed, the first one from ever on."""
+    """Return the commands in order of time, the first one from minus infinity."""
     rows = fresh(scaling, repeats(t_s, scaling) if any(rates) else 1)  # a staircase that jumps repeats its levels
     t_s, scaling, end_s = t_s[rows], scaling[rows], float(t_s[-1])
     near, anything = tolerance_of(scaling, levels), (UNKNOWN, 0, len(levels) - 1)
-    held_s = HELD_S if any(rates) else 0.0  # where the scaling jumps, one row on a level is commanded that
+    held_s = HELD_S if any(rates) else 0.0  # where the scaling jumps, one row on a level shows the command
     holds = holds_of(t_s, scaling, levels, near, rates, held_s)
     found = [_Command(-np.inf, *anything)]
     ways = ways_of(scaling, holds, near)
@@ -154,7 +154,7 @@ def _commands(t_s: Vector, scaling: Vector, levels: Vector, rates: RampRates) ->
 
 
 def _in_time(commands: Sequence[_Command]) -> list[_Command]:
-    """Let no command be older than the one before it."""
+    """Return the commands with times that never decrease."""
     since = np.maximum.accumulate([command.since_s for command in commands])
     return [command._replace(since_s=float(begin)) for command, begin in zip(commands, since, strict=True)]
 
@@ -162,7 +162,7 @@ def _in_time(commands: Sequence[_Command]) -> list[_Command]:
 def _on_the_way(
     way: Way, t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: RampRates
 ) -> list[_Command]:
-    """Return what a way tells: of each level that it passes, that the command lies beyond."""
+    """Return the commands of a transition: at each level that it passes, the command is beyond."""
     rate, top = rates.of(rises=way.rises), len(levels) - 1
     begins_s = (
         begin_of(way, t_s, scaling, levels, rate) if way.before is not None else _turn_of(way, t_s, scaling, rates)
@@ -179,7 +179,7 @@ def _on_the_way(
     else:
         next_one = np.searchsorted(levels, np.minimum.accumulate(values) + near, side="right") - 1
     next_one = next_one.clip(0, top)
-    if way.before is not None:  # where the scaling still is near the level that it left
+    if way.before is not None:  # the scaling may still be near the level that it left
         first = way.before + (1 if way.rises else -1)
         next_one = np.maximum(next_one, first) if way.rises else np.minimum(next_one, first)
     if way.after is not None:
@@ -204,24 +204,24 @@ def _on_the_way(
 
 
 def _reached(hold: Hold, t_s: Vector, scaling: Vector, near: float, rates: RampRates) -> float:
-    """Return when a level is reached for certain, s: a slow ramp that passes it is near it for a while."""
+    """Return the time at which a level is certainly reached, s: a slow ramp is near a level before it reaches it."""
     rate = rates.of(rises=bool(scaling[hold.first] > scaling[hold.first - 1])) if hold.first else None
     return min(float(t_s[hold.first]) + (near / rate if rate else 0.0), float(t_s[hold.last]))
 
 
 def _turn_of(way: Way, t_s: Vector, scaling: Vector, rates: RampRates) -> float:
-    """Return when a way begins that left no level, s: where the ramp before it and its own ramp meet."""
+    """Return the start of a transition that left no level, s: where its ramp meets the one before it."""
     before, first, after = max(way.first - 1, 0), way.first, min(way.first + 1, len(t_s) - 1)
     sign = 1.0 if way.rises else -1.0
     came, goes = rates.of(rises=not way.rises), rates.of(rises=way.rises)
-    if not sign * scaling[before] > sign * scaling[first] or came is None or goes is None:  # no turn was seen
+    if not sign * scaling[before] > sign * scaling[first] or came is None or goes is None:  # no turning point seen
         return float(t_s[before])
     gone = sign * (scaling[after] - scaling[before]) - goes * (t_s[after] - t_s[before])
     return float(np.clip(t_s[before] - gone / (came + goes), t_s[before], t_s[after]))
 
 
 def _last_part(last: _Command, top: int, *, rises: bool, reached_s: float) -> _Command:
-    """Return what the last part of a way to a level tells: if it takes long, the command may have lain farther on."""
+    """Return the command of the last part of a transition; if it takes long, the command may have been farther on."""
     if reached_s - last.since_s <= SHORT_S:
         return last
     return last._replace(level=UNKNOWN, at_least=last.level if rises else 0, at_most=top if rises else last.level)

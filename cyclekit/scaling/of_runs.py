@@ -1,4 +1,4 @@
-"""Scaling of each run: logged, by the robot or by the safety system, else inferred from its motion."""
+"""Scaling of each run: logged by the robot or by the safety system, else inferred from the motion."""
 
 from __future__ import annotations
 
@@ -28,17 +28,18 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.stored_run import Run
 
 HALTED, HALTED_S = 0.02, 0.3
-"""Scaling at or below this is a halt; a robot that has left and is not seen to move for longer is halted."""
+"""Maximum scaling of a stop by the safety system; minimum time, s, that a robot has left but not moved to count as
+stopped."""
 AFTER = 3
-"""So many rows after a halt the scaling is that of the next level."""
+"""Number of rows after a stop at which the scaling is that of the next level."""
 SAME, FULL = 0.05, 0.97
-"""Scalings that differ by less are alike; above FULL nothing slows the robot."""
+"""Tolerance for equal scalings; minimum scaling of full speed."""
 COMMONER = 2.0
-"""A speed tells of a halt where it is so many times as common after halts as after standstills of the usual time."""
+"""Minimum ratio of a scaling's frequency after stops to that after usual standstills, for it to indicate a stop."""
 LEAVING_S = 2.0
-"""How soon after a departure the scaling must be known to say whether the robot left slowed."""
+"""Maximum time after a departure, s, in which the scaling must be known."""
 SPARSE = 10
-"""Levels are looked for in every tenth row: they are held for seconds."""
+"""Levels are searched in every tenth row, as they are held for seconds."""
 
 
 def with_scaling(
@@ -50,16 +51,16 @@ def with_scaling(
     progress: Progress,
     engine: Engine,
 ) -> tuple[list[Run], list[Note]]:
-    """Return the runs, with the scaling inferred where none was logged, and the notes on that.
+    """Return the runs, with the scaling inferred if not logged, and notes on the inference.
 
     Args:
         runs: All runs.
         executions: Their executions, from `segment`.
         places: All places.
-        sessions: Which runs were recorded without a person in the cell.
-        overrides: What the safety system of each session logged in a log of its own.
-        progress: Told fraction and text.
-        engine: Who infers.
+        sessions: All sessions; reference sessions were recorded without a person in the cell.
+        overrides: Override in the separate log of the safety system, for each session.
+        progress: Called with fraction and text.
+        engine: Runs the inference.
     """
     silent = [number for number, run in enumerate(runs) if not run.knows_scaling]
     if not silent:
@@ -87,7 +88,7 @@ def with_scaling(
 
 
 def _inferred(silent: int, runs: int, references: Mapping[str, Sequence[Reference]]) -> Note:
-    """Say what the references are."""
+    """Return a note on the references."""
     flat = [reference for found in references.values() for reference in found]
     slowed = sorted(task for task, found in references.items() if any(reference.slowed < 1.0 for reference in found))
     alone = sum(reference.alone for reference in flat)
@@ -98,7 +99,7 @@ def _inferred(silent: int, runs: int, references: Mapping[str, Sequence[Referenc
 
 
 class _Left(NamedTuple):
-    """A departure after a long standstill, rows `begin` to `left` of a run, and the scaling that is first seen."""
+    """Departure after a long standstill, rows `begin` to `left` of a run, and the first scaling after it."""
 
     run: int
     begin: int
@@ -109,22 +110,21 @@ class _Left(NamedTuple):
 def halts_at_places(
     runs: Sequence[Run], executions: Sequence[Execution], stands: Stands, after_halts: AfterHalts
 ) -> list[list[InferredScaling]]:
-    """Return where the inferred scaling of each run is 0, since a stand was prolonged by a halt and not by waiting.
+    """Return where a standstill at a place was prolonged by a stop of the safety system: scaling 0, not a wait.
 
-    A robot that was halted a hair after it left shows so itself. Else both look alike. But who halted the robot is
-    still near when it may leave, so it leaves as it goes on after the halts that are seen; a robot that waited for a
-    part leaves at whatever speed is allowed. Where both are alike (a cell that knows only halt and full speed) they
-    cannot be told apart: there the excess stays waiting. Ask only where people were logged: a standstill alone tells no
-    scaling.
+    If the robot was stopped just after it left, the motion shows it. Otherwise, the speed at departure decides: a
+    person who stopped the robot is still near when it may leave, so it leaves at a scaling that is common after stops;
+    a robot that waited for a part leaves at any allowed speed. In a cell with only stop and full speed, the two cannot
+    be distinguished: the excess stays a wait. Use only where people were logged: a standstill alone shows no scaling.
 
     Args:
-        runs: Runs of inferred scaling.
+        runs: Runs with inferred scaling.
         executions: Their executions.
-        stands: Their stands.
-        after_halts: How the robot goes on after halts.
+        stands: Their standstills at places.
+        after_halts: Scalings after stops.
 
     Returns:
-        Of each run, the rows at which it was halted so.
+        The stopped rows of each run, with scaling 0.
     """
     usual = usual_dwells(executions, stands)
     halts: list[list[InferredScaling]] = [[] for _ in runs]
@@ -134,8 +134,8 @@ def halts_at_places(
         for visit in execution.visits[1:-1]:
             stand, dwell = stands[execution.run, visit.first, visit.last], usual[visit.place]
             since_s = dwell.overdue_s(stand)
-            last_s = run.time_at(visit.last)  # it may leave before it is seen to: what is seen to move was not halted
-            if max(stand.left_s, last_s) - stand.free_s > HALTED_S:  # seen to be halted as it left
+            last_s = run.time_at(visit.last)  # departure may precede visible motion; a robot that moves was not stopped
+            if max(stand.left_s, last_s) - stand.free_s > HALTED_S:  # stopped just as it left
                 left_s = stand.process(dwell.usual_s, dwell.ready_s(stand))[1]
                 begin, left = run.row_at(np.array([left_s, max(stand.left_s, last_s)])).tolist()
                 halts[execution.run] += [_halt(begin, left)] if begin <= left else []
@@ -160,24 +160,24 @@ def _halt(first: int, last: int) -> InferredScaling:
 
 
 class AfterHalts(NamedTuple):
-    """At which scaling the robot goes on after halts in mid-motion, shape (N,); `lowest`: the lowest it moves at."""
+    """Scalings after stops in mid-motion, shape (N,); `lowest`: the lowest level at which the robot moves."""
 
     scaling: Vector
     lowest: float
 
     def tells(self, scaling: float, others: Sequence[float]) -> bool:
-        """Tell whether a robot that leaves at a scaling was halted: after halts that is commoner than at `others`."""
-        seen = np.append(self.scaling, self.lowest)  # where no halt is seen: who stopped it is still near
+        """Return whether a robot that leaves at a scaling was stopped: it is commoner after stops than in `others`."""
+        seen = np.append(self.scaling, self.lowest)  # prior without stops: the person is still near
         after = float((np.abs(seen - scaling) < SAME).mean())
         usual = (np.count_nonzero(np.abs(np.array(others) - scaling) < SAME) + 1.0) / (len(others) + 1.0)
         return bool(scaling < FULL and after > COMMONER * usual)
 
 
 def scalings_after_halts(scaling: Sequence[NDArray[np.floating[Any]]]) -> AfterHalts:
-    """Return at which scaling the robot goes on after a halt.
+    """Return the scalings at which the robot continues after stops.
 
     Args:
-        scaling: Scaling of stretches of motion, in the order of time.
+        scaling: Scaling of each motion, in order of time.
     """
     levels = find_staircase(np.concatenate([values[::SPARSE] for values in scaling] or [np.empty(0)])).levels
     moving = [float(level) for level in levels if level > HALTED]

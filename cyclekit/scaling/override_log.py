@@ -1,7 +1,4 @@
-"""The override in a safety system's own log: its levels, and how fast it falls and rises between them.
-
-Such a log needs no positions of robot or people. Whose approach changes the override is not asked here.
-"""
+"""Levels and ramp rates of the override in a safety system's log, without positions of robot or people."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class OverrideRows(NamedTuple):
-    """The rows of an override log: times (N,), s, override (N,), stretch without a silence (N,), and rows a second."""
+    """Rows of an override log: times (N,), s, override (N,), stretch without gaps (N,), and rate, Hz."""
 
     t_s: Vector
     override: Vector
@@ -30,7 +27,7 @@ class OverrideRows(NamedTuple):
 
 @dataclass(frozen=True)
 class OverrideResponse:
-    """Levels, ascending, the part of the rows on each, changes of level, and rates down and up, 1/s; None: at once."""
+    """Levels, ascending, share of rows on each, number of changes, and rates down and up, 1/s (None: it jumps)."""
 
     levels: tuple[float, ...]
     share: tuple[float, ...]
@@ -52,7 +49,7 @@ def override_rows(safety: pl.DataFrame) -> OverrideRows | None:
 
 
 def response_of(rows: OverrideRows) -> OverrideResponse | None:
-    """Return levels and rates of an override; None where it is no staircase."""
+    """Return levels and rates of an override; None if it has no levels."""
     found = find_staircase(rows.override, run=rows.run, rate_hz=rows.rate_hz)
     if not found.is_staircase:
         return None

@@ -1,10 +1,9 @@
-"""The response of the safety system, read from the logs: reaction time, ramps, hysteresis, hold time.
+"""The response of the safety system from the logs: reaction time, ramps, hysteresis, hold time.
 
-A way from one level towards another begins the reaction time after the operator has crossed a threshold, and is as
-steep as the ramp. Which threshold is unknown, but it is the same each time: at the right reaction time the places at
-which one level gives way to the next agree best. They agree in the distance, or on a line across the floor (the edge of
-a zone). Where neither holds, reaction time and hysteresis stay unknown. A robot that speeds up later than it slows down
-is held: the difference is the hold time.
+A transition from one level to another starts the reaction time after the operator crosses a threshold, and has the
+slope of the ramp. The threshold is unknown but the same each time: at the right reaction time, the places of equal
+changes agree best, in distance or on a line on the floor (the edge of a zone). If neither holds, reaction time and
+hysteresis are unknown. If the robot speeds up later than it slows down, the difference is the hold time.
 """
 
 from __future__ import annotations
@@ -25,42 +24,42 @@ if TYPE_CHECKING:
 
 
 RAMP_ROWS = 1
-"""A way of so many rows between its levels or fewer has no slope; how many there are on average tells the rate."""
+"""Maximum number of rows between its levels for a transition without a slope; the mean number then gives the rate."""
 JUMP_ROWS = 0.1
-"""With fewer rows between two levels on average the scaling jumps."""
+"""Minimum share of short transitions with a row between their levels; below, the scaling jumps."""
 LEAST_RAMPS = 5
-"""Fewer ramps do not tell a rate."""
+"""Minimum number of ramps to determine a rate."""
 LEAST_ALIKE, ALIKE = 3, 0.05
-"""So few slopes tell one where they differ by no more than this part."""
+"""Minimum number of slopes that determine a rate if they agree; their relative tolerance."""
 _WHOLE = 0.85
-"""Changes from row to row of so much of a step are limited by the step and not by the rate."""
+"""Share of a step above which a change from row to row is limited by the step, not by the rate."""
 _AGREE = 0.3
-"""Slopes of a few ramps are right where the number of rows in all ramps tells the same rate, to this part of it."""
+"""Relative tolerance between the slope of a few ramps and the rate from the number of rows in all ramps."""
 LEAST_SEEN = 20
-"""Fewer rows between levels do not tell by how much the scaling changes at once."""
+"""Minimum number of rows between levels to determine the increment of the scaling."""
 _ALIKE = 2e-4
-"""Scalings that differ by no more are the same, as logged."""
+"""Tolerance for equal scalings, as logged."""
 SHORT_S = 1.0
-"""Ways without a slope are no longer."""
+"""Maximum duration of a transition without a slope, s."""
 GROUPS = 10
-"""A rate's standard error is told by leaving out one of so many parts of the changes after the other."""
+"""Number of groups of changes for the jackknife standard error of a rate."""
 MOST = 20_000
-"""More changes say no more."""
+"""Maximum number of changes that are used."""
 
 
 class LevelChange(NamedTuple):
-    """One way from a level: when it began, the threshold that was crossed, and how fast it went.
+    """One transition from a level: its start, the threshold that was crossed, and its rate.
 
     Attributes:
-        t_s: Session time at which the scaling began to leave the level.
-        step: Index of the slower of the two levels between which the threshold lies; -1: it left no level.
-        rises: The scaling rose.
-        rate_per_s: Its change over time; None = too few rows to tell.
-        change: By how much it changed where that was seen.
-        way_s: How long it was between two levels, as its rows tell; None where it did not lead from one to another.
-        most_per_s: Its fastest change from one row to the next, where it has rows.
-        near: So near to either level the scaling is on it.
-        gone: How far from the level that it left each of its rows is, where they are too few for a rate.
+        t_s: Session time at which the scaling started to leave the level.
+        step: Index of the slower of the two levels that the threshold separates; -1: it left no level.
+        rises: Whether the scaling rose.
+        rate_per_s: Rate of change, 1/s; None = too few rows.
+        change: Change of the scaling for which the rate was measured.
+        way_s: Time between two levels, by the number of rows, s; None if it did not lead from level to level.
+        most_per_s: Maximum change from row to row, 1/s; None without rows.
+        near: Tolerance within which the scaling is on a level.
+        gone: Distance of each row from the level that it left, if there are too few rows for a rate.
     """
 
     t_s: float
@@ -76,16 +75,16 @@ class LevelChange(NamedTuple):
 
 @dataclass(frozen=True)
 class SafetyResponse:
-    """What is visible of the safety function in time; None = not visible.
+    """Response of the safety function over time; None = unknown.
 
     Attributes:
-        latency_s: Reaction time: from the crossing of a threshold to the beginning of the change.
-        ramp_down_per_s, ramp_up_per_s: Change of the scaling per second; None also where it jumps.
-        hysteresis_m: How much farther than where it slowed the robot speeds up again.
-        changes: How many changes of level were seen.
-        spread_m: Median deviation of the places at which levels change, at that reaction time.
-        hold_s: How much later than it slows down the robot speeds up again; None: not later.
-        ramp_down_se_per_s, ramp_up_se_per_s: Standard errors of the rates.
+        latency_s: Reaction time from the crossing of a threshold to the start of the change, s.
+        ramp_down_per_s, ramp_up_per_s: Rate of change of the scaling, 1/s; None also if it jumps.
+        hysteresis_m: Distance at which the robot speeds up minus that at which it slows, m.
+        changes: Number of changes of level.
+        spread_m: Median deviation of the places at which levels change, at that reaction time, m.
+        hold_s: Additional delay of rises, s; None if there is none.
+        ramp_down_se_per_s, ramp_up_se_per_s: Standard errors of the rates, 1/s.
     """
 
     latency_s: float | None
@@ -100,12 +99,12 @@ class SafetyResponse:
 
 
 def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[LevelChange]:
-    """Return the changes of level of one unbroken stretch, interrupted ones as well.
+    """Return the changes of level of one stretch without gaps, including interrupted ones.
 
     Args:
-        t_s: Time, shape (T,), native rate, seconds.
-        scaling: Shape (T,), NaN = unknown.
-        levels: Ascending.
+        t_s: Time, shape (T,), native rate, s.
+        scaling: Speed scaling, shape (T,), NaN = unknown.
+        levels: Levels, ascending.
     """
     if len(levels) < 2 or len(t_s) < 3 or np.isnan(scaling).all():
         return []
@@ -126,16 +125,16 @@ def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[Le
             for way, slope in zip(ways, slopes, strict=True)
         ]
 
-    if None in usual.values():  # ramps of few rows: how many tells the rate, and so when each began
+    if None in usual.values():  # ramps of few rows: their number gives the rate, and the rate gives the starts
         first = found()
         usual = {rises: rate_of([one for one in first if one.rises is rises]) for rises in usual}
     return found()
 
 
 def _slope(way: Way, t_s: Vector, scaling: Vector) -> tuple[float | None, float]:
-    """Return the rate of a way, None where it has too few rows, and by how much it changes in them."""
+    """Return the rate of a transition (None with too few rows), and its change over these rows."""
     first, last = way.first, way.last
-    if way.before is None or way.after is None:  # where it turns it may be level for a moment
+    if way.before is None or way.after is None:  # at a turning point it may be constant for a moment
         first, last = first + (way.before is None), last - (way.after is None)
     if last - first + 1 <= RAMP_ROWS:
         return None, 0.0
@@ -168,10 +167,10 @@ def _change(
 
 
 def _usual(slopes: Sequence[tuple[float | None, float]]) -> float | None:
-    """Return the rate at which most of the change happens; ways that stop on the way are slower and left out.
+    """Return the usual rate, weighted by change; slower transitions, which paused midway, are excluded.
 
     Args:
-        slopes: RampRates, and the change that happened at each.
+        slopes: Rates, and the change at each.
     """
     told = [(rate, weight) for rate, weight in slopes if rate]
     if len(told) < LEAST_RAMPS:
@@ -183,7 +182,7 @@ def _usual(slopes: Sequence[tuple[float | None, float]]) -> float | None:
 
 
 def _alike(rates: Sequence[float]) -> float | None:
-    """Return what a few slopes agree on, None where they do not."""
+    """Return the median of a few rates if they agree, else None."""
     middle = float(np.median(rates)) if len(rates) >= LEAST_ALIKE else np.inf
     return middle if np.abs(np.array(rates) / middle - 1.0).max(initial=0.0) <= ALIKE and middle < np.inf else None
 
@@ -195,15 +194,16 @@ def _weighted_median(values: Vector, weight: Vector) -> float:
 
 
 def rate_of(changes: Sequence[LevelChange]) -> float | None:
-    """Return the rate of the ramps of one direction; None where they are too few, or the scaling jumps.
+    """Return the rate of the ramps in one direction, 1/s; None if there are too few, or if the scaling jumps.
 
-    Slopes tell it where ramps have rows enough, or some have and agree with the rest; else the time that all of them
-    spend between levels: the mean number of rows is right even where a single ramp has one or none. Where the log is
-    written by the safety system's own cycle that number is too low, and the fastest change from row to row is the rate.
+    The rate comes from slopes if ramps have enough rows, or if some have and agree with the rest. Otherwise, it comes
+    from the total time between levels: the mean number of rows is right even if a single ramp has one or none. If the
+    log is synchronous with the safety system's cycle, that number is too low, and the rate is the fastest change from
+    row to row.
     """
     whole = [change for change in changes if change.way_s is not None]
     sloped = [(change.rate_per_s, change.change) for change in changes if change.rate_per_s is not None]
-    timed = [change for change in whole if (change.way_s or 0.0) <= SHORT_S]  # also those that happen to have a slope
+    timed = [change for change in whole if (change.way_s or 0.0) <= SHORT_S]  # including those with a slope
     short = [change for change in timed if change.rate_per_s is None]
     slope = _usual(sloped)
     if sum(weight for _, weight in sloped) > 0.5 * sum(change.change for change in short):
@@ -224,7 +224,7 @@ def rate_of(changes: Sequence[LevelChange]) -> float | None:
 
 
 def error_of(changes: Sequence[LevelChange]) -> float | None:
-    """Return the standard error of the rate of one direction, by the jackknife (Efron 1982); None: too few changes."""
+    """Return the jackknife standard error of the rate in one direction (Efron 1982); None: too few changes."""
     groups = min(GROUPS, len(changes) // LEAST_RAMPS)
     left_out = [[one for i, one in enumerate(changes) if i % groups != k] for k in range(groups)]
     rates = [rate for some in left_out if (rate := rate_of(some)) is not None]
@@ -234,9 +234,9 @@ def error_of(changes: Sequence[LevelChange]) -> float | None:
 
 
 def _stride(gone: Vector) -> float | None:
-    """Return by how much the scaling changes at once on its way, of distances from the level left, ascending.
+    """Return the increment of the scaling per controller cycle, from distances from the level left, ascending.
 
-    A controller changes it once in each of its cycles, so that few values occur; None where nothing shows that.
+    A controller changes the scaling once per cycle, so that few values occur; None if the data do not show that.
     """
     if len(gone) < LEAST_SEEN:
         return None
@@ -246,7 +246,7 @@ def _stride(gone: Vector) -> float | None:
 
 
 def _off_levels(change: LevelChange, stride: float | None) -> float:
-    """Return which part of a change between two levels is seen off them: with a stride, of the values that occur."""
+    """Return the part of a change between two levels that is off both; with `stride`, counted in increments."""
     if stride is None:
         return change.change
     whole = change.change + 2 * change.near
@@ -256,11 +256,11 @@ def _off_levels(change: LevelChange, stride: float | None) -> float:
 
 @dataclass(frozen=True)
 class Changes:
-    """The changes of level of one session, and where operator and TCP were shortly before.
+    """Changes of level of one session, and the positions of operator and TCP shortly before.
 
     Attributes:
-        changes: All of them.
-        seen: Where those were whose places are known.
+        changes: All changes.
+        seen: Positions before the changes for which they are known.
     """
 
     changes: list[LevelChange]
@@ -270,14 +270,14 @@ class Changes:
     def of(
         cls, changes: Sequence[LevelChange], t_s: Vector, robot_m: Points, human_m: Points, most: int = MOST
     ) -> Changes:
-        """Look up the places before changes of one session; of more than `most`, evenly spread, so many.
+        """Look up the positions before the changes of one session, for at most `most` evenly spread ones.
 
         Args:
-            changes: In the order of time.
-            t_s: Times of samples, shape (N,), ascending.
-            robot_m: TCP there, shape (N, 3), metres; NaN = unknown.
-            human_m: Operator there, shape (N, 3), likewise.
-            most: Of so many changes at most.
+            changes: Changes in order of time.
+            t_s: Times of samples, shape (N,), ascending, s.
+            robot_m: TCP at these times, shape (N, 3), m; NaN = unknown.
+            human_m: Operator at these times, shape (N, 3), likewise.
+            most: Maximum number of changes with positions.
         """
         left = [change for change in changes if change.step >= 0]
         told = left[:: max(1, -(-len(left) // most))]
@@ -287,7 +287,7 @@ class Changes:
 
 
 def read_response(seen: Sequence[Changes]) -> SafetyResponse:
-    """Return what the changes of level of all sessions tell."""
+    """Return the response of the safety system from the changes of level of all sessions."""
     changes = [change for mine in seen for change in mine.changes]
     sorts = [[change for change in changes if change.rises is rises] for rises in (False, True)]
     (down, down_se), (up, up_se) = ((rate_of(mine), error_of(mine)) for mine in sorts)

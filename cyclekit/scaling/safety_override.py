@@ -1,8 +1,7 @@
-"""The speed override that the safety system logged in a file of its own, taken for the robot's scaling.
+"""Use the speed override of the safety system's separate log as the robot's scaling.
 
-Whether it is the robot's at all, and how far their clocks are apart, is told by the motion: the override is held
-against the scaling that was inferred from it. Where both agree the logged one is better: it is known in standstills
-too, and its ramps are sharp.
+The override is compared with the scaling inferred from the motion. This shows whether it applies to this robot, and
+gives the clock offset. If both agree, the logged one is used: it is also known at standstills, and its ramps are sharp.
 """
 
 from __future__ import annotations
@@ -25,37 +24,37 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.stored_run import Run
 
 SILENT_S, SILENT_STEPS = 1.0, 20.0
-"""A value is held until the next row, but no longer than so, nor than so many usual steps of its log."""
+"""Maximum time for which a value is held until the next row: the larger of these, in s and in median log periods."""
 SURE = 0.02
-"""Inferred scalings of a larger standard deviation are not compared."""
+"""Maximum standard deviation of inferred scalings that are compared."""
 COMPARED, ROUGHLY = 20_000, 1500
-"""So many are, of one session; to find about where both fit, fewer do."""
+"""Maximum number of compared samples per session: for the fine search, and for the coarse one."""
 LEAST = 200
-"""Fewer tell nothing."""
+"""Minimum number of compared samples."""
 NEAR_S, FAR_S = (-0.5, 1.5), (-60.0, 60.0)
-"""How much later the robot may follow the log: where their clocks are known, and where they are not."""
+"""Range of the robot's delay after the log, s: with known clock offset, and with unknown one."""
 COARSE_S, FINE_S = 0.1, 0.01
 ALIKE, MOSTLY = 0.02, 0.1
-"""Both are the same where the median difference is within ALIKE, and nine of ten are within MOSTLY."""
+"""Maximum median difference, and maximum 90 % quantile of differences, for both to agree."""
 CAPPED = 0.2
-"""Larger differences count as this: a wrong offset is wrong however far."""
+"""Maximum of a difference in the misfit; also the minimum range of the scaling."""
 APART_S, BETTER = 2.0, 1.5
-"""Offsets that far from the best one must fit so many times worse; else it is one of several."""
+"""Offsets farther than APART_S from the best one must have at least BETTER times its misfit; else it is ambiguous."""
 _TIE = 0.002
 AT_ONCE = 1 << 17
-"""Rows of a run that are in memory at once, but for their scaling."""
+"""Number of rows of a run in memory at once, apart from their scaling."""
 AGREES, DIFFERS, TOO_LITTLE = "agrees", "differs", "too little"
 
 
 @dataclass(frozen=True)
 class SafetyOverride:
-    """The override of one session as its safety system logged it.
+    """Override of one session from the log of its safety system.
 
     Attributes:
-        log: The log that holds it, as users know it.
-        t_s: Session time, shape (T,), ascending, by the clock of the session as far as it is known.
+        log: Name of the log, as shown to users.
+        t_s: Time, shape (T,), ascending; session time as far as the clock offset is known, s.
         override: Shape (T,), 0 to 1.
-        clock_known: How its clock relates to the robot's is known, not assumed.
+        clock_known: Whether the clock offset to the robot is known, not assumed.
     """
 
     log: str
@@ -64,7 +63,7 @@ class SafetyOverride:
     clock_known: bool
 
     def at(self, t_s: Vector) -> Vector:
-        """Return the override held at times, shape (N,), NaN where the log is silent."""
+        """Return the override at times, shape (N,), NaN in gaps of the log."""
         row = np.searchsorted(self.t_s, t_s, side="right") - 1
         held_s = max(SILENT_S, SILENT_STEPS * float(np.median(np.diff(self.t_s))))
         known = (row >= 0) & (t_s - self.t_s[row] <= held_s)
@@ -73,11 +72,11 @@ class SafetyOverride:
 
 @dataclass(frozen=True)
 class OverrideMatch:
-    """How an override agrees with the scaling inferred from the motion, at the best offset.
+    """Agreement of an override with the scaling inferred from the motion, at the best offset.
 
     Attributes:
-        later_s: How much later than the log says the robot follows.
-        error: Median difference there.
+        later_s: Delay of the robot after the log, s.
+        error: Median difference at that delay.
         found: AGREES, DIFFERS or TOO_LITTLE.
     """
 
@@ -87,15 +86,15 @@ class OverrideMatch:
 
     @property
     def agrees(self) -> bool:
-        """They are the same."""
+        """Whether both are the same."""
         return self.found == AGREES
 
 
 def override_of(session: Session, read: Read) -> SafetyOverride | None:
-    """Return the override that a session's safety system logged; None where none did.
+    """Return the override that a session's safety system logged; None if there is none.
 
     Args:
-        session: In one clock.
+        session: Session with its recordings in one clock.
         read: Returns a native table of a recording (id, table), None if it has none.
     """
     for recording in session.recordings:
@@ -111,11 +110,11 @@ def override_of(session: Session, read: Read) -> SafetyOverride | None:
 
 
 def match_of(logged: SafetyOverride, runs: Iterable[tuple[Run, Sequence[InferredScaling]]]) -> OverrideMatch:
-    """Hold an override against what was inferred from the motion of the same session.
+    """Compare an override with the scaling inferred from the motion of the same session.
 
     Args:
         logged: The override.
-        runs: The runs of the session that did not log their scaling, each with its inferred parts.
+        runs: The runs of the session without logged scaling, each with its inferred parts.
     """
     t_s, scaling = _sure(runs)
     if len(t_s) < LEAST or np.ptp(scaling) < CAPPED:
@@ -145,11 +144,11 @@ def match_of(logged: SafetyOverride, runs: Iterable[tuple[Run, Sequence[Inferred
 
 
 def taken(logged: SafetyOverride, later_s: float, run: Run) -> InferredScaling:
-    """Return the scaling of a whole run by the override, which the robot follows so much later than it was logged."""
+    """Return the scaling of a whole run from the override, which the robot follows `later_s` after the log."""
     blocks = (run.window(at, min(at + AT_ONCE, run.rows) - 1) for at in range(0, run.rows, AT_ONCE))
     scaling = np.concatenate(
         [logged.at(block.t_s - later_s) for block in blocks]
-    )  # no float32: 69 % is just on a level of 70 %
+    )  # not float32: 69 % is just within the tolerance of a level of 70 %
     gap = np.where(np.isfinite(scaling), 0, NOT_LOGGED).astype(np.int8)
     return InferredScaling(0, scaling, np.broadcast_to(0.0, scaling.shape), gap)
 
@@ -160,13 +159,13 @@ def logged_apart(
     sessions: Sequence[Session],
     overrides: Sequence[SafetyOverride | None],
 ) -> tuple[dict[int, InferredScaling], list[Note]]:
-    """Return the scaling of those runs that follow the override of their session's safety system, and what to say.
+    """Return the scaling of the runs that follow the override of their session's safety system, and notes.
 
     Args:
         runs: All runs.
-        parts: What was inferred of each.
-        sessions: They, with the numbers of their runs.
-        overrides: What the safety system of each session logged.
+        parts: Inferred parts of each run.
+        sessions: All sessions, with the indices of their runs.
+        overrides: Logged override of each session.
     """
     found: dict[int, InferredScaling] = {}
     told: dict[str, list[tuple[str, OverrideMatch]]] = {}
@@ -182,7 +181,7 @@ def logged_apart(
 
 
 def _told_of_logs(found: str, told: Sequence[tuple[str, OverrideMatch]]) -> Note:
-    """Return one note on logs of which the same is to be said."""
+    """Return one note on all logs with the same result."""
     error, later_s = (np.array([getattr(one, name) for _, one in told]) for name in ("error", "later_s"))
     values: dict[str, str | int | float] = {"log": told[0][0], "logs": len(told), "error": float(error.max())}
     times = {"earliest_s": float(later_s.min()), "latest_s": float(later_s.max())}
@@ -194,7 +193,7 @@ def _told_of_logs(found: str, told: Sequence[tuple[str, OverrideMatch]]) -> Note
 
 
 def _sure(runs: Iterable[tuple[Run, Sequence[InferredScaling]]]) -> tuple[Vector, Vector]:
-    """Return when the inferred scaling is known well, and what it is there, shapes (N,)."""
+    """Return the times of precise inferred scalings and their values, shapes (N,)."""
     times, values = [np.empty(0)], [np.empty(0)]
     for run, parts in runs:
         for part in parts:
@@ -206,7 +205,7 @@ def _sure(runs: Iterable[tuple[Run, Sequence[InferredScaling]]]) -> tuple[Vector
 
 
 def _misfit(logged: SafetyOverride, t_s: Vector, scaling: Vector, later_s: float) -> float:
-    """Return the mean difference at an offset, NaN where the log covers less than half of the times."""
+    """Return the mean capped difference at an offset; NaN if the log covers at most half of the times."""
     differ = np.abs(logged.at(t_s - later_s) - scaling)
     known = np.isfinite(differ)
     return float(np.minimum(differ[known], CAPPED).mean()) if 2 * int(known.sum()) > len(t_s) else np.nan

@@ -1,7 +1,7 @@
-"""A scaling as what it is made of: levels that are held, and the ways between them, rising or falling.
+"""Split a scaling into held levels and the transitions between them, rising or falling.
 
-A safety system heads for a level; ramps decide how soon the scaling gets there. So a way between two levels is no
-level, however long it takes, and where it turns the safety system has changed its mind before a level was reached.
+A safety system commands a level, and the ramps limit how fast the scaling gets there. So a transition between two
+levels is no level, however long it takes; where it turns, the command changed before the level was reached.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 
 ON_LEVEL = 0.01
-"""A scaling so near to a level is on it, even without noise."""
+"""Minimum tolerance for a scaling to be on a level."""
 HELD_S = 0.05
-"""A level holds if it lasts this much longer than a ramp takes to pass it."""
+"""Minimum time of a held level, s, in addition to the time a ramp takes to pass it."""
 _SIGMAS = 4.0
 _TURN = 0.015
-"""A scaling that rises must fall by more than this to have turned."""
+"""Minimum reversal of the scaling for a turning point."""
 _CLOSE_S = 0.5
-"""Values that change again within this time are on a ramp (or noisy)."""
+"""Maximum time between changes of value, s, on a ramp (or in noise)."""
 _FEW_ROWS = 20
-"""Fewer such changes do not tell a log that repeats its values."""
+"""Minimum number of such changes to recognise a log that repeats its values."""
 
 
 class Hold(NamedTuple):
@@ -43,12 +43,12 @@ class Hold(NamedTuple):
 
 
 class Way(NamedTuple):
-    """A rise or fall of the scaling.
+    """Transition: a rise or fall of the scaling.
 
     Attributes:
-        rises: The scaling rises.
-        before, after: The levels held just before and after it; None: it begins or ends elsewhere.
-        first, last: Its rows between them, inclusive; no rows (`last` < `first`) where the scaling jumps.
+        rises: Whether the scaling rises.
+        before, after: Levels held just before and after it; None: it starts or ends off a level.
+        first, last: Its rows between them, inclusive; no rows (`last` < `first`) if the scaling jumps.
     """
 
     rises: bool
@@ -59,21 +59,21 @@ class Way(NamedTuple):
 
 
 class RampRates(NamedTuple):
-    """Fastest fall and rise of the scaling per second; None: it jumps, or is not known."""
+    """Fastest fall and rise of the scaling, 1/s; None: it jumps, or the rate is unknown."""
 
     down_per_s: float | None = None
     up_per_s: float | None = None
 
     def of(self, *, rises: bool) -> float | None:
-        """Return that of one direction."""
+        """Return the rate in one direction."""
         return self.up_per_s if rises else self.down_per_s
 
 
 def repeats(t_s: Vector, scaling: Vector) -> int:
-    """Return of how many rows each has the same value because the log repeats it; 1: it does not.
+    """Return the number of rows for which the log repeats each value; 1: it does not.
 
     Args:
-        t_s: Time, shape (T,), seconds.
+        t_s: Time, shape (T,), s.
         scaling: Shape (T,), NaN = unknown.
     """
     new = np.flatnonzero(np.diff(scaling) != 0) + 1
@@ -84,7 +84,7 @@ def repeats(t_s: Vector, scaling: Vector) -> int:
 
 
 def fresh(scaling: Vector, every: int) -> NDArray[np.int64]:
-    """Return the rows whose values are new, of a log that writes each value `every` times.
+    """Return the rows with new values in a log that writes each value `every` times.
 
     Args:
         scaling: Shape (T,).
@@ -97,7 +97,7 @@ def fresh(scaling: Vector, every: int) -> NDArray[np.int64]:
 
 
 def tolerance_of(scaling: Vector, levels: Vector) -> float:
-    """Return how far from a level noise may carry a scaling that is on it."""
+    """Return the tolerance, from noise and the distance between levels, for a scaling to be on a level."""
     known = scaling[np.isfinite(scaling)]
     apart = float(np.diff(levels).min(initial=1.0))
     return min(max(ON_LEVEL, _SIGMAS * noise_of(known)), apart / 4) + 1e-9
@@ -109,12 +109,12 @@ def holds_of(
     """Return where the levels are held.
 
     Args:
-        t_s: Time, shape (T,), seconds.
+        t_s: Time, shape (T,), s.
         scaling: Shape (T,), NaN = unknown.
         levels: Shape (P,), ascending.
-        near: A scaling so near to a level is on it.
-        rates: A ramp is on the levels that it passes or turns at for so long.
-        held_s: A level holds if it lasts so much longer than that.
+        near: Tolerance for a scaling to be on a level.
+        rates: Ramp rates, which give the time a ramp needs to pass a level.
+        held_s: Minimum time of a held level in addition to that, s.
     """
     nearest = np.searchsorted((levels[1:] + levels[:-1]) / 2, scaling).clip(max=len(levels) - 1)
     label = np.where(np.abs(scaling - levels[nearest]) <= near, nearest, -1)
@@ -135,7 +135,7 @@ def holds_of(
 
 
 def _slopes(t_s: Vector, scaling: Vector, rates: RampRates) -> bool:
-    """Tell whether rows near a level, at an end of what is known, are the end of a ramp: as steep as half of one."""
+    """Return whether rows near a level, at an end of the known scaling, are on a ramp: at least half as steep."""
     if len(t_s) < 2:
         return False
     way = t_s - t_s.mean()
@@ -145,7 +145,7 @@ def _slopes(t_s: Vector, scaling: Vector, rates: RampRates) -> bool:
 
 
 def _passes(scaling: Vector, first: int, last: int, near: float) -> bool:
-    """Tell whether rows near a level only pass it: in between two others, and no flatter than the way."""
+    """Return whether rows near a level only pass it: the scaling changes there in the direction of the transition."""
     quarter = max(1, (last - first + 1) // 4)
     change = float(np.median(scaling[last + 1 - quarter : last + 1]) - np.median(scaling[first : first + quarter]))
     through = float(scaling[last + 1] - scaling[first - 1])
@@ -153,12 +153,12 @@ def _passes(scaling: Vector, first: int, last: int, near: float) -> bool:
 
 
 def ways_of(scaling: Vector, holds: Sequence[Hold], near: float) -> list[Way]:
-    """Return the ways before, between and after levels that are held, in the order of time.
+    """Return the transitions before, between and after held levels, in order of time.
 
     Args:
-        scaling: Shape (T,), NaN = unknown; no way leads past that.
+        scaling: Shape (T,), NaN = unknown; no transition extends across it.
         holds: From `holds_of`.
-        near: As there.
+        near: As in `holds_of`.
     """
     around = [Hold(-1, -1, -1), *holds, Hold(-1, len(scaling), len(scaling))]
     return [way for one, other in pairwise(around) for way in _between(scaling, one, other, max(_TURN, 1.5 * near))]
@@ -182,7 +182,7 @@ def _between(scaling: Vector, one: Hold, other: Hold, turn: float) -> Iterator[W
 def _one_way(
     scaling: Vector, first: int, last: int, before: int | None, after: int | None, turn: float
 ) -> Iterator[Way]:
-    """Divide rows without a held level where the scaling turns."""
+    """Split rows without a held level at the turning points of the scaling."""
     ends = (max(first - (before is not None), 0), last + (after is not None))
     cuts = _turns(scaling[ends[0] : ends[1] + 1], turn)
     cuts = [cut + ends[0] for cut in cuts]
@@ -199,7 +199,7 @@ def _one_way(
 
 
 def _turns(values: Vector, turn: float) -> list[int]:
-    """Return at which rows values that rise begin to fall, or those that fall to rise, by more than `turn`."""
+    """Return the rows of the turning points: reversals by more than `turn`."""
     if min(_back(values), _back(-values)) <= turn:
         return []
     found: list[int] = []
@@ -220,16 +220,16 @@ def _turns(values: Vector, turn: float) -> list[int]:
 
 
 def _back(values: Vector) -> float:
-    """Return by how much values that should rise fall."""
+    """Return the maximum fall from a previous maximum."""
     return float((np.maximum.accumulate(values) - values).max(initial=0.0))
 
 
 def begin_of(way: Way, t_s: Vector, scaling: Vector, levels: Vector, rate: float | None) -> float:
-    """Return when a way begins, seconds: where its ramp leaves the level, else half way between two rows.
+    """Return the start of a transition, s: where its ramp leaves the level, else halfway between two rows.
 
     Args:
         way: One of `ways_of`.
-        t_s: Time, shape (T,), seconds.
+        t_s: Time, shape (T,), s.
         scaling: Shape (T,).
         levels: Shape (P,), ascending.
         rate: Change of the scaling per second; None: it jumps.
@@ -243,6 +243,6 @@ def begin_of(way: Way, t_s: Vector, scaling: Vector, levels: Vector, rate: float
         return 0.5 * (left_s + max(left_s, reached_s - step))
     rows = slice(way.first, way.last + 1)
     gone = np.abs(scaling[rows] - levels[way.before])
-    next_one = way.before + (1 if way.rises else -1)  # where the command may have paused
+    next_one = way.before + (1 if way.rises else -1)  # the command may have paused at this level
     soon = gone < max(abs(levels[next_one] - levels[way.before]) - ON_LEVEL, float(gone[0]) + 1e-9)
     return float(np.median(t_s[rows][soon] - gone[soon] / rate))

@@ -1,10 +1,10 @@
-"""When a robot arrived at a place and when it left, to a few hundredths of a second.
+"""Times at which a robot arrived at a place and left it, to a few hundredths of a second.
 
-A jerk-limited motion begins with a way that grows with the cube of nominal time (the time that the path would take at
-full speed), so its first tenths of a second, slowed to a quarter, are lost in the noise of the position. What is seen
-of it is followed back: the cube root of the way is a straight line over nominal time, and where it is zero the motion
-began. Over nominal time a halt has no length, so a robot that was halted a hair after it left, or a hair before it
-arrived, is told as well; only a halt in which it left, or nearer than noise, is an interval and not an instant.
+The distance covered at the start of a jerk-limited motion grows with the cube of nominal time (the time that the path
+would take at full speed), so at a quarter of full speed its first tenths of a second are lost in the noise of the
+position. The visible part is extrapolated back: the cube root of the distance is linear in nominal time, and the motion
+starts at its zero. A stop has no length in nominal time, so a robot that was stopped just after it left, or just before
+it arrived, is handled too. Only if the stop is closer than the noise, the result is an interval instead of a time.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ if TYPE_CHECKING:
 
 
 BEYOND_S = 1.0
-"""Motion before and after a standstill that is looked at, s."""
+"""Time before and after a standstill that is read, s."""
 SMOOTH_S = 0.024
-"""Positions are averaged over this time, s."""
+"""Averaging time of positions, s."""
 REST_M = 1e-5
-"""Farther than this (or three times its jitter) from where it rests, a standing robot is still or again on its way."""
+"""Maximum distance, m, from the resting position of a robot at rest; three times its jitter if that is larger."""
 STILL_S = 0.1
-"""Averaging time to tell rest from a halt very close to it, s."""
+"""Averaging time, s, to separate rest from a stop very close to it."""
 REST_S = 0.2
-"""A robot that is at a place for this time rests there, even if it stands longer elsewhere."""
+"""Minimum time at a place, s, for it to be the resting position, even if the robot stops longer elsewhere."""
 SEEN = 64.0
-"""The beginning of a motion is fitted from the shortest visible distance up to this many times that."""
+"""Range of the fit of the start of a motion: from the shortest visible distance to this multiple of it."""
 SLOW = 0.05
-"""At a lower scaling the distance does not show how a motion began."""
+"""Minimum scaling of the rows of that fit."""
 BLOCKED = 1e-6
-"""Scaling at or below this is a halt."""
+"""Maximum scaling of a stop."""
 VAGUE_S, INFERRED_S = 0.004, 0.03
-"""The beginning of a motion is known to about so much nominal time; where the scaling was inferred, which does not
-tell the ramp after a halt, to so much."""
+"""Uncertainty of the start of a motion in nominal time, s: with logged scaling, and with inferred scaling, in which the
+ramp after a stop is unknown."""
 _LONG_ROWS = 1 << 18
 
 
@@ -50,9 +50,9 @@ class Stand(NamedTuple):
     """A standstill at a place, session seconds.
 
     Attributes:
-        stopped_s, arrived_s: Between these the robot arrived; they differ where safety halted it just there.
-        free_s, left_s: Between these it left, likewise.
-        changes: When each logged signal last changed while it stood, of those that did.
+        stopped_s, arrived_s: Bounds of the arrival; they differ if the safety system stopped the robot just there.
+        free_s, left_s: Bounds of the departure, likewise.
+        changes: Time of the last change of each logged signal that changed during the standstill.
     """
 
     stopped_s: float
@@ -63,7 +63,7 @@ class Stand(NamedTuple):
 
     @property
     def halted(self) -> bool:
-        """Whether it arrived or left in a halt, so that only the halt is known."""
+        """Whether the robot was stopped as it arrived or left, so that only the bounds are known."""
         return self.left_s > self.free_s or self.arrived_s > self.stopped_s
 
     @property
@@ -72,11 +72,11 @@ class Stand(NamedTuple):
         return self.left_s - self.stopped_s
 
     def process(self, usual_s: float, ready_s: float | None = None) -> tuple[float, float]:
-        """Return the times of arrival and departure; in doubt the standstill is as long as the usual process.
+        """Return the times of arrival and departure, within their bounds as far apart as the usual process.
 
         Args:
-            usual_s: How long that is.
-            ready_s: When the process was over, where a signal tells.
+            usual_s: Usual duration of the process.
+            ready_s: End of the process, if a signal gives it.
         """
         if self.left_s > self.free_s:
             over_s = self.stopped_s + usual_s if ready_s is None else ready_s
@@ -92,7 +92,7 @@ Stands = dict[tuple[int, int, int], Stand]
 def stands_of(
     runs: Mapping[int, Run] | Sequence[Run], executions: Sequence[Execution], places: Mapping[str, Place]
 ) -> Stands:
-    """Return when the robot arrived and left at every visit of the executions."""
+    """Return the times of arrival and departure at every visit of the executions."""
     found: Stands = {}
     for execution in executions:
         for visit in execution.visits:
@@ -103,12 +103,12 @@ def stands_of(
 
 
 def stand_of(run: Run, visit: Visit, place_m: Vector) -> Stand:
-    """Return when the robot arrived at a place and left it; of a stand of many minutes its two ends are looked at.
+    """Return the times of arrival and departure of one visit; of a standstill of many minutes, only its ends are read.
 
     Args:
         run: The run.
-        visit: The rows in which it is not seen to move.
-        place_m: The place, shape (3,), metres.
+        visit: The rows without visible motion.
+        place_m: The place, shape (3,), m.
     """
     ends = run.time_at(visit.first) - BEYOND_S, run.time_at(visit.last) + BEYOND_S
     before, after = run.row_at(np.array(ends)).tolist()
@@ -126,17 +126,17 @@ def stand_of(run: Run, visit: Visit, place_m: Vector) -> Stand:
 
 
 def _last(when: Vector, first_s: float, last_s: float) -> float | None:
-    """Return the last of some times (ascending) that is between two others, None if there is none."""
+    """Return the last of the times `when` (ascending) from `first_s` to `last_s`; None if there is none."""
     before = int(np.searchsorted(when, last_s, side="right"))
     return float(when[before - 1]) if before and when[before - 1] >= first_s else None
 
 
 def _left(part: RobotRun, at: int, place_m: Vector, vague_s: float) -> tuple[float, float]:
-    """Return when the robot left a place, not before and not after; row `at` is the last one in which it stands."""
+    """Return the earliest and latest time of departure from a place; `at` is the last row of the standstill."""
     t_s, scaling = part.t_s, part.scaling
     period_s = max(float(np.median(t_s[1:] - t_s[:-1])), 1e-4) if len(t_s) > 1 else 1.0
     off, reach = _off(part, at, place_m, SMOOTH_S, period_s)
-    wide, wide_reach = _off(part, at, place_m, STILL_S, period_s)  # tells a halt from rest that is hardly away from it
+    wide, wide_reach = _off(part, at, place_m, STILL_S, period_s)  # separates a stop from a nearby resting position
     resting = np.flatnonzero(wide[: at + 1] <= wide_reach)
     rest = int(resting[-1]) if len(resting) else at
     half = max(1, round(0.5 * STILL_S / period_s))
@@ -145,7 +145,7 @@ def _left(part: RobotRun, at: int, place_m: Vector, vague_s: float) -> tuple[flo
     seen = _seen(off, s, np.isnan(scaling) & (s == 0.0), reach, rest, half)
     still = np.flatnonzero(off[rest:] > reach)
     jumped = rest + (int(still[0]) - 1 if len(still) else 0) + (round(SMOOTH_S / period_s) | 1) // 2
-    jumped = min(max(jumped, 0), len(nominal) - 1)  # averages see a jump half their length earlier
+    jumped = min(max(jumped, 0), len(nominal) - 1)  # in averages, a jump appears half their length earlier
     began = float(nominal[jumped])
     if len(seen) >= 3 and np.ptp(nominal[seen]) > 0.0:
         slope, level = np.polyfit(nominal[seen], np.cbrt(off[seen]), 1)
@@ -160,9 +160,9 @@ def _left(part: RobotRun, at: int, place_m: Vector, vague_s: float) -> tuple[flo
 
 
 def _seen(off: Vector, s: Vector, midway: Bools, reach: float, rest: int, half: int) -> Ints:
-    """Return the rows that tell how the motion began; if they are enough, those before it was halted `midway`.
+    """Return the rows for the fit of the start of the motion; if enough, only those before a stop `midway`.
 
-    How a scaling that was not logged fell to a halt and rose again is not known, so it is not looked across one.
+    An inferred scaling does not show the ramps around a stop, so the fit does not extend across one.
     """
     row = np.arange(rest + 1, len(off))
     far = row[off[row] >= SEEN * reach][:1]
@@ -173,7 +173,7 @@ def _seen(off: Vector, s: Vector, midway: Bools, reach: float, rest: int, half: 
 
 
 def _instant(t_s: Vector, nominal: Vector, halted: Bools, began: float) -> tuple[float, float]:
-    """Return when nominal time was `began`: an instant, or the halt in which it was, the rows `halted`."""
+    """Return start and end of the time at which nominal time was `began`: equal, unless rows are `halted` there."""
     halt = np.flatnonzero(halted)
     if len(halt):
         last = min(int(halt[-1]) + 1, len(t_s) - 1)
@@ -184,7 +184,7 @@ def _instant(t_s: Vector, nominal: Vector, halted: Bools, began: float) -> tuple
 
 
 def _off(part: RobotRun, at: int, place_m: Vector, over_s: float, period_s: float) -> tuple[Vector, float]:
-    """Return the averaged distance of each row from where the robot rests, and the tolerance of rest, metres."""
+    """Return the averaged distance of each row from the resting position, and the tolerance of rest, m."""
     over = round(over_s / period_s) | 1
     smooth = _averaged(part.xyz_m, over)
     stood = smooth[: at + 1]
@@ -195,7 +195,7 @@ def _off(part: RobotRun, at: int, place_m: Vector, over_s: float, period_s: floa
 
 
 def _averaged(xyz_m: Points, rows: int) -> Points:
-    """Return the moving mean over this many rows (odd); shorter at the ends."""
+    """Return the moving mean over `rows` rows (odd); over fewer at the ends."""
     half = min(rows // 2, (len(xyz_m) - 1) // 2)
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(xyz_m - xyz_m[0], axis=0)])
     row = np.arange(len(xyz_m))
@@ -204,9 +204,9 @@ def _averaged(xyz_m: Points, rows: int) -> Points:
 
 
 def _rest(xyz_m: Points, scaling: Vector, place_m: Vector, reach: float, enough: int) -> Vector:
-    """Return where a robot rests that may have been halted on its way there, or when it had just left.
+    """Return the resting position of a robot that may have been stopped before it arrived or after it left.
 
-    That is at the place, if at least `enough` rows are there; else where it is most of the time.
+    It is at the place, if at least `enough` rows are there; else the median position.
     """
     free = ~(scaling <= BLOCKED)  # unknown counts as free
     among = xyz_m[free] if free.any() else xyz_m
@@ -216,8 +216,8 @@ def _rest(xyz_m: Points, scaling: Vector, place_m: Vector, reach: float, enough:
 
 
 def _known(scaling: Vector, off: Vector, reach: float, half: int) -> Vector:
-    """Return the scaling with its unknown rows filled by the nearest known one; 0 where the robot is halted midway."""
-    known = np.flatnonzero(scaling > BLOCKED)  # a halt is where it was seen, and nowhere else
+    """Return the scaling with unknown rows filled by the nearest known one; 0 where the robot is stopped midway."""
+    known = np.flatnonzero(scaling > BLOCKED)  # scaling 0 is not extended to unknown rows
     if len(known) == len(scaling):
         return scaling
     s = fill_nearest(scaling, known) if len(known) else np.ones(len(scaling))

@@ -1,9 +1,10 @@
-"""How long the process at each place takes, from what stands there have in common, and which signal tells when it ends.
+"""Usual dwell at each place from its standstills, and the signal that marks the end of the process.
 
-A stand is process, then at times waiting (before the process or after it), then at times a safety halt, and motion
-shows none of the borders. A signal that changes within the process (a gripper's output, a register, an event of a PLC)
-has the same time from its last change to the departure in all stands that nothing prolonged; in any other stand it
-tells when the robot was ready to leave. When it arrived and left is the business of `stand`.
+A standstill consists of the process, sometimes a wait before or after it, and sometimes a stop by the safety system;
+motion does not show where one ends and the next begins. A signal that changes within the process (a gripper output, a
+register, a PLC event) has a constant time from its last change to the departure in all standstills that nothing
+prolonged; in the others, it gives the time at which the robot was ready to leave. Arrival and departure come from
+`arrivals`.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.executions import Execution
 
 VARIES, BLUR_S = 6.0, 0.05
-"""A stand is process while it is longer than usual by no more than so many times what short ones differ by, plus
-what a stand's length is known to."""
+"""Maximum excess of a dwell over the usual one: this multiple of the spread of short standstills, plus the uncertainty
+of a standstill, s."""
 AHEAD_S = 0.1
-"""A signal that changes nearer than this to the departures may follow the motion: it would change after a halt too."""
+"""Minimum time, s, from a signal's last change to the departure: a later change may be an effect of the motion."""
 STEADY_S = 0.05
-"""The times from a signal's last change to the departure differ by no more than this where it tells of the process."""
+"""Maximum spread, s, of these times for a signal that marks the process."""
 OFTEN = 0.5
-"""Least share of the standstills at a place in which it changes."""
+"""Minimum share of the standstills at a place in which the signal changes."""
 
 
 class Sign(NamedTuple):
-    """A signal that tells when the process at a place is over, seconds after its last change, usually and at most."""
+    """Signal that marks the process at a place; usual and maximum time from its last change to the end, s."""
 
     signal: str
     after_s: float
@@ -38,20 +39,20 @@ class Sign(NamedTuple):
 
 
 class Dwell(NamedTuple):
-    """The process at a place, seconds: how long it takes, how long at most before the rest is waiting, and its sign."""
+    """The process at a place: usual duration, s; maximum duration, s, beyond which the rest is a wait; its signal."""
 
     usual_s: float
     most_s: float
     sign: Sign | None = None
 
     def ready_s(self, stand: Stand) -> float | None:
-        """Return when the robot was ready to leave, None where no signal tells."""
+        """Return the time at which the robot was ready to leave; None without a signal."""
         if self.sign is None or (changed := dict(stand.changes).get(self.sign.signal)) is None:
             return None
         return changed + self.sign.after_s
 
     def overdue_s(self, stand: Stand) -> float | None:
-        """Return since when a stand has lasted longer than its process, None if it did not; waiting before it may."""
+        """Return the time from which a standstill exceeds its process; None if it does not."""
         ready = self.ready_s(stand)
         if ready is not None and self.sign is not None:
             return ready if stand.left_s - ready > self.sign.most_s - self.sign.after_s else None
@@ -59,11 +60,10 @@ class Dwell(NamedTuple):
 
 
 def usual_dwells(executions: Sequence[Execution], stands: Stands) -> dict[str, Dwell]:
-    """Return the usual dwell per place: short (the lowest tenth) among the stands that no halt prolonged.
+    """Return the usual dwell per place: the 10 % quantile of the standstills that no stop prolonged.
 
-    A stand is process and then, at times, waiting; so the process shows in the short ones, and how much it varies in
-    how far they differ. The first and last stand of an execution are not counted: there the robot waits for the next
-    cycle.
+    As a standstill may include a wait, the short ones show the process, and their spread shows its variation. The first
+    and last standstill of an execution are excluded, as the robot waits for the next cycle there.
     """
     seen: dict[str, list[Stand]] = {}
     for execution in executions:
@@ -78,14 +78,14 @@ def usual_dwells(executions: Sequence[Execution], stands: Stands) -> dict[str, D
 
 
 def _usual(lasts_s: Sequence[float]) -> tuple[float, float]:
-    """Return the usual time of something that may be prolonged, and its maximum without that."""
+    """Return the usual value of durations that may be prolonged, and the maximum without prolongation, s."""
     low, middle = np.quantile(lasts_s, (0.1, 0.3)).tolist()
     return low, low + VARIES * (middle - low) + BLUR_S
 
 
 def _sign(stands: Sequence[Stand]) -> Sign | None:
-    """Return the signal whose last change is the steadiest time ahead of the departures from a place, if any is."""
-    left = [stand for stand in stands if stand.left_s == stand.free_s]  # and not halted first
+    """Return the signal with the most constant time from its last change to departure, if any is constant enough."""
+    left = [stand for stand in stands if stand.left_s == stand.free_s]  # not stopped at departure
     after_s: dict[str, list[float]] = {}
     for stand in left:
         for name, at_s in stand.changes:

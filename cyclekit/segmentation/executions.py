@@ -1,6 +1,6 @@
-"""What the robot was doing: visits to places and executions, out of its standstills.
+"""Visits to places and executions, from the robot's standstills.
 
-What the slow-down costs is computed in `account`; the operator is handled in `people`.
+The time lost by slow-downs is computed in `time_account`; the operator is handled in `people`.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Visit:
-    """A stop (or several joined) at a place, rows `first`..`last` of its run.
+    """A standstill (or several joined) at a place, rows `first`..`last` of its run.
 
-    `reached`: first and last row on the way there at the spot where the robot may wait; None = there is none.
+    `reached`: first and last row at the waiting position on the way there; None without one.
     """
 
     place: str
@@ -39,7 +39,7 @@ class Visit:
 
 @dataclass(frozen=True)
 class Execution:
-    """Consecutive visits of one run that make one execution of the process."""
+    """Consecutive visits of one run that form one execution of the process."""
 
     run: int
     visits: tuple[Visit, ...]
@@ -47,7 +47,7 @@ class Execution:
 
 
 def find_visits(stops: Sequence[Stop], places: Mapping[str, Place], runs: Sequence[Run]) -> list[list[Visit]]:
-    """Return, per run, its visits to places in order; stops at one place without leaving it are one visit."""
+    """Return the visits to places of each run, in order; standstills at a place without leaving it are one visit."""
     visits: list[list[Visit]] = [[] for _ in runs]
     names = list(places)
     centres = np.array([places[name].xyz_m for name in names]).reshape(-1, 3)
@@ -76,19 +76,19 @@ def _stayed(run: Run, a: int, b: int) -> bool:
 def find_executions(
     visits: Sequence[Sequence[Visit]], places: Mapping[str, Place], how: Executions, marks: Sequence[Ints]
 ) -> list[Execution]:
-    """Cut the visits of each run into executions, as the cell file says they begin.
+    """Split the visits of each run into executions by the rule of the cell file.
 
     An execution goes from the departure at its first visit to the arrival at its last; consecutive ones share a visit.
-    It is complete when the run shows both the place it left from and a place it ended at.
+    It is complete, unless it was split by home but does not start and end there.
 
     Args:
-        visits: Of each run, in order.
+        visits: Visits of each run, in order.
         places: All places, for the message.
-        how: What begins an execution.
-        marks: Of each run the rows at which a register or output says that one begins.
+        how: Rule for the start of an execution.
+        marks: Rows of each run at which a logged signal marks the start of an execution.
 
     Raises:
-        UnknownName: `how.home` is no place of this cell.
+        UnknownName: `how.home` is not a place of this cell.
     """
     if how.home is not None and how.home not in places:
         raise UnknownName("cell.toml [executions] home", "place", how.home, places)
@@ -105,7 +105,7 @@ def find_executions(
 
 
 def _begins(seen: Sequence[Visit], how: Executions, home: str, marked: Ints) -> list[int]:
-    """Indices of the visits at which an execution begins, with the last visit as the end; ascending."""
+    """Return the indices of the visits at which an execution starts, and of the last visit, ascending."""
     if len(seen) < 2:
         return []
     last = len(seen) - 1

@@ -1,4 +1,4 @@
-"""The robot's runs: which rows of which recordings, when their program did not play, and what marks a new cycle."""
+"""The robot's runs: their rows, the times when the program did not play, and the marks of new cycles."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 
 WHERE = "[executions] signal"
 LATE_S = 0.25
-"""Longest delay of a signal after the departure that it marks."""
+"""Maximum delay of a signal after the departure that it marks, s."""
 
 
 def load_runs(session: Session, read: Read, stored: Stored, cell: Cell) -> tuple[list[StoredRun], list[Ints]]:
-    """Return every run of a session, and for each the rows at which a logged signal begins a cycle.
+    """Return every run of a session, and for each the rows at which a logged signal starts a cycle.
 
     Args:
-        session: In one clock.
+        session: Session with its recordings in one clock.
         read: Returns a native table of a recording (id, table), None if it has none.
         stored: Opens the robot table of a recording (id, columns).
-        cell: What begins an execution.
+        cell: Rule for the start of an execution.
 
     Raises:
         ConfigError: Executions begin by a register or output that was not logged.
@@ -60,7 +60,7 @@ def load_runs(session: Session, read: Read, stored: Stored, cell: Cell) -> tuple
 
 
 def _changes(session: Session, read: Read, stored: Stored) -> dict[str, Vector]:
-    """Return when each signal of the session's recordings changes, session time."""
+    """Return the times at which each signal of the session's recordings changes, session time."""
     found: dict[str, Vector] = {}
     for entry in session.recordings:
         clock = entry.clock
@@ -71,7 +71,7 @@ def _changes(session: Session, read: Read, stored: Stored) -> dict[str, Vector]:
 
 
 def _more(stored: Stored, recording: str, names: Sequence[str]) -> StoredTable | None:
-    """Open the joint angles and the slider of a recording, as far as they are known all along."""
+    """Open the joint angles and the slider of a recording; joint angles only if all are known in every row."""
     names = [name for name in names if schema.is_joint(name) and not name.startswith("qd")]
     table = stored(recording, [*names, "slider"])
     joints = [name for name in names if table.unknown(name) == 0]
@@ -81,7 +81,7 @@ def _more(stored: Stored, recording: str, names: Sequence[str]) -> StoredTable |
 
 
 def _not_playing(stored: Stored, recording: str) -> list[tuple[int, int, str]]:
-    """Return where the program does not play: first and last row of the table, and its state."""
+    """Return the rows in which the program does not play: first and last row of the table, and the state."""
     table = stored(recording, ("state",))
     if table.unknown("state") == table.rows:
         return []
@@ -89,7 +89,7 @@ def _not_playing(stored: Stored, recording: str) -> list[tuple[int, int, str]]:
 
 
 def _marked(session: Session, read: Read, stored: Stored, cell: Cell) -> Vector:
-    """Return when a logged signal begins an execution, session time."""
+    """Return the times at which a logged signal starts an execution, session time."""
     how, entry = cell.executions, session.recordings[0]
     signal = {"register": REGISTER, "digital-output": f"{OUTPUT}{how.bit}"}.get(how.begin, how.signal)
     if signal is None:
@@ -110,7 +110,7 @@ def _marked(session: Session, read: Read, stored: Stored, cell: Cell) -> Vector:
 
 
 def _holding(name: str, session: Session, read: Read) -> RecordingCard:
-    """Return the recording of a session whose events hold a signal."""
+    """Return the recording of a session whose events include a signal."""
     known: list[str] = []
     for entry in session.recordings:
         events = read(entry.id, "events") if "events" in entry.tables else None

@@ -1,8 +1,8 @@
 """A robot's log as runs that are read window by window.
 
-A run is one continuous stretch. Motion is read only for the rows that matter (a standstill, a task, an execution), so a
-log of any length takes the memory of its longest task. `stored_run` has the runs that stay on the disk, and the reading
-of any run in pieces and at sample times.
+A run is one stretch without gaps. Motion is read only for the rows needed (a standstill, a task, an execution), so a
+log of any length takes the memory of its longest task. `stored_run` has the runs that stay on the disk, and reads any
+run in pieces and at sample times.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ if TYPE_CHECKING:
 
 
 SPEED_WINDOW_S = 0.024
-"""Speed is the slope of the position over three controller cycles at 125 Hz: at 500 Hz the position's resolution would
-dominate a quotient of differences."""
+"""Time over which speed is computed from positions, s: three controller cycles at 125 Hz. At 500 Hz, the resolution of
+the position would dominate the difference of two rows."""
 COLUMNS = ("t_s", "tcp_x_m", "tcp_y_m", "tcp_z_m", "tcp_speed_m_s", "scaling")
-"""Columns of table ROBOT that a run is made of."""
+"""Columns of table ROBOT that a run needs."""
 STANDING, PAUSED, STOPPED, NOT_LOGGED, NO_REFERENCE, NEVER_FULL, OTHER_PATH, TOO_SLOW, LOG_GAP = range(9)
-"""Why a scaling is unknown: indices into `schema.SCALING_GAPS`."""
+"""Reasons for an unknown scaling: indices into `schema.SCALING_GAPS`."""
 
 
 class InferredScaling(NamedTuple):
-    """Scaling of consecutive rows of a run, inferred.
+    """Inferred scaling of consecutive rows of a run.
 
     Attributes:
         first: First row.
         scaling: Values, shape (N,), NaN = unknown.
         deviation: Their standard deviations, shape (N,).
-        gap: Why they are unknown where they are, shape (N,), indices into SCALING_GAPS.
+        gap: Reason for unknown values, shape (N,), indices into SCALING_GAPS.
     """
 
     first: int
@@ -48,7 +48,7 @@ class InferredScaling(NamedTuple):
 
 @dataclass(frozen=True)
 class Halt:
-    """The program of the robot did not run in rows `first` to `last`, inclusive; `gap`: PAUSED or STOPPED."""
+    """Rows `first` to `last`, inclusive, in which the program did not run; `gap`: PAUSED or STOPPED."""
 
     first: int
     last: int
@@ -60,17 +60,17 @@ class RobotRun:
     """A run, or a window of one, in memory.
 
     Attributes:
-        t_s: Session time, shape (T,), strictly increasing, seconds.
-        xyz_m: TCP, shape (T, 3), metres.
+        t_s: Session time, shape (T,), strictly increasing, s.
+        xyz_m: TCP, shape (T, 3), m.
         speed_m_s: TCP speed, shape (T,), m/s.
         scaling: The safety system's scaling, shape (T,), NaN = unknown.
-        deviation: Its standard deviation, shape (T,); None = 0, it was logged.
-        gap: Why it is unknown, shape (T,), where it is; None = it was not logged there.
+        deviation: Its standard deviation, shape (T,); None = 0, as it was logged.
+        gap: Reason for an unknown scaling, shape (T,); None = not logged.
         q_rad: Joint angles, shape (T, J), if known.
         slider: The operator's speed slider, shape (T,); None = not logged.
-        halts: When the program was paused or stopped.
-        is_inferred: The scaling was inferred and not logged.
-        changes: When each logged signal changed, session seconds, ascending; a window has none.
+        halts: Rows in which the program was paused or stopped.
+        is_inferred: Whether the scaling was inferred, not logged.
+        changes: Times of changes of each logged signal, session seconds, ascending; a window has none.
     """
 
     t_s: Vector
@@ -87,12 +87,12 @@ class RobotRun:
 
     @property
     def rows(self) -> int:
-        """How many rows it has."""
+        """Number of rows."""
         return len(self.t_s)
 
     @property
     def period_s(self) -> float:
-        """Usual time between rows."""
+        """Median time between rows, s."""
         return float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.1
 
     @property
@@ -101,7 +101,7 @@ class RobotRun:
         return bool(np.isfinite(self.scaling).any())
 
     def window(self, first: int, last: int) -> RobotRun:
-        """Return rows `first` to `last`, inclusive: views, no copies."""
+        """Return rows `first` to `last`, inclusive, as views."""
         part = slice(first, last + 1)
         deviation = None if self.deviation is None else self.deviation[part]
         gap = None if self.gap is None else self.gap[part]
@@ -114,45 +114,45 @@ class RobotRun:
         return points, moving_slider(self.slider_at(first, last), len(points))
 
     def slider_at(self, first: int, last: int) -> Vector | None:
-        """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None where it was not logged."""
+        """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None if it was not logged."""
         return None if self.slider is None else self.slider[first : last + 1]
 
     def time_at(self, row: int) -> float:
-        """Return the session time of a row, seconds."""
+        """Return the session time of a row, s."""
         return float(self.t_s[row])
 
     def row_at(self, t_s: Vector) -> Ints:
-        """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
+        """Return the last row at or before each time (to a nanosecond), shape (N,); 0 if there is none."""
         return np.clip(np.searchsorted(self.t_s, t_s + 1e-9, side="right") - 1, 0, None)
 
     def with_scaling(self, parts: Sequence[InferredScaling], *, logged_apart: bool = False) -> RobotRun:
-        """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere.
+        """Return the run with its scaling replaced by `parts`; unknown (NaN) elsewhere.
 
         Args:
             parts: The scaling.
-            logged_apart: It was not inferred but logged, in a log of its own.
+            logged_apart: Whether it was logged in a separate log, not inferred.
         """
         scaling, deviation, gap = Overlay(parts).rows(0, self.rows - 1)
         return replace(self, scaling=scaling, deviation=deviation, gap=gap, is_inferred=not logged_apart)
 
 
 def moving_slider(slider: Vector | None, rows: int) -> Vector:
-    """Return the slider of some rows as a factor of the speed; 1 where it is zero or unknown."""
+    """Return the slider of some rows as a factor of the speed; 1 if it is zero or unknown."""
     return np.ones(rows) if slider is None else np.where(slider > 0.0, slider, 1.0)
 
 
 class Overlay:
-    """Inferred scaling of a run, in parts, to be read by windows."""
+    """Inferred scaling of a run, in parts, readable by row ranges."""
 
     def __init__(self, parts: Sequence[InferredScaling]) -> None:
-        """Keep the parts; of two that overlap the one that begins later wins."""
+        """Take the parts; where two overlap, the one that starts later counts."""
         self._parts = sorted(parts, key=lambda part: part.first)
         self._begins = [part.first for part in self._parts]
         self._longest = max((len(part.scaling) for part in self._parts), default=0)
         self.is_known = any(np.isfinite(part.scaling).any() for part in self._parts)
 
     def rows(self, first: int, last: int) -> tuple[Vector, Vector, NDArray[np.int8]]:
-        """Return scaling, deviation and gap of rows `first` to `last`; where there is no part, the robot stands."""
+        """Return scaling, deviation and gap of rows `first` to `last`; rows without a part are standstills."""
         scaling, deviation = np.full(last + 1 - first, np.nan), np.full(last + 1 - first, np.nan)
         gap = np.full(last + 1 - first, STANDING, np.int8)
         near = slice(bisect_left(self._begins, first - self._longest), bisect_left(self._begins, last + 1))
@@ -165,17 +165,17 @@ class Overlay:
 
 
 def half_window(period_s: float) -> int:
-    """Return how many rows before and behind a row its speed is taken over."""
+    """Return the number of rows before and after a row over which its speed is computed."""
     return max(1, round(SPEED_WINDOW_S / 2 / period_s))
 
 
 def lengths(ways_m: Points) -> Vector:
-    """Return the lengths of vectors, shape (N, D); as numpy's norm, without its overhead."""
+    """Return the lengths (N,) of vectors (N, D); as numpy's norm, without its overhead."""
     return np.asarray(np.sqrt(np.add.reduce(ways_m * ways_m, axis=1)))
 
 
 def slope(t_s: Vector, xyz_m: Points, half: int) -> Vector:
-    """Return the distance from `half` rows before each row to `half` rows after it over the time between, (T,)."""
+    """Return the distance from `half` rows before to `half` rows after each row, divided by time, (T,), m/s."""
     row = np.arange(len(t_s))
     after, before = np.minimum(row + half, len(t_s) - 1), np.maximum(row - half, 0)
     path = lengths(xyz_m[after] - xyz_m[before])

@@ -1,12 +1,12 @@
-"""The places of a cell, out of the standstills of its robot.
+"""The places of a cell, from the standstills of its robot.
 
-A place is a spot where the robot stands although it was allowed to move; where the scaling is not logged, a spot that
-the robot never passes without standing, or where it often stands for the same time. Motion is asked first; signals (an
-output, a register, an event) that change while the robot stands at places found so, and hardly ever else, tell of
-places that motion does not show.
+A place is a position at which the robot stops although it was allowed to move. If the scaling is not logged, it is a
+position that the robot rarely passes without a standstill, or with many standstills of the same duration. Motion is
+evaluated first. Then signals (an output, a register, an event) that change during standstills at these places, and
+rarely otherwise, show further places.
 
-A robot that moves on without a dwell stops at each position for a row or two of its log at most. Where it rests at one
-place at most, these turning points divide its motion (`with_turns`).
+A robot without dwells stops at each position for at most a row or two of its log. If it has standstills at no more than
+one place, these turning points divide its motion (`with_turns`).
 """
 
 from __future__ import annotations
@@ -29,31 +29,35 @@ if TYPE_CHECKING:
 
 
 MERGE_M = 0.01
-"""Stops nearer than this to each other are one place (robots repeat to 0.1 mm; two fixtures are never this near)."""
+"""Maximum distance, m, of standstills at one place (robots repeat to 0.1 mm; two fixtures are never this close)."""
 WORKS, WORKS_AT = 0.9, 0.8
-"""A signal tells of work if so much of its changes happen while the robot stands, and it changes in so many stands at
-some place: one that says that the robot is halted, or moves, changes at the ends of stands and at no place in most."""
+"""A signal marks work if at least WORKS of its changes are in standstills, and it changes in at least WORKS_AT of the
+standstills at some place. A signal of stop or motion changes at the ends of standstills, and in most at no place."""
 
 EVEN, OFTEN, EXACT_M = 0.7, 5, 5e-4
-"""A robot that often stands at one spot, to this distance (median), and for the same time (the short standstills last
-at least this part of the long ones) works there, however often it passes on its way to other places: a halt for safety
-lasts as long as the operator is near, and is where he finds the robot."""
+"""Minimum ratio of short to long standstills, minimum number of standstills, and maximum median distance, m, for a
+place at which the robot works, however often it passes without a stop: protective stops vary in duration and position
+with the operator."""
 VARIES, PASSED = 0.5, 1.1
-"""The robot only waits at a spot if its short standstills there last less than this part of its long ones, and if it
-comes there so many times as often as it stands."""
+"""The robot only waits at a position if the ratio of short to long standstills is below VARIES, and if it comes there
+at least PASSED times as often as it stops."""
 
 
 def find_places(
     runs: Sequence[Run], stops: Sequence[Stop], named: Mapping[str, NamedPlace], *, all_named: bool = False
 ) -> dict[str, Place]:
-    """Return the places of a cell, by name, named ones first and found ones (`place_1`, ...) by first visit.
+    """Return the places of a cell by name: named ones first, then found ones (`place_1`, ...) by first visit.
 
-    A spot is a place when the cell file names it, or the robot stood there while it was free to move (in at least
-    a tenth of its stops), or, where no scaling is known, when it hardly ever passes without standing, or often stands
-    there for the same time. The spot at which most recordings begin and end is a place too: a recorder that runs from
-    home to home never sees it stand. A spot that it also passes without a stop, and where it stands for very different
-    times, is none: it waits there. One in half of whose stops a signal changes that tells of work at the others is one.
-    With `all_named` none is found.
+    A position is a place in any of these cases:
+
+    - The cell file names it.
+    - In at least a tenth of its standstills, the robot was free to move.
+    - The scaling is unknown, and the robot rarely passes without a standstill, or its standstills are similar.
+    - Most recordings begin and end there: a recorder that runs from home to home never records a standstill at home.
+    - In at least half of its standstills, a signal changes that marks work at other places.
+
+    It is no place if the robot also passes without a stop and its standstills vary widely: the robot waits there. With
+    `all_named`, only named places are returned.
     """
     places: dict[str, Place] = {}
     xyz = np.array([stop.xyz_m for stop in stops]).reshape(-1, 3)
@@ -85,9 +89,9 @@ def find_places(
 
 
 def _without_waits(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups: Sequence[Ints]) -> list[Ints]:
-    """Return the groups of standstills without those of a spot where the robot only waits at times.
+    """Return the groups of standstills without those at positions where the robot only waits.
 
-    It passes such a spot without a stop when it need not wait, and stands there for very different times.
+    At such a position, it passes without a stop if it need not wait, and its standstills vary widely.
     """
     vary = [_evenness(runs, stops, group) < VARIES for group in groups]
     centres = np.array([np.median(xyz[group], axis=0) for group, yes in zip(groups, vary, strict=True) if yes])
@@ -101,14 +105,14 @@ def _without_waits(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, grou
 
 
 def _evenness(runs: Sequence[Run], stops: Sequence[Stop], group: Ints) -> float:
-    """Return how long the short standstills of a group (10 %) last, as a part of the long ones (90 %), 0 to 1."""
+    """Return the ratio of short (10 % quantile) to long (90 % quantile) standstills of a group, 0 to 1."""
     ends = [(runs[stops[i].run], stops[i]) for i in group.tolist()]
     short_s, long_s = np.quantile([run.time_at(stop.last) - run.time_at(stop.first) for run, stop in ends], (0.1, 0.9))
     return float(short_s / long_s) if long_s > 0 else 1.0
 
 
 def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: Sequence[Ints]) -> list[Ints]:
-    """Return groups of standstills that are places because a signal that marks work at `known` places changes there."""
+    """Return groups of standstills in which signals change that mark work at `known` places."""
     telling = _of_work(runs, stops, known)
     if not telling:
         return []
@@ -123,7 +127,7 @@ def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: 
 
 
 def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Ints]) -> set[str]:
-    """Return the signals that mark work: see WORKS."""
+    """Return the signals that mark work; see WORKS."""
     total, inside = Counter[str](), Counter[str]()
     for run in runs:
         total.update({name: len(times) for name, times in run.changes.items()})
@@ -137,7 +141,7 @@ def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Ints]) 
 
 
 def _common_edge(stops: Sequence[Stop], xyz: Points) -> Ints:
-    """Return the edges of recordings that lie at one spot, if at least two and most of all edges do; else none."""
+    """Return the edges of recordings at a common position, if at least two and the majority share it; else none."""
     edges = np.flatnonzero(np.array([stop.edge for stop in stops], bool))
     largest = max(cluster(xyz, edges, MERGE_M), key=len, default=edges)
     return largest if len(largest) >= 2 and 2 * len(largest) > len(edges) else edges[:0]
@@ -149,21 +153,21 @@ def _triple(xyz: Vector) -> tuple[float, float, float]:
 
 
 def _radius(members: Points, centre: Vector) -> float:
-    """Tolerance of a place: what the robot's own repeatability needs, so that a halt just before it is not taken."""
+    """Return the radius of a place, m: just the robot's repeatability, so that a stop just before it is excluded."""
     spread = float(np.median(np.linalg.norm(members - centre, axis=1))) if len(members) else MERGE_M
     return round(min(max(6.0 * spread, 5e-4), MERGE_M), 6)
 
 
 def cluster(xyz: Points, rows: Ints, radius_m: float) -> list[Ints]:
-    """Group positions that lie within `radius_m` of the densest spots, densest first; an unknown one is in no group.
+    """Group positions within `radius_m` of the densest centres, densest first; unknown positions are in no group.
 
-    Nothing depends on where the axes lie: a spot is the median of all that is within half the radius of the position
-    with the most neighbours there.
+    The result does not depend on the axes: a centre is the median of all positions within half the radius of the one
+    with the most neighbours.
 
     Args:
-        xyz: Positions, shape (M, 3), metres.
-        rows: Which of them to group.
-        radius_m: Reach of a group around its spot.
+        xyz: Positions, shape (M, 3), m.
+        rows: Indices of the positions to group.
+        radius_m: Radius of a group around its centre.
     """
     from scipy.spatial import cKDTree  # slow to import, and only needed to look for places
 
@@ -188,7 +192,7 @@ def cluster(xyz: Points, rows: Ints, radius_m: float) -> list[Ints]:
 
 
 def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups: Sequence[Ints]) -> list[bool]:
-    """Tell which groups of stops are places."""
+    """Return which groups of standstills are places."""
     centres = [np.median(xyz[group], axis=0) for group in groups]
     free = [any(stops[i].free for i in group.tolist()) for group in groups]
     asked = [centre for centre, is_free in zip(centres, free, strict=True) if not is_free]
@@ -206,10 +210,10 @@ def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups:
 
 
 def count_passes(runs: Sequence[Run], centres: Points) -> Ints:
-    """Count how often the robot comes within MERGE_M of each spot, standing or not; centres (C, 3), counts (C,)."""
+    """Return how often the robot comes within MERGE_M of each centre (C, 3), with or without a stop, shape (C,)."""
     counts = np.zeros(len(centres), np.int64)
     around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    cells = _packed(_cell(centres)[:, None] + around[None]).ravel()  # of each spot all that it reaches into
+    cells = _packed(_cell(centres)[:, None] + around[None]).ravel()  # all cells that each centre reaches into
     order = np.argsort(cells, kind="stable")
     cells, owners = cells[order], order // len(around)
     for run in runs if len(centres) else ():
@@ -224,13 +228,13 @@ def count_passes(runs: Sequence[Run], centres: Points) -> Ints:
 
 
 def _near(xyz_m: Points, centres: Points, cells: Ints, owners: Ints) -> tuple[Ints, Ints]:
-    """Return which rows are within MERGE_M of which spots, by spot and row.
+    """Return pairs of centre and row within MERGE_M of each other, sorted by centre and row.
 
     Args:
-        xyz_m: Positions, shape (T, 3), metres.
-        centres: The spots, shape (C, 3).
+        xyz_m: Positions, shape (T, 3), m.
+        centres: Centres, shape (C, 3), m.
         cells: Cells that they reach into, ascending.
-        owners: The centre of each cell, an index into the centres.
+        owners: Index of the centre of each cell.
     """
     known = np.flatnonzero(np.isfinite(xyz_m).all(axis=1))
     cell = _packed(_cell(xyz_m[known]))
@@ -245,27 +249,27 @@ def _near(xyz_m: Points, centres: Points, cells: Ints, owners: Ints) -> tuple[In
 
 
 def _cell(xyz_m: Points) -> Ints:
-    """Return in which cube of MERGE_M each position (..., 3) lies, shape (..., 3).
+    """Return the cube of edge MERGE_M of each position (..., 3) as integers, shape (..., 3).
 
-    Neighbours are told by these numbers and not by positions: 0.61 / 0.01 and 0.60 / 0.01 are rounded apart or not.
+    Neighbours are found by these integers, as rounding of 0.61 / 0.01 or 0.60 / 0.01 may shift a position.
     """
     return np.asarray(np.floor(xyz_m / MERGE_M).astype(np.int64))
 
 
 def _packed(index: Ints) -> Ints:
-    """Return one number for each cube (..., 3), shape (...)."""
+    """Return one integer for each cube (..., 3), shape (...)."""
     index = index + (1 << 20)
     return np.asarray((index[..., 0] << 42) + (index[..., 1] << 21) + index[..., 2])
 
 
 SLOW = 0.1
-"""At a turn the robot is slower than this fraction of its usual speed."""
+"""Maximum speed at a turn, as fraction of the usual speed (90 % quantile)."""
 APART_S = 0.5
-"""Of slow rows nearer than this to each other the slowest is the turn."""
+"""Maximum time, s, between slow rows of one turn, and maximum duration of a turn."""
 
 
 def with_turns(runs: Sequence[Run], stops: Sequence[Stop]) -> list[Stop]:
-    """Return the stops, and the turns of runs that turn or stand at a spot more than once, in order.
+    """Return the standstills, and the turns at positions with more than one turn or standstill, in order.
 
     Args:
         runs: All runs.
@@ -285,7 +289,7 @@ def with_turns(runs: Sequence[Run], stops: Sequence[Stop]) -> list[Stop]:
 
 
 def _turns(begin: int, part: RobotRun) -> list[tuple[int, tuple[float, float, float]]]:
-    """Return the rows at which speed falls nearly to zero and rises again at once, and where."""
+    """Return the rows at which speed falls nearly to zero and rises again at once, and their positions."""
     speed = part.speed_m_s
     usual = float(np.nanquantile(speed, 0.9)) if np.isfinite(speed).any() else 0.0
     slow = np.flatnonzero(speed < SLOW * usual)
@@ -293,7 +297,7 @@ def _turns(begin: int, part: RobotRun) -> list[tuple[int, tuple[float, float, fl
     found = []
     for rows in groups:
         if rows[0] == 0 or rows[-1] == part.rows - 1 or part.t_s[rows[-1]] - part.t_s[rows[0]] > APART_S:
-            continue  # it stood: that is no turn
+            continue  # a standstill or an edge, no turn
         row = int(rows[int(speed[rows].argmin())])
         x, y, z = (float(value) for value in part.xyz_m[row])
         found.append((begin + row, (x, y, z)))

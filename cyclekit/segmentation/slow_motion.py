@@ -1,8 +1,7 @@
-"""Whether a slow robot stands or creeps, by the noise and the resolution of the log's own positions.
+"""Separate standstill from slow motion, by the noise and resolution of the logged positions.
 
-A speed taken over a few rows tells nothing here: at 3 mm/s a log with a tenth of a millimetre of resolution repeats
-most of its rows, and they read as standstill. So the question is how far the robot gets within a time in which a slow
-motion leaves the noise behind.
+Speed over a few rows is not sufficient: at 3 mm/s, a log with a resolution of 0.1 mm repeats most of its rows, which
+look like a standstill. So the criterion is the distance covered within a time in which slow motion exceeds the noise.
 """
 
 from __future__ import annotations
@@ -22,19 +21,19 @@ if TYPE_CHECKING:
 
 
 MIN_STOP_S = 0.15
-"""A shorter standstill is not counted: the reversal of a path takes one or two controller cycles."""
+"""Minimum duration of a standstill, s: the reversal of a path takes one or two controller cycles."""
 MOVES_M_S = 5e-4
-"""A robot at this speed or above moves: welding and gluing are slow. Below it, a standing robot settles or drifts."""
+"""Minimum speed of motion, m/s: welding and gluing are slow. Below it, a robot at standstill settles or drifts."""
 _SPAN = 8.0
-"""A standing robot's positions spread over this many standard deviations of all axes together."""
+"""Maximum spread of positions at standstill, in standard deviations of all axes together."""
 AXES = 1.8
-"""Each of the three axes may lie between two values: a standing robot's positions spread over so many quanta. A moving
-one shows the same two values for twice as long at most."""
+"""Maximum spread of positions at standstill, in quanta: each of the three axes may flip between two values. In motion,
+the same two values occur for at most twice as long."""
 _HELD = 0.2
-"""Positions have a quantum if at least this share of them repeats the one before; the noise is that of the quietest
-such share of the log."""
+"""Minimum share of positions that repeat the one before for a quantum; share of the log, the quietest one, from which
+the noise is computed."""
 SMOOTH_S = 0.04
-"""Positions are averaged over this time first: noise, and what of it flips a quantum, is less then."""
+"""Averaging time of positions, s, which reduces noise and flips of quanta."""
 _SAME_M = 1e-9
 _ROWS, _WINDOW, _WINDOW_S = 20_000, 16, 0.25
 
@@ -43,8 +42,8 @@ class Stillness(NamedTuple):
     """Criterion of a standstill in a log.
 
     Attributes:
-        reach_m: A standing robot's positions, averaged over SMOOTH_S, spread over no more than this.
-        within_s: A moving robot gets farther than that within this time.
+        reach_m: Maximum spread of positions at standstill, averaged over SMOOTH_S, m.
+        within_s: Time within which a moving robot exceeds that spread, s.
     """
 
     reach_m: float
@@ -55,9 +54,9 @@ class Stillness(NamedTuple):
 
         Args:
             run: The run.
-            first: First of the slow rows.
-            last: Last of them, inclusive.
-            lasts_s: How long they last; where that is less than twice `within_s`, half of it must do.
+            first: First slow row.
+            last: Last slow row, inclusive.
+            lasts_s: Duration of the slow rows; the window is at most half of it.
         """
         if lasts_s < MIN_STOP_S:
             return [(first, last)]
@@ -74,11 +73,11 @@ class Stillness(NamedTuple):
 
 
 def stillness_of(run: Run, slow: Sequence[tuple[int, int]]) -> Stillness:
-    """Return the criterion of a standstill in a run, from the noise of its positions where it is slow.
+    """Return the criterion of a standstill in a run, from the noise of its positions in slow parts.
 
     Args:
         run: The run.
-        slow: First and last rows of the stretches in which it is slow.
+        slow: First and last rows of its slow parts.
     """
     window = max(_WINDOW, round(_WINDOW_S / run.period_s))
     each = max(window + 2, _ROWS // max(1, len(slow)))
@@ -95,7 +94,7 @@ def _smooth_rows(run: Run) -> int:
 
 
 def _noise(parts: Sequence[Points], window: int) -> float:
-    """Return the standard deviation of the positions, all axes together: second differences have no steady motion."""
+    """Return the noise of positions, all axes together, m, from second differences (steady motion cancels)."""
     seconds = [np.square(np.diff(xyz, 2, axis=0)).sum(axis=1) for xyz in parts]
     windows = [one[: len(one) // window * window].reshape(-1, window).mean(axis=1) for one in seconds]
     known = np.concatenate([*windows, np.empty(0)])
@@ -104,20 +103,20 @@ def _noise(parts: Sequence[Points], window: int) -> float:
 
 
 def quantum_of(steps_m: Vector) -> float:
-    """Return the smallest usual step (N,) between unequal positions, m; 0 where positions hardly ever repeat."""
+    """Return the quantum of positions from their steps (N,), m: the 5 % quantile; 0 if positions rarely repeat."""
     steps = steps_m[np.isfinite(steps_m)]
     moved = steps[steps > _SAME_M]
     return float(np.quantile(moved, 0.05)) if 0 < len(moved) <= (1 - _HELD) * len(steps) else 0.0
 
 
 def _within(xyz_m: Points, rows: int, smooth: int, reach_m: float) -> list[tuple[int, int]]:
-    """Return the stretches whose rows all lie in a window of `rows` rows that spreads over no more than `reach_m`.
+    """Return first and last rows of the parts covered by windows of `rows` rows with a spread of at most `reach_m`.
 
     Args:
-        xyz_m: Positions, shape (T, 3), metres.
-        rows: Rows of a window.
-        smooth: Rows that are averaged first.
-        reach_m: The reach.
+        xyz_m: Positions, shape (T, 3), m.
+        rows: Number of rows of a window.
+        smooth: Number of rows that are averaged first.
+        reach_m: Maximum spread, m.
     """
     if len(xyz_m) < rows:
         return []
@@ -137,7 +136,7 @@ def _within(xyz_m: Points, rows: int, smooth: int, reach_m: float) -> list[tuple
 
 
 def _extreme(values: Points, rows: int, which: np.ufunc) -> Points:
-    """Return the largest or smallest value of each window of `rows` rows, shape (T - rows + 1, D)."""
+    """Return the maximum or minimum of each window of `rows` rows, shape (T - rows + 1, D)."""
     reach = 1
     while 2 * reach <= rows:
         values = which(values[:-reach], values[reach:])

@@ -1,9 +1,8 @@
-"""Standstills: where and when a robot stands, by the noise of its own position.
+"""Standstills of the robot: positions and times.
 
-A slow robot is looked at twice: speed says where it may stand, and how far it gets says whether it does.
-A robot program moves from place to place and stands there while the gripper works. A safety halt stands too, but
-somewhere along the way, and only while the scaling is zero. Which standstills are at a place is the business of
-`places`.
+Two steps: speed selects the parts in which the robot may be at standstill, and the distance covered decides
+(`slow_motion`). A program stops at places for its process; a protective stop can occur anywhere, and only while the
+scaling is zero. `places` decides which standstills are at a place.
 """
 
 from __future__ import annotations
@@ -24,18 +23,19 @@ if TYPE_CHECKING:
 
 
 TWITCH_S, TWITCH_M = 0.1, 2e-4
-"""A motion that is over within this time (or TWITCH_ROWS) and leads no farther than this is noise of the position."""
+"""Maximum duration, s (or TWITCH_ROWS if longer), and distance, m, of apparent motion that is only position noise."""
 TWITCH_ROWS = 4
 CRAWL_M_S = 3e-3
-"""A robot slower than this may stand; how far it gets decides (see `Stillness`)."""
+"""Maximum speed, m/s, at which the robot may be at standstill; the distance covered decides (see `Stillness`)."""
 APART_S = 0.5
-"""Slow stretches at one spot with less between them are looked at as one: noise divides them."""
-_CRAWLS = 2_000_000  # speeds from which its noise is found
-_PLACES = 20_000  # positions from which the place of a standstill is found
+"""Maximum time, s, between slow parts at one position that are joined: noise may split them."""
+_CRAWLS = 2_000_000  # maximum number of speeds from which their noise is computed
+_PLACES = 20_000  # maximum number of positions from which the place of a standstill is computed
 FREE_S = 0.1
-"""Nominal time of a dwell of MIN_STOP_S without its edges."""
+"""Nominal time, s, of a dwell of MIN_STOP_S without its edges."""
 EDGE_S = 0.03
-"""Scaling at the edges of a standstill is not judged: speed follows the scaling a few controller cycles later."""
+"""Time at both ends of a standstill, s, in which the scaling is ignored: speed follows it a few controller cycles
+later."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class Stop:
     """A standstill of one run, rows `first`..`last` inclusive.
 
     Attributes:
-        free: Scaling was above zero while it stood; None = scaling unknown.
-        edge: The run begins or ends here without a standstill: the recorder was switched while the robot just left
-            or just arrived. It can be a visit to a place, it cannot make one.
-        changes: How often logged signals changed while it stood, those that did.
+        free: Whether the scaling was above zero during the standstill; None = scaling unknown.
+        edge: Whether the run begins or ends here without a standstill: recording started or stopped as the robot left
+            or arrived. An edge can be a visit to a place but cannot establish one.
+        changes: Number of changes of each logged signal that changed during the standstill.
     """
 
     run: int
@@ -59,11 +59,11 @@ class Stop:
 
 
 def standing(run: Run) -> float:
-    """Return the speed below which the robot may stand, m/s: the noise of its own standstill hides slower motion.
+    """Return the speed below which the robot may be at standstill, m/s; noise hides slower motion.
 
-    It is four times the median speed below CRAWL_M_S, between 0.1 mm/s and CRAWL_M_S: low, because a motion that starts
-    jerk-limited is slow for its first milliseconds. Where positions have a quantum it is at least that over the time
-    that a speed is taken over: a standing robot between two values shows it.
+    It is four times the median of the speeds below CRAWL_M_S, limited to 0.1 mm/s to CRAWL_M_S: low, because a
+    jerk-limited motion is slow for its first milliseconds. If positions have a quantum, it is at least AXES quanta per
+    speed window, which a robot at standstill between two values shows.
     """
     thin = max(1, run.rows // _CRAWLS)
     crawls, steps = [np.empty(0)], [np.empty(0)]
@@ -93,7 +93,7 @@ def find_stops(run: Run, number: int) -> list[Stop]:
 
 
 def _with_changes(run: Run, stops: list[Stop], times_s: Floats) -> list[Stop]:
-    """Return the stops with how often each signal changed from the first to the last time (N, 2) of each."""
+    """Return the standstills with the number of changes of each signal between their start and end times (N, 2)."""
     found: list[dict[str, int]] = [{} for _ in stops]
     for name, when in run.changes.items():
         many = np.searchsorted(when, times_s[:, 1], side="right") - np.searchsorted(when, times_s[:, 0])
@@ -104,7 +104,7 @@ def _with_changes(run: Run, stops: list[Stop], times_s: Floats) -> list[Stop]:
 
 @dataclass
 class _Stand:
-    """Rows `first`..`last` in which a robot is slow, with the times and places of both."""
+    """Rows `first`..`last` in which a robot is slow, with times and positions of both."""
 
     first: int
     last: int
@@ -115,7 +115,7 @@ class _Stand:
 
 
 def _stands(run: Run, slow_m_s: float) -> list[_Stand]:
-    """Return every standstill; a twitch of the measurement does not end one."""
+    """Return every slow part; apparent motion by position noise does not end one."""
     found: list[_Stand] = []
     for begin, part in pieces(run):
         still = part.speed_m_s < slow_m_s
@@ -135,7 +135,7 @@ def _stands(run: Run, slow_m_s: float) -> list[_Stand]:
 
 
 def _standstills(run: Run, slow: list[_Stand], stillness: Stillness) -> list[_Stand]:
-    """Return where a slow robot stands: a slow motion is none. The edges of the run are kept, be it as a single row."""
+    """Return the standstills within the slow parts; the edges of the run are kept, even as a single row."""
     found: list[_Stand] = []
     for one in _joined(run, slow, stillness, APART_S):
         still = stillness.stretches(run, one.first, one.last, one.last_s - one.first_s)
@@ -146,7 +146,7 @@ def _standstills(run: Run, slow: list[_Stand], stillness: Stillness) -> list[_St
 
 
 def _joined(run: Run, parts: list[_Stand], stillness: Stillness, apart_s: float) -> list[_Stand]:
-    """Return the parts, in order; parts closer than the limit, with no motion between them, are joined."""
+    """Return the parts in order; parts less than `apart_s` apart without motion between them are joined."""
     found: list[_Stand] = []
     for one in parts:
         brief = bool(found) and one.first_s - found[-1].last_s < apart_s
@@ -163,7 +163,7 @@ def _both(before: _Stand, after: _Stand) -> _Stand:
 
 
 def _stand(run: Run, first: int, last: int) -> _Stand:
-    """Return rows `first` to `last` with the times and places of both."""
+    """Return rows `first` to `last` with times and positions of both."""
     a, b = run.window(first, first), run.window(last, last)
     return _Stand(first, last, float(a.t_s[0]), float(b.t_s[0]), a.xyz_m[0], b.xyz_m[0])
 
@@ -174,18 +174,18 @@ def _is_twitch(before: _Stand, after: _Stand, period_s: float) -> bool:
 
 
 def _resting_place(run: Run, first: int, last: int) -> tuple[float, float, float]:
-    """Return the median position of a standstill; of a long one from every n-th row."""
+    """Return the median position of a standstill, m; of a long one, from every n-th row."""
     places = [part.xyz_m[:: max(1, (last - first) // _PLACES)] for _, part in pieces(run, first, last)]
     x, y, z = np.median(np.concatenate(places), axis=0)
     return float(x), float(y), float(z)
 
 
 def _free(run: Run, stand: _Stand) -> bool | None:
-    """Tell whether the robot was allowed to move while it stood, None if that is unknown.
+    """Return whether the robot was allowed to move during a standstill; None if unknown.
 
-    So where its program would have gone on by FREE_S meanwhile. In less it need not have been seen to move: while
-    the safety system lets go, the scaling is above zero for a while before the motion is fast enough to be told from
-    noise, most of all where the path itself is slow.
+    It was if the program could have advanced by FREE_S of nominal time. Less is not sufficient: when the safety system
+    releases the robot, the scaling is above zero for a while before the motion exceeds the noise, in particular on a
+    slow path.
     """
     known, nominal_s = False, 0.0
     for _, part in pieces(run, stand.first, stand.last):

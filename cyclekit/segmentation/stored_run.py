@@ -1,4 +1,4 @@
-"""Runs that stay on the disk, in the Parquet table of a recording; reading any run in pieces and at sample times."""
+"""Runs stored on disk in the Parquet table of a recording; reading of any run in pieces and at sample times."""
 
 from __future__ import annotations
 
@@ -34,29 +34,29 @@ if TYPE_CHECKING:
 
 
 DENSE_S = 0.02
-"""Samples snap to log rows closer than this, s."""
+"""Maximum time, s, from a sample back to the log row that it snaps to."""
 BLOCK_ROWS = 1 << 17
 SHORT_ROWS = 1 << 14
-"""A run of fewer rows is put together once for all that look at windows of it one after the other."""
+"""Maximum number of rows of a run that is read as a whole and cached for successive windows."""
 
 
 @dataclass(frozen=True, eq=False)
 class StoredRun:
-    """A run that stays on the disk.
+    """A run that stays on disk.
 
     Attributes:
         table: Table ROBOT of its recording, with COLUMNS.
-        first, end: Its rows of the table: from `first` to before `end`.
+        first, end: Its rows in the table, `end` excluded.
         offset_s: Session time of the log's time 0.
-        period_s: Usual time between rows.
-        has_speed: The TCP speed is logged in every row of the table.
+        period_s: Median time between rows.
+        has_speed: Whether the TCP speed is logged in every row of the table.
         knows_scaling: Whether the scaling of any row is known.
-        steps: Ints of the run, every BLOCK_ROWS-th, and the times there: where to look for a time.
-        more: Joint angles and slider of the same rows, as far as they are known; None = neither is.
-        halts: When the program was paused or stopped.
-        inferred: Scaling in place of the logged one; None = as logged.
-        logged_apart: That scaling was not inferred but logged, in a log of its own.
-        changes: When each logged signal changed, session seconds, ascending.
+        steps: First row of each block of the table and its time, as index to find the row of a time.
+        more: Joint angles and slider of the same rows, as far as known; None = neither.
+        halts: Rows in which the program was paused or stopped.
+        inferred: Scaling that replaces the logged one; None = as logged.
+        logged_apart: Whether that scaling was logged in a separate log, not inferred.
+        changes: Times of changes of each logged signal, session seconds, ascending.
     """
 
     table: StoredTable
@@ -75,11 +75,11 @@ class StoredRun:
 
     @property
     def rows(self) -> int:
-        """How many rows it has."""
+        """Number of rows."""
         return self.end - self.first
 
     def window(self, first: int, last: int) -> RobotRun:
-        """Return rows `first` to `last`, inclusive; not to be written to."""
+        """Return rows `first` to `last`, inclusive; read-only."""
         if self.rows > SHORT_ROWS:
             return self._window(first, last)
         return _whole(self).window(first, last)
@@ -100,14 +100,14 @@ class StoredRun:
         return RobotRun(t_s[inside], xyz[inside], speed[inside], scaling)
 
     def slider_at(self, first: int, last: int) -> Vector | None:
-        """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None where it was not logged."""
+        """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None if it was not logged."""
         if self.more is None or "slider" not in self.more.columns:
             return None
         return self.more.column("slider", self.first + first, self.first + last + 1)
 
     @property
     def is_inferred(self) -> bool:
-        """Whether its scaling was inferred and not logged."""
+        """Whether its scaling was inferred, not logged."""
         return self.inferred is not None and not self.logged_apart
 
     def posture(self, first: int, last: int) -> tuple[Points, Vector]:
@@ -120,11 +120,11 @@ class StoredRun:
         return np.column_stack([columns[name] for name in joints]), slider
 
     def time_at(self, row: int) -> float:
-        """Return the session time of a row, seconds."""
+        """Return the session time of a row, s."""
         return float(self.table.column("t_s", self.first + row, self.first + row + 1)[0]) + self.offset_s
 
     def row_at(self, t_s: Vector) -> Ints:
-        """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
+        """Return the last row at or before each time (to a nanosecond), shape (N,); 0 if there is none."""
         rows, times = self.steps
         if len(rows) == 1:
             return self._last_before(t_s, 0, self.rows)
@@ -137,19 +137,19 @@ class StoredRun:
         return found
 
     def _last_before(self, t_s: Vector, first: int, end: int) -> Ints:
-        """Do as `row_at` among rows `first` to before `end`."""
+        """Return the result of `row_at` within rows `first` to `end` - 1."""
         times_there = self.table.column("t_s", self.first + first, self.first + end)
         before = times_there.searchsorted(t_s - self.offset_s + 1e-9, side="right") - 1
         return np.asarray(first + np.maximum(before, 0))
 
     def with_scaling(self, parts: Sequence[InferredScaling], *, logged_apart: bool = False) -> StoredRun:
-        """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
+        """Return the run with its scaling replaced by `parts`; unknown (NaN) elsewhere."""
         kept = Overlay(parts)
         return replace(self, inferred=kept, knows_scaling=kept.is_known, logged_apart=logged_apart)
 
 
 Run: TypeAlias = RobotRun | StoredRun
-"""One continuous stretch of a robot log, in memory or in a file."""
+"""One stretch of a robot log without gaps, in memory or in a file."""
 
 
 @lru_cache(maxsize=4)
@@ -165,14 +165,14 @@ def runs_of(
     more: StoredTable | None = None,
     states: Sequence[tuple[int, int, str]] = (),
 ) -> list[StoredRun]:
-    """Return the continuous stretches of a log: split where its clock jumps ahead by more than `gap_s` or goes back.
+    """Return the runs of a log, split where its clock jumps ahead by more than `gap_s` or goes back.
 
     Args:
         table: Table ROBOT of its recording, with COLUMNS.
         offset_s: Session time of the log's time 0.
-        gap_s: Longest silence within a run; infinite = one run, unless the clock goes back.
-        more: The same table with joint angles and slider, as far as they are known.
-        states: Where the program does not play: first and last row of the table, and its state.
+        gap_s: Maximum gap within a run; infinite = one run, unless the clock goes back.
+        more: The same table with joint angles and slider, as far as known.
+        states: Parts in which the program does not play: first and last row of the table, and the state.
     """
     cuts, firsts, before, periods = [0], list[tuple[int, float]](), np.nan, []
     for begin, end in table.groups:
@@ -204,13 +204,13 @@ def runs_of(
 
 
 def pieces(run: Run, first: int = 0, last: int | None = None, *, overlap: int = 0) -> Iterator[tuple[int, RobotRun]]:
-    """Return rows `first` to `last` of a run, a block at a time, each with its first row; the next is read meanwhile.
+    """Yield rows `first` to `last` of a run in blocks, each with its first row; the next is read in the background.
 
     Args:
         run: The run.
         first: First row.
-        last: Last row, inclusive; None = that of the run.
-        overlap: Ints that a block has in common with the one before it.
+        last: Last row, inclusive; None = last row of the run.
+        overlap: Number of rows that a block shares with the one before.
     """
     last = run.rows - 1 if last is None else last
     blocks = _pieces(run, first, last, overlap)
@@ -232,11 +232,11 @@ class Sampled:
     """A run at N times.
 
     Attributes:
-        t_s: The times, shape (N,); those of rows where the log has them dense enough.
-        xyz_m: TCP, shape (N, 3); NaN in a gap of the log.
-        scaling: The safety system's scaling in force, shape (N,); NaN = unknown.
+        t_s: The times, shape (N,), snapped to rows of the log that are close enough.
+        xyz_m: TCP, shape (N, 3), m; NaN in a gap of the log.
+        scaling: The safety system's scaling, shape (N,); NaN = unknown.
         deviation: Its standard deviation, shape (N,); NaN = unknown.
-        gap: Why it is unknown, shape (N,), where it is: indices into SCALING_GAPS.
+        gap: Reason for an unknown scaling, shape (N,), indices into SCALING_GAPS.
         slider: The operator's speed slider, shape (N,); NaN = not logged.
         row: Row at or before each time, shape (N,).
     """
@@ -251,11 +251,11 @@ class Sampled:
 
 
 def sampled(run: Run, t_s: Vector) -> Sampled:
-    """Return a run at some times, ascending: TCP by linear interpolation, scaling as the value in force.
+    """Return a run at some times, ascending: TCP by linear interpolation, scaling of the last row.
 
-    Neither looks across a gap of the log. A time is moved back to the row before it where that is less than DENSE_S
-    ago: the scaling of a row belongs to the positions at that row, and a TCP at 1 m/s is 8 mm farther one controller
-    cycle later, which at the edge of a zone is another level.
+    Neither extends across a gap of the log. A time snaps to the row before it if that is less than DENSE_S ago: the
+    scaling of a row belongs to its position, and a TCP at 1 m/s moves 8 mm in one controller cycle, which at the edge
+    of a zone may mean another level.
     """
     at_once = max(1, int(BLOCK_ROWS * run.period_s * len(t_s) / max(t_s[-1] - t_s[0], 1e-9))) if len(t_s) else 1
     parts = [_sampled(run, t_s[begin : begin + at_once]) for begin in range(0, len(t_s), at_once)]

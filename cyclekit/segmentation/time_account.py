@@ -1,11 +1,11 @@
-"""Where every second of an execution goes: nominal motion, safety loss, process dwell, waiting.
+"""Time account of an execution: nominal motion, safety loss, process dwell, wait.
 
-A task is the motion from one place to the next and the stand at its goal. While it moves, the path's nominal time
-advances at the scaling s, so nominal = integral of s, safety loss = integral of (1 - s); an operator's speed slider
-takes its own share, and a paused program waits. A robot that has done its work at a place and is not allowed to leave
-stands there at s = 0: that tail of the stand is safety loss of the next motion, as far as the stand exceeds the place's
-usual dwell; unless it was waiting already when it was halted: then it waits on. When it arrived and left is the
-business of `stand`; which executions there are, of `segment`.
+A task is the motion from one place to the next and the standstill at its goal. In motion, the path's nominal time
+advances at the scaling s, so nominal = integral of s and safety loss = integral of (1 - s); the operator's speed slider
+is accounted separately, and a paused program counts as wait. If a robot has finished its process but is not allowed to
+leave (s = 0), the part of the standstill beyond the usual dwell is safety loss of the next motion; unless it was
+already waiting when it was stopped: then it is a wait. Arrival and departure come from `arrivals`, executions from
+`executions`.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 
 
 HALTED_S = 0.2
-"""A robot that waited and was then halted by safety for longer did not go on when it was let."""
+"""Maximum stop by the safety system, s, at the end of a wait short of a place for its times to be known."""
 
 
 @dataclass(frozen=True)
 class Leg:
     """One executed task, all times in session seconds; see table TASKS of `schema` for the split.
 
-    `wait_s` holds `pause_s`, the time in which the program was paused or stopped, and what the robot stood short of its
-    goal, from `reached_s` to `went_on_s`; these are None where it has no such spot, or safety halted it there.
+    `wait_s` includes `pause_s`, the time in which the program was paused or stopped, and the wait short of the goal,
+    from `reached_s` to `went_on_s`; these are None without such a waiting position, or after a stop there.
     """
 
     start_place: str
@@ -55,7 +55,7 @@ class Leg:
 
 
 def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str, Dwell]) -> list[Leg]:
-    """Return the tasks of one execution, in order; they follow each other without a gap."""
+    """Return the tasks of one execution, in order, without gaps between them."""
     visits = execution.visits
     mine = [stands[execution.run, visit.first, visit.last] for visit in visits]
     legs = []
@@ -67,7 +67,7 @@ def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str,
         usual, most = process.usual_s, process.most_s
         arrival, left = stand.process(0.0) if final else stand.process(usual, process.ready_s(stand))
         if process.overdue_s(stand._replace(left_s=stand.free_s)) is not None:
-            left = stand.left_s  # it waited when it was halted, and nothing says that the wait was over by then
+            left = stand.left_s  # it was waiting when it was stopped, and the wait may have continued
         arrival = max(departure, arrival)
         stood = max(left - arrival, 0.0)
         dwell, wait = (stood, 0.0) if stood <= most else (usual, stood - usual)
@@ -97,14 +97,14 @@ def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str,
 
 
 def paused_time(run: Run, start_s: float, end_s: float) -> float:
-    """Return how much of a time the program was paused or stopped, seconds."""
+    """Return the time within `start_s` to `end_s` in which the program was paused or stopped, s."""
     spans = ((run.time_at(halt.first), run.time_at(halt.last) + run.period_s) for halt in run.halts)
     return sum(max(0.0, min(last, end_s) - max(first, start_s)) for first, last in spans)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How long a motion takes at full speed and what it lost, seconds; None where the scaling is mostly unknown."""
+    """Time of a motion at full speed and its losses, s; None if the scaling is mostly unknown."""
 
     nominal_s: float | None
     slider_loss_s: float | None
@@ -114,7 +114,7 @@ class Motion:
 
 
 class _Short(NamedTuple):
-    """A standstill short of a place: when the robot reached the spot and went on; safety halted it at the end."""
+    """A standstill short of a place: start, end, and whether the safety system stopped the robot at the end."""
 
     reached_s: float
     went_on_s: float
@@ -122,7 +122,7 @@ class _Short(NamedTuple):
 
 
 def _short_of(run: Run, visit: Visit) -> _Short | None:
-    """Return when the robot waited on its way to a place; what safety halted it at the end is no wait."""
+    """Return the robot's wait on its way to a place, without a stop by the safety system at its end."""
     if visit.reached is None:
         return None
     first, last = visit.reached
@@ -136,11 +136,11 @@ def _short_of(run: Run, visit: Visit) -> _Short | None:
 
 
 def motion_time(run: Run, start_s: float, end_s: float, short: _Short | None = None) -> Motion:
-    """Return where the time of a motion went, from `start_s` to `end_s`; the parts add up to it.
+    """Return the time account of a motion from `start_s` to `end_s`; the parts add up to its duration.
 
-    What a row says holds until the next row. Short unknown stretches take the nearest known scaling. While the program
-    is paused nobody is slowed down. A motion at scaling s and slider f advances by s f: what it loses to safety is the
-    integral of 1 - s, and to the slider that of s (1 - f).
+    The values of a row hold until the next row. Unknown scaling is filled with the nearest known one. While the program
+    is paused, nothing is lost to slow-downs. A motion at scaling s and slider f advances by s f: the loss to safety is
+    the integral of 1 - s, the loss to the slider that of s (1 - f).
     """
     first, last = run.row_at(np.array([start_s, end_s])).tolist()
     part = run.window(first, last)

@@ -1,4 +1,4 @@
-"""Where the robot waits short of a place: a spot on its way at which it stands, at times, although it may move."""
+"""Waiting positions: positions short of a place at which the robot sometimes stops although it may move."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.stored_run import Run
 
 LEAST = 3
-"""So many standstills make a spot."""
+"""Minimum number of standstills at a waiting position."""
 
 
 def with_waits(executions: Sequence[Execution], stops: Sequence[Stop], runs: Sequence[Run]) -> list[Execution]:
-    """Return the executions; their visits know when the robot reached the spot where it waits for them, if any.
+    """Return the executions with the rows of each visit at the waiting position before it, if any.
 
     Args:
-        executions: Of all runs.
-        stops: Standstills of all runs, those of each in order.
+        executions: Executions of all runs.
+        stops: Standstills of all runs, in order within each run.
         runs: All runs.
     """
     by_run: dict[int, list[Stop]] = {}
@@ -62,7 +62,7 @@ def with_waits(executions: Sequence[Execution], stops: Sequence[Stop], runs: Seq
 
 
 def _spots(stops: Sequence[Stop]) -> Points:
-    """Return the spots, shape (S, 3), m, of standstills on the way to one place, half of which were free to move."""
+    """Return the waiting positions short of one place, shape (S, 3), m: standstills, half of them free to move."""
     xyz = np.array([stop.xyz_m for stop in stops]).reshape(-1, 3)
     able = np.array([not stop.edge for stop in stops], bool)
     groups = cluster(xyz, np.flatnonzero(able), MERGE_M)
@@ -72,7 +72,7 @@ def _spots(stops: Sequence[Stop]) -> Points:
 
 
 def _reached(run: Run, before: Visit, after: Visit, stops: Sequence[Stop], spots: Points) -> tuple[int, int] | None:
-    """Return the first and last row at a spot between two visits, one row where it was passed; None if it was not."""
+    """Return first and last row at a waiting position between two visits, equal if passed; None if not reached."""
     there = [stop for stop in stops if lengths(spots - np.asarray(stop.xyz_m)).min() <= MERGE_M]
     if there:
         return there[0].first, there[-1].last

@@ -1,4 +1,4 @@
-"""The speed override of a log that did not record it, inferred from how fast known paths are covered.
+"""Infer the speed override that a log did not record from the speed along known paths.
 
-In: runs of the same motions. Out: override per row with its standard deviation. `override` is the way in.
+In: runs of the same motions. Out: override per row with its standard deviation. The entry point is `override`.
 """

@@ -1,10 +1,10 @@
-"""How fast a path's nominal time advances: the scaling from noisy nominal times, with its uncertainty.
+"""Rate at which a path's nominal time advances: the scaling from noisy nominal times, with its uncertainty.
 
 The scaling is piecewise constant with ramps between its levels. So a straight line is fitted to the nominal times
-around each row, over as many rows as agree with one: to either side the stretch is doubled until the misfit is more
-than the noise explains (the idea of locally adaptive windows, Lepski 1990, Goldenshluger and Nemirovski 1997). Where
-the path is fast the stretch is short and an edge stays sharp; where it is slow the stretch is long and the noise is
-averaged. Where the nominal times come from is the business of `path`.
+around each row, over as many rows as one line fits: on either side, the window is doubled until the misfit exceeds
+what noise explains (locally adaptive windows, Lepski 1990, Goldenshluger and Nemirovski 1997). Where the path is fast,
+the window is short and an edge stays sharp; where it is slow, the window is long and averages the noise. The nominal
+times come from `path`.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ if TYPE_CHECKING:
 
 
 DOUBLINGS = 7
-"""A stretch has up to 2**7 rows to either side."""
+"""Maximum number of doublings: a window has up to 2**7 rows on either side."""
 MISFIT = 3.0
-"""A stretch agrees with one scaling while its misfit is within this many standard deviations of that of noise."""
-_LEAST = 1e-18  # of information: the window says nothing
+"""Maximum excess of a window's misfit over that of noise, in standard deviations."""
+_LEAST = 1e-18  # minimum information of a window
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """Sufficient statistics of weighted lines through stretches of rows.
+    """Sufficient statistics of weighted lines through windows of rows.
 
     Attributes:
         sums: Shape (7, T): sum of the weights, weighted means of time and nominal time, weighted sums of squares and
-            products about the means (tt, ty, yy), and how many rows count.
+            products about the means (tt, ty, yy), and number of rows with weight.
     """
 
     sums: Floats
 
     def shifted(self, rows: int) -> _Fit:
-        """Return, row by row, the stretch that begins `rows` rows later (negative: earlier); empty outside."""
+        """Return, row by row, the window that starts `rows` rows later (negative: earlier); empty outside."""
         moved = np.zeros_like(self.sums)
         count = self.sums.shape[1]
         if abs(rows) < count:
@@ -45,7 +45,7 @@ class _Fit:
         return _Fit(moved)
 
     def joined(self, other: _Fit) -> _Fit:
-        """Return the statistics of two stretches taken together (Chan, Golub and LeVeque 1979: no cancellation)."""
+        """Return the statistics of two windows combined (Chan, Golub and LeVeque 1979: no cancellation)."""
         mine, theirs = self.sums, other.sums
         weight = mine[0] + theirs[0]
         share = np.divide(theirs[0], weight, out=np.zeros_like(weight), where=weight > 0)
@@ -58,7 +58,7 @@ class _Fit:
         return _Fit(both)
 
     def chosen(self, other: _Fit, which: Bools) -> _Fit:
-        """Return `other` where `which` says so, else this."""
+        """Return `other` where `which` is true, else this."""
         return _Fit(np.where(which, other.sums, self.sums))
 
     @property
@@ -69,13 +69,13 @@ class _Fit:
 
     @property
     def variance(self) -> Vector:
-        """The slope's variance; infinite where the stretch says nothing."""
+        """The slope's variance; infinite where the window has no information."""
         tt = self.sums[3]
         return np.asarray(np.divide(1.0, tt, out=np.full_like(tt, np.inf), where=tt > _LEAST))
 
     @property
     def agrees(self) -> Bools:
-        """Whether the misfit is what noise gives: chi-squared with rows - 2 degrees of freedom."""
+        """Whether noise explains the misfit: chi-squared with rows - 2 degrees of freedom."""
         _, _, _, _, ty, yy, rows = self.sums
         misfit = yy - ty * self.slope
         freedom = np.maximum(rows - 2.0, 0.0)
@@ -88,9 +88,9 @@ def advance(t_s: Vector, nominal_s: Vector, variance_s2: Vector) -> tuple[Vector
     The last row repeats the one before it.
 
     Args:
-        t_s: Time, shape (T,), T >= 2, strictly increasing, seconds.
-        nominal_s: Nominal time on the path, shape (T,), seconds.
-        variance_s2: Its variance, shape (T,), seconds squared; infinite = this row says nothing.
+        t_s: Time, shape (T,), T >= 2, strictly increasing, s.
+        nominal_s: Nominal time on the path, shape (T,), s.
+        variance_s2: Its variance, shape (T,), s²; infinite = the row is not used.
     """
     count = len(t_s)
     weight = np.divide(1.0, variance_s2, out=np.zeros(count), where=np.isfinite(variance_s2))

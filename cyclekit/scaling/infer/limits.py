@@ -1,9 +1,9 @@
-"""Limits of a path that hold in every repetition: the speed drops or rises at once, at the same place each time.
+"""Limits of a path that hold in every repetition: the speed jumps at the same place each time.
 
-What every repetition shares looks like the program's own speed. But a program speeds up and slows down by the robot's
-accelerations, and a limit that a controller carries out at once does not: to either side of such an edge the speed is
-smooth, and between them it jumps. The jumps along a motion tell by which part of full speed each stretch runs. Limits
-that come and go as gently as the robot accelerates do not show.
+A slow-down that every repetition shares looks like programmed speed. But programmed speed changes with the robot's
+acceleration, while a limit that the controller applies at once makes the speed jump between two smooth parts. The
+jumps along a motion give the share of full speed of each part. Limits that change as slowly as the robot accelerates
+are not found.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Points, Vector
 
 NEAR_S, FAR_S = 0.03, 0.12
-"""The speed before an edge, and after it, is that of a line through what is so far from it: the path is smoothed."""
+"""Range of times from an edge, s, for the line that gives the speed on its side; nearer rows are smoothed."""
 LEAST_ROWS = 4
-"""A line needs so many rows; slower logs show no edge."""
+"""Minimum number of rows for a line; in slower logs, no edge is found."""
 LEAST = 0.1
-"""A jump is at least this part of the speed."""
+"""Minimum jump, as share of the speed."""
 BEYOND_S = 0.1
-"""A jump is more than the robot changes its speed in so long."""
+"""Minimum jump, as time, s, that the robot's acceleration would need for it."""
 CLEAR = 6.0
-"""A jump is so many standard deviations of what the lines miss."""
+"""Minimum jump, in standard deviations of the residuals of the lines."""
 SLOW = 0.1
-"""At less than this part of the greatest speed nothing is told."""
+"""Minimum speed at a jump, as share of the maximum speed."""
 BEGUN = 0.9
-"""Until it has this part of its greatest speed, a motion begins, and from then on where it ends."""
+"""Share of the maximum speed at which the initial acceleration ends; likewise for the final deceleration."""
 SAME = 0.03
-"""Parts of full speed that differ by less are the same."""
+"""Tolerance for equal shares of full speed."""
 _LARGE = 0.9  # quantile of accelerations
 
 
 def limits_along(nominal_s: Vector, points: Points) -> Vector:
-    """Return by which part of full speed each row of a path runs, shape (M,), in (0, 1]; 1 = no limit shows.
+    """Return the share of full speed at each row of a path, shape (M,), in (0, 1]; 1 = no limit found.
 
     Args:
-        nominal_s: Nominal time, shape (M,), never decreasing, seconds: with the limits in it.
+        nominal_s: Nominal time including the limits, shape (M,), never decreasing, s.
         points: Path, shape (M, D), in units of their noise.
     """
     none = np.ones(len(nominal_s))
@@ -61,7 +61,7 @@ def limits_along(nominal_s: Vector, points: Points) -> Vector:
 
 
 def _edges(speed: Vector, rows: int, gap: int, period: float) -> list[tuple[int, float]]:
-    """Return the rows at which the speed (M,) jumps, and the logarithm of its ratio there."""
+    """Return the rows at which the speed (M,) jumps, and the logarithm of the ratio of speeds."""
     before, before_slope, missed_before = _lines(speed, rows, gap, period)
     after, after_slope, missed_after = (values[::-1] for values in _lines(speed[::-1], rows, gap, period))
     most = float(np.quantile(speed, 0.98))
@@ -84,9 +84,9 @@ def _edges(speed: Vector, rows: int, gap: int, period: float) -> list[tuple[int,
 
 
 def _lines(speed: Vector, rows: int, gap: int, period: float) -> tuple[Vector, Vector, Vector]:
-    """Return where a line through `rows` rows that end `gap` rows before each row leads: value, slope, misfit.
+    """Return value, slope and residual at each row of the line through the `rows` rows that end `gap` rows before it.
 
-    Each of shape (M,); NaN where there are no such rows.
+    Each of shape (M,); NaN where there are too few rows.
     """
     offsets = np.arange(-rows - gap + 1, 1 - gap) * period
     basis = np.column_stack([np.ones(rows), offsets])

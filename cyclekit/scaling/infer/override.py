@@ -1,10 +1,10 @@
 """Infer the speed override of a log that did not record it.
 
-The source paper: "the ratio between the measured velocity and the velocity obtained from a run without the human
-presence". Here that ratio is the rate at which the nominal time of the motion's path advances: each repetition of a
-motion is matched to the path by place (`path`), the path's nominal time comes from runs with nobody in the cell or from
-the fastest pace of all repetitions at each place (`reference`), and the rate is fitted as what it is, piecewise
-constant with ramps (`advance`). Where it cannot be determined it is unknown, with the reason.
+The source paper defines it as "the ratio between the measured velocity and the velocity obtained from a run without
+the human presence". That ratio is computed as the rate at which the nominal time of the path advances. Each repetition
+of a motion is matched to the path by place (`path`). The nominal time comes from runs with nobody in the cell, or from
+the fastest pace of all repetitions at each place (`reference`). The rate is fitted as piecewise constant with ramps
+(`advance`). Where it cannot be determined, it is unknown, with the reason.
 """
 
 from __future__ import annotations
@@ -42,27 +42,26 @@ if TYPE_CHECKING:
 __all__ = ["Reference", "infer_overrides"]
 
 UNSURE = 0.1
-"""An inferred scaling with a larger standard deviation is left unknown."""
+"""Maximum standard deviation of an inferred scaling; above, it is unknown."""
 LEAST_SD = 3e-4
-"""Standard deviation of the reference itself."""
+"""Standard deviation of the reference."""
 EDGE_SD = 0.05
-"""In a ramp one scaling for several rows is wrong by up to what it changes from row to row; at an edge by this."""
+"""Maximum standard deviation added for the change from row to row (ramps, edges)."""
 SLOW = 0.2
-"""A repetition with a lower logged scaling is not used for the speed at full override."""
+"""Minimum logged scaling for a row to be used for the speed at full override."""
 PATHS = 4
 """Maximum number of different paths between two places."""
 LEAST_NOISE = 1e-6
-"""Noise of a coordinate (rad or m) that shows none: the resolution of written logs."""
+"""Minimum noise of a coordinate, rad or m: the resolution of written logs."""
 HALTED, CRAWL_M_S = 0.02, 6e-3
-"""Scaling below this is a halt, and a robot that is halted does not go faster than so, or than twice that share of its
-usual speed."""
+"""Maximum scaling of a stopped robot; maximum TCP speed of one, m/s, or 2 * HALTED of its usual speed if larger."""
 _NOISE_LEGS, _NOISE_ROWS = 40, 4000
 _AT_ONCE = 64
 _NONE, _NO_GAPS = np.empty(0), np.empty(0, np.int8)
 
 
 class _Leg(NamedTuple):
-    """A motion between two visits, rows `first` to `last` of a run, and how long it lasts."""
+    """A motion between two visits: rows `first` to `last` of a run, and its duration."""
 
     task: str
     run: int
@@ -78,17 +77,18 @@ def infer_overrides(
     progress: Callable[[float], None] = lambda _: None,
     engine: Engine = LOCAL,
 ) -> tuple[list[list[InferredScaling]], dict[str, list[Reference]]]:
-    """Return the scaling of each run that did not log it, during motions.
+    """Return the scaling during motions of each run that did not log it.
 
     Args:
-        runs: All runs; those that know their scaling serve as references too.
+        runs: All runs; those with a logged scaling serve as references too.
         executions: Their executions, from `segment`.
-        alone: Numbers of runs recorded with nobody in the cell: where a motion occurs there, they are the reference.
-        progress: Told the fraction done.
-        engine: Who matches the motions to their references.
+        alone: Indices of runs recorded with nobody in the cell; they are the reference for motions that occur there.
+        progress: Called with the fraction done.
+        engine: Matches the motions to their references.
 
     Returns:
-        Of each run its parts (none for a run that knows its scaling); and the references of each task, one per path.
+        The inferred parts of each run (none for a run with a logged scaling), and the references of each task, one
+        per path.
     """
     left = _legs(runs, executions)
     noise = _noise(runs, left)
@@ -115,7 +115,7 @@ def infer_overrides(
 
 
 def _legs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[_Leg]:
-    """Return every motion, in the order of time."""
+    """Return every motion, in order of time."""
     legs = []
     for execution in sorted(executions, key=lambda e: (e.run, e.visits[0].first if e.visits else 0)):
         run = runs[execution.run]
@@ -127,14 +127,14 @@ def _legs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[_Leg]:
 
 
 class _Chunk(NamedTuple):
-    """Motions of one run that are looked at together."""
+    """Motions of one run that are processed together."""
 
     run: Run
     legs: list[_Leg]
 
 
 def _chunks(runs: Sequence[Run], legs: Sequence[_Leg]) -> list[_Chunk]:
-    """Return motions, in the order of time, in parts: each stretch of a log is read once."""
+    """Return motions in chunks, in order of time, so that each part of a log is read once."""
     found: list[_Chunk] = []
     for _, mine in groupby(legs, key=lambda leg: leg.run):
         every = list(mine)
@@ -149,7 +149,7 @@ def _matched(
 
 
 def _noise(runs: Sequence[Run], legs: Sequence[_Leg]) -> dict[int, Vector]:
-    """Return the noise of each coordinate, by their number: third differences are free of any smooth motion."""
+    """Return the noise of each coordinate, by number of coordinates, from third differences (smooth motion cancels)."""
     thirds: dict[int, list[Points]] = {}
     for leg in legs[:: max(1, len(legs) // _NOISE_LEGS)]:
         points, _ = runs[leg.run].posture(leg.first, min(leg.last, leg.first + _NOISE_ROWS))
@@ -164,7 +164,7 @@ def _noise(runs: Sequence[Run], legs: Sequence[_Leg]) -> dict[int, Vector]:
 
 
 def _repetition(run: Run, leg: _Leg, noise: Mapping[int, Vector]) -> Repetition | None:
-    """Return a motion, None where its coordinates are not known all along."""
+    """Return a motion; None if any of its coordinates is unknown."""
     part = run.window(leg.first, leg.last)
     points, slider = run.posture(leg.first, leg.last)
     if points.shape[1] not in noise or not np.isfinite(points).all():
@@ -177,7 +177,7 @@ def _repetition(run: Run, leg: _Leg, noise: Mapping[int, Vector]) -> Repetition 
 def _references(
     runs: Sequence[Run], legs: Sequence[_Leg], alone: set[int], noise: Mapping[int, Vector]
 ) -> dict[str, Reference]:
-    """Return the reference of each task's path that its fastest repetitions take, where there is one."""
+    """Return the reference of each task for the path of its fastest repetitions, if there is one."""
     by_task: dict[str, list[_Leg]] = {}
     for leg in legs:
         by_task.setdefault(leg.task, []).append(leg)
@@ -194,7 +194,7 @@ def _references(
 
 
 def _with_shares(found: Mapping[str, Sequence[Reference]]) -> dict[str, list[Reference]]:
-    """Return the references with the share of full speed at which each motion was always run."""
+    """Return the references with the share of full speed that each motion never exceeded."""
     shares = iter(with_dynamics([reference for mine in found.values() for reference in mine]))
     return {task: [replace(reference, slowed=next(shares)) for reference in mine] for task, mine in found.items()}
 
@@ -205,7 +205,7 @@ def _told(
     left: Sequence[_Leg],
     found: Mapping[str, Sequence[Reference]],
 ) -> list[list[InferredScaling]]:
-    """Return the parts of each run that does not know its scaling; of motions without a reference only the reason."""
+    """Return the parts of each run without a logged scaling; for motions without a reference, only the reason."""
     told: list[list[InferredScaling]] = [[] for _ in runs]
     for leg, part, number in parts:
         never_full = found[leg.task][number].slowed < 1.0
@@ -221,9 +221,9 @@ def _unknown(leg: _Leg, why: int) -> InferredScaling:
 
 
 def _inferred(run: Run, leg: _Leg, reference: Reference, noise: Mapping[int, Vector]) -> InferredScaling | None:
-    """Return the scaling of one repetition, unknown with its reason where it cannot be known.
+    """Return the scaling of one repetition, with the reason where it is unknown.
 
-    None where it takes another path, or cannot be seen. Of a run that knows its scaling nothing is inferred.
+    None if it takes another path, or if its coordinates are unknown. Empty for a run with a logged scaling.
     """
     repetition = _repetition(run, leg, noise)
     if repetition is None or repetition.points.shape[1] != reference.path.points.shape[1]:
@@ -249,6 +249,6 @@ def _inferred(run: Run, leg: _Leg, reference: Reference, noise: Mapping[int, Vec
 
 
 def _goes(speed_m_s: Vector) -> Bools:
-    """Tell in which rows of a motion, speeds (T,), the robot is too fast to be halted."""
+    """Return the rows of a motion, with speeds (T,), in which the robot is too fast to be stopped, shape (T,)."""
     usual = float(np.nanquantile(speed_m_s, 0.9)) if np.isfinite(speed_m_s).any() else 0.0
     return np.asarray(speed_m_s > max(CRAWL_M_S, 2.0 * HALTED * usual))

@@ -1,8 +1,8 @@
-"""A motion's path in nominal time, and where on it another repetition is.
+"""A motion's path in nominal time, and the position of another repetition along it.
 
-Points are joint angles where they are logged, else TCP positions, each coordinate divided by its own noise, so that
-distances count standard deviations. Repetitions are matched by place, never by time: a robot that halts, is slowed, or
-blends a corner a little otherwise is still on its path. How fast it advances there is the business of `advance`.
+Points are joint angles if logged, else TCP positions, each coordinate divided by its noise, so that distances are in
+standard deviations. Repetitions are matched by place, never by time: a robot that stops, is slowed, or blends a corner
+slightly differently is still on its path. Its speed along the path is computed by `advance`.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 
 
 SMOOTH_S = 0.024
-"""Half of the stretch over which the path is smoothed: a cubic over 48 ms follows any jerk-limited motion."""
+"""Half width of the smoothing window, s: a cubic over 48 ms follows any jerk-limited motion."""
 COARSE_S = 0.04
-"""Repetitions are matched first at this period."""
+"""Period of the coarse matching, s."""
 COARSE_POINTS = 256
 HALT_S = 0.1
-"""A robot that comes no farther than its noise within so long to either side is halted."""
+"""Time before and after a row, s, within which a stopped robot moves no farther than its noise."""
 VAGUE_S = 0.002
-"""Where noise blurs the nominal time by more than this, the path is too slow to tell the place: nearly at rest."""
+"""Maximum standard deviation of nominal time by noise, s; above, the robot is nearly at rest and its place unknown."""
 RENEWED_S = 0.025
-"""Every controller renews its positions at least as often; what stays equal for longer stands."""
+"""Maximum update period of positions by any controller, s; positions equal for longer are a standstill."""
 FITS = 2.0
-"""Points no farther than so many times their noise off a path follow it. Farther off, the path is known no better:
-of a stop in mid-motion few rows are logged, and it bends between them."""
+"""Maximum distance from the path, in units of noise, without additional variance. Larger ones occur at a stop in
+mid-motion, where few rows are logged and the path bends between them."""
 _NEWTON = 4
 
 
@@ -39,11 +39,11 @@ class Path:
     """A motion from start to goal.
 
     Attributes:
-        own_s: Time along the repetition that it was taken from, halts left out, shape (M,), strictly increasing.
-        nominal_s: Nominal time there, shape (M,), never decreasing.
+        own_s: Time along the repetition it was made from, without stops, shape (M,), strictly increasing, s.
+        nominal_s: Nominal time, shape (M,), never decreasing, s.
         points: Smoothed points, shape (M, D), in units of their noise.
-        slope: Their derivatives by `own_s`, shape (M, D).
-        misfit: How far the smoothed points lie off the logged ones around each row, shape (M,), in units of the noise.
+        slope: Derivatives of the points by `own_s`, shape (M, D).
+        misfit: Local distance of the smoothed points from the logged ones, shape (M,), in units of the noise.
     """
 
     own_s: Vector
@@ -54,7 +54,7 @@ class Path:
 
     @property
     def length(self) -> float:
-        """Length of the way, in units of the noise."""
+        """Length of the path, in units of the noise."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
 
     def retimed(self, nominal_s: Vector) -> Path:
@@ -63,10 +63,10 @@ class Path:
 
 
 def path_of(t_s: Vector, points: Points) -> Path:
-    """Return the path of one repetition, its own time taken for nominal.
+    """Return the path of one repetition, with its own time as nominal time.
 
     Args:
-        t_s: Time, shape (T,), strictly increasing, seconds.
+        t_s: Time, shape (T,), strictly increasing, s.
         points: Shape (T, D), in units of their noise.
     """
     fresh = np.concatenate([[True], (np.diff(points, axis=0) != 0).any(axis=1)])
@@ -95,7 +95,7 @@ def _halted(t_s: Vector, points: Points, period_s: float) -> Bools:
 
 
 def _smoothed(points: Points, half: int, period_s: float) -> tuple[Points, Points]:
-    """Return a cubic fit around each row and its derivative (Savitzky and Golay 1964); the ends one-sided."""
+    """Return a cubic fit around each row and its derivative (Savitzky and Golay 1964); one-sided at the ends."""
     count = len(points)
     half = min(half, (count - 1) // 2)
     if half < 2:
@@ -117,11 +117,11 @@ def _smoothed(points: Points, half: int, period_s: float) -> tuple[Points, Point
 
 @dataclass(frozen=True)
 class Along:
-    """Where on a path a repetition is, row by row.
+    """Position of a repetition along a path, row by row.
 
     Attributes:
-        own_s: Time of the path there, shape (T,), seconds.
-        variance_s2: Its variance by the points' noise, shape (T,); infinite where the path is too slow to tell.
+        own_s: Time of the path at each row, shape (T,), s.
+        variance_s2: Its variance by the noise of the points, shape (T,), s²; infinite where the path is too slow.
         off: Distance from the path, shape (T,), in units of the noise.
     """
 
@@ -131,11 +131,11 @@ class Along:
 
 
 def along(path: Path, t_s: Vector, points: Points) -> Along:
-    """Find where on a path each row of a repetition is.
+    """Return the position of each row of a repetition along a path.
 
     Args:
         path: The path.
-        t_s: Time, shape (T,), strictly increasing.
+        t_s: Time, shape (T,), strictly increasing, s.
         points: Shape (T, D), in units of their noise.
     """
     own = _coarse(path, t_s, points)
@@ -154,7 +154,7 @@ def along(path: Path, t_s: Vector, points: Points) -> Along:
 
 
 def _written_twice(t_s: Vector, points: Points) -> Bools:
-    """Tell which rows repeat the one before them because the recorder is faster than the controller, not in a halt."""
+    """Return which rows repeat the one before because the recorder is faster than the controller, shape (T,)."""
     repeated = np.concatenate([[False], (np.diff(points, axis=0) == 0).all(axis=1)])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], repeated, [False]]).astype(np.int8))).reshape(-1, 2)
     for first, end in edges[t_s[edges[:, 1] - 1] - t_s[np.maximum(edges[:, 0] - 1, 0)] > RENEWED_S].tolist():
@@ -173,11 +173,11 @@ def _at(path: Path, own_s: Vector) -> tuple[Points, Points]:
 
 
 def _coarse(path: Path, t_s: Vector, points: Points) -> Vector:
-    """Match some rows to some points of the path so that the way never goes back and the distances are least."""
+    """Match some rows to points of the path by dynamic programming: never backwards, with minimum total distance."""
     count = len(t_s)
     picked = np.unique(np.minimum(np.searchsorted(t_s, np.arange(t_s[0], t_s[-1] + COARSE_S, COARSE_S)), count - 1))
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.points, axis=0), axis=1))])
-    way = length / length[-1] + path.own_s / path.own_s[-1]  # even in both: near its ends the path is slow
+    way = length / length[-1] + path.own_s / path.own_s[-1]  # even in length and time: its ends are slow
     knots = np.interp(np.linspace(0.0, 2.0, COARSE_POINTS), way, path.own_s)
     spots, _ = _at(path, knots)
     seen = points[picked]

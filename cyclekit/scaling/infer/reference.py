@@ -1,10 +1,9 @@
 """The reference of a motion: nominal time along its path, from runs with nobody in the cell or from all repetitions.
 
-Where nobody recorded an empty cell, the repetitions themselves tell: at each place of the path somebody ran fastest,
-and since no scaling exceeds 1, that was the nominal pace if it was ever reached there. Whether it was is looked at
-twice: a pace that hardly any repetition reached is not believed, and a motion that was slowed by k in every repetition
-gives itself away by dynamics, since speed scales with k and acceleration with k squared (time scaling; Hollerbach
-1984). A robot program that moves slowly on purpose accelerates as usual.
+Without runs in an empty cell, the repetitions give the reference: as no scaling exceeds 1, the fastest pace at each
+place of the path is the nominal one, if it was ever reached. Two checks: a pace that few repetitions reached is not
+accepted; and a motion that was slowed by k in every repetition shows in its dynamics, as speed scales with k and
+acceleration with k² (time scaling; Hollerbach 1984), while a program that moves slowly on purpose accelerates as usual.
 """
 
 from __future__ import annotations
@@ -25,27 +24,27 @@ if TYPE_CHECKING:
 
 
 AMONG = 60
-"""The envelope is taken over this many repetitions, the fastest ones."""
+"""Number of repetitions, the fastest ones, from which the nominal pace is taken."""
 TOP = 0.05
-"""The nominal pace is what this fraction of the repetitions reached, so that one outlier does not set it."""
+"""Share of the repetitions that must reach the nominal pace, so that one outlier does not set it."""
 WITNESSES = 3
-"""A pace that fewer repetitions reached may be a level below full speed that they had in common."""
+"""Minimum number of repetitions at a pace; fewer may share a level below full speed."""
 SAME = 0.02
-"""Paces that differ by less (or by their noise) are the same pace."""
+"""Relative tolerance for equal paces, in addition to their noise."""
 VAGUE_SD = 0.1
 OFF = 0.03
-"""A repetition whose way leaves the path by more than this fraction of its length takes another path."""
+"""Maximum distance from the path, as share of its length, for a repetition of it."""
 SLOWED, ALIKE = 0.97, 0.06
-"""A motion was slowed in every repetition if speed and root of acceleration are below this part of every limit, and
-alike."""
+"""A motion was slowed in every repetition if speed and root of acceleration are below SLOWED of every limit, and
+differ by less than ALIKE."""
 STOP_S, STILL = 0.2, 0.02
-"""A repetition stands where it advances slower than STILL for longer than STOP_S; stops so near in it are one."""
+"""Minimum duration of a stop, s, and maximum rate of advance in it; stops within STOP_S on the path are one."""
 CLEAR = 10.0
-"""A limit of speed or acceleration that is less than this many times its noise does not count."""
+"""Minimum limit of speed or acceleration, in units of its noise."""
 STRAIGHT = 0.01
-"""A TCP that never leaves the straight line to its goal by more than this fraction of its length goes straight."""
+"""Maximum distance from the straight line to the goal, as share of its length, for a straight motion of the TCP."""
 LOOKED_AT = 60
-"""Rows of a repetition by which its path is identified."""
+"""Number of rows by which the path of a repetition is identified."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +52,11 @@ class Repetition:
     """One motion from a place to the next.
 
     Attributes:
-        t_s: Time, shape (T,), strictly increasing, seconds.
-        points: Joint angles or TCP positions over their noise, shape (T, D).
-        tcp_m: TCP, shape (T, 3), metres; NaN where it is not known.
-        slider: What is known to have slowed it, shape (T,), in (0, 1]: the operator's slider, and the scaling where it
-            was logged; NaN = it was slowed too much to tell the pace.
+        t_s: Time, shape (T,), strictly increasing, s.
+        points: Joint angles or TCP positions in units of their noise, shape (T, D).
+        tcp_m: TCP, shape (T, 3), m; NaN = unknown.
+        slider: Logged slow-down, shape (T,), in (0, 1]: the operator's slider, times the scaling if it was logged;
+            NaN = slowed too much to give the pace.
     """
 
     t_s: Vector
@@ -68,18 +67,18 @@ class Repetition:
 
 @dataclass(frozen=True)
 class Reference:
-    """What one motion is at full speed.
+    """One motion at full speed.
 
     Attributes:
         path: Places and nominal times.
-        confirmed: Per row of the path, whether WITNESSES repetitions reached the pace, or it is that of an empty cell.
-        stops: Where every repetition stands for a while, `own_s` of the path: the program may want it so.
-        alone: It was recorded with nobody in the cell.
-        peak: Greatest speed and acceleration at nominal pace, (2, D + 1): of each joint (or axis), in units of its
-            noise, and of the TCP along its path, m/s and m/s² (NaN: the TCP is not known).
-        noise: Its standard deviation by the noise of the log, (2, D + 1); that of the TCP is taken for 0.
-        straight: The TCP goes straight to its goal.
-        slowed: Share of full speed at which every repetition ran; 1 = no sign of slowing.
+        confirmed: Whether WITNESSES repetitions reached the pace, or the cell was empty, for each row of the path.
+        stops: Stops shared by every repetition, as `own_s` of the path; they may be programmed.
+        alone: Whether it was recorded with nobody in the cell.
+        peak: Maximum speed and acceleration at nominal pace, (2, D + 1): of each joint (or axis), in units of its
+            noise, and of the TCP along its path, m/s and m/s² (NaN: TCP unknown).
+        noise: Standard deviation of `peak` by the noise of the log, (2, D + 1); 0 for the TCP.
+        straight: Whether the TCP moves straight to its goal.
+        slowed: Share of full speed that no repetition exceeded; 1 = no sign of slowing.
     """
 
     path: Path
@@ -93,11 +92,11 @@ class Reference:
 
 
 def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference | None:
-    """Return the reference of a motion; None where one repetition of unknown speed is all there is.
+    """Return the reference of a motion; None if there is only one repetition, and that not in an empty cell.
 
     Args:
-        repetitions: Of one motion between two places; those that take another path are not regarded.
-        alone: They were recorded with nobody in the cell.
+        repetitions: Repetitions of one motion between two places; those that take another path are ignored.
+        alone: Whether they were recorded with nobody in the cell.
     """
     fastest = sorted(repetitions, key=lambda r: float(r.t_s[-1] - r.t_s[0]))[:AMONG]
     if not fastest or (len(fastest) == 1 and not alone):
@@ -131,18 +130,18 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
 
 
 def takes_another(path: Path, repetition: Repetition) -> bool:
-    """Tell whether a repetition takes another path between the same places."""
+    """Return whether a repetition takes another path between the same places."""
     thin = np.unique(np.linspace(0, len(repetition.t_s) - 1, LOOKED_AT).astype(np.int64))
     return is_elsewhere(path, along(path, repetition.t_s[thin], repetition.points[thin]).off)
 
 
 def is_elsewhere(path: Path, off: Vector) -> bool:
-    """Tell whether rows so far off a path, shape (T,), in units of the noise, are of another path."""
+    """Return whether rows with distance `off` from a path, shape (T,), in units of the noise, are of another path."""
     return bool(np.quantile(off, 0.95) > max(OFF * path.length, 20.0))
 
 
 def _top(rates: Points, deviations: Points, top: float) -> tuple[Vector, Ints]:
-    """Return the pace reached at each row of the path and how many repetitions agree, from (N, M) rates."""
+    """Return the pace reached at each row of the path and the number of repetitions at it, from (N, M) rates."""
     count, rows = rates.shape
     known = np.isfinite(rates) & (deviations < VAGUE_SD * np.maximum(rates, 0.1))
     rates = np.where(known, rates, 0.0)
@@ -158,13 +157,13 @@ def _top(rates: Points, deviations: Points, top: float) -> tuple[Vector, Ints]:
     if not len(found):
         return np.ones(rows), np.zeros(rows, np.int64)
     mean = np.divide((weight * rates).sum(axis=0), total, out=np.ones(rows), where=total > 0)
-    filled = np.interp(column, found, mean[found])  # near the ends, where nothing is known, the nearest pace
+    filled = np.interp(column, found, mean[found])  # near the ends, where the pace is unknown, the nearest known one
     nearest = found[np.clip(np.searchsorted(found, column), 0, len(found) - 1)]
     return np.maximum(filled, 1e-3), near.sum(axis=0)[nearest]
 
 
 def _stops(t_s: Vector, rate: Vector, own_s: Vector) -> Vector:
-    """Return where on the path a repetition stands for at least STOP_S."""
+    """Return the places on the path, as `own_s`, at which a repetition stops for at least STOP_S."""
     still = np.concatenate([[False], rate < STILL, [False]])
     edges = np.flatnonzero(np.diff(still.astype(np.int8))).reshape(-1, 2)
     lasting = edges[t_s[edges[:, 1] - 1] - t_s[edges[:, 0]] > STOP_S]
@@ -172,13 +171,13 @@ def _stops(t_s: Vector, rate: Vector, own_s: Vector) -> Vector:
 
 
 def _common(stops: Sequence[Vector]) -> Vector:
-    """Return those stops of the first repetition that all others have too."""
+    """Return the stops that all repetitions share."""
     kept = [s for s in stops[0].tolist() if all((np.abs(other - s) < STOP_S).any() for other in stops)]
     return np.array(kept)
 
 
 def is_common_stop(reference: Reference, t_s: Vector, rate: Vector, own_s: Vector) -> Bools:
-    """Tell which rows, shape (T,), belong to a stop that every repetition has."""
+    """Return which rows, shape (T,), belong to a stop shared by every repetition."""
     near = (np.abs(own_s[:, None] - reference.stops[None]) < STOP_S).any(axis=1)
     return np.asarray(near & (rate < STILL) & (t_s > t_s[0]))
 
@@ -195,7 +194,7 @@ def _peak(path: Path, pace: Vector) -> Points:
 
 
 def _peak_noise(path: Path) -> Vector:
-    """Return the standard deviation of speed and acceleration as `_peak` takes them, shape (2,), points having 1."""
+    """Return the standard deviation of the speed and acceleration of `_peak`, shape (2,), for points with noise 1."""
     period = float(path.own_s[1])
     over = max(2, round(SMOOTH_S / period))
     speed = 2.7 * over**-1.5 / period  # of the slope of a cubic over 2 over + 1 rows
@@ -203,13 +202,13 @@ def _peak_noise(path: Path) -> Vector:
 
 
 def _tcp_along(path: Path, own_s: Vector, tcp_m: Points) -> Points:
-    """Return the TCP at each row of a path, shape (M, 3), from that of a repetition at rows of known place."""
+    """Return the TCP at each row of a path, shape (M, 3), interpolated from a repetition matched to it."""
     place, first = np.unique(np.maximum.accumulate(own_s), return_index=True)
     return np.column_stack([np.interp(path.own_s, place, tcp_m[first, axis]) for axis in range(3)])
 
 
 def _tcp_peak(path: Path, pace: Vector, tcp_m: Points) -> Vector:
-    """Return greatest speed and acceleration of the TCP, shape (M, 3), along its path at nominal pace, shape (2,)."""
+    """Return maximum speed and acceleration of the TCP along its path, shape (M, 3), at nominal pace, shape (2,)."""
     if len(pace) < 5:
         return np.full(2, np.nan)
     over = max(1, min(round(SMOOTH_S / float(path.own_s[1])), len(pace) // 5))
@@ -221,21 +220,21 @@ def _tcp_peak(path: Path, pace: Vector, tcp_m: Points) -> Vector:
 
 
 def _is_straight(tcp_m: Points) -> bool:
-    """Tell whether the TCP, shape (M, 3), goes straight to its goal."""
+    """Return whether the TCP, shape (M, 3), moves straight to its goal."""
     way = tcp_m[-1] - tcp_m[0]
     length = float(np.linalg.norm(way))
-    if not length > 0.0:  # NaN: not known
+    if not length > 0.0:  # NaN: unknown
         return False
     off = tcp_m - tcp_m[0]
     return bool(np.linalg.norm(off - np.outer(off @ way, way) / length**2, axis=1).max() < STRAIGHT * length)
 
 
 def with_dynamics(references: Sequence[Reference]) -> list[float]:
-    """Return for each reference the share of full speed at which its motion was always run; 1 = no sign of that.
+    """Return for each reference the share of full speed that its motion never exceeded; 1 = no sign of slowing.
 
-    Like is compared with like: a straight motion has a limit of the TCP's speed and acceleration along its path, and
-    what its joints do follows from where it lies; any other motion has limits of its joints too. A motion that reaches
-    any of these limits was at full speed, and so was one that was recorded in an empty cell.
+    A straight motion is compared only by the limits of the TCP's speed and acceleration, as its joint motion depends on
+    where it is; any other motion is compared by the limits of its joints too. A motion that reaches any of these
+    limits was at full speed, and so was one recorded in an empty cell.
     """
     shares = [1.0] * len(references)
     for width in {reference.peak.shape[1] for reference in references}:
@@ -251,9 +250,9 @@ def with_dynamics(references: Sequence[Reference]) -> list[float]:
 
 
 def _limits(references: Sequence[Reference], columns: slice) -> Points:
-    """Return the speed and acceleration that two motions at least have reached, (2, C); NaN where that is but noise.
+    """Return the speed and acceleration that at least two motions reached, (2, C); NaN where it is only noise.
 
-    One motion alone proves no limit.
+    A single motion proves no limit.
     """
     peaks = np.array([reference.peak[:, columns] for reference in references])
     if len(peaks) < 2:
@@ -264,7 +263,7 @@ def _limits(references: Sequence[Reference], columns: slice) -> Points:
 
 
 def _share(part: Points) -> float:
-    """Return the share of full speed that peaks (2, D), as parts of their limits, tell; NaN = there is no limit."""
+    """Return the share of full speed from peaks (2, D) as shares of their limits; NaN = no limit."""
     known = np.isfinite(part).all(axis=0)
     speed, force = part[0, known], part[1, known] ** 0.5
     if not known.any() or max(speed.max(), force.max()) >= SLOWED:

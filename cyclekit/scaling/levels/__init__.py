@@ -1,6 +1,7 @@
 """Self-labelling: the levels of a speed scaling, and the level of every sample.
 
-`staircase` asks, `plateaus`, `dbscan` and `kmeans` find, `levels` and `labels` make of it what is used.
+The entry point is `staircase`. `plateaus`, `dbscan` and `kmeans` find the values, `clusters` turns them into levels,
+and `labels` assigns samples to them.
 """
 
 from __future__ import annotations

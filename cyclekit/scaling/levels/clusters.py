@@ -1,4 +1,4 @@
-"""From plateaus (or bare values) to levels: clusters, how sure their means are, sliders, and round numbers."""
+"""From plateaus (or single values) to levels: clusters, standard errors of their means, sliders, rounding."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 _LEAST_EPS = 0.01
 _USUAL_HOLD_S = 1.5
-"""How long a short plateau lasts; how far its mean may lie from the level's is what eps must bridge."""
+"""Duration of a short plateau, s; eps must cover the error of its mean."""
 _GRIDS = (0.05, 0.01)
-"""Usual steps of speed levels."""
+"""Usual steps between speed levels."""
 _SIGMAS = 2.5
 END = 1e-4
-"""A level this close to 0 or 1 is a stop or full speed."""
+"""Maximum distance of a level from 0 or 1 for it to be a stop or full speed."""
 _SLIDERS_DIFFER = 0.02
 _LOWEST_SLIDER = 0.1
 
@@ -37,8 +37,8 @@ def by_density(values: Vector, eps: float, min_samples: int) -> Ints:
 
     Args:
         values: Shape (T,), finite.
-        eps: Values this near to each other are one level.
-        min_samples: Samples that make a level.
+        eps: Neighbourhood radius.
+        min_samples: Minimum number of samples of a level.
     """
     return dbscan_1d(values, eps=eps, min_samples=min_samples)
 
@@ -51,9 +51,9 @@ def by_kmeans(values: Vector, eps: float, min_samples: int) -> Ints:
 
 
 FINDERS: dict[str, Callable[[Vector, float, int], Ints]] = {"dbscan": by_density, "kmeans-silhouette": by_kmeans}
-"""Ways to find levels in values without their order in time, by name: a line each makes one known to `--method`."""
+"""Methods that find levels in values without their order in time, by name, for `--method`."""
 RAMPS = 0.1
-"""Slow ramps count where they last for so much of the time on plateaus."""
+"""Minimum time on slow ramps, as share of the time on plateaus, for pieces of ramps to be removed."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class Cluster:
 
     Attributes:
         value: Mean of the samples of each level, shape (P,).
-        deviation: Standard error of that mean, shape (P,); None where it is not known (then nothing is rounded).
-        spread: Width of the middle 90 % of what was clustered, in eps, shape (P,); 0 where it was not looked at.
+        deviation: Standard error of that mean, shape (P,); None if unknown (then nothing is rounded).
+        spread: Width of the middle 90 % of the clustered values, in eps, shape (P,); 0 if not computed.
     """
 
     value: Vector
@@ -78,18 +78,18 @@ class Cluster:
 
 
 def usual_eps(noise: float, rate_hz: float) -> float:
-    """Return how far the means of short plateaus of one level lie apart, for the noise of one sample."""
+    """Return the spread of the means of short plateaus of one level, for the noise of one sample."""
     return float(max(_LEAST_EPS, 3.5 * noise / samples_in(_USUAL_HOLD_S, rate_hz) ** 0.5))
 
 
 def of_plateaus(plateaus: Plateaus, value: Vector, eps: float, min_samples: int) -> Cluster:
-    """Cluster the values of plateaus by density, weighted by how many samples each is held.
+    """Cluster the values of plateaus by density, weighted by their numbers of samples.
 
     Args:
-        plateaus: K of them.
-        value: Their values, shape (K,): `plateaus.value`, or that without the operator's slider.
-        eps: Values this near to each other are one level; see `usual_eps`.
-        min_samples: Samples that make a level; beside slow ramps at once, else all plateaus together.
+        plateaus: K plateaus.
+        value: Their values, shape (K,): `plateaus.value`, or these without the operator's slider.
+        eps: Neighbourhood radius; see `usual_eps`.
+        min_samples: Minimum number of samples of a level, over all plateaus; if there are slow ramps, in one plateau.
     """
     weight = plateaus.samples.astype(np.float64)
     cluster = dbscan_1d(value, eps=eps, min_samples=min_samples, weight=weight)
@@ -99,9 +99,9 @@ def of_plateaus(plateaus: Plateaus, value: Vector, eps: float, min_samples: int)
 
 
 def _held_at_once(value: Vector, cluster: Ints, weight: Vector, least: int) -> Ints:
-    """Return clusters of plateaus, shape (K,), without those between others that no plateau holds for long enough.
+    """Return clusters of plateaus, shape (K,), without intermediate ones that have no plateau of `least` samples.
 
-    Beside slow ramps these are pieces of ramps: an inferred scaling may stand still for a moment on its way.
+    If there are slow ramps, these are pieces of ramps: an inferred scaling may be constant for a moment on a ramp.
     """
     ends = value[cluster >= 0].min(initial=np.inf), value[cluster >= 0].max(initial=-np.inf)
     kept = cluster.copy()
@@ -113,13 +113,13 @@ def _held_at_once(value: Vector, cluster: Ints, weight: Vector, least: int) -> I
 
 
 def cluster_values(values: Vector, method: str, eps: float | None, min_samples: int, noise: float) -> Cluster:
-    """Cluster bare values by one of the literature's methods.
+    """Cluster single values by one of the literature's methods.
 
     Args:
         values: Shape (T,), finite.
         method: One of `FINDERS`.
-        eps: Of DBSCAN; None: 3.5 deviations of the noise, at least 0.01.
-        min_samples: Of DBSCAN.
+        eps: Neighbourhood radius of DBSCAN; None: 3.5 standard deviations of the noise, at least 0.01.
+        min_samples: Minimum number of neighbours of DBSCAN.
         noise: Standard deviation of one value.
     """
     eps = max(_LEAST_EPS, 3.5 * noise) if eps is None else eps
@@ -131,7 +131,7 @@ def cluster_values(values: Vector, method: str, eps: float | None, min_samples: 
 
 
 def _clusters(value: Vector, cluster: Ints, weight: Vector, eps: float, noise: float) -> Cluster:
-    """Return mean, standard error and spread of every cluster that has a member, by rising mean."""
+    """Return mean, standard error and spread of every non-empty cluster, ascending by mean."""
     member = cluster >= 0
     names, index = np.unique(cluster[member], return_inverse=True)
     x, w = value[member], weight[member]
@@ -145,12 +145,12 @@ def _clusters(value: Vector, cluster: Ints, weight: Vector, eps: float, noise: f
 
 
 def rounded(value: Vector, deviation: Vector) -> Vector:
-    """Return the levels as round numbers where the well-known ones show that they were chosen so.
+    """Return the levels rounded to steps of 5 % or 1 % if the data support it, else unchanged.
 
-    People choose levels in steps of 5 % or 1 %. Where at least two levels inside (0, 1) are known to a fifth of such a
-    step and every level lies within 2.5 standard errors of it, all are taken to lie on it; a level that was held for
-    two seconds in noise is then known far better than its own samples tell. Otherwise the means stay as they are, but
-    a level within END of a stop or of full speed is that.
+    People choose levels in such steps. The levels are rounded if at least two of them inside (0, 1) are known to a
+    fifth of a step and every level is within 2.5 standard errors of a multiple. A level that was held for two seconds
+    in noise then becomes much more accurate than its own samples. Otherwise, only a level within END of a stop or of
+    full speed is set to that.
 
     Args:
         value: Means, shape (P,), ascending.
@@ -168,20 +168,20 @@ def rounded(value: Vector, deviation: Vector) -> Vector:
 def operator_sliders(
     plateaus: Plateaus, run: NDArray[np.generic], found: Cluster, eps: float, min_samples: int
 ) -> tuple[Vector | None, Cluster]:
-    """Tell whether the values are levels times a slider that differs between runs.
+    """Find out whether the values are levels times an operator's slider that differs between runs.
 
-    The slider of a run is the highest value it holds: full speed. That is believed only where dividing by it leaves
-    fewer levels than there were, none of them doubtful.
+    The slider of a run is its highest held value (full speed). It is accepted only if division by it leaves fewer
+    levels, at least two, with the highest at full speed.
 
     Args:
-        plateaus: K of them.
+        plateaus: K plateaus.
         run: Run of every known sample, shape (T,).
         found: The levels without a slider.
         eps: As in `of_plateaus`.
         min_samples: As in `of_plateaus`.
 
     Returns:
-        The slider of every known sample, shape (T,), or None; and the levels, without the slider where there is one.
+        The slider of every known sample, shape (T,), or None; and the levels, divided by the slider if there is one.
     """
     names, at = np.unique(run, return_inverse=True)
     owner = at[plateaus.first] if plateaus.first.size else np.empty(0, np.int64)

@@ -1,4 +1,4 @@
-"""DBSCAN of scalars, exactly and in O(n log n): density clusters of numbers on a line, with or without weights."""
+"""Exact DBSCAN of scalars in O(n log n), with optional weights."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ UNKNOWN = -1
 
 
 def dbscan_1d(values: ArrayLike, *, eps: float, min_samples: float, weight: ArrayLike | None = None) -> Ints:
-    """Cluster scalars by density: exactly DBSCAN, in O(n log n) time and O(n) memory.
+    """Cluster scalars with exact DBSCAN, in O(n log n) time and O(n) memory.
 
-    On a line, the neighbours of a value are a run of the sorted values, so two binary searches count them, and a
-    cluster is a run of core values without a gap wider than eps. The labels are those of `sklearn.cluster.DBSCAN`,
-    numbering included, except where two values lie exactly eps apart and rounding decides.
+    The neighbours of a scalar are contiguous in the sorted values, so two binary searches count them, and a cluster is
+    a sequence of core values without a gap wider than eps. The labels, including their numbering, are those of
+    `sklearn.cluster.DBSCAN`, except where two values are exactly eps apart and rounding decides.
 
     Args:
         values: Shape (T,), finite.
         eps: Neighbourhood radius, closed; above 0.
-        min_samples: Neighbours, itself included, that make a value a core value.
-        weight: How many neighbours each value counts for, shape (T,), as scikit-learn's `sample_weight`; None = 1.
+        min_samples: Minimum number of neighbours, including itself, of a core value.
+        weight: Weight of each value, shape (T,), as scikit-learn's `sample_weight`; None = 1.
 
     Returns:
         Cluster index, shape (T,); -1 = noise.
@@ -62,7 +62,7 @@ def dbscan_1d(values: ArrayLike, *, eps: float, min_samples: float, weight: Arra
 
 
 def _number_by_first(run: Ints, position: Ints) -> Ints:
-    """Return the number of each run: runs are numbered by where their first core value stands in the data."""
+    """Return the number of each run, numbered by the position of its first core value in the data."""
     starts = np.flatnonzero(np.diff(run, prepend=-1))
     first = np.minimum.reduceat(position, starts)
     number = np.empty_like(first)
@@ -71,7 +71,7 @@ def _number_by_first(run: Ints, position: Ints) -> Ints:
 
 
 def _border(value: Floats, core: Floats, number: Ints, eps: float) -> Ints:
-    """Return the cluster of values that are no core: that of a core value within eps, the lower number winning."""
+    """Return the cluster of border values: that of a core value within eps, the lower number if there are two."""
     nobody = np.iinfo(np.int64).max
     right = np.searchsorted(core, value)
     left, right_in = np.maximum(right - 1, 0), np.minimum(right, core.size - 1)

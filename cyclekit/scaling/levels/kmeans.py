@@ -1,9 +1,9 @@
-"""K-means of scalars, exactly: the best division of sorted values into k runs, and how many runs there should be.
+"""Exact K-means of scalars, with the number of clusters chosen by the silhouette.
 
-On a line a cluster is a run of the sorted values, so a dynamic programme finds the global optimum that Lloyd's
+A cluster of scalars is contiguous in the sorted values, so dynamic programming finds the global optimum that Lloyd's
 iterations only approach, and prefix sums give the exact silhouette without a distance matrix. Up to 2048 different
-values everything is exact; more are first put into 2048 bins of equal width (a bin counts as that many values at its
-mean), so that ten million samples take seconds.
+values, everything is exact; more are first put into 2048 bins of equal width (each a weighted point at its mean), so
+that ten million samples take seconds.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 
 BINS = 2048
 MOST = 10
-"""Largest number of clusters that is tried."""
+"""Maximum number of clusters."""
 
 
 @dataclass(frozen=True)
 class Weighted:
-    """Sorted points with weights: M different values, each standing for that many samples."""
+    """M sorted points, each weighted by its number of samples."""
 
     value: Vector
     weight: Vector
     of: Ints
-    """Point of every sample, shape (T,)."""
+    """Index of the point of every sample, shape (T,)."""
 
 
 def condense(values: Vector, *, bins: int = BINS) -> Weighted:
@@ -37,7 +37,7 @@ def condense(values: Vector, *, bins: int = BINS) -> Weighted:
 
     Args:
         values: Shape (T,), finite.
-        bins: Fewer different values than this are kept as they are.
+        bins: Maximum number of points; up to this many different values are kept unchanged.
     """
     point, of = np.unique(values, return_inverse=True)
     if point.size > bins:
@@ -50,10 +50,10 @@ def condense(values: Vector, *, bins: int = BINS) -> Weighted:
 
 
 def kmeans_1d(points: Weighted, most: int = MOST) -> list[tuple[Ints, float]]:
-    """Return the best division into k clusters and its squared error, for k = 1 to `most` (or to the number of points).
+    """Return the optimal clusters and their squared error for k = 1 to `most` (or to the number of points).
 
     Returns:
-        For each k the cluster of every point, shape (M,), ascending, and the sum of squared distances to the means.
+        For each k, the cluster of every point, shape (M,), ascending, and the sum of squared distances to the means.
     """
     x, w = points.value, points.weight
     count = x.size
@@ -75,7 +75,7 @@ def kmeans_1d(points: Weighted, most: int = MOST) -> list[tuple[Ints, float]]:
 
 
 def _trace(cuts: list[Ints], count: int) -> Ints:
-    """Walk back through the cuts and return the cluster of every point."""
+    """Return the cluster of every point by tracing back through the cuts."""
     label, stop = np.zeros(count, np.int64), count
     for k in range(len(cuts) - 1, 0, -1):
         start = int(cuts[k][stop - 1])
@@ -87,11 +87,11 @@ def _trace(cuts: list[Ints], count: int) -> Ints:
 def silhouette_1d(points: Weighted, cluster: Ints) -> float:
     """Return the exact mean silhouette of all samples; -1 with fewer than two clusters.
 
-    Equal to `sklearn.metrics.silhouette_score` on the samples that the points stand for.
+    Equal to `sklearn.metrics.silhouette_score` on the samples behind the points.
 
     Args:
         points: M points, ascending.
-        cluster: Cluster of each, shape (M,), not falling.
+        cluster: Cluster of each point, shape (M,), non-decreasing.
     """
     x, w = points.value, points.weight
     edges = np.concatenate([[0], np.flatnonzero(np.diff(cluster)) + 1, [x.size]])
@@ -116,7 +116,7 @@ def silhouette_1d(points: Weighted, cluster: Ints) -> float:
 
 
 def by_silhouette(points: Weighted, most: int = MOST) -> Ints:
-    """Return the cluster of every point for the number of clusters with the best silhouette (1 where all are equal)."""
+    """Return the cluster of every point for the number of clusters with the best silhouette (1 if all are equal)."""
     if points.value.size < 2:
         return np.zeros(points.value.size, np.int64)
     return max((labels for labels, _ in kmeans_1d(points, most)[1:]), key=lambda labels: silhouette_1d(points, labels))

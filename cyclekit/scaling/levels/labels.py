@@ -1,4 +1,4 @@
-"""Which level a sample is on, once the levels are known; samples in transition between levels are on none."""
+"""Assign samples to known levels; samples in transition between levels get none."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Floats, Ints
 
 TOLERANCE = 0.03
-"""Farthest distance from a level (fraction of full speed) at which a value still counts as being on it."""
+"""Maximum distance of a value from its level, as fraction of full speed."""
 _SHARP = (0.003, 0.01)
-"""A sample on no plateau (one on its way, or a level crossed in a tenth of a second) must hit its level to within four
-deviations of the noise, and these bounds."""
+"""Bounds of the tolerance for samples on no plateau (in transition, or on a level for a tenth of a second); between
+them, it is four standard deviations of the noise."""
 
 
 def unbroken(run: NDArray[np.generic], known: Bools) -> Ints:
-    """Return the number of the stretch of every sample: a new one begins with a new run and after an unknown value.
+    """Return the stretch of every sample, shape (T,): a new one starts with a new run and after an unknown value.
 
     Args:
         run: Run of every sample, shape (T,).
-        known: Whether its scaling is known, shape (T,).
+        known: Whether the scaling of each sample is known, shape (T,).
     """
     if run.size == 0:
         return np.empty(0, np.int64)
@@ -43,8 +43,7 @@ def label(values: ArrayLike, levels: ArrayLike | Sequence[float], *, tolerance: 
     Args:
         values: Speed scaling, shape (T,); NaN = unknown.
         levels: Level values, shape (P,), ascending.
-        tolerance: A value farther than this from every level is on none; between two levels that are nearer than
-            twice the tolerance the nearer one counts.
+        tolerance: Maximum distance of a value from its level; the nearer of two levels counts.
 
     Returns:
         Shape (T,), int32; -1 where the value is unknown or on no level.
@@ -61,16 +60,16 @@ def label(values: ArrayLike, levels: ArrayLike | Sequence[float], *, tolerance: 
 def label_in_time(
     values: Floats, levels: ArrayLike, run: Ints, *, rate_hz: float = USUAL_HZ, plateaus: Plateaus | None = None
 ) -> NDArray[np.int32]:
-    """Return the level of every sample by the plateau it lies on, so that a ramp that passes a level is not on it.
+    """Return the level of every sample by its plateau, so that a ramp that passes a level is not on it.
 
-    A sample on no plateau is labelled only where its value, almost free of noise, is a level's.
+    A sample on no plateau is labelled only if its value is very close to a level.
 
     Args:
-        values: Speed scaling, shape (T,), in the order of time; NaN = unknown.
+        values: Speed scaling, shape (T,), in order of time; NaN = unknown.
         levels: Level values, shape (P,), ascending.
-        run: Unbroken stretch of every sample, shape (T,), not falling.
+        run: Stretch without gaps of every sample, shape (T,), non-decreasing.
         rate_hz: Rate of the samples.
-        plateaus: Where they were found before, in the known values (perhaps times a slider); None: found here.
+        plateaus: Plateaus of the known values (possibly times a slider); None: they are computed.
 
     Returns:
         Shape (T,), int32; -1 = unknown or in transition.

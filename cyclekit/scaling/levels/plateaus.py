@@ -1,10 +1,10 @@
-"""Plateaus of a speed scaling: the stretches of time over which one value is held, and that value.
+"""Plateaus of a speed scaling: the times over which one value is held, and that value.
 
-The order in time is what tells a level from a ramp: a level that is in force for two seconds a day and the ramps that
-pass its value a hundred times look the same in a histogram. A sample is *steady* where the means of the windows before
-and after it agree; a run of steady samples is the core of a plateau, a core with a slope is none, and between two
-plateaus the point where one is left and the other reached is fitted by least squares (a hinge), so that a short plateau
-is averaged over all of its samples. Which plateaus share a level is the business of `staircase`.
+Only the order in time separates a level from a ramp: in a histogram, a level used for two seconds a day looks like
+ramps that pass its value a hundred times. A sample is *steady* if the means of the windows before and after it agree.
+A sequence of steady samples without a slope is the core of a plateau. Between two plateaus, the times at which one is
+left and the other reached are fitted by least squares (a hinge), so that a short plateau is averaged over all of its
+samples. `clusters` groups plateaus into levels.
 """
 
 from __future__ import annotations
@@ -23,35 +23,36 @@ if TYPE_CHECKING:
 
 _LEAST_NOISE = 1e-4
 _WINDOW_S = 50.0
-"""A window of (50 s x rate x noise)^(2/3) samples tells a ramp of 0.2 a second (full range in 5 s) from a plateau."""
+"""A window of (50 s x rate x noise)^(2/3) samples separates a ramp of 0.2 per second (full range in 5 s) from a
+plateau."""
 _SIGMAS = 3.5
 _LEAST_STEP = 0.01
-"""Windows whose means differ by less than this agree, even without noise."""
+"""Minimum tolerance for the means of two windows to agree."""
 _DRIFT = 0.03
-"""A plateau whose fitted line rises or falls by more than this is a slow ramp."""
+"""Maximum change along a plateau; more is a slow ramp."""
 _NARROWEST_S, _WIDEST_S = 0.1, 1.0
-"""Bounds of the window: with shorter ones a slow ramp of many samples looks steady from one to the next."""
+"""Bounds of the window, s: in shorter ones, a slow ramp of many samples looks steady."""
 _SHORTEST_S = 0.2
-"""A value held for a shorter time is not a plateau; nor is a single sample."""
+"""Minimum duration of a plateau, s; it has at least two samples."""
 _EVIDENCE = 30.0
-"""A short plateau must lower the squared error of a straight way past it by this many noise variances (3 ln T)."""
+"""Minimum reduction of squared error by a short plateau over a straight transition, in noise variances (3 ln T)."""
 _HINGE_PLACES = 120
-"""Where a plateau may be left and reached: at no more places than this between two cores, evenly spread."""
+"""Maximum number of candidate ends of plateaus between two cores, evenly spaced."""
 _HINGE_NOISE = 0.008
-"""With less noise than this the ends of a plateau are seen sample by sample; with more they are fitted."""
+"""Noise above which the ends of plateaus are fitted; below, they are found sample by sample."""
 
 
 @dataclass(frozen=True)
 class Plateaus:
-    """K plateaus in the order of time.
+    """K plateaus in order of time.
 
     Attributes:
         first: First sample of each, shape (K,).
         end: One past its last sample, shape (K,).
         value: Its mean without outliers, shape (K,).
         noise: Standard deviation of the noise of one sample.
-        on_ramp: How many samples lie on slow ramps, and so on no plateau.
-        varied: How many lie on slopes of many rates.
+        on_ramp: Number of samples on slow ramps, and so on no plateau.
+        varied: Number of samples on slopes of various rates.
     """
 
     first: Ints
@@ -63,15 +64,15 @@ class Plateaus:
 
     @property
     def samples(self) -> Ints:
-        """How many samples each one lasts, shape (K,)."""
+        """Number of samples of each, shape (K,)."""
         return self.end - self.first
 
 
 def noise_of(values: Vector) -> float:
-    """Return the noise of a signal of plateaus and ramps: second differences vanish on both.
+    """Return the noise of a signal of plateaus and ramps from its second differences, which vanish on both.
 
-    The median leaves the jumps out as long as they are fewer than the rest, the lower quartile longer; the lesser of
-    the two estimates counts.
+    The median is robust against jumps if they are fewer than half, the lower quartile against more; the smaller of the
+    two estimates is returned.
 
     Args:
         values: Shape (T,), finite.
@@ -87,11 +88,10 @@ def find_plateaus(values: Vector, run: Ints, *, rate_hz: float = USUAL_HZ, most_
     """Find the plateaus.
 
     Args:
-        values: Speed scaling, shape (T,), finite, in the order of time.
-        run: Number of the unbroken stretch that each sample belongs to, shape (T,), not falling; nothing is compared
-            across a change of it.
+        values: Speed scaling, shape (T,), finite, in order of time.
+        run: Stretch without gaps of each sample, shape (T,), non-decreasing; nothing is compared across stretches.
         rate_hz: Rate of the samples.
-        most_noise: More than this is not noise but change: of known levels, an eighth of their least distance.
+        most_noise: Maximum noise; for known levels, an eighth of their smallest distance.
     """
     if values.size == 0:
         return Plateaus(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), _LEAST_NOISE)
@@ -100,7 +100,7 @@ def find_plateaus(values: Vector, run: Ints, *, rate_hz: float = USUAL_HZ, most_
     window = int(np.clip(np.ceil((_WINDOW_S * rate_hz * noise) ** (2 / 3)), *bounds))
     begin, stop = _bounds(run)
     slopes = find_slopes(values, begin, stop, rate_hz, noise)
-    if slopes.on_ramp.any():  # what is on a ramp is no plateau, and none reaches across it
+    if slopes.on_ramp.any():  # a ramp is no plateau, and no plateau extends across it
         run = np.cumsum(np.diff(run, prepend=run[0]) + np.abs(np.diff(slopes.on_ramp, prepend=False)) != 0)
         begin, stop = _bounds(run)
     first, end = _cores(_steady(values, begin, stop, window, noise), run)
@@ -120,14 +120,14 @@ def find_plateaus(values: Vector, run: Ints, *, rate_hz: float = USUAL_HZ, most_
 
 
 def _bounds(run: Ints) -> tuple[Ints, Ints]:
-    """Return the first sample and one past the last of the run of every sample, shape (T,) each."""
+    """Return the first sample and one past the last of each sample's run, shape (T,) each."""
     starts = np.flatnonzero(np.diff(run, prepend=run[0] - 1))
     ends = np.append(starts[1:], run.size)
     return np.repeat(starts, ends - starts), np.repeat(ends, ends - starts)
 
 
 def _steady(values: Vector, begin: Ints, stop: Ints, window: int, noise: float) -> Bools:
-    """Tell at which samples the means of the windows before and after, and the sample itself, agree."""
+    """Return the samples at which the means of the windows before and after, and the sample itself, agree."""
     at = np.arange(values.size)
     low, high = np.maximum(at - window, begin), np.minimum(at + window + 1, stop)
     total = np.concatenate([[0.0], np.cumsum(values)])
@@ -141,7 +141,7 @@ def _steady(values: Vector, begin: Ints, stop: Ints, window: int, noise: float) 
 
 
 def _cores(steady: Bools, run: Ints) -> tuple[Ints, Ints]:
-    """Return first sample and one past the last of every run of steady samples."""
+    """Return first sample and one past the last of every sequence of steady samples."""
     new = steady & ~np.concatenate([[False], steady[:-1] & (np.diff(run) == 0)])
     over = steady & ~np.concatenate([steady[1:] & (np.diff(run) == 0), [False]])
     return np.flatnonzero(new), np.flatnonzero(over) + 1
@@ -150,7 +150,7 @@ def _cores(steady: Bools, run: Ints) -> tuple[Ints, Ints]:
 def _by_samples(
     values: Vector, first: Ints, end: Ints, begin: Ints, stop: Ints, window: int, noise: float
 ) -> tuple[Ints, Ints]:
-    """Extend every core over the neighbouring samples of its value; where two meet, the earlier one ends."""
+    """Extend every core over neighbouring samples of its value; where two meet, the earlier one ends."""
     near = max(3.0 * noise, 0.2 * _LEAST_STEP)
     mean = _means(values, first, end)
     first, end = first.copy(), end.copy()
@@ -166,9 +166,9 @@ def _by_samples(
 def _by_hinges(
     values: Vector, first: Ints, end: Ints, begin: Ints, stop: Ints, window: int, noise: float
 ) -> tuple[Ints, Ints]:
-    """Fit where every core is left and the next one reached: value, straight line, value.
+    """Fit the times at which each core is left and the next one reached: value, straight line, value.
 
-    Cores that lie further apart than any hinge needs only reach as far as a window does.
+    Cores too far apart for a hinge are not extended.
     """
     del noise
     mean = _means(values, first, end)
@@ -184,14 +184,14 @@ def _by_hinges(
 
 
 def _needed(values: Vector, first: Ints, end: Ints, begin: Ints, short: int, noise: float) -> Bools:
-    """Tell which plateaus are more than a piece of the ramp between their neighbours.
+    """Return which plateaus are more than a piece of the ramp between their neighbours, shape (K,).
 
     Args:
         values: Shape (T,).
         first: First samples, shape (K,).
         end: One past the last samples, shape (K,).
         begin: First sample of the run of every sample, shape (T,).
-        short: Plateaus of at least this many samples are not questioned.
+        short: Number of samples from which a plateau is always kept.
         noise: Standard deviation of the noise.
     """
     needed = np.ones(first.size, np.bool_)
@@ -209,7 +209,7 @@ def _needed(values: Vector, first: Ints, end: Ints, begin: Ints, short: int, noi
 
 
 def _hinge(values: Vector, before: float, after: float) -> tuple[int, int, float]:
-    """Return how many values still are `before`, from which on they are `after`, and the squared error: the least."""
+    """Return the best hinge: number of values still at `before`, first value at `after`, and the squared error."""
     count = values.size
     if count == 0:
         return 0, 0, 0.0
@@ -228,7 +228,7 @@ def _means(values: Vector, first: Ints, end: Ints) -> Vector:
 
 
 def _is_flat(values: Vector, first: Ints, end: Ints, noise: float) -> Bools:
-    """Tell which plateaus are flat: no slope that matters beyond the noise, and no more spread than the noise has."""
+    """Return which plateaus are flat: no slope beyond the noise, and no more spread than the noise, shape (K,)."""
     count = np.maximum(end - first, 1).astype(np.float64)
     total = np.concatenate([[0.0], np.cumsum(values)])
     moment = np.concatenate([[0.0], np.cumsum(values * np.arange(values.size))])
@@ -242,7 +242,7 @@ def _is_flat(values: Vector, first: Ints, end: Ints, noise: float) -> Bools:
 
 
 def _robust_mean(values: Vector, first: Ints, end: Ints, noise: float) -> Vector:
-    """Return the mean of each plateau over the samples within four deviations of its plain mean."""
+    """Return the mean of each plateau over the samples within four standard deviations of its plain mean."""
     count = end - first
     owner = np.repeat(np.arange(first.size), count)
     rows = np.arange(int(count.sum())) + np.repeat(first - np.concatenate([[0], np.cumsum(count)[:-1]]), count)

@@ -1,9 +1,8 @@
-"""Slow ramps of a speed scaling: time between levels, and never a level.
+"""Slow ramps of a speed scaling: transitions between levels, never levels.
 
-A ramp of 5 % a second looks level from one sample to the next. Seen over a second or more it is a straight line, and
-its slope is one that the others have as well: a safety system has a rate for rising and one for falling. A scaling
-that follows a distance has many slopes; then nothing is a ramp here, and whoever looks for levels sees that few are
-held.
+A ramp of 5 % per second looks constant from one sample to the next. Over a second or more, it is a straight line with
+the same slope as the other ramps: a safety system has one rate for rising and one for falling. A scaling that follows
+a distance has various slopes; then no ramps are found, and few values are held.
 """
 
 from __future__ import annotations
@@ -24,27 +23,27 @@ if TYPE_CHECKING:
 
 _WINDOWS_S = (0.6, 1.0, 1.6, 2.5, 4.0, 6.0)
 _OFF = 0.006
-"""Values that deviate so much from a straight line lie on it, even without noise: whole percents deviate by .003."""
+"""Maximum residual of a straight line without noise: rounding to whole percent gives 0.003."""
 _OFF_NOISE = 1.3
 _CLIMBS, _CLIMBS_NOISE = 0.05, 6.0
-"""By how much a ramp rises or falls in a window at least; a step hidden in so much noise looks like less."""
+"""Minimum change of a ramp within a window: absolute, and in units of the noise, as a noisy step looks like a slope."""
 _ALIKE = 1.25
-"""Slopes that differ by less than this factor are one rate."""
+"""Maximum ratio of slopes of one rate."""
 _MOSTLY = 0.6
-"""So much of the time on straight slopes must be spent at one rate."""
+"""Minimum share of the time on straight slopes that is spent at one rate."""
 _NOISY = 0.025
-"""In more noise than this two levels with a short ramp between them look like a long ramp: nothing is told."""
+"""Maximum noise: above, two levels with a short ramp between them look like a long ramp."""
 _LEAST_S = 3.0
-"""Less time on ramps does not tell their rate."""
+"""Minimum time on ramps to determine their rate, s."""
 
 
 @dataclass(frozen=True)
 class Slopes:
-    """What of a scaling lies on straight slopes.
+    """Samples of a scaling on straight slopes.
 
     Attributes:
-        on_ramp: Which samples lie on slow ramps of the usual rate, shape (T,).
-        varied: Which lie on slopes of no usual rate, shape (T,).
+        on_ramp: Whether a sample is on a slow ramp of the usual rate, shape (T,).
+        varied: Whether it is on another straight slope, shape (T,).
     """
 
     on_ramp: Bools
@@ -55,9 +54,9 @@ def find_slopes(values: Vector, begin: Rows, stop: Rows, rate_hz: float, noise: 
     """Find the slow ramps.
 
     Args:
-        values: Speed scaling, shape (T,), finite, in the order of time.
-        begin: First sample of the unbroken stretch of every sample, shape (T,).
-        stop: One past its last sample, shape (T,).
+        values: Speed scaling, shape (T,), finite, in order of time.
+        begin: First sample of each sample's stretch without gaps, shape (T,).
+        stop: One past the last sample of that stretch, shape (T,).
         rate_hz: Rate of the samples.
         noise: Standard deviation of the noise of one sample.
     """
@@ -75,7 +74,7 @@ def find_slopes(values: Vector, begin: Rows, stop: Rows, rate_hz: float, noise: 
 
 
 def _lines(values: Vector, begin: Rows, stop: Rows, half: int, noise: float) -> tuple[Vector, Bools]:
-    """Return the slope per sample of the window around each sample, and where it is a straight line that climbs."""
+    """Return the slope per sample of the window around each sample, and whether that is a straight slope."""
     count, at = 2 * half + 1, np.arange(values.size)
     whole = (at - half >= begin) & (at + half < stop)
     middle = at[half : values.size - half]
@@ -97,7 +96,7 @@ def _window_sums(values: Vector, count: int) -> Vector:
 
 
 def _usual(slopes: Vector, least: int) -> float | None:
-    """Return the slope that most have, None where there is none."""
+    """Return the slope of most samples; None if there is none."""
     ordered = np.sort(slopes)
     if ordered.size < least:
         return None
@@ -115,7 +114,7 @@ def _is_alike(slopes: Vector, usual: float | None) -> Bools:
 
 
 def _spread(flags: Bools, half: int) -> Bools:
-    """Return which samples lie in the window of a flagged one."""
+    """Return which samples are in the window of a flagged one."""
     total = np.concatenate([[0], np.cumsum(flags)])
     at = np.arange(flags.size)
     return np.asarray(total[np.minimum(at + half + 1, flags.size)] > total[np.maximum(at - half, 0)])

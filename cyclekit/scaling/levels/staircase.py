@@ -1,10 +1,9 @@
-"""Find the staircase in a speed scaling: which levels the safety system uses, and which one is in force when.
+"""Find the levels of a speed scaling, and the level of every sample.
 
-A safety system does not slow a robot by a little; it switches between a few speeds that somebody chose in a risk
-assessment. In the log these are values that are held. So plateaus are found in time first (`plateaus`) and their values
-clustered by density, weighted by how long each is held; a cluster is a level and its mean the level's value. The
-literature clusters the bare values instead; those methods are here by name (`FINDERS`). Why a level is in force is not
-asked here; that is what the networks learn.
+Many safety systems switch between a few speeds that were chosen in a risk assessment. In the log, these are values
+that are held. So plateaus are found in time first (`plateaus`), and their values are clustered by density, weighted by
+duration; each cluster is a level, with its mean as value. The literature clusters single values instead; those methods
+are available by name (`FINDERS`). The networks learn what causes a level.
 """
 
 from __future__ import annotations
@@ -39,9 +38,9 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Vector
 
 LEAST_HELD_S = 1.0
-"""Minimum time for which a level is held, all plateaus together; short, so that a rare level survives."""
+"""Minimum time, s, for which a level is held, over all plateaus; short, so that rare levels are found."""
 PLATEAU = "plateau"
-"""The way to find the levels by default; those of `FINDERS` look at the values without their order in time."""
+"""Default method to find levels; those of `FINDERS` ignore the order in time."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +50,13 @@ class Staircase:
     Attributes:
         levels: Level values, shape (P,), ascending, fractions of full speed.
         label: Index into `levels` of every sample, shape (T,), int32; -1 = unknown or in transition between levels.
-        share: Part of the known samples that is on each level, shape (P,).
-        warnings: Why this may be no staircase; empty when all is well.
-        means: Mean of the samples behind each level, shape (P,): `levels` before they were rounded.
-        slider: The operator's slider of every sample, shape (T,), where the values are levels times a slider that
-            differs between runs; None where there is none.
+        share: Share of the known samples on each level, shape (P,).
+        warnings: Doubts about the levels; empty if there are none.
+        means: Mean of the samples of each level, shape (P,): `levels` before rounding.
+        slider: The operator's slider at every sample, shape (T,), if the values are levels times a slider that differs
+            between runs; else None.
         noise: Standard deviation of the noise of one sample.
-        is_staircase: False where the values are not held on a few levels: then learn them by regression.
+        is_staircase: False if the values are not held on a few levels; then learn them by regression.
     """
 
     levels: Floats
@@ -84,23 +83,22 @@ def find_staircase(
     """Find the levels of a speed scaling and label every sample.
 
     Args:
-        scaling: Speed scaling, shape (T,), fractions, in the order of time; NaN = unknown.
-        run: Number of the unbroken stretch (execution, no gap) of every sample, shape (T,); None: all is one stretch,
-            broken where the scaling is unknown.
+        scaling: Speed scaling, shape (T,), fractions, in order of time; NaN = unknown.
+        run: Stretch (execution, without gaps) of every sample, shape (T,); None: one stretch, split where the scaling
+            is unknown.
         method: `plateau` or one of `FINDERS`.
-        levels: Fixed by whoever knows the safety configuration; then nothing is searched, only labelled.
-        eps: Values this near to each other are the same value; None takes it from the noise: 3.5 deviations of a
-            plateau of 1.5 s (`plateau`) or of one sample (`dbscan`), at least 0.01.
-        min_samples: A level needs this many held samples; None: those of one second, three at
-            least.
-        rate_hz: Rate of the samples: what is long enough for a plateau or a level is told in seconds.
+        levels: Known levels of the safety configuration; if given, samples are only labelled.
+        eps: Neighbourhood radius of the clustering; None: 3.5 standard deviations of the mean of a plateau of 1.5 s
+            (`plateau`) or of one sample (`dbscan`), at least 0.01.
+        min_samples: Minimum number of held samples of a level; None: those of one second, at least three.
+        rate_hz: Rate of the samples; minimum durations of plateaus and levels are in seconds.
 
     Returns:
-        The staircase. P = 0 when no value is held often enough; the warnings then say so.
+        The staircase. P = 0, with a warning, if no value is held long enough.
 
     Raises:
-        ShapeError: `scaling` or `run` is not one row.
-        UnknownName: There is no such method.
+        ShapeError: `scaling` or `run` is not one-dimensional, or their lengths differ.
+        UnknownName: The method does not exist.
     """
     values = np.asarray(scaling, dtype=np.float64)
     runs = np.zeros(values.shape, np.int64) if run is None else np.asarray(run)
@@ -132,11 +130,11 @@ def find_staircase(
 
 @one_thread()
 def second_opinion(scaling: ArrayLike, staircase: Staircase) -> Note | None:
-    """Return a warning where K-means with silhouette finds another number of levels in the samples on plateaus.
+    """Return a warning if K-means with silhouette finds another number of levels in the labelled samples.
 
     Args:
-        scaling: What the staircase was found in, shape (T,).
-        staircase: By `plateau`; ramps, which mislead K-means, are left out by its labels.
+        scaling: Speed scaling of the staircase, shape (T,).
+        staircase: Found by `plateau`; its labels exclude ramps, which mislead K-means.
     """
     values = np.asarray(scaling, dtype=np.float64)
     if staircase.slider is not None:
@@ -151,7 +149,7 @@ def second_opinion(scaling: ArrayLike, staircase: Staircase) -> Note | None:
 
 
 def _finish(values: Floats, stretch: Ints, plateaus: Plateaus, found: Cluster, slider: Floats | None) -> Staircase:
-    """Round the levels where that is sure, label every sample, and say what is doubtful."""
+    """Round the levels if the data support it, label every sample, and add warnings."""
     levels = found.value if found.deviation is None else rounded(found.value, found.deviation)
     seen = values if slider is None else values / slider
     labels = label_in_time(seen, levels, stretch, plateaus=plateaus)
@@ -167,13 +165,13 @@ def _finish(values: Floats, stretch: Ints, plateaus: Plateaus, found: Cluster, s
 
 
 _MANY_LEVELS = 12
-"""More levels than any safety configuration offers: then the values are not a staircase."""
+"""Maximum number of levels of a staircase; no safety configuration offers more."""
 _WIDE = 6.0
-"""A cluster whose middle 90 % spread over more than this many eps is not a single level."""
+"""Maximum width of the middle 90 % of a level's cluster, in eps."""
 _MUCH_UNKNOWN = 0.2
 _LITTLE_HELD = 0.5
 _CONTINUOUS = 0.35
-"""So much of the time on slopes of many rates, and the scaling follows something that has no levels."""
+"""Maximum share of the time on slopes of various rates; above, the scaling is continuous."""
 _MUCH_NOISE = 0.15
 
 
@@ -187,19 +185,20 @@ def doubts(
     noise: float,
     slopes: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[list[Note], bool]:
-    """Say what speaks against a staircase.
+    """Return the evidence against a staircase.
 
     Args:
         levels: Shape (P,), ascending.
-        share: Part of the known samples on each, shape (P,).
+        share: Share of the known samples on each level, shape (P,).
         spread: Width of each cluster in eps, shape (P,).
-        known: Samples whose scaling is known.
-        held: Part of them that lies on plateaus; those on ramps between levels are not counted.
+        known: Number of samples with known scaling.
+        held: Share of these on plateaus, without those on ramps between levels.
         noise: Standard deviation of one sample.
-        slopes: Part of them on ramps of one rate, which lead from level to level, and on slopes of many rates.
+        slopes: Share of the known samples on ramps of one rate (transitions between levels), and on slopes of
+            various rates.
 
     Returns:
-        The reasons, and whether it is a staircase nevertheless.
+        Notes with the evidence, and whether it is a staircase nevertheless.
     """
     if known == 0:
         return [note("scaling-nowhere")], False

@@ -1,4 +1,4 @@
-"""What one question about several sequences is answered with: estimates, and what could not be answered."""
+"""Answers to a question about several sequences: the estimates, and the sequences without an answer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 @dataclass(frozen=True)
 class Refusal:
-    """What cannot be answered from these logs: the name of a sequence or change, and why."""
+    """A sequence or change that these logs cannot answer: its name and the reason."""
 
     name: str
     error: EstimateError
@@ -36,11 +36,11 @@ class Refusal:
 
 @dataclass(frozen=True, repr=False)
 class Answers(Result, Sequence[Answer]):
-    """The answers to several questions, in order, and the questions that cannot be answered.
+    """The answers to several questions, in order, and the questions without an answer.
 
     Attributes:
-        answers: What was answered.
-        refused: What was not, and why.
+        answers: The answers.
+        refused: The questions without an answer, each with its reason.
     """
 
     answers: tuple[Answer, ...]
@@ -53,18 +53,18 @@ class Answers(Result, Sequence[Answer]):
     def __getitem__(self, index: slice) -> tuple[Answer, ...]: ...
 
     def __getitem__(self, index: int | slice) -> Answer | tuple[Answer, ...]:
-        """Return one of the answers, or several."""
+        """Return one answer, or a slice of them."""
         return self.answers[index]
 
     def __len__(self) -> int:
-        """Return how many answers there are."""
+        """Return the number of answers."""
         return len(self.answers)
 
     def require_all(self) -> Self:
-        """Return this, if every question is answered.
+        """Return this object if every question has an answer.
 
         Raises:
-            EstimateError: One is not; the first of them.
+            EstimateError: The reason of the first question without an answer.
         """
         for refusal in self.refused:
             raise refusal.error
@@ -73,20 +73,20 @@ class Answers(Result, Sequence[Answer]):
 
 @dataclass(frozen=True, repr=False)
 class CycleEstimates(Answers[CycleEstimate]):
-    """The estimates of several sequences: those of the same work together, shortest first."""
+    """The estimates of several sequences, grouped by work, shortest first."""
 
     @property
     def check(self) -> Check | None:
-        """The validation on logged executions that corrected them; None where there was none."""
+        """The validation on logged executions that corrected the estimates; None without one."""
         return self[0].check if self.answers else None
 
     @property
     def alarms(self) -> tuple[str, ...]:
-        """What belongs above the numbers, one sentence each."""
+        """Warnings to show above the numbers, one sentence each."""
         return tuple(dict.fromkeys(one.check.alarm for one in self if one.check and one.check.alarm))
 
     def plot(self) -> Drawing:
-        """Return the sequences as a time chart, mean times, as a matplotlib figure."""
+        """Return a time chart of the sequences (mean times) as a matplotlib figure."""
         return gantt_figure(self.answers)
 
     def to_dict(self) -> dict[str, object]:
@@ -99,7 +99,7 @@ class CycleEstimates(Answers[CycleEstimate]):
         }
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per sequence: mean, 95 % interval, quantiles of single cycles (`q0.05_s`), split; seconds."""
+        """Return one row per sequence: mean, 95 % interval, quantiles of single cycles (`q0.05_s`), split; s."""
         import polars as pl
 
         heads, rows = self._rows()
@@ -133,7 +133,7 @@ class CycleEstimates(Answers[CycleEstimate]):
 
 
 def together(refused: Sequence[Refusal]) -> EstimateError:
-    """Return one error for all that cannot be answered."""
+    """Return one error that names everything without an answer."""
     first, *others = {str(one.error): one.error for one in refused}.values()
     if not others:
         return first
@@ -141,6 +141,6 @@ def together(refused: Sequence[Refusal]) -> EstimateError:
 
 
 def refusing(refused: list[Refusal], asked: TaskSequence | Change, error: EstimateError) -> None:
-    """Keep what cannot be answered, once."""
+    """Add a sequence or change to `refused`, at most once per name."""
     if asked.name not in {one.name for one in refused}:
         refused.append(Refusal(asked.name, error))

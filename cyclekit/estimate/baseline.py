@@ -1,4 +1,4 @@
-"""Today's cycle: the logged executions that others are held against, and what they were like task by task."""
+"""The baseline: logged executions that other cycles are compared with, and their mean times per task."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Vector
 
 LEAST_RUNS = 5
-"""The order that was run most is the baseline from so many executions on; of fewer, all that do the same work."""
+"""Minimum number of executions of the most frequent order to use it as baseline; below it, all of the same work."""
 LEVELS = (0.05, 0.5, 0.95)
-"""Quantiles of logged executions."""
+"""Quantile levels reported for logged executions."""
 _SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
 @dataclass(frozen=True)
 class Today:
-    """The logged executions that are the baseline, or an estimate that was named for it.
+    """The baseline: logged executions, or an estimate chosen by name.
 
     Attributes:
-        executions: Number of them; 0 for an estimate.
-        mean_s: Their mean cycle time.
-        low_s, high_s: Its 95 % interval from resampling executions; both equal the mean for one execution.
-        missed: Number of executions longer than the takt; None without a takt.
-        within: Share of them within the takt, with its 95 % interval; None without a takt.
-        order: The order that all of them ran; None where they ran several.
-        names: Their names.
-        sequence: Name of the sequence that was named for the baseline; None where none was.
+        executions: Number of logged executions; 0 for an estimate.
+        mean_s: Mean cycle time.
+        low_s, high_s: 95 % interval of the mean, from resampled executions; both equal the mean for one execution.
+        missed: Number of executions longer than the takt time; None without a takt time.
+        within: Share of executions within the takt time, with its 95 % interval; None without a takt time.
+        order: The order that all of them ran; None if they ran several.
+        names: Names of the executions.
+        sequence: Name of the sequence chosen as baseline; None without one.
     """
 
     executions: int
@@ -58,7 +58,7 @@ class Today:
 
     @property
     def missed_share(self) -> float | None:
-        """Share of the executions longer than the takt."""
+        """Share of the executions longer than the takt time."""
         return None if self.within is None else 1.0 - self.within[0]
 
     def to_dict(self) -> dict[str, object]:
@@ -68,15 +68,15 @@ class Today:
 
 
 def today_of(dataset: Dataset, work: Work, takt_s: float | None, named: CycleEstimate | None = None) -> Today | None:
-    """Return the baseline: the logged executions of the order run most, without those without an operator.
+    """Return the baseline: logged executions of the most frequent order, without reference runs without an operator.
 
-    Of an order run fewer than LEAST_RUNS times, all that do the same work. None where no execution did it.
+    If that order ran fewer than LEAST_RUNS times, all executions of the same work count. None if there are none.
 
     Args:
         dataset: The logs.
-        work: What the cycles do.
+        work: The work of the cycles.
         takt_s: The takt time, s.
-        named: The sequence that was named for the baseline: its logged executions, or else its estimate.
+        named: The sequence chosen as baseline: its logged executions are used, or its estimate if it was never logged.
     """
     durations = dict(dataset.executions.filter("complete").select("execution", "duration_s").iter_rows())
     logged = _orders(dataset)
@@ -104,7 +104,7 @@ def today_of(dataset: Dataset, work: Work, takt_s: float | None, named: CycleEst
 
 
 def _orders(dataset: Dataset) -> dict[str, tuple[str, ...]]:
-    """Return the order that each execution ran: its places, or of task lists the tasks of robot and operator."""
+    """Return the order of each execution: its places or, for task lists, the tasks of robot and operator."""
     found = {one.execution: tuple(one.places) for one in dataset.card.executions if one.places}
     if not found:
         tasks = dataset.every_task().sort("start_s").select("execution", "agent", "task")
@@ -122,7 +122,7 @@ def _plan_order(tasks: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _does(order: tuple[str, ...], work: Work) -> bool:
-    """Tell whether an order does this work; tasks of lists are compared by their names, whatever agents are called."""
+    """Return whether an order does this work; tasks of task lists are compared by name, whatever the agent's name."""
     if order[:1] != (PLAN,):
         return work_of(order) == work
     mine, wanted = (
@@ -138,7 +138,7 @@ def _estimated(named: CycleEstimate, takt_s: float | None) -> Today:
 
 
 def _interval(names: Sequence[str], cycles_s: Vector) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of cycles, shape (N,), s; what few of them hide widens it (Student's t)."""
+    """Return the 95 % interval of the mean of cycles, shape (N,), s; Student's t widens it for few cycles."""
     mean_s, count = float(cycles_s.mean()), len(cycles_s)
     if count < 2:
         return mean_s, mean_s
@@ -148,7 +148,7 @@ def _interval(names: Sequence[str], cycles_s: Vector) -> tuple[float, float]:
 
 
 def logged_order(dataset: Dataset) -> tuple[str, ...]:
-    """Return the complete executions of the order that was run most; of orders run once, the one of median length."""
+    """Return the complete executions of the most frequent order; if no order repeats, the one of median length."""
     alone = [one.execution for one in dataset.card.executions if one.reference]
     complete = dataset.executions.filter("complete").sort("duration_s")["execution"].to_list()
     tasks = dataset.tasks().sort("start_s").group_by("execution").agg("task")
@@ -163,9 +163,9 @@ def logged_order(dataset: Dataset) -> tuple[str, ...]:
 
 
 def logged_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEstimate | None:
-    """Return what logged executions of one order were like, as an estimate: means of their tasks, and their quantiles.
+    """Return logged executions of one order as an estimate: mean task times and quantiles of the cycles.
 
-    None where the robot's tasks are not known, or differ between them.
+    None if the robot's tasks are unknown, or differ between the executions.
     """
     tasks = dataset.tasks().filter(pl.col("execution").is_in(list(names))).sort("execution", "start_s")
     each = [rows for _, rows in tasks.group_by(["execution"], maintain_order=True)]
@@ -180,7 +180,7 @@ def logged_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEst
     begun_s = np.concatenate([np.zeros((len(each), 1)), ends_s[:, :-1]], axis=1)
     parts_s = np.stack([_parts_s(rows) for rows in each]).mean(axis=0)
     took_s = (ends_s - begun_s).mean(axis=0)
-    parts_s[:, 3] += took_s - parts_s.sum(axis=1)  # what lies between two tasks is a wait
+    parts_s[:, 3] += took_s - parts_s.sum(axis=1)  # time between two tasks counts as wait
     shares = tuple(
         TaskShare(task, float(took), *parts, *ends)
         for task, took, parts, ends in zip(each[0]["task"], took_s, parts_s.tolist(), band, strict=True)
@@ -198,9 +198,9 @@ def logged_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEst
 
 
 def listed_cycles(dataset: Dataset) -> dict[str, CycleEstimate]:
-    """Return what the executions of task lists were like, by which they are: `most`, the mean of the order run most.
+    """Return logged executions of task lists as estimates, by key: `most` is the mean of the most frequent order.
 
-    Where every order was run once: `shortest`, `middle` and `longest` execution. Empty where no task list was logged.
+    If no order repeats, the keys are `shortest`, `middle` and `longest` execution. Empty without task lists.
     """
     runs, _ = logged_runs(dataset)
     if not runs:
@@ -213,13 +213,13 @@ def listed_cycles(dataset: Dataset) -> dict[str, CycleEstimate]:
         return {} if found is None else {"most": found}
     by_length = sorted(runs, key=lambda run: run.duration_s)
     chosen = {"middle": by_length[len(runs) // 2], "shortest": by_length[0], "longest": by_length[-1]}
-    one_by_one = {run.name: which for which, run in reversed(chosen.items())}  # of one execution: the middle
+    one_by_one = {run.name: which for which, run in reversed(chosen.items())}  # a single execution is the middle
     drawn = {which: listed_cycle(dataset, [name], name) for name, which in one_by_one.items()}
     return {which: found for which in ("shortest", "middle", "longest") if (found := drawn.get(which)) is not None}
 
 
 def listed_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEstimate | None:
-    """Return what executions of task lists in one order were like, as an estimate; None where their orders differ."""
+    """Return executions of task lists in one order as an estimate; None if their orders differ."""
     runs, kinds = logged_runs(dataset)
     runs = [run for run in runs if run.name in set(names)]
     if len({run.order for run in runs}) != 1:
@@ -239,7 +239,7 @@ def listed_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEst
 
 
 def _listed(runs: Sequence[Run], agent: str, kind: str) -> list[PlannedShare]:
-    """Return the tasks of an agent: means over executions of one order."""
+    """Return the tasks of an agent, with mean times over executions of one order."""
     times_s = np.array([[(done.start_s, done.end_s) for done in run.tasks[agent]] for run in runs])
     wait_s = times_s[:, :, 0] - np.concatenate([np.zeros((len(runs), 1)), times_s[:, :-1, 1]], axis=1)
     start_s, end_s = times_s.mean(axis=0).T.tolist()
@@ -255,7 +255,7 @@ def _listed(runs: Sequence[Run], agent: str, kind: str) -> list[PlannedShare]:
 
 
 def _parts_s(rows: pl.DataFrame) -> Floats:
-    """Return motion, loss, dwell and wait of each task (tasks, 4), s; unknown loss counts as motion."""
+    """Return motion, safety loss, dwell and wait of each task, shape (tasks, 4), s; unknown loss counts as motion."""
     loss = pl.col("safety_loss_s").fill_null(0.0)
     motion = pl.col("arrival_s") - pl.col("start_s") - loss
     others = (pl.col(name).fill_null(0.0) for name in ("dwell_s", "wait_s"))

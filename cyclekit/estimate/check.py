@@ -1,13 +1,13 @@
-"""Does a rollout give what was logged? Logged executions as their own judges, and intervals that rest on them.
+"""Validation of the rollout on logged executions, and prediction intervals based on it.
 
-Each complete execution is rolled out twice: beside its own operator, which leaves the network's error alone; and
-beside the operators of all other executions, as a new sequence would be. If the operator does not react to the robot,
+Each complete execution is rolled out twice: with its own operator track, which isolates the network's error; and with
+the operator tracks of all other executions, as a new sequence would be. If the operator does not react to the robot,
 both agree with the log on average.
 
-The operator of a new cycle is then like those of the logged ones, so the conformal quantile of their rolled-out
-cycles, each off by a residual of logged executions, covers a new cycle as often as it says (Vovk's
-argument, as in Angelopoulos and Bates, arXiv 2107.07511). Whether it does is measured: each logged duration against the
-rolled-out cycles of all other operators.
+If the operator of a new cycle behaves like the logged ones, the conformal quantile of their rolled-out cycles, each
+perturbed by a residual of logged executions, has its nominal coverage (Vovk's argument, as in Angelopoulos and Bates,
+arXiv 2107.07511). The coverage is measured: each logged duration is compared with the rolled-out cycles of all other
+operators.
 """
 
 from __future__ import annotations
@@ -47,51 +47,51 @@ if TYPE_CHECKING:
 
 
 MOST = 200
-"""Logged executions that are rolled out at most, evenly chosen: whoever asks, a number is corrected by the same ones.
-How many of them lie in their intervals is then known to two percent points."""
+"""Maximum number of logged executions to roll out, evenly chosen; every caller gets the same ones, so the same
+correction. The standard error of the coverage is then 2 percentage points."""
 ENOUGH = 1.25
-"""Tracks are this many times as long as the longest logged execution; longer only where a cycle does not end."""
+"""Length of the tracks, as a multiple of the longest logged execution; longer only if a cycle does not end."""
 LEAST = 3
-"""From fewer executions no standard error of the bias can be told, so nothing is corrected."""
+"""Minimum number of executions to estimate the bias: fewer give no standard error."""
 FEW_EXECUTIONS = 10
-"""With fewer executions no coverage is told: a 5 % quantile of them would be guessed."""
+"""Minimum number of executions to report a coverage: fewer do not determine a 5 % quantile."""
 REACTS_Z = 3.0
-"""So many standard errors between crossed and logged durations are no chance."""
+"""Threshold, standard errors, of the difference between durations with other and own operator tracks."""
 ELSEWHERE = 0.3
-"""Of a bias that was taken out, so much remains on other orders (standard deviation, as part of it): measured with the
-learned safety function beside the true one, in cells with ramps and hysteresis."""
+"""Standard deviation of a corrected bias on other orders, as a share of the bias. Measured as the learned against the
+true safety function, in cells with ramps and hysteresis."""
 OWN_BIAS = 0.01
-"""A rollout beside the operators themselves that is off by more than this part is wrong."""
+"""Minimum bias with the own operator tracks that is reported as a doubt, as a share of the duration."""
 ALARMING_BIAS = 0.03
-"""A larger one is told above the numbers."""
+"""Minimum bias that is shown above the numbers, as a share of the duration."""
 SURE = 3.0
-"""So many standard errors from 0 a bias is no chance."""
+"""Threshold, standard errors: a larger bias is significant."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """How rolled-out durations compare with logged ones; parts of the duration.
+    """Comparison of rolled-out with logged durations; errors are shares of the duration.
 
     Attributes:
-        executions: How many logged executions were rolled out.
-        held_out: How many of them the network had never seen.
-        own_bias: Mean of rolled / logged - 1, each execution beside its own operator; of those the network had not seen
-            where they come out worse than the others beyond chance (`judges`), else of all.
-        own_error: Standard error of that mean; it holds how far those the network had not seen lie from it.
-        crossed_bias: Mean of rolled / logged - 1 beside all other operators.
-        reacts_z: Difference of the two in standard errors: far from 0, the operator reacts to the robot.
-        residuals: logged / rolled - 1 of the same executions.
-        coverage: Part of the logged executions between the outer conformal quantiles of all other operators' cycles;
-            None with few executions.
-        coverage_held_out: `coverage` among the executions the network had not seen; None where there are none.
+        executions: Number of logged executions that were rolled out.
+        held_out: Number of them that the network was not trained on.
+        own_bias: Mean of rolled / logged - 1, each execution with its own operator track; over held-out executions if
+            they are significantly worse than the others (`judges`), else over all.
+        own_error: Standard error of that mean; it includes the distance of the held-out executions from it.
+        crossed_bias: Mean of rolled / logged - 1 with the tracks of all other operators.
+        reacts_z: Difference of the two biases in standard errors: far from 0, the operator reacts to the robot.
+        residuals: logged / rolled - 1 of the same executions as `own_bias`.
+        coverage: Share of logged executions between the outer conformal quantiles of the cycles with all other
+            operators; None with few executions.
+        coverage_held_out: `coverage` of the held-out executions; None without any.
         levels: The outer quantile levels of these coverages.
-        order_error: How far sums of logged task durations are off by the order, as part of the duration of an order of
-            one task (`history.order_error`); None with few executions.
-        operator: How the operator model compares with the logged tracks; None where it is these tracks.
-        unseen_error: How far the model may be off as the logs do not show people, or what the robot waits for (standard
-            deviation).
-        spread: What the deviations of cycles from their mean are multiplied by, so that they scatter as logged
-            executions of other orders do about their expected durations; 1 where logs show people.
+        order_error: Error of sums of logged task durations due to the order of tasks, as a share of the duration of an
+            order of one task (`history.order_error`); None with few executions.
+        operator: Comparison of the operator model with the logged tracks; None if the model is these tracks.
+        unseen_error: Standard deviation of the model's error because the logs do not show people, or what the robot
+            waits for.
+        spread: Factor on the deviations of cycles from their mean, so that they scatter as logged executions of other
+            orders do about their expected durations; 1 if the logs show people.
     """
 
     executions: int
@@ -111,32 +111,32 @@ class Check:
 
     @property
     def phases(self) -> int | None:
-        """How often tracks are entered (`operator_tracks`): once where logged tracks are used as they are."""
+        """Entries per track (`operator_tracks`): 1 if logged tracks are used as they are, else None."""
         return 1 if self.operator is not None and self.operator.as_logged else None
 
     @property
     def factor(self) -> float:
-        """What a rolled-out duration is multiplied by: the bias beside the own operators, as far as it is no chance.
+        """Factor on a rolled-out duration that corrects the bias with the own operator tracks.
 
-        The bias is drawn towards 0 by its own uncertainty (a positive-part James-Stein weight): far above its standard
-        error it is taken out, below it is left alone.
+        The bias is shrunk towards 0 by its uncertainty (a positive-part James-Stein weight): a bias far above its
+        standard error is corrected, one below it is not.
         """
         return 1.0 / (1.0 + self.own_bias * self._sure)
 
     @property
     def model_error(self) -> float:
-        """Standard deviation of the mean that the network, and people whom no log shows, leave open, as part of it."""
+        """Standard deviation of the mean due to the network and to people not logged, as a share of the mean."""
         return float(np.hypot(self.network_error, self.unseen_error))
 
     @property
     def network_error(self) -> float:
-        """Standard deviation of the mean that the network's error still stands for, as part of it."""
+        """Standard deviation of the mean due to the network's error, as a share of the mean."""
         left = 1 - self._sure, ELSEWHERE * self._sure
         return float(np.hypot(self.own_bias * np.hypot(*left), self.own_error))
 
     @property
     def own_within(self) -> float:
-        """Half the width of the 95 % interval of the bias, by Student's t: of as many executions as judged."""
+        """Half-width of the 95 % interval of the bias (Student's t, with one residual per execution)."""
         return within(self.own_error, len(self.residuals))
 
     @property
@@ -148,17 +148,17 @@ class Check:
         return abs(self.reacts_z) > REACTS_Z
 
     def biased(self, beyond: float) -> bool:
-        """Tell whether the bias beside the own operators is larger than a part of the duration, and no chance."""
+        """Return whether the bias with the own operator tracks exceeds a share of the duration and is significant."""
         return abs(self.own_bias) > max(beyond, SURE * self.own_error)
 
     @property
     def doubted_bias(self) -> float:
-        """A bias that a doubt names and nothing takes out, as part of the duration: the interval is no narrower."""
+        """Bias that a doubt names and nothing corrects, as a share of the duration; it widens the interval."""
         return abs(self.crossed_bias) if self._reacts else 0.0
 
     @property
     def alarm(self) -> str | None:
-        """The bias in one sentence where it is so large that it belongs above the numbers (ALARMING_BIAS)."""
+        """The bias in one sentence, if it is large enough to be shown above the numbers (ALARMING_BIAS)."""
         if not self.biased(ALARMING_BIAS):
             return None
         return (
@@ -168,7 +168,7 @@ class Check:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What speaks against the rollout, one sentence each."""
+        """Reasons to doubt the rollout, one sentence each."""
         found = []
         if self.executions < FEW_EXECUTIONS:
             found.append(f"{self.executions} logged executions are too few for reliable quantiles")
@@ -188,19 +188,19 @@ class Check:
         return tuple(found)
 
     def residuals_of(self, count: int) -> Vector:
-        """Return by how much each of `count` cycles is taken to be off, as part of it: residuals about their mean."""
+        """Return an error for each of `count` cycles, as a share: residuals minus their mean, repeated and shuffled."""
         off = np.resize(np.array(self.residuals) - np.mean(self.residuals), count)
         return np.asarray(np.random.default_rng(0).permutation(off))
 
     def quantile(self, cycles_s: Vector, level: float) -> float:
-        """Return the conformal quantile of corrected cycles (K,), s, each off by a residual."""
+        """Return the conformal quantile of corrected cycles (K,), s, each perturbed by a residual."""
         if self.spread != 1.0:
             mean_s = cycles_s.mean()
             cycles_s = mean_s + self.spread * (cycles_s - mean_s)
         return conformal(cycles_s * (1.0 + self.residuals_of(len(cycles_s))), level)
 
     def to_dict(self) -> dict[str, object]:
-        """Return the check as plain JSON values."""
+        """Return the validation as plain JSON values."""
         out = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
         return out | {"doubts": list(self.doubts), "operator": self.operator.to_dict() if self.operator else None}
 
@@ -214,15 +214,14 @@ def check_rollout(
     most: int | None = MOST,
     seed: int = 0,
 ) -> Check:
-    """Roll out the logged executions and compare.
+    """Roll out the logged executions and compare their durations with the logs.
 
     Args:
         model: A model of problem `now`.
         dataset: The logs.
-        levels: Quantile levels that will be asked for.
-        most: Roll out no more executions than this, evenly chosen, beside the operators of each other; None: all.
-        seed: Of the order in which logged stands are used.
-        progress: Told fraction and text.
+        levels: Quantile levels that the estimate will report.
+        most: Maximum number of executions to roll out, evenly chosen, with each other's operator tracks; None: all.
+        seed: Seed of the order in which logged standstills are used.
 
     Raises:
         EstimateError: Fewer than LEAST complete executions have an operator track and tasks of known scaling.
@@ -256,7 +255,7 @@ def check_rollout(
     part = model.unseen_error if isinstance(model, OnStates) else 0.0
     unseen_error, spread = unseen_people(part, logged / means, crossed[some])
     times, chance = TaskTimes(dataset), np.zeros(len(sequences))
-    if isinstance(model, OnStates):  # few operators are walked, and most of the difference is their chance
+    if isinstance(model, OnStates):  # few operator tracks are simulated, so chance causes most of the difference
         together = TOGETHER if tracks.runs_on else 1
         chance = chance_of_logs(times, sequences, crossed, tracks.executions, together)
     return replace(
@@ -269,12 +268,12 @@ def check_rollout(
 
 
 def unseen_people(part: float, off: Vector, crossed_s: Floats) -> tuple[float, float]:
-    """Return `unseen_error` and `spread` of a check.
+    """Return `unseen_error` and `spread` of a `Check`.
 
     Args:
-        part: Part of the spread of logged durations by which expected ones may be off.
-        off: Logged over expected durations, shape (E,); NaN where the latter is unknown.
-        crossed_s: Durations of the executions that are known beside each of K operators, shape (N, K), s.
+        part: Error of expected durations, as a share of the spread of logged durations.
+        off: Logged over expected durations, shape (E,); NaN if the latter is unknown.
+        crossed_s: Durations with each of K operator tracks, for the executions with known ones, shape (N, K), s.
     """
     if not part:
         return 0.0, 1.0
@@ -284,7 +283,7 @@ def unseen_people(part: float, off: Vector, crossed_s: Floats) -> tuple[float, f
 
 
 def _some(sequences: list[TaskSequence], most: int | None) -> list[TaskSequence]:
-    """Return at most `most` of them, evenly chosen."""
+    """Return at most `most` sequences, evenly chosen."""
     if most is None or len(sequences) <= most:
         return sequences
     return [sequences[i] for i in np.linspace(0, len(sequences) - 1, most).astype(int)]
@@ -297,13 +296,13 @@ def _enough(dataset: Dataset, count: int) -> None:
 
 
 def compare(logged_s: Vector, own_s: Vector, crossed_s: Floats, held_out: Bools, levels: Sequence[float]) -> Check:
-    """Compare rolled with logged durations.
+    """Compare rolled-out with logged durations.
 
     Args:
-        logged_s: Durations in the log, shape (E,).
-        own_s: Rolled out beside their own operators, shape (E,).
-        crossed_s: Beside each of K operators, shape (E, K); NaN is left out.
-        held_out: Which executions the network never saw, shape (E,).
+        logged_s: Logged durations, shape (E,).
+        own_s: Durations rolled out with the own operator track, shape (E,).
+        crossed_s: Durations rolled out with each of K operator tracks, shape (E, K); NaN values are ignored.
+        held_out: Which executions the network was not trained on, shape (E,).
         levels: Quantile levels in (0, 1).
     """
     good = np.isfinite(own_s) & np.isfinite(crossed_s).any(axis=1)

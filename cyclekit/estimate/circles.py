@@ -1,10 +1,10 @@
-"""Logged operators joined to circles, which a cycle may enter at any instant.
+"""Logged operator tracks joined to closed circles, which a cycle may enter at any instant.
 
-An operator who comes and goes as he likes is the same at any time. So the logs are laid one behind the other: each ends
-where another one begins that fits it best, until all of them form closed circles. Entered at even steps, each second
-of the logs meets each part of the program equally often; entered at some instants of each log alone, its end never
-met the beginning of a program, and which operators were logged moved the mean more. Each log follows exactly one: the
-assignment of least total difference (Kuhn, Naval Research Logistics Quarterly 2, 1955).
+This is for an operator whose behaviour does not depend on the phase of the cycle. Each log is followed by the log whose
+beginning matches its end best, until all logs form closed circles. Tracks start at even steps along the circles, so
+that each second of the logs meets each part of the program equally often. With a few start instants per log, the end
+of a log never met the beginning of a program, and the mean depended more on which operators were logged. Each log
+follows exactly one: the assignment of least total difference (Kuhn, Naval Research Logistics Quarterly 2, 1955).
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     from cyclekit.schema import Ints, Points
 
 AT_ONCE = 1000
-"""So many logs are assigned to each other at once; of more, neighbours."""
+"""Maximum number of logs in one assignment; more are split into groups of neighbours."""
 
 
 class Entered(NamedTuple):
-    """Tracks that enter logs.
+    """Tracks that start at some instant of a log.
 
     Attributes:
         where: x_h (and g_h), shape (entries, length, 3 or 6).
         activity: Shape (entries, length).
-        owner: Which log each enters, shape (entries,); circles one behind the other.
-        logged: Samples until the end of that log, or of the last one that really followed it, shape (entries,).
+        owner: Number of the log in which each track starts, shape (entries,); in the order of the circles.
+        logged: Samples until the end of that log, or of the last log that really followed it, shape (entries,).
     """
 
     where: Points
@@ -44,21 +44,21 @@ class Entered(NamedTuple):
 def enter(
     logs: Sequence[Stretch], step_s: float, *, entries: int, length: int, after: Mapping[int, int] | None = None
 ) -> Entered:
-    """Join logs to circles and enter these at even steps.
+    """Join logs to circles and start tracks at even steps along them.
 
     Args:
-        logs: One per execution, each of one sample or more.
+        logs: One per execution, each of at least one sample.
         step_s: Time between samples.
-        entries: How many tracks are wanted.
-        length: Samples of each.
-        after: Which log really followed which, by number: these stay together.
+        entries: Number of tracks.
+        length: Samples per track.
+        after: Number of the log that really followed a log, by the number of the latter: these stay together.
     """
     really = dict(after or {})
     preceded = set(really.values())
     circles = _circles(_followers(logs, step_s, really), [k for k in range(len(logs)) if k not in preceded])
     order = np.array([k for circle in circles for k in circle])
     sizes = np.array([len(logs[k].where) for k in order])
-    last = np.cumsum(sizes)  # one behind each log
+    last = np.cumsum(sizes)  # one past the end of each log
     first = last - sizes
     of = np.repeat(np.arange(len(circles)), [len(circle) for circle in circles])
     begin, count = first[np.unique(of, return_index=True)[1]], np.bincount(of, sizes).astype(np.int64)
@@ -66,7 +66,7 @@ def enter(
     joined = np.array([k not in preceded for k in order])
     before = np.where(first == begin[of], begin[of] + count[of], first) - 1
     _smooth(where, before[joined], first[joined], sizes[joined], step_s)
-    ends = last.copy()  # of what the operator really did
+    ends = last.copy()  # end of what this operator really did
     for n in np.flatnonzero([k in really for k in order])[::-1].tolist():
         ends[n] = ends[n + 1]
     at = np.arange(entries) * len(where) // entries
@@ -77,10 +77,10 @@ def enter(
 
 
 def _followers(logs: Sequence[Stretch], step_s: float, really: Mapping[int, int]) -> dict[int, int]:
-    """Return which log follows each: the one that really did, else the one that is assigned to it."""
+    """Return the follower of each log: the one that really followed, else the assigned one."""
     ends = [k for k in range(len(logs)) if k not in really]
     begins = sorted(set(range(len(logs))) - set(really.values()))
-    head = {begin: begin for begin in begins}  # where each chain of logs that really followed each other began
+    head = {begin: begin for begin in begins}  # last log of each chain of really following logs -> its first
     for begin in begins:
         k = begin
         while k in really:
@@ -96,7 +96,7 @@ def _followers(logs: Sequence[Stretch], step_s: float, really: Mapping[int, int]
 
 
 def _circles(follower: Mapping[int, int], heads: Sequence[int]) -> list[list[int]]:
-    """Return the closed circles of logs, each from a log on that no other one really preceded."""
+    """Return the closed circles of logs, each starting at a log that no other log really preceded."""
     circles: list[list[int]] = []
     seen: set[int] = set()
     for head in heads:
@@ -110,7 +110,7 @@ def _circles(follower: Mapping[int, int], heads: Sequence[int]) -> list[list[int
 
 
 def _smooth(where: Points, before: Ints, first: Ints, sizes: Ints, step_s: float) -> None:
-    """Smooth the steps between samples `before` and `first`, over BLEND_S or the log that begins there, in place."""
+    """Smooth the jump between samples `before` and `first`, over BLEND_S or the log that begins there, in place."""
     step = where[before, :3] - where[first, :3]
     step[~np.isfinite(step[:, :2]).all(axis=1)] = 0.0
     step = np.nan_to_num(step)  # a height may be unknown

@@ -1,4 +1,4 @@
-"""Conformal quantiles: what one more value lies below as often as it says."""
+"""Conformal quantiles: a new value lies below one with the probability of its level."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ if TYPE_CHECKING:
 
 
 def conformal(values: Vector, level: float) -> float:
-    """Return the value that one more is at or below with probability `level`: rank (K + 1) level of K, interpolated.
+    """Return the value that a new one does not exceed with probability `level`: rank (K + 1) * level, interpolated.
 
-    Rounding the ranks outwards instead would never cover too little, and at 45 executions far too much.
+    Rounding the ranks outwards would guarantee the coverage, but at 45 executions give far wider intervals.
     """
     return float(np.quantile(values, level, method="weibull"))
 
 
 def holds(logged_s: float, cycles_s: Vector, outer: float) -> bool:
-    """Tell whether a duration lies between the outer conformal quantiles of K cycles, (K,), s."""
+    """Return whether a duration lies between the outer conformal quantiles of K cycles, shape (K,), s."""
     return conformal(cycles_s, outer) <= logged_s <= conformal(cycles_s, 1 - outer)

@@ -1,12 +1,12 @@
-"""What the operator does next: logged tracks continued by stretches of other logged tracks, for as long as asked.
+"""Continuation of operator tracks: logged tracks extended by stretches of other logged tracks, to any length.
 
-A cycle may take longer than any log of the operator. Where a track ends, it goes on with a stretch of another track
-that begins in the same state: what the operator does, where he is, how he moves, and for how long he has been at it
-(or away). Of the tracks that come nearest one is drawn. A logged execution ends when the robot is done, which depends
-on what the operator did before and not on what he does next; so what followed the same state elsewhere is a fair draw
-of what follows here, however long or short the execution was that it comes from. (A block bootstrap with matched
-blocks: Carlstein, Do, Hall, Hesterberg and Künsch, Bernoulli 4, 1998.) No state says everything, and a log ends more
-often where its operator is away; so instants are weighed until all of the logs is used alike (`Continuation._weights`).
+A cycle may take longer than any log of the operator. At its end, a track continues with a stretch of another track that
+begins in the same state: task, position, velocity, and how long the operator has been at it (or away). One of the most
+similar tracks is drawn. A logged execution ends when the robot has finished, which depends on what the operator did
+before and not on what he does next. So what followed the same state elsewhere is an unbiased draw, whatever the length
+of the execution that it comes from. (A block bootstrap with matched blocks: Carlstein, Do, Hall, Hesterberg and Künsch,
+Bernoulli 4, 1998.) No state describes the operator fully, and logs end more often while he is away; so the instants
+have weights by which all parts of the logs are used equally often (`Continuation._weights`).
 """
 
 from __future__ import annotations
@@ -23,50 +23,50 @@ if TYPE_CHECKING:
 
 
 NEAR_M = 0.4
-"""One unit of difference between two states: so far apart,"""
+"""Distance between two positions, m, that counts as one unit of difference between states."""
 NEAR_M_S = 0.5
-"""... so much faster,"""
+"""Difference in velocity, m/s, that counts as one unit."""
 PHASE_S = 10.0
-"""... so much later since the cycle began, where the operator's habits begin with it,"""
+"""Difference in time since the start of the cycle, s, that counts as one unit, if habits depend on that time."""
 ELAPSED = 2.0
-"""... or at it for exp(1 / ELAPSED) times as long (times of seconds; below a second nothing differs)."""
+"""Units per natural logarithm of the ratio of times at the task; times below 1 s count as 1 s."""
 OTHER_TASK = 5.0
-"""Units by which two tasks of the operator differ."""
+"""Units of difference between two tasks of the operator."""
 ITSELF = 5.0
-"""Units by which a stretch of the very track that ends differs: it would be walked in a circle."""
+"""Units added for a stretch of the track that ends: a track should not repeat itself."""
 AWAY = 100.0
-"""Units by which being away differs from being there."""
+"""Units of difference between an absent and a present operator."""
 STILL_M_S = 0.2
-"""An operator slower than this stays."""
+"""Speed below which the operator counts as stationary, m/s."""
 LONG_S = 60.0
-"""For longer than this nobody needs to know how long he has been at it."""
+"""Maximum time at a task, s, that states distinguish."""
 ALIKE = 0.5
-"""Ends of the same log are one state where neither time differs by more units: what can follow is looked up once."""
+"""Grid of the two times, units: ends of one log in the same grid cell share their candidates."""
 EVERY_S = 0.5
-"""Instants of a track at which a stretch may begin are so far apart,"""
+"""Time between the instants of a track at which a stretch may begin, s."""
 LEAST_S = 1.0
-"""... and the last one is so long before its end."""
+"""Minimum time from such an instant to the end of its track, s."""
 DRAWN = 15
-"""The nearest instants of so many tracks can be drawn,"""
+"""Maximum number of tracks, the most similar ones, from which a stretch is drawn."""
 WITHIN = 1.5
-"""... if they are no farther than the best one by so many units."""
+"""Maximum difference of a candidate beyond that of the best one, units."""
 TURNS = 60
-"""Rounds in which the weights of the instants are found."""
+"""Number of iterations that find the weights of the instants."""
 MOST_WEIGHED = 400
-"""More tracks than this are no few that follow each other: all instants weigh the same."""
+"""Maximum number of tracks for which weights are computed; with more, all instants have equal weight."""
 PARTS = 4
-"""Parts of a track that are weighed apart."""
+"""Number of parts of a track that have separate weights."""
 MOST_WEIGHT = 30.0
-"""No instant is drawn so many times as readily as its likeness alone would have it, or as seldom."""
+"""Maximum weight of an instant; the minimum is its inverse."""
 BLEND_S = 1.0
-"""The step between two tracks is smoothed over this time; no longer than the shortest stretch."""
+"""Time over which the jump between two tracks is smoothed, s; at most the length of the shortest stretch."""
 AT_ONCE = 2_000_000
-"""Differences between states that are in memory at once."""
+"""Maximum number of differences between states in memory at once."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """What was logged of one operator from the start of a cycle: x_h (and g_h), (T, 3 or 6), and activity, (T,)."""
+    """Logged track of one operator from the start of a cycle: x_h (and g_h), (T, 3 or 6), and activity, (T,)."""
 
     where: Points
     activity: Ints
@@ -74,7 +74,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class _Piece:
-    """What one splice appends to N tracks: to which, behind how many samples, from behind which instant, how many."""
+    """One splice of N tracks, shape (N,) each: track, its samples so far, instant it continues after, samples added."""
 
     track: Ints
     behind: Ints
@@ -83,15 +83,15 @@ class _Piece:
 
 
 class Continuation:
-    """Stretches that can follow, by state."""
+    """Stretches of logged tracks that can continue a track, looked up by state."""
 
     def __init__(self, tracks: Sequence[Stretch], step_s: float, *, phase_free: bool) -> None:
-        """Remember the states of all logged tracks.
+        """Compute the states of all logged tracks.
 
         Args:
             tracks: One per execution, from its start.
             step_s: Time between samples.
-            phase_free: The operator's habits do not begin with the cycle.
+            phase_free: Whether the operator's habits do not depend on the time since the start of the cycle.
         """
         self._step_s = step_s
         self._logs = logs = LoggedStates(tracks, step_s)
@@ -108,12 +108,12 @@ class Continuation:
         self._weight: Vector | None = None
 
     def _weights(self) -> Vector:
-        """Return how readily each instant is drawn, shape (instants,), so that all of the logs is used alike.
+        """Return the weight of each instant in the draw, shape (instants,): all parts of the logs are used equally.
 
-        By likeness alone a few tracks follow each other again and again, their ends more than their beginnings, and
-        what happens there would be taken for what operators do. Each end of a track leads to instants that are like
-        it. Their weights, one for each of PARTS parts of each track, are changed in turns until, walked for ever,
-        every part comes as often as in the logs.
+        With similarity alone a few tracks follow each other again and again, their ends more often than their
+        beginnings, and would be overrepresented. The end of each track leads to instants of similar state. Their
+        weights, one for each of PARTS parts of a track, are iterated until an endless track would use every part as
+        often as it occurs in the logs.
         """
         logs, count = self._logs, len(self._logs.last)
         length = (logs.last + 1 - logs.first).astype(np.float64)
@@ -121,7 +121,7 @@ class Continuation:
         found, near = self.nearest(np.hstack([logs.states(logs.last, self._kinds), times]), np.arange(count))
         may = np.arange(found.shape[1]) < near[:, None]
         to = self._owner[found]
-        into = (self._at[found] - logs.first[to]) / length[to]  # where each track is entered, in [0, 1)
+        into = (self._at[found] - logs.first[to]) / length[to]  # where the stretch begins in its track, in [0, 1)
         begin = np.arange(PARTS) / PARTS
         covers = np.clip(begin + 1.0 / PARTS - into[..., None], 0.0, 1.0 / PARTS) * length[to][..., None]
         covers[~may] = 0.0
@@ -148,10 +148,10 @@ class Continuation:
         """Continue tracks to `length` samples each.
 
         Args:
-            begun: K tracks, each of one sample or more.
-            owners: Which of the remembered tracks each ends with, -1: none; itself it goes on with at need (ITSELF).
-            length: Samples wanted.
-            seed: Same seed, same draw.
+            begun: K tracks, each of at least one sample.
+            owners: Logged track that each one ends with, -1: none; it may continue with itself at a penalty (ITSELF).
+            length: Samples per track.
+            seed: Seed of the draw.
 
         Returns:
             x_h (and g_h), shape (K, length, 3 or 6), and activity, shape (K, length).
@@ -167,7 +167,7 @@ class Continuation:
         return where, activity
 
     def _pieces(self, begun: Sequence[Stretch], owners: Ints, length: int, seed: int) -> list[_Piece]:
-        """Return what is appended, splice by splice: each time to all tracks that are too short."""
+        """Return the pieces to append: each splice extends all tracks that are too short."""
         logs, rng, pieces = self._logs, np.random.default_rng(seed), []
         back = round(LONG_S / self._step_s)
         ends = LoggedStates([Stretch(track.where[-back:], track.activity[-back:]) for track in begun], self._step_s)
@@ -177,10 +177,10 @@ class Continuation:
             ends.spell[ends.last],
             ends.kind[ends.last],
         )
-        end = np.where(owners >= 0, owners, len(logs.last) + np.arange(len(begun)))  # by number among all ends
+        end = np.where(owners >= 0, owners, len(logs.last) + np.arange(len(begun)))  # number among all ends
         while len(short := np.flatnonzero(filled < length)):
             times = self._times(spell[short], filled[short])
-            luck = rng.random(len(begun))[short]  # the same for a track, however long the others are to be
+            luck = rng.random(len(begun))[short]  # does not depend on the length of the other tracks
             source = choices.draw(end[short], times, luck)
             owner, instant = self._owner[source], self._at[source]
             last = logs.last[owner]
@@ -193,20 +193,20 @@ class Continuation:
         return pieces
 
     def _times(self, spell: Ints, since: Ints) -> Points:
-        """Return the two times of states, in units (N, 2), from samples (N,): at it for so long, and into the cycle."""
+        """Return two times in units, shape (N, 2), from samples (N,): at the task, and since the cycle began."""
         elapsed_s = np.clip(spell * self._step_s, 1.0, LONG_S)
         phase_s = np.minimum(since * self._step_s, self._latest_s)
         return np.stack([ELAPSED * np.log(elapsed_s), phase_s / PHASE_S], axis=1)
 
     def nearest(self, states: Points, ends: Ints) -> tuple[Ints, Ints]:
-        """Return the instants of DRAWN tracks that come nearest to each state (N, features), and how many may be drawn.
+        """Return the most similar instant of each of DRAWN tracks, for each state (N, features).
 
         Args:
-            states: How the operator is.
-            ends: Which of the remembered tracks ends there, shape (N,).
+            states: The operator's state.
+            ends: Logged track that ends there, shape (N,).
 
         Returns:
-            Numbers of instants, nearest first, shape (N, tracks), and how many of them are near enough, shape (N,).
+            Numbers of instants, most similar first, shape (N, tracks), and how many are similar enough, shape (N,).
         """
         found, counts = [], []
         at_once = max(1, AT_ONCE // len(self._at))
@@ -226,7 +226,7 @@ class Continuation:
         return np.array(found), np.concatenate(counts)
 
     def weight_of(self, instants: Ints) -> Vector:
-        """Return the weights of instants of any shape, in that shape."""
+        """Return the weights of an array of instants, in the same shape."""
         if self._weight is None:
             self._weight = self._weights() if len(self._logs.last) <= MOST_WEIGHED else np.ones(len(self._at))
         return np.asarray(self._weight[instants])
@@ -242,7 +242,7 @@ class Continuation:
             to, source = np.repeat(begin, piece.count) + nth, np.repeat(piece.instant, piece.count) + 1 + nth
             step = flat[begin - 1, :3] - self._logs.where[piece.instant, :3]
             step[~np.isfinite(step[:, :2]).all(axis=1)] = 0.0
-            step = np.nan_to_num(step)  # a height may be unknown
+            step = np.nan_to_num(step)  # the height may be unknown
             flat[to], doing[to] = self._logs.where[source], self._logs.activity[source]
             for later, weight in enumerate(blend.tolist()):
                 there = later < piece.count
@@ -250,7 +250,7 @@ class Continuation:
 
 
 class _Choices:
-    """What can follow where a log ends, each looked up once (ALIKE)."""
+    """The candidates that can follow the end of a log, looked up once per end and grid cell of times (ALIKE)."""
 
     def __init__(self, continuation: Continuation, ends: Points) -> None:
         self._continuation, self._ends = continuation, ends
@@ -259,12 +259,12 @@ class _Choices:
         self._counts: list[int] = []
 
     def draw(self, end: Ints, times: Points, luck: Vector) -> Ints:
-        """Return the number of an instant for each of N tracks.
+        """Draw an instant for each of N tracks and return its number.
 
         Args:
-            end: Its end, shape (N,).
+            end: Number of the end of the track, shape (N,).
             times: The two times of its state, in units, shape (N, 2).
-            luck: In [0, 1), shape (N,).
+            luck: Uniform random numbers in [0, 1), shape (N,).
         """
         about = np.rint(times / ALIKE).astype(np.int64)
         keys = list(map(tuple, np.column_stack([end, about]).tolist()))
@@ -285,13 +285,13 @@ class _Choices:
 
 
 class LoggedStates:
-    """Tracks one behind the other.
+    """Tracks concatenated, with the state of each of S samples.
 
     Attributes:
-        where, activity: As of `Stretch`, shape (S, 3 or 6) and (S,).
+        where, activity: As in `Stretch`, shape (S, 3 or 6) and (S,).
         first, last: First and last sample of each track, shape (K,).
-        kind: What the operator does and whether he stays, walks or is away, as a number, shape (S,).
-        spell: For how many samples he has been at it, shape (S,).
+        kind: Number for the activity combined with stationary, walking or away, shape (S,).
+        spell: Number of samples since `kind` last changed, shape (S,).
     """
 
     def __init__(self, tracks: Sequence[Stretch], step_s: float) -> None:
@@ -311,7 +311,7 @@ class LoggedStates:
         self.spell = index - np.maximum.accumulate(np.where(changed, index, 0))
 
     def states(self, at: Ints, kinds: int) -> Points:
-        """Return where he is, how he moves and what of `kinds` he does at these samples (N,); shape (N, features)."""
+        """Return position, velocity, absence and activity (one of `kinds`) at samples (N,), units, (N, features)."""
         xy, away = self.where[at, :2], self._away[at]
         back = np.maximum(at - max(1, round(0.5 / self._step_s)), self._begin[at])
         speed = (xy - self.where[back, :2]) / (np.maximum(at - back, 1) * self._step_s)[:, None]
@@ -321,10 +321,10 @@ class LoggedStates:
         return np.hstack([position / NEAR_M, speed / NEAR_M_S, AWAY * away[:, None], doing])
 
     def differences(self, ends: Ints, begins: Ints) -> Floats:
-        """Return how differently some tracks end and others begin, in units, shape (ends, begins)."""
+        """Return the difference in state between ends and beginnings of tracks, units, shape (ends, begins)."""
         kinds, soon = 1 + int(self.activity.max(initial=-1)), max(1, round(0.5 / self._step_s))
         last, first = self.states(self.last[ends], kinds), self.states(self.first[begins], kinds)
         later = self.states(np.minimum(self.first + soon, self.last)[begins], kinds)
-        first[:, 2:4] = later[:, 2:4]  # how fast he moves is known from there on
+        first[:, 2:4] = later[:, 2:4]  # the velocity at the first sample is known only from later ones
         squares = (last**2).sum(axis=1)[:, None] + (first**2).sum(axis=1) - 2.0 * last @ first.T
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))

@@ -1,8 +1,8 @@
-"""What an operator known by states does next: a logged course goes on with logs that begin in the state it ended in.
+"""Continuation of an operator known by states: a logged course continues with logs that begin in its last state.
 
-This is for operators who come and go whatever the robot does: a log begins at any instant of their day. A log ends more
-often where nobody is in the way, since the robot gets done then; so what follows begins in the same state. Each of the
-logs that do is used as often as any other: drawn alike by chance, a few would come again and again.
+This is for operators whose behaviour does not depend on the robot: a log may begin at any instant of their day. A log
+ends more often while nobody is in the way, as the robot then finishes; so what follows begins in the same state. All
+logs that begin in that state are used equally often: a random draw would repeat a few of them.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ def continued(begun: Sequence[Stretch], logs: Sequence[Stretch], length: int, *,
     """Return courses continued to `length` samples, shape (K, length, 3 + D), and their states, (K, length).
 
     Args:
-        begun: K courses of a sample or more; `activity` is the number of the state.
-        logs: All logged courses, one per execution, of a sample or more each.
-        length: Samples wanted; a longer course has the same beginning.
-        seed: Same seed, same order of the logs.
+        begun: K courses of at least one sample; `activity` is the number of the state.
+        logs: All logged courses, one per execution, of at least one sample each.
+        length: Samples per course; a longer course begins the same way.
+        seed: Seed of the order of the logs.
     """
     where = np.empty((len(begun), length, begun[0].where.shape[1]))
     state = np.empty((len(begun), length), np.int64)

@@ -1,4 +1,4 @@
-"""The cycles of every sequence asked for, by the estimator asked for, beside tracks as long as the slowest takes."""
+"""The cycles of all sequences by the chosen estimator, with operator tracks long enough for the slowest cycle."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
     from cyclekit.schema import Progress
 
 MANY = 50
-"""More sequences than this are looked up in the table of arrivals; above this, only the best MANY are simulated."""
+"""More sequences than this are estimated from the table of arrivals; of these, only the best MANY are simulated."""
 
 
 def cycles_of(
     ask: Question, sequences: Sequence[TaskSequence], programs: Sequence[Program], tell: Progress
 ) -> tuple[list[Rolled], OperatorTracks | None, float]:
-    """Return the cycles of every sequence, the tracks they rest on (None: on none), and how long these are at most, s.
+    """Return the cycles of every sequence, their operator tracks (None without any), and the length of these, s.
 
-    A cycle that does not end within them has duration inf.
+    A cycle that does not end within its track has duration inf.
     """
     estimator = ESTIMATORS[ask.estimator]
     if estimator.alone is not None:
         return [estimator.alone(ask.dataset, program, ask.seed) for program in programs], None, np.inf
     horizon = 2.5 * max(program.length_s for program in programs)
     rolled: list[Rolled] = []
-    for last in (False, False, False, True):  # tracks must be long enough for the slowest cycle; halts take longer
+    for last in (False, False, False, True):  # tracks must be long enough for the slowest cycle; speed 0 % prolongs it
         operator = sequences[0].operator
         tracks = operator_tracks(
             ask.dataset,
@@ -64,7 +64,7 @@ def cycles_of(
 
 @dataclass(frozen=True)
 class _Round:
-    """What is walked at once: sequences with their programs, beside tracks of one length."""
+    """Sequences with their programs that are simulated together, with tracks of one length."""
 
     sequences: Sequence[TaskSequence]
     programs: Sequence[Program]
@@ -99,7 +99,7 @@ def _dynamics(ask: Question) -> Dynamics:
 
 
 def _looked_up(ask: Question, turn: _Round) -> Iterator[Rolled]:
-    """Look very many sequences up in the table of arrivals, and walk the best of them."""
+    """Estimate many sequences from the table of arrivals, and simulate the best of them."""
     programs, tracks = turn.programs, turn.tracks
     tasks = {task.task: task for program in programs for task in program.tasks}
     table = transit_table(ask.model, tasks, tracks)

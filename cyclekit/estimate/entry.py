@@ -1,4 +1,4 @@
-"""What one sequence's cycles say, as a `CycleEstimate`: mean, quantiles, takt, and where the time goes."""
+"""The cycles of one sequence as a `CycleEstimate`: mean, quantiles, takt, and where the time goes."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Vector
 
 LEAST_SUPPORT = 0.5
-"""Below this part of the cycle in logged cells the question is refused."""
+"""Minimum share of the cycle in logged positions; below it the estimate is refused."""
 TOLD = 0.005
-"""A smaller share of history is not told in words."""
+"""Minimum weight of logged task durations that the text mentions."""
 
 
 def entry_of(
@@ -39,16 +39,16 @@ def entry_of(
     weights: Floats,
     means: Means,
 ) -> CycleEstimate:
-    """Return what the cycles of one sequence say.
+    """Return the estimate from the cycles of one sequence.
 
     Args:
         ask: The question.
-        sequence: What was asked for.
-        program: It, laid out.
+        sequence: The sequence.
+        program: Its program.
         cycles: K cycles of it.
-        tracks: What they rest on; None where they rest on none.
-        weights: Of the cycles in each resample of the logs, shape (resamples, K).
-        means: Their mean, corrected.
+        tracks: The operator tracks of the cycles; None without any.
+        weights: Weights of the cycles in each resample of the logs, shape (resamples, K).
+        means: Their corrected mean.
     """
     check = ask.check
     cycles, slower = _corrected(cycles, means.factor)
@@ -94,7 +94,7 @@ def entry_of(
 
 
 def operator_at(tracks: OperatorTracks, cycle_s: float) -> dict[str, tuple[float, ...]]:
-    """Return on which part of the tracks the operator is at each of his tasks, in PARTS equal parts of a cycle."""
+    """Return the share of tracks with the operator at each of his tasks, in PARTS equal parts of a cycle."""
     middle_s = (np.arange(PARTS) + 0.5) / PARTS * cycle_s
     sample = np.minimum((middle_s / tracks.step_s).astype(np.int64), tracks.activity.shape[1] - 1)
     doing = tracks.activity[:, sample]
@@ -107,7 +107,7 @@ def operator_at(tracks: OperatorTracks, cycle_s: float) -> dict[str, tuple[float
 
 
 def _ends(ask: Question, program: Program, cycles: Rolled) -> list[tuple[float, float] | tuple[None, None]]:
-    """Return between which times each task ends in single cycles; the last one ends with the cycle."""
+    """Return the interval in which each task ends in single cycles, s, for the lowest and highest quantile level."""
     if not cycles.looked_closely or len(cycles.duration_s) < 2 or len(ask.quantiles) < 2:
         return [(None, None)] * len(program.tasks)
     motion = np.array([task.nominal_s for task in program.tasks])
@@ -134,7 +134,7 @@ def _why(ask: Question, combined: Combined | None) -> str:
 
 
 def _corrected(cycles: Rolled, factor: float) -> tuple[Rolled, float]:
-    """Multiply the durations; the difference is safety loss, as that is what was learned. Also its factor."""
+    """Return the cycles with durations times `factor`, and the factor on the safety loss, which absorbs the change."""
     if factor == 1.0:
         return cycles, 1.0
     lost = float(cycles.safety_s.mean(axis=0).sum())
@@ -144,7 +144,7 @@ def _corrected(cycles: Rolled, factor: float) -> tuple[Rolled, float]:
 
 
 def _shares(program: Program, cycles: Rolled) -> Iterator[TaskShare]:
-    """Split the mean duration over the tasks; a step that crosses from one part to the next is shared out with it."""
+    """Yield the mean time of each task, split; what the time steps leave over is divided among the standstills."""
     safety, stands = cycles.safety_s.mean(axis=0), cycles.stands_s.mean(axis=0)
     motion = sum(task.nominal_s for task in program.tasks) + float(safety.sum())
     stands *= (float(cycles.duration_s.mean()) - motion) / float(stands.sum())

@@ -1,7 +1,7 @@
-"""The estimators by name: a line in ESTIMATORS makes one known to `estimate` and to what it says of its numbers.
+"""The estimators by name: a line in ESTIMATORS adds one to `estimate` and to its explanations.
 
-`rollout` walks all programs together (`walk`). The others are here: `average` as the paper has it, `history` and
-`nominal` as plants have them. Each gives cycles in the form that a walk gives them.
+`rollout` simulates all programs together (`walk`). The others are defined in this module: `average` follows the paper,
+`history` and `nominal` are usual in plants. Each returns cycles in the same form as `walk`.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Estimator:
-    """One way from a laid-out sequence to its cycles.
+    """A method that computes the cycles of a program.
 
     Attributes:
-        why: Why it is used, as the estimate says it.
+        why: Why it is used, for the text of the estimate.
         needs: Problem that the model must predict; None = any.
-        alone: Gives cycles from the dataset, the program and a seed, without operator tracks.
-        beside: Gives a program's cycles beside tracks, from the model, the program, the tracks and a seed. With
-            neither, all programs are walked together in time steps.
-        goals: The tracks must say where the operator is bound for.
+        alone: Function of dataset, program and seed that returns the cycles, without operator tracks.
+        beside: Function of model, program, tracks and seed that returns the cycles. Without this and `alone`, all
+            programs are simulated together in time steps.
+        goals: Whether the tracks must include the operator's goals.
     """
 
     why: str
@@ -52,15 +52,15 @@ class Estimator:
 
 HISTORY_DRAWS = 1000
 LEAST_PROGRESS = 0.02
-"""A predicted mean scaling below this is taken for it: a network seldom says exactly zero, and then would never end."""
+"""Minimum of a predicted mean scaling: at the near-zero outputs of a network a motion would never end."""
 
 
 def by_average(model: TrainedModel, program: Program, tracks: OperatorTracks, seed: int = 0) -> Rolled:
     """Solve T * mean s(T) = nominal time, task by task, with the operator's state carried forward.
 
-    The network gives the mean scaling over its horizon from robot and operator and where both are bound for (Faroni et
-    al. 2512.17579, the average problem). A motion shorter than that takes nominal / mean; a longer one uses up a
-    horizon, and what is left of it is asked about anew from where both are then.
+    The network predicts the mean scaling over its horizon from the positions and goals of robot and operator (Faroni et
+    al. 2512.17579, the average problem). A motion shorter than the horizon takes nominal / mean. A longer one uses up
+    one horizon; its rest is predicted again from the positions at that time.
 
     Raises:
         EstimateError: The logs hold no goals of the operator, which the network needs.
@@ -104,7 +104,7 @@ def _move(model: TrainedModel, task: NominalTask, tracks: OperatorTracks, start_
 def _mean_scaling(
     model: TrainedModel, robot_m: Floats, goal_m: Floats, tracks: OperatorTracks, rows: Ints, time_s: Vector
 ) -> Vector:
-    """Return the mean scaling over the horizon (N,); for an unknown operator or goal, the logged one."""
+    """Return the mean scaling over the horizon (N,); if operator or goal is unknown, the one without operator."""
     at = _sample(tracks, time_s)
     human = in_plane(robot_m, tracks.xyz_m[rows, at])
     bound_for = np.full_like(human, np.nan) if tracks.goal_m is None else tracks.goal_m[rows, at]
@@ -123,9 +123,9 @@ def _sample(tracks: OperatorTracks, time_s: Vector) -> Ints:
 
 
 def by_history(dataset: Dataset, program: Program, seed: int = 0) -> Rolled:
-    """Put cycles together of logged repetitions of each task, drawn at random; their mean is the sum of plain means.
+    """Assemble cycles from randomly drawn logged repetitions of each task; their mean is the sum of the task means.
 
-    That the order of tasks changes what each takes is not in it, nor that slow tasks come together.
+    This ignores the effect of the order on task durations, and the correlation of slow tasks.
     """
     rng = np.random.default_rng(seed)
     tasks = dataset.tasks().filter(pl.col("safety_loss_s").is_not_null())
@@ -143,14 +143,14 @@ def by_history(dataset: Dataset, program: Program, seed: int = 0) -> Rolled:
 
 
 def by_nominal(_dataset: Dataset, program: Program, _seed: int = 0) -> Rolled:
-    """One cycle without an operator: every motion at full speed, every stand of its mean length."""
+    """Return one cycle without an operator: every motion at full speed, every standstill of mean length."""
     stands = np.array([[task.dwell_s + task.wait_s for task in program.tasks]])
     duration = np.array([program_motion(program) + float(stands.sum())])
     return Rolled(duration, stands, np.zeros(stands.shape), np.zeros(0), 1.0, 0.0)
 
 
 def program_motion(program: Program) -> float:
-    """Duration of all motions of a program at scaling 1, s."""
+    """Return the duration of all motions of a program at scaling 1, s."""
     return sum(task.nominal_s for task in program.tasks)
 
 

@@ -1,4 +1,4 @@
-"""Estimates as a time chart: a block for each sequence, with the robot's tasks, and the operator where he is known."""
+"""Estimates as a time chart: a block per sequence with the robot's tasks and, where known, the operator."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 _MOTION, _DWELL, _WAIT = "motion at full speed", "dwell", "wait"
 _ROBOT, _OPERATOR, _TAKT = "robot's task", "operator's task", "takt"
 _SPEEDS = (0.75, 0.5, 0.25)
-"""Mean speeds whose colours the legend names."""
+"""Mean speeds whose colours the legend shows."""
 SHOWN_S = 0.2
-"""A shorter wait is not drawn."""
+"""Minimum wait that is drawn, s."""
 _TINTS = ("#0f7b6c", "#56aa9d", "#a3d1c9")
-"""What the operator does most, by how often; the rest is told as one."""
+"""Colours of the operator's most frequent activities, in descending order; all others share one colour."""
 _OTHER, _AWAY = "#d8ebe7", "#ffffff"
 _REST = "other places"
 
 
 class _Ended(NamedTuple):
-    """When a task ends: mean, and between which times in single cycles, s."""
+    """End of a task, s: the mean, and its interval in single cycles."""
 
     name: str
     end_s: float
@@ -40,18 +40,18 @@ class _Ended(NamedTuple):
 
 
 def write_gantt(path: Path, found: Sequence[CycleEstimate]) -> None:
-    """Draw estimates, mean times, one sequence above the other on a common time axis.
+    """Draw estimates (mean times), one sequence above the other on a common time axis.
 
     Args:
         path: File to write, `.svg`, `.png` or `.pdf`.
-        found: What is drawn.
+        found: The estimates.
     """
     takt_s = found[0].takt_s if found else None
     draw_gantt(path, blocks_of(found), legend_of(found, takt_s), takt_s)
 
 
 def gantt_figure(found: Sequence[CycleEstimate]) -> Drawing:
-    """Return that chart as a figure."""
+    """Return the time chart of estimates as a figure."""
     from cyclekit.plots.results import chart_figure
 
     takt_s = found[0].takt_s if found else None
@@ -59,7 +59,7 @@ def gantt_figure(found: Sequence[CycleEstimate]) -> Drawing:
 
 
 def legend_of(found: Sequence[CycleEstimate], takt_s: float | None = None) -> dict[str, str]:
-    """Return colour by meaning of a chart of estimates: what is drawn, and no more."""
+    """Return colour by meaning for a chart of estimates, for the meanings that it shows."""
     drawn = {bar.colour for block in blocks_of(found) for bar in block.bars}
     split = any(not _of_lists(each) for each in found)
     legend = {_MOTION: colours.NOMINAL} if split else {_ROBOT: colours.NOMINAL}
@@ -81,7 +81,7 @@ def blocks_of(found: Sequence[CycleEstimate]) -> list[Block]:
 
 
 def _of_lists(each: CycleEstimate) -> bool:
-    """Return whether it knows no motion, only tasks."""
+    """Return whether an estimate is of task lists, without motions."""
     return bool(each.plan) and not each.tracks
 
 
@@ -99,7 +99,7 @@ def _of_tasks(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
 
 
 def _parts(share: TaskShare, lane: int, start_s: float, end_s: float, row: str) -> list[Bar]:
-    """Return the bars of a task of the robot: motion, slow-down in the colour of the mean speed, dwell, wait."""
+    """Return the bars of a robot task: motion, slow-down in the colour of the mean speed, dwell, wait."""
     motion_s = share.nominal_s + share.safety_loss_s
     speed = share.nominal_s / motion_s if motion_s > 0.0 else 1.0
     slow = colours.scaling_hex(min(max(speed, 0.0), 1.0))
@@ -155,7 +155,7 @@ def _agents(plan: Sequence[PlannedShare]) -> list[str]:
 
 
 def _shares_of(each: CycleEstimate) -> dict[int, TaskShare]:
-    """Return the split of the robot's tasks by their number in the plan, without the wait before; those known."""
+    """Return the known splits of the robot's tasks by number in the plan, without the wait before the task."""
     found, turn = dict[int, TaskShare](), Counter[str]()
     for number, task in enumerate(each.plan, start=1):
         mine = [share for share in each.tasks if share.task == task.task]
@@ -167,7 +167,7 @@ def _shares_of(each: CycleEstimate) -> dict[int, TaskShare]:
 
 
 def _ended_by(task: PlannedShare, plan: Sequence[PlannedShare]) -> PlannedShare | None:
-    """Return the task of another one that ended a wait: the last of its name that had ended, or had begun."""
+    """Return the other agent's task that ended a wait: the last of that name to have ended, else to have begun."""
     cause = max(task.decided, key=lambda name: task.decided[name], default="")
     able = [one for one in plan if f"{one.agent}: {one.task}" == cause and one.agent != task.agent]
     ended = [one for one in able if one.end_s <= task.start_s + SHOWN_S]
@@ -176,7 +176,7 @@ def _ended_by(task: PlannedShare, plan: Sequence[PlannedShare]) -> PlannedShare 
 
 
 def _course(ended: Sequence[_Ended]) -> TaskEnds | None:
-    """Return how many tasks have ended when, in the order of their ends; None for a single task."""
+    """Return the number of tasks done over time, in the order of their ends; None for a single task."""
     if len(ended) < 2:
         return None
     ended = sorted(ended, key=lambda each: each.end_s)
@@ -201,12 +201,12 @@ def _titles(each: CycleEstimate) -> tuple[str, ...]:
 
 
 def _texts(task: str, number: int) -> tuple[str, ...]:
-    """Return the label of a task, longest first: its number and where it leads, its number."""
+    """Return the labels of a task, longest first: number and goal, number."""
     return f"{number} {task.rpartition('->')[2]}", str(number)
 
 
 def _families(each: CycleEstimate) -> dict[str, tuple[float, ...]]:
-    """Return what the operator does, numbered tasks of one name (`shelf_1`, `shelf_2`) as one, if there are others."""
+    """Return the operator's activities, with numbered tasks (`shelf_1`, `shelf_2`) merged if there are others."""
     found: dict[str, tuple[float, ...]] = {}
     stems = {
         name: re.sub(r"[ _-]?\d+$", "", name) or name for name in each.operator_at if name not in (AWAY, ELSEWHERE)
@@ -220,7 +220,7 @@ def _families(each: CycleEstimate) -> dict[str, tuple[float, ...]]:
 
 
 def _operator_colours(found: Sequence[CycleEstimate]) -> dict[str, str]:
-    """Return the colours of what operators do, the same in all blocks: the most frequent first, the rest as `other`."""
+    """Return colours of the operators' activities, the same in all blocks: most frequent first, one for the rest."""
     total = Counter[str]()
     for each in found:
         total.update({name: sum(parts) for name, parts in _families(each).items()})

@@ -1,10 +1,10 @@
-"""Logged durations beside the rollout: two estimates of the same mean, combined by their variances.
+"""Combination of the rollout with logged task durations: two estimates of one mean, weighted by their variances.
 
-The sum of what each task took in the logs knows nothing of the order, and the rollout may be off as a whole; finite
-logs move both, and mostly together. Both are drawn from the same resampled executions, so their variances and their
-covariance are known; to that of history comes what the order does (how far it lies from rollouts of logged orders, and
-from the rollout of this one), to that of the rollout the network's error. The weights are those of least variance
-(Bates and Granger, Operational Research Quarterly 20, 1969).
+The sum of logged task durations ignores the effect of the order, and the rollout may have a bias; finite logs shift
+both, mostly in the same direction. Both are computed from the same resampled executions, so their variances and their
+covariance are known. To the variance of history is added the effect of the order (its difference from rollouts of
+logged orders, and from the rollout of this one), to that of the rollout the network's error. The weights minimise the
+variance (Bates and Granger, Operational Research Quarterly 20, 1969).
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
 
 
 LEAST_ORDERS = 10
-"""From fewer logged orders it is not known how far history is off by the order, and the rollout stands alone."""
+"""Minimum number of logged orders to estimate the effect of the order; with fewer the rollout is used alone."""
 
 
 @dataclass(frozen=True)
 class Combined:
-    """How a number is made of two.
+    """Weighted mean of rollout and logged task durations.
 
     Attributes:
-        rollout_s: Expected cycle time by the rollout alone, corrected by what the logged executions show, s.
-        history_s: By the logged durations of the tasks alone, s.
-        history_share: Weight of the latter, in [0, 1].
+        rollout_s: Expected cycle time by the rollout alone, corrected by the validation on logged executions, s.
+        history_s: Expected cycle time by the logged durations of the tasks alone, s.
+        history_share: Weight of `history_s`, in [0, 1].
     """
 
     rollout_s: float
@@ -47,12 +47,12 @@ class Combined:
 
     @property
     def expected_s(self) -> float:
-        """The weighted mean of both, s."""
+        """The weighted mean, s."""
         return self.rollout_s + self.history_share * (self.history_s - self.rollout_s)
 
 
 class TaskTimes:
-    """What each task took in each execution beside an operator, the speed slider turned up."""
+    """Logged duration of each task in each execution with an operator and full speed slider."""
 
     def __init__(self, dataset: Dataset) -> None:
         """Read the logged tasks whose motion and scaling are known."""
@@ -71,7 +71,7 @@ class TaskTimes:
         np.add.at(self._count, (row, column), 1.0)
 
     def knows(self, tasks: Sequence[str]) -> bool:
-        """Tell whether all of them were logged."""
+        """Return whether all tasks were logged."""
         return all(task in self._column for task in tasks)
 
     def sum_s(self, tasks: Sequence[str]) -> float:
@@ -80,11 +80,11 @@ class TaskTimes:
         return float((self._total_s[:, columns].sum(axis=0) / self._count[:, columns].sum(axis=0)).sum())
 
     def resampled_s(self, tasks: Sequence[str], weights: Floats) -> Vector:
-        """Return that sum in each resample, s; a task that no drawn execution holds counts with its mean.
+        """Return that sum in each resample, s; a task missing from all drawn executions counts with its overall mean.
 
         Args:
-            tasks: Which, in any order, each as often as it occurs.
-            weights: Of `executions` in each resample, shape (resamples, executions).
+            tasks: The tasks, in any order, repeated as often as they occur.
+            weights: Weights of `executions` in each resample, shape (resamples, executions).
         """
         names, times = np.unique(self._columns(tasks), return_counts=True)
         usual = self._total_s[:, names].sum(axis=0) / self._count[:, names].sum(axis=0)
@@ -93,7 +93,7 @@ class TaskTimes:
         return np.asarray(mean @ times)
 
     def elsewhere_s(self, sequence: TaskSequence) -> float:
-        """Return the sum for a logged execution from the others alone, s; NaN where they lack a task of it."""
+        """Return the sum for a logged execution from all others, s; NaN if they lack one of its tasks."""
         columns, row = self._columns(sequence.tasks), self._row[sequence.name]
         count = self._count[:, columns].sum(axis=0) - self._count[row, columns]
         total = self._total_s[:, columns].sum(axis=0) - self._total_s[row, columns]
@@ -106,18 +106,19 @@ class TaskTimes:
 def order_error(
     times: TaskTimes, sequences: Sequence[TaskSequence], crossed_s: Vector, chance: Vector | float = 0.0
 ) -> float | None:
-    """Return how far history is off by the order, as part of the duration, for an order of one task.
+    """Return the error of history due to the order, as a share of the duration, for an order of one task.
 
-    Tasks add up as if each were off by itself: for an order of N tasks it is this over the root of N.
+    Errors of single tasks are treated as independent: an order of N tasks has this error over the root of N.
 
     Args:
-        times: What tasks took.
+        times: Logged task durations.
         sequences: The logged executions.
-        crossed_s: Their mean durations rolled out beside the operators of others, shape (E,), s.
-        chance: Variance of history over rollout by which executions were logged and walked, shape (E,): no order.
+        crossed_s: Their mean durations rolled out with the operator tracks of others, shape (E,), s.
+        chance: Variance of history over rollout due to the choice of executions logged and simulated, shape (E,); it
+            is subtracted.
 
     Returns:
-        None where fewer than LEAST_ORDERS of them can be compared.
+        The error; None if fewer than LEAST_ORDERS executions can be compared.
     """
     known = [s.name in times.executions and times.knows(s.tasks) for s in sequences]
     elsewhere = [times.elsewhere_s(s) if ok else np.nan for s, ok in zip(sequences, known, strict=True)]
@@ -129,14 +130,14 @@ def order_error(
 def chance_of_logs(
     times: TaskTimes, sequences: Sequence[TaskSequence], crossed_s: Floats, executions: Sequence[str], together: int
 ) -> Vector:
-    """Return the variance of history over rollout when executions are drawn again, shape (E,); NaN where unknown.
+    """Return the variance of history over rollout over resampled executions, shape (E,); NaN if unknown.
 
     Args:
-        times: What tasks took.
+        times: Logged task durations.
         sequences: The logged executions.
-        crossed_s: Their durations beside the operators of others, shape (E, K), s; NaN where that was not walked.
-        executions: Behind each of the K operators.
-        together: Neighbouring executions drawn together.
+        crossed_s: Their durations with the operator tracks of others, shape (E, K), s; NaN if not simulated.
+        executions: Execution of each of the K operator tracks.
+        together: Number of neighbouring executions drawn as one block.
     """
     operators = resampled(executions, 0, together=together)
     drawn = resampled_alike(executions, times.executions, 0, together=together)
@@ -152,13 +153,13 @@ def chance_of_logs(
 
 
 def history_share(rollout: Vector, history: Vector, *, model_error: float, order_error: float) -> float:
-    """Return the weight of history with which the variance of the combination is least, in [0, 1].
+    """Return the weight of history, in [0, 1], that minimises the variance of the combination.
 
     Args:
-        rollout: Means by the rollout in each resample, as parts of its mean, shape (resamples,).
-        history: Those by history in the same resamples, as parts of its mean.
-        model_error: Standard deviation that the network's error leaves, as part of the mean.
-        order_error: What the order moves history by, as part of the mean.
+        rollout: Rollout mean in each resample, relative to its mean, shape (resamples,).
+        history: History mean in the same resamples, relative to its mean.
+        model_error: Standard deviation due to the network's error, as a share of the mean.
+        order_error: Standard deviation of history due to the order, as a share of the mean.
     """
     together = float(np.cov(rollout, history)[0, 1])
     mine = float(rollout.var(ddof=1)) + model_error**2 - together

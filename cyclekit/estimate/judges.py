@@ -1,8 +1,8 @@
-"""Which logged executions say how far a rollout is off, how far that is, and how well it is known.
+"""The bias of a rollout on logged executions, which executions determine it, and its standard error.
 
-The network learned from most of them, so they come out better than new ones will. The few that it never saw are honest
-but few: one cycle that took another turn moves their mean by more than the network is off, and their scatter seldom
-shows it. So all executions tell the bias, and how far the unseen ones lie from it widens what is not known of it.
+The network was trained on most executions, so these show smaller errors than new ones will. The few held-out ones are
+unbiased but few: one unusual cycle shifts their mean by more than the network's error, and their scatter seldom shows
+it. So the bias is the mean of all executions, and the distance of the held-out ones from it adds to the standard error.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ if TYPE_CHECKING:
 
 
 WORSE = 2.0
-"""Where the executions that the network never saw come out worse than the others, their median error beyond so many
-times that of the others and no chance (BY_RANK), they alone say how far a rollout is off. Otherwise all do: one cycle
-that took another turn among nine unseen ones would be taken for one in nine."""
+"""Threshold, ratio of the median errors of held-out and other executions. Above it, and if the difference is
+significant (BY_RANK), the held-out executions alone determine the bias. Otherwise all do: one unusual cycle among nine
+held-out ones would count as one in nine."""
 BY_RANK = 2.33
-"""Standard deviations of the rank sum of Mann and Whitney: one in a hundred by chance."""
+"""Threshold, standard deviations of the Mann-Whitney rank sum: one in a hundred by chance."""
 LEAST_UNSEEN = 3
-"""Fewer unseen executions do not judge alone."""
+"""Minimum number of held-out executions to determine the bias alone."""
 
 
 @dataclass(frozen=True)
 class ModelBias:
-    """How far a rollout is off, as part of the duration.
+    """The bias of a rollout, as a share of the duration.
 
     Attributes:
-        off: Rolled / logged - 1 of the executions that judge, shape (N,).
-        bias: Their mean.
-        error: Its standard error.
+        off: Rolled / logged - 1 of the executions that determine the bias, shape (N,).
+        bias: Mean of `off`.
+        error: Standard error of the bias.
     """
 
     off: Vector
@@ -44,16 +44,16 @@ class ModelBias:
 
 
 def judge(off: Vector, unseen: NDArray[np.bool_]) -> ModelBias:
-    """Return how far a rollout beside the own operators is off.
+    """Return the bias of a rollout with the own operator tracks.
 
     Args:
         off: Rolled / logged - 1, shape (E,).
-        unseen: Which executions the network never saw, shape (E,).
+        unseen: Which executions the network was not trained on, shape (E,).
     """
     some = off[unseen] if _unseen_alone(np.abs(off), unseen) else off
     bias, error = float(some.mean()), _standard_error(some)
     if len(some) == len(off) and unseen.any():
-        # were they no different, this would be as large as the standard error by chance; what they show beyond is new
+        # without a real difference this term is, by chance, as large as the standard error; anything above is new
         error = float(np.hypot(error, (off[unseen].mean() - bias) * np.sqrt(unseen.mean())))
     return ModelBias(some, bias, error)
 
@@ -63,7 +63,7 @@ def _standard_error(values: Vector) -> float:
 
 
 def _unseen_alone(size: Vector, unseen: NDArray[np.bool_]) -> bool:
-    """Tell whether unseen executions come out worse than the others beyond chance: see WORSE."""
+    """Return whether held-out executions are significantly worse than the others: see WORSE."""
     mine, others = size[unseen], size[~unseen]
     if len(mine) < LEAST_UNSEEN or not len(others) or np.median(mine) <= WORSE * np.median(others):
         return False
@@ -72,7 +72,7 @@ def _unseen_alone(size: Vector, unseen: NDArray[np.bool_]) -> bool:
 
 
 def within(error: float, count: int) -> float:
-    """Return half the width of a 95 % interval by Student's t: `error` a standard error from `count` executions."""
+    """Return the half-width of a 95 % interval (Student's t) from the standard error of `count` executions."""
     from scipy.special import stdtrit
 
     return float(stdtrit(max(count - 1, 1), 0.975)) * error

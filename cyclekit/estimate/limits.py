@@ -1,6 +1,6 @@
-"""What limits an estimate: few operators, positions never logged, inferred clocks and scaling; a model with a bias.
+"""Limits of an estimate: few operators, unlogged positions, inferred clocks and scaling; a model with a bias.
 
-A model with a large bias on the logs themselves predicts no other sequence: usually it is of another cell.
+A model with a large bias on the logs themselves predicts no other sequence; usually it was trained on another cell.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 
 
 CONTINUED = 0.5
-"""Above this part of the time on continued tracks it is said."""
+"""Share of the time on continued tracks above which the estimate reports it."""
 ENDLESS = "The operator keeps the robot at speed 0 %; check the tracker's frame and clock."
-"""What helps where cycles do not end."""
+"""Cure for cycles that do not end."""
 FEW_EXECUTIONS = 20
-"""With fewer operators the mean itself is uncertain by more than a percent in the cells seen so far."""
+"""Number of operator tracks below which the mean is reported as uncertain (by more than 1 % in the cells so far)."""
 
 
 def no_answer(
     ask: Question, sequence: TaskSequence, cycles: Rolled | RolledBoth, until_s: float
 ) -> EstimateError | None:
-    """Return why these cycles are no answer: they do not end, or lie outside of the logs and that was not asked for."""
+    """Return why these cycles give no answer: they do not end, or they need extrapolation that was not allowed."""
     open_ended = float(np.mean(~np.isfinite(cycles.duration_s)))
     if open_ended:
         seen = f"{sequence.shown}: {open_ended:.0%} of the cycles do not end within {until_s:.0f} s"
@@ -56,7 +56,7 @@ def no_answer(
 
 
 def doubts_of(cycles: Rolled, entry: CycleEstimate, check: Check | None) -> list[str]:
-    """Return what makes one sequence's number itself doubtful, one sentence each."""
+    """Return reasons to doubt the number of one sequence, one sentence each."""
     found = []
     if entry.tracks and entry.estimator == "rollout" and not cycles.looked_closely:
         found.append(
@@ -67,7 +67,7 @@ def doubts_of(cycles: Rolled, entry: CycleEstimate, check: Check | None) -> list
 
 
 def extrapolation_of(entry: CycleEstimate) -> list[str]:
-    """Return that a part of the cycle runs through positions that were never logged, where it is more than a tenth."""
+    """Return a sentence on extrapolation if more than a tenth of the cycle runs through positions never logged."""
     if not entry.support < 0.9:
         return []
     marked = "EXTRAPOLATED: " if entry.extrapolated else ""
@@ -78,16 +78,16 @@ def extrapolation_of(entry: CycleEstimate) -> list[str]:
 
 
 def few_tracks(entry: CycleEstimate) -> str:
-    """Return that a number rests on few operators."""
+    """Return a sentence on the few operator tracks behind a number."""
     return f"based on only {entry.executions} operator tracks: the mean itself is uncertain"
 
 
 def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
-    """Return what else limits one sequence's number, one sentence each."""
+    """Return the other limits of one sequence's number, one sentence each."""
     found = []
     if entry.tracks and entry.executions < FEW_EXECUTIONS:
         found.append(few_tracks(entry))
-    anywhere = entry.tracks > entry.executions  # half of a cycle as long as the logs is beside other executions
+    anywhere = entry.tracks > entry.executions  # half of a cycle as long as a log runs with other executions' operators
     if cycles.spliced > ((1.0 + CONTINUED) / 2.0 if anywhere else CONTINUED):
         found.append(
             f"{cycles.spliced:.0%} of the time the operator's track is continued with parts of other executions that "
@@ -97,7 +97,7 @@ def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
 
 
 def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
-    """Return what limits every number from these logs, one sentence each."""
+    """Return the limits of every number from these logs, one sentence each."""
     found = list(model.limits) if isinstance(model, OnStates) else []
     if model.card.operator_signals or not isinstance(model, OnStates):
         found += left_out(model.card, dataset)
@@ -132,13 +132,13 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
 
 
 REFUSED_BIAS = 0.1
-"""A model with a larger bias on the logged executions is refused."""
+"""Minimum significant bias on the logged executions at which a model is refused."""
 
 
 def validated(
     model: SafetyModel, dataset: Dataset, *, levels: Sequence[float] = (0.05, 0.5, 0.95), seed: int
 ) -> tuple[Check | None, tuple[str, ...]]:
-    """Return how the rollout does on logged executions; None and why in a sentence where they are too few for that."""
+    """Return the validation on logged executions; None, and the reason as a sentence, if there are too few."""
     try:
         return check_rollout(model, dataset, levels=levels, seed=seed), ()
     except EstimateError as error:
@@ -149,7 +149,7 @@ def refuse_biased(check: Check | None) -> None:
     """Refuse a model with a large bias on the logged executions.
 
     Raises:
-        ModelError: Its bias is beyond REFUSED_BIAS, and no chance.
+        ModelError: The bias is significant and larger than REFUSED_BIAS.
     """
     if check is not None and check.biased(REFUSED_BIAS):
         seen = f"{check.own_bias:+.1%} (+-{check.own_within:.1%}) on {check.executions} logged executions"

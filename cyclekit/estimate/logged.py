@@ -1,4 +1,4 @@
-"""The logged executions as sequences that can be rolled out again: beside their operators, with their stands."""
+"""Logged executions as sequences that can be rolled out: with their operator tracks and their standstills."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
 
 
 OTHERS = 40
-"""Beside so many other operators each execution is walked; twenty tell a 90 % interval."""
+"""Number of other operator tracks per execution; twenty suffice for a 90 % interval."""
 SLIDER_LOSS = 0.002
-"""An execution that lost more than this part of its time to the speed slider judges no rollout at full speed."""
+"""Maximum share of an execution's time lost to the speed slider, for an execution that validates the rollout."""
 
 
 def only_tracks(tracks: OperatorTracks, names: set[str]) -> OperatorTracks:
-    """Return the tracks of these executions, in their order."""
+    """Return the tracks of these executions, in the same order."""
     return _kept(tracks, [k for k, name in enumerate(tracks.executions) if name in names])
 
 
 def beginnings(tracks: OperatorTracks) -> OperatorTracks:
-    """Return the tracks that begin where their executions began."""
+    """Return the tracks that start where their executions start."""
     return _kept(tracks, list(range(len(set(tracks.executions)))))
 
 
@@ -51,7 +51,7 @@ def _kept(tracks: OperatorTracks, kept: list[int]) -> OperatorTracks:
 
 
 def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> list[TaskSequence]:
-    """Return the complete executions of known tasks at full speed slider as sequences, each by its own name."""
+    """Return complete executions of known tasks at full speed slider as sequences, each named after its execution."""
     found = []
     turned_down = {name for name, part in slider_losses(dataset).items() if part > SLIDER_LOSS}
     for one in dataset.card.executions:
@@ -63,7 +63,7 @@ def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> li
 
 
 def logged_durations(dataset: Dataset, sequences: Sequence[TaskSequence]) -> Vector:
-    """Return how long these executions took, shape (E,), s."""
+    """Return the logged durations of these executions, shape (E,), s."""
     durations = dict(dataset.executions.select("execution", "duration_s").iter_rows())
     return np.array([durations[sequence.name] for sequence in sequences])
 
@@ -75,14 +75,15 @@ def beside_own(
     nominal: Mapping[str, NominalTask],
     tracks: OperatorTracks,
 ) -> tuple[Vector, Vector, Vector]:
-    """Roll out each execution beside its own operator and with its own stands, from the beginning of his track.
+    """Roll out each execution with its own operator track, from its start, and its own standstills.
 
-    Each track behind those (`beginnings`) is met by one of these executions, in turns: whose operator it is does not
-    matter.
+    Each of the other tracks (those that are not `beginnings`) is combined with one of these executions in turn, whoever
+    its operator is.
 
     Returns:
-        Durations from the beginnings, (E,), s; those as parts of the executions without safety loss, (E,); and so
-        those in turns, (K - beginnings,). One that does not end within the track has inf, its part the track's length.
+        Durations with the own tracks, (E,), s; these as shares of the duration without safety loss, (E,); and the same
+        shares for the other tracks, (K - beginnings,). A cycle that does not end within its track has duration inf, and
+        the length of the track counts in its share.
     """
     programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
     by_execution = dataset.tasks().sort("execution", "index").group_by(["execution"], maintain_order=True)
@@ -112,12 +113,13 @@ def beside_others(
     *,
     seed: int = 0,
 ) -> Floats:
-    """Roll out each execution beside the operators of the others, shape (E, K), s.
+    """Roll out each execution with the operator tracks of the others, shape (E, K), s.
 
-    Where s follows the safety function late no table of arrivals holds, and each is walked beside OTHERS of them.
+    If s follows the safety function with a delay, the table of arrivals does not apply; each execution is then
+    simulated with OTHERS of the tracks.
 
     Returns:
-        NaN beside its own operator and where it was not walked; inf where it does not end within the track.
+        Durations; NaN for the own operator track and if not simulated; inf if the cycle does not end within the track.
     """
     own = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
     dynamics = Dynamics.of(dataset.card.dynamics)

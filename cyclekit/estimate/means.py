@@ -1,4 +1,4 @@
-"""The mean of a sequence's cycles, corrected by what logged executions show and combined with what its tasks took."""
+"""The mean of a sequence's cycles, corrected by the validation and combined with logged task durations."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class History:
-    """What tasks took in the logs, and how often each execution is drawn: weights, shape (resamples, executions)."""
+    """Logged task durations, and the weight of each execution in each resample, shape (resamples, executions)."""
 
     times: TaskTimes
     weights: Floats
@@ -32,11 +32,11 @@ class Means:
     """The mean of K cycles.
 
     Attributes:
-        factor: What every cycle of the rollout is multiplied by.
+        factor: Factor on every cycle of the rollout.
         resampled_s: The mean in each resample of the logs, shape (resamples,), s.
-        error: Standard deviation that no resampling shows, as part of the mean.
-        judged: From how many executions that is known.
-        combined: What it is made of, where it is made of two.
+        error: Standard deviation that resampling does not show, as a share of the mean.
+        judged: Number of executions from which `error` is known.
+        combined: The two numbers whose weighted mean it is; None if it is the rollout alone.
     """
 
     factor: float
@@ -46,12 +46,12 @@ class Means:
     combined: Combined | None = None
 
     def interval(self, *, bias_s: float, seed: int) -> tuple[float, float]:
-        """Return the 95 % interval of the mean, s; `bias_s` as of `interval_of_mean`."""
+        """Return the 95 % interval of the mean, s; `bias_s` as in `interval_of_mean`."""
         return interval_of_mean(self.resampled_s, model_error=self.error, judged=self.judged, bias_s=bias_s, seed=seed)
 
 
 def history_of(ask: Question, tracks: OperatorTracks | None) -> History | None:
-    """Return what tasks took in the logs and in each resample of them; None where it says nothing of what is asked."""
+    """Return logged task durations and their resamples; None if they do not apply to the question."""
     if tracks is None or ask.estimator != "rollout" or ask.altered is not None:
         return None
     if ask.check is None or ask.check.order_error is None:
@@ -66,10 +66,10 @@ def means_of(ask: Question, sequence: TaskSequence, cycles: Rolled, weights: Flo
 
     Args:
         ask: The question.
-        sequence: What was asked for.
-        cycles: K cycles of it, as walked.
-        weights: Of the cycles in each resample of the logs, shape (resamples, K).
-        history: What its tasks took; None where that says nothing.
+        sequence: The sequence.
+        cycles: K cycles of it, as simulated.
+        weights: Weights of the cycles in each resample of the logs, shape (resamples, K).
+        history: Logged durations of its tasks; None if they do not apply.
     """
     check = ask.check
     resampled_s = cycles.resampled_means(weights)
@@ -83,15 +83,15 @@ def means_of(ask: Question, sequence: TaskSequence, cycles: Rolled, weights: Flo
 
 
 def _combined(alone: Means, rollout_s: float, sequence: TaskSequence, history: History, check: Check) -> Means:
-    """Weigh the rollout `alone`, of that mean, with history."""
+    """Return the weighted mean of the rollout `alone`, whose mean is `rollout_s`, and history."""
     history_s = history.times.sum_s(sequence.tasks)
     resampled_s = history.times.resampled_s(sequence.tasks, history.weights)
     order = (check.order_error or 0.0) / np.sqrt(len(sequence.tasks))
-    apart = history_s / rollout_s - 1.0  # what the order does here, if the rollout is right
+    apart = history_s / rollout_s - 1.0  # effect of this order, if the rollout is right
     share = history_share(
         alone.resampled_s / alone.resampled_s.mean(),
         resampled_s / resampled_s.mean(),
-        model_error=check.network_error,  # what nobody saw of people is unknown to both alike
+        model_error=check.network_error,  # the error due to unseen people affects both alike
         order_error=float(np.hypot(order, apart)),
     )
     both = Combined(rollout_s, history_s, share)

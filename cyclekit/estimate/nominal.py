@@ -1,8 +1,7 @@
-"""The nominal motion of every logged task, recovered by undoing the scaling.
+"""The nominal motion of every logged task, with the speed scaling undone.
 
-While a task runs, the path's nominal time is the integral of the scaling, so the least hindered repetition of a task,
-drawn over that integral, is the motion that the program asks for. What an operator makes of it is the business of
-`rollout`.
+While a task runs, the nominal time on its path is the integral of the scaling. So the repetition of a task with the
+least safety loss, resampled over that integral, is the programmed motion. `rollout` adds the effect of an operator.
 """
 
 from __future__ import annotations
@@ -23,18 +22,18 @@ if TYPE_CHECKING:
 
 
 STEP_S = 0.01
-"""Grid of the nominal time; a TCP at 1 m/s moves 1 cm in it."""
+"""Grid of the nominal time, s; a TCP at 1 m/s moves 1 cm per step."""
 
 
 @dataclass(frozen=True)
 class NominalTask:
-    """One task as its program asks for it.
+    """A task as programmed.
 
     Attributes:
         xyz_m: TCP along the motion at every STEP_S of nominal time, shape (K, 3), base frame.
-        nominal_s: Duration of the motion at scaling 1: the median of its repetitions.
-        dwell_s, wait_s: Mean process time and mean waiting at the goal.
-        stands_s: Every logged stand at the goal (dwell + wait), ascending, shape (N,) of N repetitions.
+        nominal_s: Duration of the motion at scaling 1: the median over its repetitions.
+        dwell_s, wait_s: Mean process time and mean wait at the goal.
+        stands_s: Logged standstill times at the goal (dwell + wait), ascending, shape (N,) of N repetitions.
     """
 
     task: str
@@ -48,7 +47,7 @@ class NominalTask:
 def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> dict[str, NominalTask]:
     """Return the nominal motion of every task that was logged with known scaling, by task name.
 
-    `wanted`: no others are looked for, if all of these were logged so.
+    `wanted`: return only these tasks, if all of them were logged with known scaling.
     """
     tasks = dataset.tasks().filter(pl.col("nominal_s").is_not_null())
     if tasks.height == 0:
@@ -81,12 +80,12 @@ def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> di
 
 
 def _execution_track(dataset: Dataset, execution: str) -> tuple[Vector, Floats, Vector]:
-    """Times, TCP and rate of the program of one execution: native where the scaling was logged, else the samples."""
+    """Return times, TCP and program rate of one execution: logged rows if these have the scaling, else samples."""
     tcp = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
     native = dataset.native_robot(execution, ("t_s", *tcp, "scaling"))
     if native is not None and native["scaling"].is_not_null().any():
         xyz = native.select(tcp).to_numpy()
-        return native["t_s"].to_numpy(), xyz, native["scaling"].to_numpy()  # what the slider took is in it
+        return native["t_s"].to_numpy(), xyz, native["scaling"].to_numpy()  # includes the speed slider
     samples = dataset.samples([execution])
     xyz = samples.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()
     speed = samples.select(pl.col("scaling") * pl.col("slider").fill_null(1.0)).to_series()
@@ -94,12 +93,12 @@ def _execution_track(dataset: Dataset, execution: str) -> tuple[Vector, Floats, 
 
 
 def _slider_loss(tasks: pl.DataFrame) -> pl.Expr:
-    """Time lost to the operator's speed slider, where the dataset tells it apart from the scaling: else 0, s."""
+    """Return the time lost to the operator's speed slider, s; 0 if it is not separated from the scaling."""
     return pl.col("lost_slider_s").fill_null(0.0)
 
 
 def slider_losses(dataset: Dataset) -> dict[str, float]:
-    """Return the part of each execution's time that was lost to the operator's speed slider, by name."""
+    """Return the share of each execution's time that was lost to the operator's speed slider, by name."""
     tasks = dataset.tasks()
     lost = tasks.group_by("execution").agg(_slider_loss(tasks).sum().alias("lost"))
     durations = dict(dataset.executions.select("execution", "duration_s").iter_rows())
@@ -107,7 +106,7 @@ def slider_losses(dataset: Dataset) -> dict[str, float]:
 
 
 def _undo_scaling(track: tuple[Vector, Floats, Vector], start_s: float, arrival_s: float, nominal_s: float) -> Floats:
-    """Return the TCP over nominal time, shape (K, 3), stretched to the usual nominal duration."""
+    """Return the TCP over nominal time, shape (K, 3), stretched to the median nominal duration."""
     t, xyz, scaling = track
     inside = (t >= start_s - 1e-9) & (t <= arrival_s + 1e-9)
     t, xyz, s = t[inside], xyz[inside], scaling[inside]

@@ -1,10 +1,10 @@
-"""Does the operator model hinder the robot as much as the logged operators did? Logged executions tell.
+"""Test of the operator model on logged executions: does it slow the robot as much as the logged operators did?
 
-Where the operator may begin at any instant (`tracks.phase_is_free`), a cycle is rolled out beside operators who enter
-the circles of their logs anywhere. That test looks at where operators are, and few executions tell little. What counts
-is the cycle time: logged executions are rolled out beside their own operators from the beginning, and in turns beside
-the tracks that enter anywhere. An operator who starts with the cycle, or keeps time with it, gives other cycles then;
-his tracks are used as they were logged.
+If the operator's habits do not depend on the phase of the cycle (`tracks.phase_is_free`), cycles are rolled out with
+tracks that start anywhere on the circles of the logs. That test compares positions, and has little power with few
+executions. The cycle time is what counts: logged executions are rolled out with their own operator track from its
+beginning, and in turn with tracks that start anywhere. If the operator starts with the cycle, or is in step with it,
+the cycle times differ; his tracks are then used as logged.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 CHANCE_Z = 2.6
-"""So many standard errors between model and logged tracks are no chance (one in a hundred)."""
+"""Threshold, standard errors, of the difference between model and logged tracks (one in a hundred by chance)."""
 
 
 @dataclass(frozen=True)
 class OperatorModel:
-    """How cycles beside operators who are entered at any instant differ from those beside their logged tracks.
+    """Difference between cycles with tracks that start at any instant and cycles with the logged tracks.
 
     Attributes:
-        bias: Mean difference, as part of the cycle; logged executions in the same orders.
-        z: It in standard errors, from resampling executions.
+        bias: Mean difference, as a share of the cycle; logged executions in the same orders.
+        z: The difference in standard errors, from resampled executions.
     """
 
     bias: float
@@ -40,12 +40,12 @@ class OperatorModel:
 
     @property
     def as_logged(self) -> bool:
-        """Whether logged tracks are used from their beginning: beyond chance the model gives other cycles."""
+        """Whether logged tracks are used from their beginning: the model's cycles differ significantly."""
         return abs(self.z) > CHANCE_Z
 
     @property
     def said(self) -> str | None:
-        """That they are, in one sentence."""
+        """The result in one sentence, if logged tracks are used from their beginning."""
         if not self.as_logged:
             return None
         return (
@@ -59,14 +59,13 @@ class OperatorModel:
 
 
 def operator_model(names: Sequence[str], own: Vector, later: Vector, tracks: OperatorTracks) -> OperatorModel | None:
-    """Compare; None where the model enters tracks at their beginning alone.
+    """Compare the operator model with logged tracks; None if the model starts tracks only at their beginning.
 
     Args:
         names: The logged executions.
-        own: How long each takes beside its own operator from the beginning, as part of it without safety loss, shape
-            (E,).
-        later: How long they take in turns beside the later tracks, so too, shape (K - beginnings,).
-        tracks: Of these executions, the beginnings first.
+        own: Duration with the own operator track from its beginning, relative to that without safety loss, shape (E,).
+        later: Relative durations with the later tracks, executions in turn, shape (K - beginnings,).
+        tracks: The tracks of these executions, the beginnings first.
     """
     if not len(later):
         return None

@@ -1,4 +1,4 @@
-"""The program of a sequence: its motions and stands laid out along nominal time.
+"""The program of a sequence: its motions and standstills along nominal time.
 
 `rollout` computes how fast that time advances with an operator in the cell.
 """
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Program:
-    """A sequence laid out along nominal time.
+    """Motions and standstills of a sequence along nominal time.
 
     Attributes:
-        tasks: Its motions and stands.
-        edges_s: Nominal time at the end of each motion and each stand in turn, shape (2 * tasks,).
+        tasks: The tasks, each a motion and a standstill.
+        edges_s: Nominal time at the end of each motion and each standstill, alternating, shape (2 * tasks,).
     """
 
     tasks: tuple[NominalTask, ...]
@@ -37,11 +37,11 @@ class Program:
 
     @property
     def length_s(self) -> float:
-        """Duration at scaling 1, stands included: the sum over the tasks, exactly."""
+        """Duration at scaling 1 including standstills: the exact sum over the tasks."""
         return float(self.edges_s[-1])
 
     def xyz_m(self) -> Floats:
-        """Return the TCP in the middle of K cells of about STEP_S, shape (K, 3); thousands of programs keep none."""
+        """Return the TCP at the centres of K cells of about STEP_S, shape (K, 3); computed anew to save memory."""
         cells = max(1, round(self.length_s / STEP_S))
         middle = (np.arange(cells) + 0.5) * (self.length_s / cells)
         xyz, first = np.empty((cells, 3)), 0
@@ -86,11 +86,11 @@ def _tasks_from(task: str, nominal: Mapping[str, NominalTask]) -> str:
 
 
 def draw_stands(program: Program, count: int, seed: int, known: dict[tuple[str, int], Floats] | None = None) -> Floats:
-    """Return a stand per cycle and task, shape (count, tasks), seconds: the logged stands, spread evenly and shuffled.
+    """Return a standstill time per cycle and task, shape (count, tasks), s: quantiles of logged ones, shuffled.
 
-    A robot that is starved of parts now and then has cycles that differ by that alone; mean stands would hide it. A
-    task draws the same stands in every program, the second time in a program others than the first: programs that are
-    compared meet the same luck. `known`: where programs of the same tasks keep what was drawn for each other.
+    Rare long waits for parts make cycles differ; mean standstills would hide that. A task draws the same standstills in
+    every program, and others at its second occurrence in a program, so that programs are compared under the same
+    conditions. `known`: a cache of draws, shared between programs with the same tasks.
     """
     known = {} if known is None else known
     drawn, times = [], Counter[str]()
@@ -104,7 +104,7 @@ def draw_stands(program: Program, count: int, seed: int, known: dict[tuple[str, 
 
 
 def stands_of(task: NominalTask, count: int, seed: int, occurrence: int) -> Floats:
-    """Return the stands of one task at its n-th occurrence in a program, shape (count,), s; see `draw_stands`."""
+    """Return standstill times of a task at its n-th occurrence in a program, shape (count,), s; see `draw_stands`."""
     rng = np.random.default_rng([seed, crc32(task.task.encode()), occurrence])
     level = (np.arange(count) + 0.5) / count
     stands: Floats = np.maximum(rng.permutation(np.quantile(task.stands_s, level)), 1e-3)

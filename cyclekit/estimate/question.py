@@ -1,4 +1,4 @@
-"""What one call of `estimate` asks, and the altered cell that it may ask about."""
+"""The question of one call of `estimate`, and the altered cell that it may ask about."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Altered:
-    """Another cell than the one that was logged: tasks and tracks made of the logged ones, and how s follows there."""
+    """A changed cell: functions that alter the logged tasks and tracks, and the dynamics of s."""
 
     tasks: Callable[[Mapping[str, NominalTask]], Mapping[str, NominalTask]]
     tracks: Callable[[OperatorTracks, Mapping[str, NominalTask]], OperatorTracks]
     dynamics: Dynamics
     moved: Mapping[str, float] = field(default_factory=dict)
-    """What logged durations moved the number of each sequence by in the cell that was logged, as a factor, by name."""
+    """Factor by which logged task durations changed the estimate of each sequence in the logged cell, by name."""
     coupling: CouplingCard | None = None
-    """Who waits for whom there."""
+    """Wait conditions of robot and operator in the changed cell."""
     pace: float = 1.0
-    """How many times as fast the operator walks and works there."""
+    """Speed of the operator relative to the logs, for walking and work."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """Everything that one call asks with."""
+    """All inputs and options of one call."""
 
     model: SafetyModel
     dataset: Dataset
@@ -48,5 +48,5 @@ class Question:
 
     @property
     def phases(self) -> int | None:
-        """How often operator tracks are entered; None: as these logs allow."""
+        """Number of instants at which operator tracks start; None: as the logs allow."""
         return self.check.phases if self.check else None

@@ -1,4 +1,4 @@
-"""Estimates in order: those of the same work together, shortest first, and how surely one beats another."""
+"""Ranking of estimates: grouped by work, shortest first, with the probability that one is shorter than another."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 def ranked(found: Sequence[CycleEstimate], means: Sequence[Vector], last: Sequence[bool]) -> list[CycleEstimate]:
-    """Return estimates in order, each with the probability that it beats each other one of the same work.
+    """Return estimates in order, each with the probability that it is shorter than each other one of the same work.
 
     Args:
         found: The estimates.
         means: The mean of each in each resample of the logs, shape (resamples,), s.
-        last: Which come behind the others: their numbers are not exact enough to rank before them.
+        last: Which estimates are too coarse to rank before the others, and come last.
     """
     order = sorted(range(len(found)), key=lambda i: (last[i], found[i].expected_s, found[i].name))
     alike = by_work([found[i] for i in order])
@@ -31,7 +31,7 @@ def ranked(found: Sequence[CycleEstimate], means: Sequence[Vector], last: Sequen
 
 
 def _of_one_work(found: list[CycleEstimate], mean_of: Mapping[str, Vector]) -> list[CycleEstimate]:
-    """Add to each estimate of one work the probability that it beats each other one (the first one, if many)."""
+    """Add to each estimate of one work the probability of being shorter than each other (if many, than the first)."""
     many = len(found) > MANY
     names = [entry.name for entry in found]
     means = [mean_of[name] for name in names]

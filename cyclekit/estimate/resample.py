@@ -1,7 +1,7 @@
-"""What finite logs leave open: logged executions drawn again and again, the same draw for every sequence.
+"""Uncertainty due to finite logs: resampled logged executions (bootstrap), the same draw for every sequence.
 
-Tracks of one execution are drawn together, and where the log runs on, neighbouring executions too: their tracks hold
-the same stretch of the operator's day.
+Tracks of one execution are drawn together. Where logs follow each other without a pause, so are neighbouring
+executions: their tracks contain the same stretch of the operator's day.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
 RESAMPLES = 1000
 TOGETHER = 3
-"""Neighbouring executions drawn together where the log runs on."""
+"""Number of neighbouring executions drawn as one block where logs follow each other without a pause."""
 BLOCKS = 4
-"""Fewer are drawn together where there would not be so many blocks: one block is all of them, in every resample."""
+"""Minimum number of blocks; with fewer executions the blocks are shorter, as a single block would never vary."""
 _Z = 1.96
-"""Half the width of a 95 % interval, standard errors."""
+"""Half-width of a 95 % interval, standard errors."""
 
 
 def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> Floats:
     """Return the weight of each track in each resample, shape (RESAMPLES, K); each row sums to 1.
 
     Args:
-        executions: Execution behind each of K tracks.
-        seed: Same seed, same draw.
-        together: How many neighbouring executions are drawn as one block, at most (see BLOCKS).
+        executions: Execution of each of K tracks.
+        seed: Seed of the draw.
+        together: Maximum number of neighbouring executions drawn as one block (see BLOCKS).
     """
     names, which = np.unique(np.array(executions), return_inverse=True)
     weight = _drawn(len(names), seed, together)[:, which].astype(np.float64)
@@ -41,7 +41,7 @@ def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> Flo
 def resampled_alike(executions: Sequence[str], others: Sequence[str], seed: int, *, together: int = 1) -> Floats:
     """Return how often each of `others` is drawn in the resamples of `resampled`, shape (RESAMPLES, others).
 
-    An execution that is none of `executions` is in each resample once.
+    Executions that are not among `executions` count once in each resample.
     """
     names = np.unique(np.array(executions))
     times = np.column_stack([_drawn(len(names), seed, together), np.ones(RESAMPLES, dtype=np.int64)])
@@ -65,11 +65,11 @@ def interval_of_mean(
     """Return the 95 % interval of the mean of K cycles.
 
     Args:
-        means_s: The mean in each resample of the logs, shape (resamples,), s: what finite logs leave open.
-        model_error: Standard deviation that the network's error leaves, as part of the mean.
-        judged: From how many executions that is known: the fewer, the farther off it may be (Student's t).
-        bias_s: What the mean may be off by to either side beside that, s; no resampling shows it.
-        seed: Same seed, same interval.
+        means_s: The mean in each resample of the logs, shape (resamples,), s.
+        model_error: Standard deviation due to the network's error, as a share of the mean.
+        judged: Number of executions from which `model_error` is known; few widen the interval (Student's t).
+        bias_s: Possible bias to either side, s, which resampling does not show.
+        seed: Seed of the draw from Student's t.
     """
     means = means_s * (1.0 + model_error * np.random.default_rng(seed + 1).standard_t(max(judged - 1, 1), len(means_s)))
     return float(np.quantile(means, 0.025)) - bias_s, float(np.quantile(means, 0.975)) + bias_s
@@ -78,9 +78,9 @@ def interval_of_mean(
 def share_within(
     durations_s: Vector, takt_s: float, weights: Floats, *, bias: float = 0.0
 ) -> tuple[float, float, float]:
-    """Return the part of K cycles that take at most `takt_s`, and its 95 % interval over the resamples.
+    """Return the share of K cycles that take at most `takt_s`, and its 95 % interval over the resamples.
 
-    `bias`: what every cycle may be off by to either side, as part of it; the interval holds both.
+    `bias`: possible bias of every cycle to either side, as a share of it; it widens the interval.
     """
     meets, slower, quicker = (durations_s * (1 + off) <= takt_s for off in (0.0, bias, -bias))
     low, high = float(np.quantile(weights @ slower, 0.025)), float(np.quantile(weights @ quicker, 0.975))
@@ -94,7 +94,7 @@ def means_below(means: Sequence[Vector], index: int) -> Vector:
 
 
 def wilson(share: float, count: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a part that was counted in `count` cases."""
+    """Return Wilson's 95 % interval of a share that was counted in `count` cases."""
     count = max(count, 1)
     middle = (share + _Z**2 / (2 * count)) / (1 + _Z**2 / count)
     half = _Z * np.sqrt(share * (1 - share) / count + (_Z / (2 * count)) ** 2) / (1 + _Z**2 / count)
@@ -102,9 +102,9 @@ def wilson(share: float, count: int) -> tuple[float, float]:
 
 
 def least_wide(within: tuple[float, float, float], executions: int) -> tuple[float, float, float]:
-    """Return a part of the cycles with its interval, which is never narrower than Wilson's of so many executions.
+    """Return a share of cycles with its interval, no narrower than Wilson's interval of `executions` cases.
 
-    Resampling executions that are all within a takt gives an interval without width.
+    If all resampled executions are within the takt time, their interval has no width.
     """
     share, low, high = within
     least, most = wilson(share, executions)

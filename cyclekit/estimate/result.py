@@ -1,4 +1,4 @@
-"""What an estimate says: cycle time per sequence with its distribution and its split.
+"""The result of an estimate: cycle time per sequence with its distribution and its split.
 
 Only data and its JSON form; `rollout` computes the numbers.
 """
@@ -22,22 +22,22 @@ if TYPE_CHECKING:
     from cyclekit.plots.drawing import Drawing
 
 PARTS = 50
-"""In so many parts of the cycle it is told what the operator does."""
+"""Number of equal parts of the cycle in which the operator's activity is reported."""
 AWAY, ELSEWHERE = "away", "elsewhere"
-"""What he does where he is not there, and where it is not known at which of his tasks he is."""
+"""Names of two activities: the operator is absent; he is present, but his task is unknown."""
 OF_STATES = ("signals ", "no signal of people", "hidden state ")
-"""What he does begins with one of these where he is known by states: then it is no place."""
+"""Prefixes of activities if the operator is known by states: such an activity is no place."""
 MOST = 0.5
-"""A share is called most of something only above this part of it; the largest of several may be far less."""
+"""Minimum share that is called most of something; the largest of several shares may be far less."""
 
 
 @dataclass(frozen=True)
 class TaskShare:
     """Mean time of one task of the sequence, split; seconds.
 
-    `nominal_s + safety_loss_s + dwell_s + wait_s = expected_s`. Between `end_low_s` and `end_high_s` (seconds from the
-    start of the cycle) it ends in single cycles: the lowest and the highest quantile that was asked for; None where
-    single cycles are not known, and of plans for both agents, whose tasks have them in `plan`.
+    `nominal_s + safety_loss_s + dwell_s + wait_s = expected_s`. `end_low_s` and `end_high_s` bound the end of the task
+    in single cycles, in seconds from the start of the cycle: the lowest and the highest requested quantile. They are
+    None if single cycles are unknown, and for plans of both agents, where `plan` has them.
     """
 
     task: str
@@ -55,12 +55,14 @@ class PlannedShare:
     """One task of a plan for robot and operator: means over the cycles, seconds from the first start.
 
     Attributes:
-        agent: Its name in the plan; `kind`: robot or operator.
-        task: Its name.
-        start_s, end_s: When it starts and ends.
-        wait_s: Time from the end of the agent's own task before it to its start.
-        decided: In which part of the cycles what decided the start: another task, the planned start, or the agent's own
-            task before it.
+        agent: Name of the agent in the plan.
+        kind: `robot` or `operator`.
+        task: Name of the task.
+        start_s, end_s: Its start and end.
+        wait_s: Time from the end of the agent's previous task to the start.
+        decided: Share of the cycles in which each cause decided the start: another task, the planned start, or the
+            agent's previous task.
+        end_low_s, end_high_s: Lowest and highest requested quantile of the end in single cycles; None if unknown.
     """
 
     agent: str
@@ -82,38 +84,39 @@ class CycleEstimate(Result):
         name: The sequence's name in the user's file.
         places: Ordered places, the start first.
         expected_s: Mean cycle time over the operator tracks.
-        expected_low_s, expected_high_s: 95 % interval of that mean: finite logs by resampling the tracks, and where
-            it was validated the network's error, and a bias that a doubt names and nothing takes out. What is off in
-            positions that were never logged is not known and not in it.
+        expected_low_s, expected_high_s: 95 % interval of that mean. It covers finite logs (resampled tracks) and, if
+            validated, the network's error and an uncorrected bias that a doubt names. It does not cover the error in
+            positions that were never logged, which is unknown.
         quantiles_s: Quantiles of single cycles, by level.
-        nominal_s, safety_loss_s, dwell_s, wait_s: Split of `expected_s`, with `idle_s` of a plan for both.
-        support: Fraction of the rolled-out time whose robot and operator positions lie near logged samples.
-        tracks: Number of logged operator tracks it rests on.
-        doubts: What makes the number itself doubtful, one sentence each: shown beside it.
-        warnings: These, and what else limits the number.
+        nominal_s, safety_loss_s, dwell_s, wait_s: Split of `expected_s`, with `idle_s` for a plan of both agents.
+        support: Share of the rolled-out time with robot and operator positions near logged samples.
+        tracks: Number of operator tracks behind the estimate.
+        doubts: Reasons to doubt the number itself, one sentence each: shown with it.
+        warnings: The doubts, and the other limits of the number.
         tasks: The split per task, in order.
         safety_by_activity_s: Mean safety loss per operator activity (human task), seconds, where known.
-        durations_s: Cycle time on each track, seconds, in the order of the executions they were logged in.
-        estimator: What made the number: `rollout`, `average`, `history` or `nominal`.
-        why: Why that one, one sentence.
-        executions: Number of logged executions it rests on; `tracks` can be more, entered at several instants of each.
+        durations_s: Cycle time on each track, seconds, in the order of the logged executions.
+        estimator: Estimator of the number: `rollout`, `average`, `history` or `nominal`.
+        why: Why this estimator was used, one sentence.
+        executions: Number of logged executions behind the estimate; `tracks` is larger if several start in each.
         calibrated: Whether `quantiles_s` and the interval of the mean were corrected by logged executions.
-        takt_s: Takt time that was asked about, seconds.
-        takt_probability: Part of the cycles that meet it, and its 95 % interval from resampling executions, no narrower
-            than Wilson's of so many executions.
+        takt_s: Requested takt time, seconds.
+        takt_probability: Share of the cycles within the takt time, and its 95 % interval from resampled executions, no
+            narrower than Wilson's interval for that number of executions.
         beats: Probability that its mean is below that of another sequence of the same work
             (`cyclekit.estimate.same_work`), by name, over common resampled executions.
-        extrapolated: Marked: most of it runs through positions that were never logged.
-        operator: What the operator was asked to do meanwhile; None where that was left open.
-        check: The validation on logged executions that corrected it; None where there was none.
-        combined: The rollout and the sum of logged task durations that it is the weighted mean of; None where it rests
-            on one of them.
-        plan: Start, end and wait of each task of both agents, where both are rolled out. Of task lists `nominal_s`
-            is the robot's tasks as long as usual, `safety_loss_s` what differs as other tasks go on beside them.
-        idle_s: From the end of the robot's last task to that of the operator's, mean; 0 where the robot ends the cycle.
-        operator_at: In which part of the cycles the operator is at each task or on the way to it, in PARTS equal parts
-            of `expected_s`; empty where he is not known, and where `plan` has his tasks.
-        asked: The tasks of both agents as a plan was asked for.
+        extrapolated: Whether most of the cycle runs through positions that were never logged.
+        operator: Requested order of the operator's tasks; None if left open.
+        check: The validation on logged executions that corrected the estimate; None without one.
+        combined: The rollout and the sum of logged task durations, whose weighted mean the estimate is; None if it is
+            one of them.
+        plan: Start, end and wait of each task of both agents, if both are rolled out. For task lists, `nominal_s` is
+            the usual time of the robot's tasks, `safety_loss_s` the change due to concurrent tasks.
+        idle_s: Mean time from the end of the robot's last task to that of the operator's; 0 if the robot ends the
+            cycle.
+        operator_at: Share of cycles in which the operator is at, or on the way to, each task, in PARTS equal parts of
+            `expected_s`; empty if he is unknown, or if `plan` has his tasks.
+        asked: The requested tasks of both agents of a plan.
     """
 
     name: str
@@ -151,7 +154,7 @@ class CycleEstimate(Result):
 
     @property
     def per_visit_s(self) -> float:
-        """Mean time per visit: what cycles of different work can be held against each other by."""
+        """Mean time per visit, to compare cycles of different work."""
         return self.expected_s / max(len(self.places) - 1, 1)
 
     @property
@@ -161,7 +164,7 @@ class CycleEstimate(Result):
 
     @property
     def costliest_task(self) -> tuple[TaskShare, float] | None:
-        """The task that loses most to safety, and its part of the whole safety loss; None where nothing is lost."""
+        """The task with the largest safety loss, and its share of the whole safety loss; None without any loss."""
         task = max(self.tasks, key=lambda share: share.safety_loss_s, default=None)
         if task is None or task.safety_loss_s <= 0 or self.safety_loss_s <= 0:
             return None
@@ -169,12 +172,12 @@ class CycleEstimate(Result):
 
     @property
     def costliest_activity(self) -> tuple[str, float] | None:
-        """The operator's activity that cost most, and its mean loss in seconds; None where none is known."""
+        """The operator's activity with the largest mean safety loss, and that loss, s; None if unknown."""
         known = {name: lost for name, lost in self.safety_by_activity_s.items() if name != "unknown"}
         return max(known.items(), key=lambda entry: entry[1]) if known else None
 
     def plot(self) -> Drawing:
-        """Return the sequence as a time chart, mean times, as a matplotlib figure."""
+        """Return a time chart of the sequence (mean times) as a matplotlib figure."""
         from cyclekit.estimate.gantt import gantt_figure
 
         return gantt_figure([self])
@@ -193,7 +196,7 @@ class CycleEstimate(Result):
         return out | {"median_s": self.median_s, "per_visit_s": self.per_visit_s}
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per task, mean seconds."""
+        """Return one row per task, mean seconds."""
         import polars as pl
 
         return pl.DataFrame([dict(vars(task)) for task in self.tasks])

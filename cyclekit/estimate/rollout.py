@@ -1,10 +1,10 @@
-"""Expected cycle time of task sequences: the estimators by name, and what each number rests on.
+"""Expected cycle time of task sequences, by one of these estimators.
 
-rollout   the learned safety function walked beside logged operator tracks (`walk`, `transit`), or both agents rolled
-          out together where one waits for the other (`joint`)
-average   the paper's way: the mean scaling over a task's horizon (`rivals`)
-history   sums of logged task durations (`rivals`)
-nominal   nobody in the cell (`rivals`)
+rollout   simulation of the learned safety function with logged operator tracks (`walk`, `transit`), or of both agents
+          if one waits for the other (`joint`)
+average   the paper's method: the mean scaling over a task's horizon (`estimators`)
+history   sums of logged task durations (`estimators`)
+nominal   no operator in the cell (`estimators`)
 """
 
 from __future__ import annotations
@@ -66,18 +66,18 @@ def estimate(
     refused: Callable[[TaskSequence, EstimateError], None] | None = None,
     progress: Progress | None = None,
 ) -> list[CycleEstimate]:
-    """Return the expected cycle time of each sequence: those of the same work together, shortest first.
+    """Return the expected cycle time of each sequence, grouped by work, shortest first.
 
-    Every command, the fleet and Python ask here, so that one question has one number. A rollout is validated on logged
-    executions and corrected by its bias there; the same executions are used whoever asks.
+    Every command, the fleet and Python call this function, so that one question has one number. A rollout is validated
+    on logged executions and corrected by its bias there; the same executions are used for every caller.
 
-    What is asked is said at `cyclekit.estimate_cycles`. Beside it: the cell may be `altered`, and is then walked in
-    this process without a validation; `refused` is told each sequence that cannot be answered from these logs, and
-    why, and the others are answered as if they alone were asked for. Without it the first such sequence is raised.
+    The arguments are described at `cyclekit.estimate_cycles`. In addition: an `altered` cell is simulated in this
+    process without a validation. `refused` is called with each sequence that these logs cannot answer and the reason;
+    the others are answered as if only they were asked for. Without it the error of the first such sequence is raised.
 
     Raises:
-        ModelError: The model does not predict what the estimator needs, was learned in another cell, or comes out far
-            off on the logged executions.
+        ModelError: The model does not predict what the estimator needs, was trained on another cell, or has a large
+            bias on the logged executions.
         UnknownName: A place or the estimator does not exist.
         EstimateError: A task was never logged, there is no operator track, or the support is too low.
     """
@@ -172,14 +172,14 @@ def _laid_out(
 def _answered(
     ask: Question, programs: Mapping[TaskSequence, Program], tell: Progress, refuse: _Refuse
 ) -> tuple[list[TaskSequence], list[Rolled], OperatorTracks | None]:
-    """Return the sequences that can be answered, the cycles of each, and the tracks they rest on (None: on none).
+    """Return the sequences with an answer, the cycles of each, and their tracks (None without any).
 
-    Those that are left when others are refused are walked again: how long tracks are is up to the slowest.
+    If some are refused, the others are simulated again: the slowest sequence sets the length of the tracks.
     """
     while programs:
         try:
             rolled, tracks, until_s = cycles_of(ask, list(programs), list(programs.values()), tell)
-        except EstimateError as error:  # there are no tracks for any of them
+        except EstimateError as error:  # no tracks for any of them
             for sequence in programs:
                 refuse(sequence, error)
             break
@@ -195,7 +195,7 @@ def _answered(
 
 
 def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> Floats:
-    """Weights of the cycles in each resample of the logs, shape (resamples, K)."""
-    if tracks is None:  # cycles put together of tasks: each draw is one
+    """Return the weights of the cycles in each resample of the logs, shape (resamples, K)."""
+    if tracks is None:  # cycles assembled from tasks: each draw counts on its own
         return resampled([str(k) for k in range(len(cycles.duration_s))], ask.seed)
     return resampled(tracks.executions, ask.seed, together=TOGETHER if tracks.runs_on else 1)

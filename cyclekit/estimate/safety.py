@@ -1,7 +1,7 @@
-"""The scaling that a rollout meets: what the network says of two positions, and how s follows it in time.
+"""The scaling in a rollout: the safety function of two positions, and the response of s to it over time.
 
-A safety system answers late (latency), lets s change only so fast (ramps), and gives speed back a little farther out
-than it took it (hysteresis). Where these were read from the logs they are in the dataset's card under `dynamics`.
+A safety system has a reaction time (latency), limits the rate of change of s (ramps), and restores speed at a larger
+distance than it reduces it (hysteresis). If these were found in the logs, the dataset's card has them in `dynamics`.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ if TYPE_CHECKING:
 
 
 BLOCK = 2048
-"""Rows predicted at once: a block and its layers stay in the fast cache."""
+"""Rows predicted at once: a block and its layers fit into the processor's cache."""
 
 
 SURE = 0.99
-"""A level of this probability is farther from every other than half the hysteresis."""
+"""Minimum probability of a level for its position to count as beyond half the hysteresis from every threshold."""
 
 
 @runtime_checkable
 class SafetyModel(Protocol):
-    """What a rollout asks of a model; a staircase written down in a file has it as well."""
+    """A safety function as used by a rollout: a learned model, or a staircase defined in a file."""
 
     @property
     def problem(self) -> str:
-        """What it predicts; `now` for the scaling of the present instant."""
+        """Problem that it predicts; `now` for the present scaling."""
 
     @property
     def card(self) -> TrainingCard:
-        """How it came about."""
+        """How it was trained."""
 
     def predict(self, X: Singles, /) -> Vector:
         """Return the scaling (N,) for rows x_r, x_h (N, 6), m."""
@@ -50,60 +50,60 @@ class SafetyModel(Protocol):
 
 @runtime_checkable
 class Written(SafetyModel, Protocol):
-    """A safety function whose thresholds are known: they are those at which s falls."""
+    """A safety function with known thresholds, which are those at which s falls."""
 
     def moved_outwards(self, margin_m: float, /) -> SafetyModel:
-        """Return it with its thresholds and zones moved outwards by the hysteresis: what s rises by."""
+        """Return it with thresholds and zones moved outwards by the hysteresis: at these s rises."""
 
 
 @runtime_checkable
 class Everywhere(SafetyModel, Protocol):
-    """A safety function that may hold where nothing was ever logged, as one that is written down does."""
+    """A safety function that may be valid where nothing was logged, such as one that is defined in a file."""
 
     @property
     def known_everywhere(self) -> bool:
-        """Whether it holds there."""
+        """Whether it is valid there."""
 
 
 def holds_everywhere(model: SafetyModel) -> bool:
-    """Return whether the safety function is known in positions that were never logged; a learned one is not."""
+    """Return whether the safety function is valid in positions that were never logged; a learned one is not."""
     return isinstance(model, Everywhere) and model.known_everywhere
 
 
 @runtime_checkable
 class Fast(SafetyModel, Protocol):
-    """A safety function that may answer so fast that a rollout asks it in every step."""
+    """A safety function that may be fast enough to be evaluated in every step of a rollout."""
 
     @property
     def often(self) -> bool:
-        """Whether it does, and what it is compared with does too."""
+        """Whether it is fast enough, and so is the function it is compared with."""
 
 
 def asked_often(model: SafetyModel) -> bool:
-    """Return whether a rollout asks the safety function in every step; a network takes too long."""
+    """Return whether a rollout evaluates the safety function in every step; a network is too slow."""
     return isinstance(model, Fast) and model.often
 
 
 class Logged(Protocol):
-    """What knows which pairs of robot and operator were ever logged: cells of space, or a safety function of states."""
+    """A test for logged pairs of robot and operator: cells of space, or a safety function of states."""
 
     def near_logged(self, robot_m: Floats, human_m: Floats, /) -> Bools:
-        """Return whether the logs show the operator there, or in such a state, with the TCP there, shape (N,)."""
+        """Return whether the operator's position or state was logged with the TCP near this position, shape (N,)."""
 
 
 @runtime_checkable
 class OnStates(SafetyModel, Protocol):
-    """A safety function of states of the operator that stand in place of his position, which no log shows.
+    """A safety function of states of the operator, which replace his position if that was not logged.
 
-    A state is a row of numbers; the first one is its index into `states`.
+    A state is a row of numbers; the first is its index into `states`.
     """
 
     def __hash__(self) -> int:
-        """Return a hash: tracks that were made for it are kept."""
+        """Return a hash, by which tracks for this model are cached."""
 
     @property
     def unseen_error(self) -> float:
-        """Part of the spread of logged durations by which expected ones may be off, as nobody saw people."""
+        """Error of expected durations because people were not seen, as a share of the spread of logged durations."""
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -111,37 +111,37 @@ class OnStates(SafetyModel, Protocol):
 
     @property
     def why(self) -> str:
-        """What an estimate with it is, in a few words."""
+        """Short description of an estimate made with it."""
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What makes every number from it doubtful, one sentence each."""
+        """Reasons to doubt every number from it, one sentence each."""
 
     @property
     def limits(self) -> tuple[str, ...]:
-        """What else limits them, one sentence each."""
+        """Other limits of every number from it, one sentence each."""
 
     def scaling_in(self, robot_m: Floats, state: Floats, /) -> Vector:
-        """Return s with the TCP there, shape (N, 3), m, in states, shape (N, D); shape (N,)."""
+        """Return s for TCP positions, shape (N, 3), m, and states, shape (N, D); shape (N,)."""
 
     def near_logged(self, robot_m: Floats, state: Floats, /) -> Bools:
-        """Return whether the logs show such states with the TCP there, shape (N,)."""
+        """Return whether these states were logged with the TCP near these positions, shape (N,)."""
 
     def logged_states(self, dataset: Dataset, /) -> Mapping[str, tuple[Vector, Floats]]:
-        """Return times (T,), s, and states (T, D) of each execution in which they are known."""
+        """Return times (T,), s, and states (T, D) of each execution in which states are known."""
 
 
 @runtime_checkable
 class Classifier(SafetyModel, Protocol):
-    """A network that may tell how likely each level is, if `network` says that it is a classifier."""
+    """A network that predicts a probability for each level, if `network` is a classifier."""
 
     @property
     def network(self) -> str:
-        """Its kind."""
+        """Kind of the network."""
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """Its levels, ascending."""
+        """Levels, ascending."""
 
     def probabilities(self, X: Singles, /) -> Vector:
         """Return the probability of every level (N, P) for rows x_r, x_h (N, 6), m."""
@@ -149,13 +149,13 @@ class Classifier(SafetyModel, Protocol):
 
 @dataclass(frozen=True)
 class Dynamics:
-    """How s follows the safety function in time; None where nothing of it was seen.
+    """Response of s to the safety function over time; None for a parameter that was not found.
 
     Attributes:
-        latency_s: From positions to the scaling that answers to them.
-        ramp_down_per_s, ramp_up_per_s: Fastest fall and rise of s.
-        hysteresis_m: How much farther away the operator must be for s to rise than for it to fall.
-        hold_s: How long s must have been allowed to rise before it does.
+        latency_s: Reaction time from positions to the scaling that results from them.
+        ramp_down_per_s, ramp_up_per_s: Maximum rates of fall and rise of s.
+        hysteresis_m: Difference between the distances at which s rises and falls.
+        hold_s: Minimum time for which a rise must be allowed before s rises.
     """
 
     latency_s: float | None = None
@@ -166,7 +166,7 @@ class Dynamics:
 
     @classmethod
     def of(cls, card: DynamicsCard, model: SafetyModel | None = None) -> Dynamics:
-        """Return what a dataset's card says, or a law of the model, which was fitted together with its response."""
+        """Return the dynamics of a dataset's card, or of the model's law, which was fitted with its response."""
         law = model.rule.law if isinstance(model, RuleSafety) else None
         if law is not None:
             return cls(law.latency_s, law.ramp_down_per_s, law.ramp_up_per_s)
@@ -174,20 +174,20 @@ class Dynamics:
 
     @property
     def none(self) -> bool:
-        """Whether s follows at once."""
+        """Whether s follows the safety function without delay."""
         return not any(vars(self).values())
 
 
 def at_once(model: SafetyModel, dynamics: Dynamics) -> bool:
-    """Return whether s depends on the positions of the instant alone."""
+    """Return whether s depends only on the positions at the same instant."""
     return dynamics.none and not (isinstance(model, OnStates) or (isinstance(model, RuleSafety) and model.lags))
 
 
 def scaling_of(model: SafetyModel, robot_m: Floats, human_m: Floats) -> Vector:
-    """Return s of each pair of positions, shape (N, 3) both; without an operator, what the logs showed then.
+    """Return s for each pair of positions, shape (N, 3) each; without an operator, the logged scaling without one.
 
-    Of somebody whose height is unknown (NaN) it is that of the distance in the plane. For a safety function of states
-    these stand in place of x_h, shape (N, D).
+    If the operator's height is unknown (NaN), the distance in the plane is used. For a safety function of states, these
+    replace x_h, shape (N, D).
     """
     if human_m.shape[1] != 3 and isinstance(model, OnStates):
         return model.scaling_in(robot_m, human_m)
@@ -200,7 +200,7 @@ def scaling_of(model: SafetyModel, robot_m: Floats, human_m: Floats) -> Vector:
 
 
 def likeliest_of(model: Classifier, robot_m: Floats, human_m: Floats) -> tuple[Vector, Bools]:
-    """Return the likeliest level of each pair of positions, as `scaling_of`, and whether it is SURE; (N,) each."""
+    """Return the most probable level of each pair of positions, as `scaling_of`, and whether it is SURE; (N,) each."""
     scaling, inputs, present = _asked(model, robot_m, human_m)
     sure = np.ones(len(scaling), dtype=np.bool_)
     if len(inputs):
@@ -212,7 +212,7 @@ def likeliest_of(model: Classifier, robot_m: Floats, human_m: Floats) -> tuple[V
 
 
 def around(robot_m: Floats, human_m: Floats, by_m: float) -> list[Floats]:
-    """Return the operators (N, 3) moved by `by_m` towards the robot, away from it, and to both sides on the floor."""
+    """Return operators (N, 3) moved by `by_m` towards the robot, away from it, and to both sides on the floor."""
     way = human_m - robot_m
     way *= by_m / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
     side = np.stack([-way[:, 1], way[:, 0], np.zeros(len(way))], axis=1)
@@ -221,7 +221,7 @@ def around(robot_m: Floats, human_m: Floats, by_m: float) -> list[Floats]:
 
 
 def _asked(model: SafetyModel, robot_m: Floats, human_m: Floats) -> tuple[Vector, Singles, Ints | slice]:
-    """Return s without an operator (N,), the inputs of the pairs that are asked (M, 6), and their rows."""
+    """Return s without an operator (N,), the inputs of the pairs to evaluate (M, 6), and their rows."""
     without = model.card.scaling_without_operator
     scaling = np.full(len(robot_m), 1.0 if without is None else without)
     inputs = np.empty((len(robot_m), 6), dtype=np.float32)
@@ -235,11 +235,11 @@ def _asked(model: SafetyModel, robot_m: Floats, human_m: Floats) -> tuple[Vector
 
 
 class Follower:
-    """s of N cycles over time, one call per step of `step_s`."""
+    """s of N cycles over time, with one call per step of `step_s`."""
 
     def __init__(self, model: SafetyModel, dynamics: Dynamics, step_s: float) -> None:
         self._model, self._dynamics, self._step_s = model, dynamics, step_s
-        # what kind of model it is takes Python as long to tell as the network takes for a few rows
+        # isinstance checks per step would take as long as the network for a few rows
         self._rule = model if isinstance(model, RuleSafety) else None
         self._written = model if isinstance(model, Written) else None
         self._classifier = model if isinstance(model, Classifier) and names_levels(model.network) else None
@@ -251,12 +251,12 @@ class Follower:
         self._s: Vector | None = None
 
     def advance(self, robot_m: Floats, human_m: Floats) -> Vector:
-        """Return s (N,) of this step for positions (N, 3) at its middle."""
+        """Return s (N,) of this step for positions (N, 3) at the middle of the step."""
         self._asked = self._wanted(robot_m, human_m)
         return self.go_on()
 
     def go_on(self) -> Vector:
-        """Return s (N,) of one more step for the positions that were told last."""
+        """Return s (N,) of one more step for the positions of the last call of `advance`."""
         self._recent.append(self._asked)
         self._seen.append(np.min(self._recent, axis=0) if len(self._recent) > 1 else self._asked)
         wanted = self._seen.popleft() if len(self._seen) > self._delay else self._seen[0]
@@ -269,13 +269,13 @@ class Follower:
         return wanted
 
     def keep(self, going: Bools) -> None:
-        """Leave the other rows out from now on."""
+        """Drop all other rows."""
         self._seen, self._asked = deque(wanted[going] for wanted in self._seen), self._asked[going]
         self._recent = deque((wanted[going] for wanted in self._recent), self._recent.maxlen)
         self._s, self._held = (None if part is None else part[going] for part in (self._s, self._held))
 
     def _wanted(self, robot_m: Floats, human_m: Floats) -> Vector:
-        """Return what the safety function with its hysteresis asks for."""
+        """Return the scaling of the safety function with its hysteresis."""
         lags = self._rule.lags if self._rule is not None else bool(self._dynamics.hysteresis_m)
         if not lags:
             return scaling_of(self._model, robot_m, human_m)
@@ -285,11 +285,11 @@ class Follower:
         return self._held
 
     def bounds(self, robot_m: Floats, human_m: Floats) -> tuple[Vector, Vector]:
-        """Return up to which s may rise and down to which it must fall; what was learned lies half way between.
+        """Return the bounds up to which s may rise and down to which it must fall; the learned function lies half-way.
 
-        A classifier hesitates within the hysteresis, where s was now one level, now the other. Its likeliest level
-        there is on either side of the middle; of what lies within half the hysteresis the slowest may be risen to, and
-        the quickest need not be fallen below.
+        Within the hysteresis a classifier is uncertain, as the logs show both levels. Its most probable level changes
+        at the middle. So the minimum of the levels within half the hysteresis bounds the rise, and their maximum the
+        fall.
         """
         margin_m = self._dynamics.hysteresis_m or 0.0
         if self._rule is not None:
@@ -304,7 +304,7 @@ class Follower:
             return scaling_of(self._model, robot_m, nearer), scaling_of(self._model, robot_m, farther)
         rising, sure = likeliest_of(self._classifier, robot_m, human_m)
         falling, near = rising.copy(), np.flatnonzero(~sure)
-        if len(near):  # all four at once: the network takes as long for a few rows as for many
+        if len(near):  # all four in one call: the network takes as long for a few rows as for many
             moved = around(robot_m[near], human_m[near], margin_m / 2)
             robots = np.tile(robot_m[near], (len(moved), 1))
             levels = likeliest_of(self._classifier, robots, np.concatenate(moved))[0].reshape(len(moved), -1)

@@ -1,9 +1,9 @@
-"""Which cycles do the same work: only these are compared, ranked, or said to save time against each other.
+"""Work of a cycle: only cycles of the same work are compared, ranked, or said to save time.
 
-The work of a cycle is the multiset of its visits: every place that the robot drives to, as often as it does, in any
-order. The start is no visit. Where a cycle ends at its start it is closed, and it is the same work wherever on the way
-it is entered; otherwise the start belongs to the work, as a cycle that begins elsewhere is spared a motion. What the
-operator was asked to do belongs to it too: beside other operators an order is not what made the difference.
+The work of a cycle is the multiset of its visits: every place the robot drives to, as often as it does, in any order.
+The start is not a visit. A cycle that ends at its start is closed, and its work does not depend on the place where it
+is entered. Otherwise the start belongs to the work, because a cycle that begins elsewhere lacks a motion. The requested
+operator tasks belong to it too: with other operators the order is not the only difference.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 SHOWN = 6
-"""So many different places are named where work is described; of more, only how many visits there are."""
+"""Maximum number of different places that are named in a description of the work."""
 
 
 class Works(Protocol):
-    """A sequence or an estimate of one."""
+    """A sequence, or the estimate of one."""
 
     @property
     def places(self) -> tuple[str, ...]:
@@ -31,7 +31,7 @@ class Works(Protocol):
 
     @property
     def operator(self) -> tuple[str, ...] | None:
-        """What the operator was asked to do."""
+        """Requested operator tasks."""
         ...
 
 
@@ -40,12 +40,12 @@ Cycle = TypeVar("Cycle", bound=Works)
 
 @dataclass(frozen=True)
 class Work:
-    """What a cycle does; equal for cycles that do the same.
+    """The work of a cycle; equal for cycles of the same work.
 
     Attributes:
-        visits: Places driven to, sorted; one that is visited twice stands there twice.
-        start: Where an open cycle begins; None where the cycle ends at its start.
-        operator: What the operator was asked to do; None where that was left open.
+        visits: Places driven to, sorted; a place visited twice occurs twice.
+        start: Start of an open cycle; None if the cycle ends at its start.
+        operator: Requested operator tasks; None if left open.
     """
 
     visits: tuple[str, ...]
@@ -63,9 +63,9 @@ class Work:
 
 
 def work_of(places: Sequence[str], operator: tuple[str, ...] | None = None) -> Work:
-    """Return the work of a cycle through ordered places, the start first; of a plan for both, of its tasks.
+    """Return the work of a cycle through ordered places, the start first, or of a plan for both agents.
 
-    A task `a->b` of the robot counts for where it leads, so that orders of the same visits are the same work.
+    A robot task `a->b` of a plan counts by its goal, so that orders of the same visits are the same work.
     """
     if places[:1] == (PLAN,):
         tasks = (task.partition(": ") for task in places[1:])
@@ -75,7 +75,7 @@ def work_of(places: Sequence[str], operator: tuple[str, ...] | None = None) -> W
 
 
 def by_work(cycles: Iterable[Cycle]) -> dict[Work, list[Cycle]]:
-    """Return the cycles of each work, works in the order of their first cycle."""
+    """Return the cycles grouped by work, in the order of first occurrence."""
     found: dict[Work, list[Cycle]] = {}
     for cycle in cycles:
         found.setdefault(work_of(cycle.places, cycle.operator), []).append(cycle)

@@ -1,7 +1,7 @@
-"""A safety function of signals that tell of people: which of them are on is the operator's state.
+"""A safety function of signals that detect people: the set of signals that are on is the operator's state.
 
-Logged courses of the signals stand in place of tracks. The bits are as they were logged; how late the speed answers is
-in the dataset's `dynamics`.
+Logged courses of the signals replace operator tracks. The bits are as logged; the delay of the speed after them is in
+the dataset's `dynamics`.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ NOBODY = "no signal of people"
 
 @dataclass(frozen=True, eq=False)
 class SignalStates:
-    """A safety function asked by the number of a set of signals that are on.
+    """A safety function whose input is the number of a set of signals that are on.
 
     Attributes:
-        model: Asked with the signals in place of x_h (`signal_inputs`).
+        model: The learned function, with the signals in place of x_h (`signal_inputs`).
         patterns: Bit field of each state, as logged.
-        logged: Where the TCP was while they were on.
-        unseen_error: People are seen as far as the safety system sees them.
+        logged: TCP positions logged with each state.
+        unseen_error: 0: people are seen as far as the safety system sees them.
         doubts: None.
     """
 
@@ -51,27 +51,27 @@ class SignalStates:
 
     @property
     def problem(self) -> str:
-        """It gives the present scaling."""
+        """Problem that the model predicts: the present scaling."""
         return self.model.problem
 
     @property
     def card(self) -> TrainingCard:
-        """How it came about."""
+        """How the model was trained."""
         return self.model.card
 
     @property
     def often(self) -> bool:
-        """Whether it answers so fast that a rollout asks it in every step."""
+        """Whether it is fast enough to be evaluated in every step of a rollout."""
         return asked_often(self.model)
 
     @property
     def why(self) -> str:
-        """What an estimate with it is."""
+        """Description of an estimate made with it."""
         return "simulation of the learned safety function with every logged course of the signals of people"
 
     @property
     def limits(self) -> tuple[str, ...]:
-        """What limits every number from it."""
+        """Limits of every number from it."""
         names = ", ".join(one.name for one in self.card.operator_signals)
         return (f"people are known by signals alone ({names}), positions of people are not known",)
 
@@ -83,21 +83,21 @@ class SignalStates:
         return tuple(f"signals {' + '.join(names)} on" if names else NOBODY for names in on)
 
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
-        """Return the scaling of rows x_r and signals, shape (N, 6); shape (N,)."""
+        """Return the scaling for rows of x_r and signals, shape (N, 6); shape (N,)."""
         return self.model.predict(X.astype(np.float32))
 
     def scaling_in(self, robot_m: Points, state: Floats) -> Vector:
-        """Return the scaling with the TCP there, shape (N, 3), m, in states of that number, shape (N, 1)."""
+        """Return the scaling for TCP positions, shape (N, 3), m, and numbers of states, shape (N, 1)."""
         inputs = np.hstack([robot_m, self._inputs_of(state)]).astype(np.float32)
         found = [self.model.predict(inputs[start : start + BLOCK]) for start in range(0, len(inputs), BLOCK)]
         return np.asarray(np.clip(np.concatenate([np.empty(0), *found]), 0.0, 1.0))
 
     def near_logged(self, robot_m: Points, state: Floats) -> Bools:
-        """Return whether the logs show these signals with the TCP there, shape (N,)."""
+        """Return whether these signals were logged with the TCP near these positions, shape (N,)."""
         return self.logged.near_logged(robot_m, self._inputs_of(state))
 
     def logged_states(self, dataset: Dataset) -> dict[str, tuple[Vector, Floats]]:
-        """Return times (T,), s, and states (T, 1) of each execution; a gap of the signals is filled by the nearest."""
+        """Return times (T,), s, and states (T, 1) of each execution; gaps take the state of the nearest sample."""
         frame = dataset.samples(columns=["execution", "t_s", "human_signals"])
         found = {}
         for (name,), rows in frame.group_by(["execution"], maintain_order=True):
@@ -117,10 +117,10 @@ class SignalStates:
 
 
 def on_states_of(model: SafetyModel, dataset: Dataset) -> SafetyModel:
-    """Return what is asked for estimates: a model learned on signals by states, any other one as it is.
+    """Return the model for estimates: by states if it was trained on signals, else unchanged.
 
     Raises:
-        ModelError: The dataset has other signals than the model was learned on.
+        ModelError: The dataset has other signals than the model was trained on.
     """
     if isinstance(model, OnStates) or model.problem != "now" or not model.card.operator_signals:
         return model

@@ -1,7 +1,7 @@
-"""The walk of many sequences as tasks of an engine: each walks the programs that one process would walk at once.
+"""The simulation of many sequences as tasks of an engine; a task has as many programs as one process simulates at once.
 
-So the numbers are the same to the last bit, whoever walks. A task gets the dataset by its place and the sequences by
-their names; what it needs of the logs is read once per worker.
+So the numbers are equal to the last bit, in one process or many. A task gets the place of the dataset and the names of
+the sequences; each worker reads the logs once.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Asked:
-    """What every task needs beside its sequences.
+    """Common inputs of all tasks.
 
     Attributes:
-        dataset: Its place.
-        executions: Which of it are looked at; None = all.
+        dataset: Place of the dataset.
+        executions: Executions to use; None = all.
         operator: Order of the operator's tasks; None = any.
-        phases: How often tracks are entered; None = as the logs allow.
-        horizon_s: Length of the tracks.
+        phases: Number of instants at which tracks start; None = as the logs allow.
+        horizon_s: Length of the tracks, s.
     """
 
     model: SafetyModel
@@ -48,7 +48,7 @@ class Asked:
 
 
 def roll_spread(engine: Engine, asked: Asked, sequences: Sequence[TaskSequence], tracks: int) -> Iterator[Rolled]:
-    """Yield the cycles of the sequences in order, walked by the workers of an engine; `tracks` = how many there are."""
+    """Yield the cycles of the sequences in order, simulated by the workers of an engine; `tracks`: number of tracks."""
     at_once = max(1, ROWS // tracks)
     plain = [replace(sequence, file=None) for sequence in sequences]
     parts = [tuple(plain[first : first + at_once]) for first in range(0, len(plain), at_once)]
@@ -89,7 +89,7 @@ def _of_logs(
 
 
 def logged_support(dataset: Dataset) -> Support:
-    """Return where robot and operator were ever logged."""
+    """Return the support: cells of robot and operator positions that were logged."""
     robots, humans = ([f"{who}_{axis}_m" for axis in "xyz"] for who in ("robot", "human"))
     samples = dataset.samples(columns=[*robots, *humans])
     robot, human = (samples.select(names).to_numpy() for names in (robots, humans))

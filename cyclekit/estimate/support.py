@@ -1,7 +1,7 @@
-"""How far a question lies from anything that was logged.
+"""Support: whether positions lie near logged ones.
 
-The learned safety function is only known where robot and operator have been together. Logged pairs of positions fill
-cells of space; support is the part of a rolled-out cycle that runs through filled cells.
+The learned safety function is valid only for pairs of robot and operator positions that were logged. Logged pairs fill
+cells of space; support is the share of a rolled-out cycle that runs through filled cells.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Floats, Ints
 
 ROBOT_M = 0.15
-"""Edge of a cell of robot positions."""
+"""Edge of a cell of robot positions, m."""
 HUMAN_M = 0.3
-"""Edge of a cell of operator positions."""
+"""Edge of a cell of operator positions, m."""
 
 
 class Support:
-    """Cells of (x_r, x_h) that logged samples fall into."""
+    """Cells of (x_r, x_h) that contain logged samples."""
 
     def __init__(self, robot_m: Floats, human_m: Floats) -> None:
-        """Remember the cells of logged positions, shapes (N, 3) and (N, 3), metres; rows with NaN are left out."""
+        """Compute the cells of logged positions, shapes (N, 3) and (N, 3), m; rows with NaN are left out."""
         human_m = _on_one_level(human_m)
         known = np.isfinite(robot_m.sum(axis=1) + human_m.sum(axis=1))
         cells = _cells(robot_m, human_m) if known.all() else _cells(robot_m[known], human_m[known])
         self._filled = np.unique(cells[np.diff(cells, prepend=-1) != 0])  # most samples lie where the last one did
 
     def near_logged(self, robot_m: Floats, human_m: Floats) -> Bools:
-        """Tell which pairs of positions, shapes (N, 3) and (N, 3), lie in cells that were logged, shape (N,).
+        """Return which pairs of positions, shapes (N, 3) and (N, 3), lie in logged cells, shape (N,).
 
-        A pair without an operator (NaN) counts as known: there the robot runs free.
+        A pair without an operator (NaN) counts as logged: the robot then runs at full speed.
         """
         human_m = _on_one_level(human_m)
         absent = ~np.isfinite(human_m).all(axis=1)
@@ -46,7 +46,7 @@ class Support:
 
 
 def _on_one_level(human_m: Floats) -> Floats:
-    """Return positions with one and the same height wherever it is unknown: there the cells are those of the floor."""
+    """Return positions with height 0 wherever it is unknown: the cells are then those of the floor."""
     flat = is_flat(human_m)
     if not flat.any():
         return human_m
@@ -56,7 +56,7 @@ def _on_one_level(human_m: Floats) -> Floats:
 
 
 def _cells(robot_m: Floats, human_m: Floats) -> Ints:
-    """Pack six cell indices of 10 bits each: a cell is unique within +-77 m (robot) and +-153 m (operator)."""
+    """Pack six cell indices of 10 bits each; unique within +-77 m (robot) and +-153 m (operator)."""
     packed = np.zeros(len(robot_m), dtype=np.int64)
     for positions, edge_m in ((robot_m, ROBOT_M), (human_m, HUMAN_M)):
         for axis in range(3):

@@ -1,4 +1,4 @@
-"""Cycle times of plans for robot and operator from learned task times: no positions, no safety function."""
+"""Cycle times of plans for robot and operator from learned task times, without positions or a safety function."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cyclekit.schema import Progress, Vector
 
 CYCLES = 2000
-"""Cycles rolled out for each plan."""
+"""Number of cycles rolled out per plan."""
 WHY = "tasks of both agents rolled out side by side from logged task lists"
 NOT_KNOWN = "task lists hold no positions: nothing is known of zones, distances or what the safety system did"
 NOT_JUDGED = "too few executions to judge it on orders that were held out: the intervals are those of the rollout alone"
@@ -39,16 +39,16 @@ def estimate_plans(
     refused: Callable[[TaskSequence, EstimateError], None],
     progress: Progress | None = None,
 ) -> list[CycleEstimate]:
-    """Return the expected cycle time of each plan: those of the same work together, shortest first.
+    """Return the expected cycle time of each plan, grouped by work, shortest first.
 
     Args:
-        model: What was learned from task lists.
+        model: Task times learned from task lists.
         sequences: Plans for both agents.
         quantiles: Levels in (0, 1) of single cycles.
-        takt_s: Also tell the probability that a cycle takes no longer, s.
-        seed: Of what is drawn.
-        refused: Told what cannot be answered, and why.
-        progress: Told the fraction done.
+        takt_s: Takt time, s: also estimate the probability that a cycle takes no longer.
+        seed: Seed of the draws.
+        refused: Called with each plan that has no answer, and the reason.
+        progress: Called with the fraction done.
     """
     found = []
     for number, sequence in enumerate(sequences):
@@ -118,7 +118,7 @@ def _drift(model: TaskModelCard) -> list[str]:
 
 
 def _last_robot(model: TaskModelCard, rolled: RolledPlan, sequence: TaskSequence) -> str | None:
-    """Return the name in the plan of the robot that ends last: times of one robot make up the cycle, not of several."""
+    """Return the name in the plan of the robot that ends last: only one robot's times add up to the cycle."""
     ends = rolled.end_s.mean(axis=0)
     robots = {task.agent: end for task, end in zip(rolled.tasks, ends, strict=True) if _is_robot(model, task, sequence)}
     return max(robots, key=lambda name: robots[name], default=None)
@@ -131,8 +131,8 @@ def _is_robot(model: TaskModelCard, task: object, sequence: TaskSequence) -> boo
 def _mean(durations: Vector, judged: HeldOutCard | None, executions: int) -> tuple[float, float, float]:
     """Return the expected duration and its 95 % interval, s.
 
-    A bias on held-out orders is taken out where it is beyond chance. The interval holds what is left of the error on
-    held-out orders, and what finite logs leave.
+    A significant bias on held-out orders is corrected. The interval covers the remaining error on held-out orders, and
+    the error of finite logs.
     """
     mean = float(durations.mean())
     if judged is None:
@@ -147,7 +147,7 @@ def _mean(durations: Vector, judged: HeldOutCard | None, executions: int) -> tup
 
 
 def _single(durations: Vector, judged: HeldOutCard | None) -> Vector:
-    """Return single cycles whose quantiles hold what they say on held-out executions, shape (cycles,), s."""
+    """Return single cycles with quantiles calibrated on held-out executions, shape (cycles,), s."""
     if judged is None or len(judged.deviations) < len(LEVELS):
         return durations
     mean, sd = float(durations.mean()), float(durations.std(ddof=1))
@@ -160,7 +160,7 @@ LEVELS = np.linspace(0.0, 1.0, 41)
 
 
 def _within(single: Vector, takt_s: float, error_s: float) -> tuple[float, float, float]:
-    """Return the part of the cycles within a takt time, and its 95 % interval."""
+    """Return the share of the cycles within a takt time, and its 95 % interval."""
     parts = [float((single + shift * error_s <= takt_s).mean()) for shift in (0.0, SURE, -SURE)]
     return parts[0], parts[1], parts[2]
 
@@ -168,9 +168,9 @@ def _within(single: Vector, takt_s: float, error_s: float) -> tuple[float, float
 def _shares(
     model: TaskModelCard, rolled: RolledPlan, sequence: TaskSequence, corrected: float, quantiles: Sequence[float]
 ) -> tuple[tuple[TaskShare, ...], tuple[PlannedShare, ...]]:
-    """Return for each task where its time goes, and when it starts and ends and what decided its start.
+    """Return for each task the split of its time, and its start, its end and what decided its start.
 
-    `corrected` is what a bias on held-out orders makes of every second, so that the parts add up to the cycle time.
+    `corrected` is the factor that corrects the bias on held-out orders; with it the parts add up to the cycle time.
     """
     began = rolled.start_s.min(axis=1)[:, None]
     start, end = (corrected * (at - began).mean(axis=0) for at in (rolled.start_s, rolled.end_s))
@@ -198,7 +198,7 @@ def _shares(
 
 
 def _decided(rolled: RolledPlan, number: int) -> dict[str, float]:
-    """Return in which part of the cycles what decided the start of a task."""
+    """Return the share of the cycles in which each cause decided the start of a task."""
     names = {-2: "planned start", -1: "own task before"}
     which, count = np.unique(rolled.decides[:, number], return_counts=True)
     told = zip(which.tolist(), (count / len(rolled.decides)).tolist(), strict=True)
@@ -206,7 +206,7 @@ def _decided(rolled: RolledPlan, number: int) -> dict[str, float]:
 
 
 def _compared(some: Sequence[CycleEstimate]) -> list[CycleEstimate]:
-    """Return estimates of the same work with the probability that the mean of one is below that of another."""
+    """Return estimates of the same work with the probabilities that the mean of one is below that of another."""
     from scipy.special import ndtr
 
     error = {each.name: (each.expected_high_s - each.expected_low_s) / (2 * SURE) for each in some}

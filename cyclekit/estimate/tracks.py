@@ -1,14 +1,14 @@
-"""Logged operator tracks, long enough for any cycle that is rolled out against them.
+"""Operator tracks from the logs, as long as the longest cycle that is rolled out with them.
 
-A track begins where its execution began. Of an operator who comes and goes as he likes, whatever the robot does, all
-logs are joined to `circles` and entered at even steps: a cycle may begin at any instant of them.
+A track begins where its execution began. If the operator's behaviour does not depend on the phase of the cycle, all
+logs are joined to `circles`, and tracks start at even steps along them: a cycle may begin at any instant.
 
-Where a cycle takes longer than the logged one, the track goes on: with what the operator really did next, if the log
-runs on; else with the log that its circle goes on with, or where the operator starts with the cycle with a stretch of
-another track that begins in the same state (`continuation`), again and again, so that a cycle may be of any length.
+If a cycle takes longer than the logged one, the track continues: with what the operator really did next, if the log
+runs on; else with the next log of its circle or, if the operator starts with the cycle, with a stretch of another track
+that begins in the same state (`continuation`), repeatedly, to any length.
 
-Where the operator was hidden for a moment he was still there: his way is drawn straight from where he was last seen to
-where he was seen again. Only where he was away is nobody there.
+While the operator was briefly hidden he was still present: positions are interpolated linearly between the last sight
+and the next. Only while he was away is there no operator.
 """
 
 from __future__ import annotations
@@ -36,41 +36,40 @@ if TYPE_CHECKING:
     from cyclekit.estimate.safety import SafetyModel
 
 RUN_ON_S = 5.0
-"""The next execution of a session goes on with the same operator if it begins within this time."""
+"""Maximum pause, s, before the next execution of a session for the operator's track to run on into it."""
 ENTRIES, LEAST_ENTRIES = 8, 4
-"""Tracks for each execution in the mean, where the operator's habits do not begin with it and logs form circles; and"""
+"""Mean and minimum number of tracks per execution where logs form circles;"""
 MANY = 320
-"""... no fewer than the latter where these are more than MANY."""
+"""the minimum applies where the mean would give more tracks than this."""
 PHASES = 4
-"""Instants of each execution at which a course of states is entered then,"""
+"""Number of instants of each execution at which a course of states starts if the phase is free."""
 SHORTEST = 0.1
-"""... spread over the length of the shortest ones: no more than this part of them are shorter."""
+"""Share of executions that may be shorter than the span over which these instants are spread."""
 SAME_SPREAD = 1.65
-"""Where starts are like any other instant, the operator's spread at them is within this ratio of that at all times,"""
+"""Maximum ratio of the operator's spread at starts of cycles to his spread at all times, for a free phase."""
 SURE_Z = 3.5
-"""... or within this many standard errors, as is the mean of his position."""
+"""Maximum difference of mean position, and of spread, in standard errors, for a free phase."""
 CHANCE = 8.0
-"""... and how often he is away and at each task differs by no more standard deviations of chi squared."""
+"""Maximum excess of chi squared over its mean, in its standard deviations, for absence and tasks, for a free phase."""
 LEAST_FREE = 8
-"""Fewer tracks do not tell."""
+"""Minimum number of tracks to decide whether the phase is free."""
 
 
 @dataclass(frozen=True)
 class OperatorTracks:
-    """K tracks on one grid of time since the cycle began.
+    """K tracks on one grid of time since the start of the cycle.
 
     Attributes:
-        xyz_m: x_h, shape (K, T, 3), base frame; NaN = nobody there.
-        activity: Index into `activities` of what the operator does, shape (K, T); -1 = unknown.
+        xyz_m: x_h, shape (K, T, 3), base frame; NaN = no operator.
+        activity: Index into `activities` of the operator's task, shape (K, T); -1 = unknown.
         activities: Names of the operator's tasks.
-        logged: Samples of each track that are what its own operator really did, shape (K,).
-        executions: Name of the execution behind each track; several tracks can be of one.
+        logged: Samples of each track that its own operator really did, shape (K,).
+        executions: Name of the execution of each track; several tracks can be of one.
         step_s: Time between samples.
-        goal_m: g_h, shape (K, T, 3); NaN = unknown; None where it was not asked for.
-        phase_free: What `phase_is_free` says of these logs.
-        runs_on: Most executions are followed by the next one without a pause, and the operator with them.
-        state: What the safety function is asked for in place of x_h, shape (K, T, D), D not 3; None: it is asked for
-            x_h.
+        goal_m: g_h, shape (K, T, 3); NaN = unknown; None if not requested.
+        phase_free: Result of `phase_is_free` for these logs.
+        runs_on: Whether most executions, with the operator, are followed by the next one without a pause.
+        state: Input of the safety function in place of x_h, shape (K, T, D), D not 3; None: its input is x_h.
     """
 
     xyz_m: NDArray[np.float64]
@@ -86,18 +85,18 @@ class OperatorTracks:
 
     @property
     def at_any_instant(self) -> bool:
-        """Whether the tracks enter logs at several instants: all of their samples then tell how often he is away."""
+        """Whether tracks start at several instants of a log: then all their samples show how often he is away."""
         return len(self.executions) > len(set(self.executions))
 
 
 @dataclass(frozen=True)
 class LoggedTrack:
-    """What was logged of one execution: x_h (and g_h if asked for), shape (T, 3 or 6), activity (T,), its two ends, s.
+    """Log of one execution: x_h (and g_h if requested), shape (T, 3 or 6), activity (T,), begin and end, s.
 
-    Of an operator who is only known by states: no position, and the states behind it, shape (T, 3 + D).
+    For an operator known only by states, `where` holds a zero position followed by the state, shape (T, 3 + D).
 
-    `seen`: somebody is, at some time. `away`: the tracker saw all along that nobody is. `followed`: its log is
-    never silent for longer than OCCLUDED_S.
+    `seen`: an operator was seen at some time. `away`: the tracker logged throughout that nobody was present.
+    `followed`: the track has no gap longer than OCCLUDED_S.
     """
 
     where: NDArray[np.float64]
@@ -121,21 +120,20 @@ def operator_tracks(
 ) -> OperatorTracks:
     """Return the tracks of all complete executions, each at least `horizon_s` long.
 
-    An execution that the tracker's log covers in part only is none of them: where the operator was is not known. One in
-    which he was away from begin to end is one, unless it was recorded as a run without operator.
+    Executions that the tracker's log covers only in part are left out, as the operator's position is unknown.
+    Executions without an operator from begin to end are included, unless recorded as reference runs without an
+    operator.
 
     Args:
-        dataset: Where they were logged.
-        horizon_s: Longest cycle that will be asked for.
-        operator: Only executions in which the operator's tasks begin in this order.
-        phases: 1: each execution from its beginning. None: so too, but where `phase_is_free` and no order is asked for
-            tracks enter the logs as circles, and courses of states at PHASES instants of each log.
-        beginnings: Put the executions from their beginnings before the tracks that enter circles. Of states they come
-            first anyway, in the order of the executions.
+        dataset: The logs.
+        horizon_s: Longest cycle that will be requested.
+        operator: Use only executions in which the operator's tasks begin in this order.
+        phases: 1: each execution from its beginning. None: the same, unless `phase_is_free` and no order is requested:
+            then tracks start along circles of logs, and courses of states at PHASES instants of each log.
+        beginnings: Also return each execution from its beginning, before the tracks along circles. Courses of states
+            always come first from their beginning, in the order of the executions.
         goals: Also return g_h.
-        model: Whom the tracks are for; one of states gets these in place of positions.
-
-    Raises:
+        model: The model that will use the tracks; one of states gets states in place of positions.
         EstimateError: No execution has an operator track, or none matches `operator`.
     """
     step = 1.0 / dataset.rate_hz
@@ -172,7 +170,7 @@ def operator_tracks(
 
 
 def _on_circles(tracks: dict[str, LoggedTrack], after: dict[str, list[str]], step: float, length: int) -> Entered:
-    """Return these tracks, joined to circles and entered at even steps; who went on is not joined to another."""
+    """Return tracks that start at even steps along circles of these logs; logs that run on keep their order."""
     number = {name: k for k, name in enumerate(tracks)}
     logs, really = [], {}
     for name, track in tracks.items():
@@ -185,7 +183,7 @@ def _on_circles(tracks: dict[str, LoggedTrack], after: dict[str, list[str]], ste
 
 
 def entries_of(executions: int) -> int:
-    """Return how many tracks enter the circles of so many logs."""
+    """Return the number of tracks that start along the circles of this number of logs."""
     return max(LEAST_ENTRIES * executions, min(ENTRIES * executions, MANY))
 
 
@@ -216,10 +214,10 @@ def _continued(
 
 
 def _instants(lengths: Sequence[int]) -> list[int]:
-    """Return the samples at which courses of these lengths are entered, the same for all.
+    """Return the samples at which courses of these lengths start, the same for all.
 
-    At a part of its own length each would be entered as often as any other. But an execution is long where the
-    operator was in the way: such times would be entered more seldom than they come.
+    Instants at fixed shares of each length would start every course equally often. But executions are long because the
+    operator was in the way: such times would be started more rarely than they occur.
     """
     within = int(np.quantile(lengths, SHORTEST, method="lower"))
     return [within * phase // PHASES for phase in range(PHASES)]
@@ -232,16 +230,16 @@ def _runs_on(dataset: Dataset) -> bool:
 
 
 def phase_is_free(tracks: Mapping[str, LoggedTrack]) -> bool:
-    """Tell whether a cycle may begin at any instant of the operator's day.
+    """Return whether a cycle may begin at any instant of the operator's day.
 
-    That is so if at the beginning, a third and two thirds of the shortest execution he behaves as at any time within
-    it: he is away and at each of his tasks as often (CHANCE), the mean of his position is within SURE_Z standard
-    errors, its spread within these or SAME_SPREAD.
+    This holds if at the beginning, at a third and at two thirds of the shortest execution he behaves as at any time
+    within it: the frequencies of absence and of each task are equal (CHANCE), the mean of his position is within SURE_Z
+    standard errors, and its spread within these or SAME_SPREAD.
     """
     usual = [track for track in tracks.values() if track.followed]
     if len(usual) < LEAST_FREE:
         return False
-    shortest = min(len(track.where) for track in usual)  # later on there are slow executions alone
+    shortest = min(len(track.where) for track in usual)  # later samples come only from slow executions
     every = Stretch(
         np.concatenate([track.where[:shortest] for track in usual]),
         np.concatenate([track.activity[:shortest] for track in usual]),
@@ -250,7 +248,7 @@ def phase_is_free(tracks: Mapping[str, LoggedTrack]) -> bool:
 
 
 def _is_alike(tracks: Sequence[LoggedTrack], every: Stretch, at: int) -> bool:
-    """Tell whether the operators at sample `at` of these tracks are like those of every sample."""
+    """Return whether the operators at sample `at` of these tracks are like those of all samples."""
     where, doing = np.array([t.where[at, :2] for t in tracks]), np.array([t.activity[at] for t in tracks])
     pairs = zip(_kinds(where, doing), _kinds(every.where, every.activity), strict=True)
     if not all(_is_chance(here, usual) for here, usual in pairs):
@@ -259,22 +257,22 @@ def _is_alike(tracks: Sequence[LoggedTrack], every: Stretch, at: int) -> bool:
     if len(here) < LEAST_FREE:
         return False
     spread, there = everywhere.std(axis=0), here.std(axis=0)
-    if not spread.any():  # he is known by states, which are alike
+    if not spread.any():  # known by states, which have no position
         return True
     off = np.abs(here.mean(axis=0) - everywhere.mean(axis=0)) / np.maximum(spread / np.sqrt(len(here)), 1e-9)
     ratio = np.maximum(there / np.maximum(spread, 1e-9), 1e-9)
-    few = np.sqrt((len(here) - 1) / chdtri(len(here) - 1, ndtr(SURE_Z)))  # so far off by chance is the spread of so few
+    few = np.sqrt((len(here) - 1) / chdtri(len(here) - 1, ndtr(SURE_Z)))  # ratio of spreads by chance for few samples
     return bool((off < SURE_Z).all() and (np.abs(np.log(ratio)) < np.log(max(SAME_SPREAD, few))).all())
 
 
 def _kinds(where: NDArray[np.float64], activity: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return whether each operator is away (N,), and what those do who are there and of whom it is known (M,)."""
+    """Return whether each operator is away (N,), and the known tasks of those present (M,)."""
     away = np.asarray(np.isnan(where[:, :2]).any(axis=1))
     return np.asarray(away, dtype=np.int64), activity[~away & (activity >= 0)]
 
 
 def _is_chance(here: NDArray[np.int64], usual: NDArray[np.int64]) -> bool:
-    """Tell whether kinds (N,) can have been drawn from those of all samples (M,), by chi squared: see CHANCE."""
+    """Return whether kinds (N,) can be a draw from those of all samples (M,), by chi squared: see CHANCE."""
     kinds, counts = np.unique(usual, return_counts=True)
     wanted = counts / counts.sum() * len(here) if len(counts) else counts
     if len(kinds) < 2 or not len(here):
@@ -285,12 +283,12 @@ def _is_chance(here: NDArray[np.int64], usual: NDArray[np.int64]) -> bool:
 
 
 def logged_tracks(dataset: Dataset) -> dict[str, LoggedTrack]:
-    """Return what was logged of the operator in each execution, by its name; short gaps are bridged."""
+    """Return the operator's log in each execution, by name; short gaps are bridged."""
     return _names_and_tracks(dataset, goals=False)[1]
 
 
 def _names_and_tracks(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, LoggedTrack]]:
-    """The operator's tasks, and what was logged of him in each execution."""
+    """Return the names of the operator's tasks, and his log in each execution."""
     columns = [f"human_{part}{axis}_m" for part in (("", "goal_") if goals else ("",)) for axis in "xyz"]
     samples = dataset.samples(columns=["execution", "t_s", "human_task", "human_gap", *columns])
     names = sorted(name for name in samples["human_task"].unique().to_list() if name is not None)
@@ -321,7 +319,7 @@ def _names_and_tracks(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict
 
 
 def _in_states(dataset: Dataset, model: OnStates) -> tuple[list[str], dict[str, LoggedTrack]]:
-    """Names of the states, and in which ones the operator was in each execution that was not run without him."""
+    """Return the names of the states, and the states in each execution that is not a reference run without operator."""
     alone = {one.execution for one in dataset.card.executions if one.reference}
     tracks = {}
     for name, (t_s, state) in model.logged_states(dataset).items():
@@ -333,10 +331,10 @@ def _in_states(dataset: Dataset, model: OnStates) -> tuple[list[str], dict[str, 
 
 
 def _bridge(t_s: NDArray[np.float64], xyz_m: NDArray[np.float64], hidden: NDArray[np.bool_]) -> None:
-    """Fill in where the operator was while he was `hidden` (T,), in place; xyz_m: (T, 3).
+    """Fill positions xyz_m (T, 3) while the operator was `hidden` (T,), in place.
 
-    He is taken to have gone straight from where he was last seen; before the first sight and after the last one of an
-    execution to have stood there. What is farther than OCCLUDED_S from any sight stays unknown.
+    He is assumed to move straight from the last sight to the next; before the first and after the last sight of an
+    execution, to stand still. Rows farther than OCCLUDED_S from any sight stay unknown.
     """
     known = np.flatnonzero(np.isfinite(xyz_m[:, 0]))
     rows = np.flatnonzero(hidden & np.isnan(xyz_m[:, 0]))
@@ -366,7 +364,7 @@ def _order(activity: NDArray[np.int64], names: list[str]) -> tuple[str, ...]:
 
 
 def _after(dataset: Dataset) -> dict[str, list[str]]:
-    """The two executions that follow each in its session."""
+    """Return the next two executions after each one in its session."""
     found: dict[str, list[str]] = {}
     for (_,), rows in dataset.executions.group_by(["session"], maintain_order=True):
         order = rows["execution"].to_list()
@@ -375,7 +373,7 @@ def _after(dataset: Dataset) -> dict[str, list[str]]:
 
 
 def _run_on(tracks: dict[str, LoggedTrack], names: list[str], step: float) -> tuple[Stretch, str]:
-    """The track of the first of these executions, and of those that follow it without a longer pause; the last one."""
+    """Return the track of the first execution and those that follow without a longer pause, and the last one's name."""
     name, *others = names
     end_s, parts = tracks[name].end_s, [Stretch(tracks[name].where, tracks[name].activity)]
     for following in others:
@@ -388,7 +386,7 @@ def _run_on(tracks: dict[str, LoggedTrack], names: list[str], step: float) -> tu
 
 
 def _until(log: Stretch, end_s: float, following: LoggedTrack, step: float) -> Stretch:
-    """Return a log that ends then, and the pause until the next one begins: straight there, at the same task."""
+    """Return a log extended through the pause to the next log: straight to its start, at the last task."""
     pause = max(0, round((following.begin_s - end_s) / step) - 1)
     weight = (np.arange(1, pause + 1) / (pause + 1))[:, None]
     way = log.where[-1] * (1 - weight) + following.where[0] * weight

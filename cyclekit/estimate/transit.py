@@ -1,9 +1,9 @@
-"""When a task arrives that starts at a given instant of a given track: a table that makes any order a few look-ups.
+"""Table of arrivals: when a task arrives, by start time and track. With it, any order is a few look-ups.
 
-Where s depends on the present positions alone, a motion that starts later never arrives earlier, and what happens in a
-task depends on the order before it through its start only. So each task is walked once from every instant of every
-track, and ten thousand orders cost no more network than one. What the table leaves out (latency, ramps, hysteresis;
-which activity cost what) is walked by `walk`.
+If s depends on the present positions only, a motion that starts later never arrives earlier, and the order before a
+task affects it only through its start time. So each task is simulated once from every start on every track, and ten
+thousand orders cost no more network time than one. `walk` simulates what the table leaves out (latency, ramps,
+hysteresis, safety loss per activity).
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Progress, Singles
 
 PATH_S = 0.1
-"""Nominal time between the points of a motion at which s is looked up."""
+"""Nominal time between the points of a motion at which s is evaluated, s."""
 HUMAN_M = 0.06
-"""Edge of the cells of operator positions; doubled while there are more than MOST_CELLS."""
+"""Edge of the cells of operator positions, m; enlarged until there are at most MOST_CELLS."""
 MOST_CELLS = 8_000
 NO_HEIGHT_M = 1000.0
-"""Stands for a height that is unknown, where cells are told apart."""
+"""Value in place of an unknown height in the computation of cells, m."""
 START_S = 0.2
-"""A start after so long each, at samples of the track; between them arrivals are interpolated."""
+"""Time between starts, s, at samples of the track; arrivals are interpolated between them."""
 SEQUENCES_AT_ONCE = 256
 
 
@@ -43,10 +43,10 @@ class TransitTable:
     """Arrivals of every task from every start on K tracks.
 
     Attributes:
-        names: The tasks.
-        arrival_s: Shape (tasks, K, starts), s since the track began; inf: not within the track.
+        names: Names of the tasks.
+        arrival_s: Shape (tasks, K, starts), s since the start of the track; inf: not within the track.
         start_s: Time between starts.
-        tasks: What each is at scaling 1.
+        tasks: The nominal tasks.
     """
 
     names: tuple[str, ...]
@@ -56,9 +56,9 @@ class TransitTable:
     _drawn: dict[tuple[int, int, int], Floats] = field(default_factory=dict, repr=False)
 
     def durations(self, sequences: Sequence[Sequence[str]], *, seed: int = 0) -> Floats:
-        """Return how long each sequence of tasks takes on each track, shape (sequences, K), s.
+        """Return the duration of each sequence of tasks on each track, shape (sequences, K), s.
 
-        A cycle that does not end within its track has inf.
+        A cycle that does not end within its track has duration inf.
         """
         parts = [
             self._some(sequences[first : first + SEQUENCES_AT_ONCE], seed)
@@ -67,7 +67,7 @@ class TransitTable:
         return np.concatenate(parts)
 
     def rolled(self, tasks: Sequence[str], *, seed: int = 0) -> Rolled:
-        """Return the cycles of one sequence of tasks, split by task; activities, support and splices are not known."""
+        """Return the cycles of one sequence of tasks, split by task; activities, support and splices are unknown."""
         code = {name: index for index, name in enumerate(self.names)}
         count = self.arrival_s.shape[1]
         time, seen = np.zeros(count), Counter[str]()
@@ -106,7 +106,7 @@ class TransitTable:
         return self._drawn[key]
 
     def arrive(self, task: Ints, start_s: Floats) -> Floats:
-        """Return when tasks (N,) arrive that start at `start_s` (N, K), s; shape (N, K)."""
+        """Return arrival times of tasks (N,) with start times `start_s` (N, K), s; shape (N, K)."""
         starts = self.arrival_s.shape[2]
         place = np.minimum(start_s / self.start_s, starts - 1.001)
         below = place.astype(np.int64)
@@ -122,9 +122,9 @@ class TransitTable:
 def transit_table(
     model: SafetyModel, tasks: Mapping[str, NominalTask], tracks: OperatorTracks, *, progress: Progress | None = None
 ) -> TransitTable:
-    """Walk every task of `tasks` from every start of every track.
+    """Simulate every task from every start on every track.
 
-    Memory: 4 bytes per task, track and start, and as much for s per point of the motions and cell of positions.
+    Memory: 4 bytes per task, track and start, plus 4 bytes per point of a motion and cell of positions.
     """
     tell = progress or (lambda fraction, text: None)
     cell_of, cells = cells_of(tracks)
@@ -138,15 +138,15 @@ def transit_table(
 
 
 def _every(step_s: float) -> int:
-    """Return the samples of the tracks from one start to the next."""
+    """Return the number of track samples between starts."""
     return samples_in(START_S, 1 / step_s)
 
 
 def cells_of(tracks: OperatorTracks, edge_m: float = HUMAN_M) -> tuple[Ints, Floats]:
-    """Return the cell of every sample (K, T) and the mean position in each cell (C, 3); the last is NaN: no operator.
+    """Return the cell of every sample (K, T) and the mean position per cell (C, 3); the last is NaN: no operator.
 
-    Of an operator known by states the cells are these, to a hundredth. Where heights are unknown the cells are those
-    of the floor, and theirs is unknown too.
+    If the operator is known by states, a cell is a state rounded to a hundredth. Samples with unknown heights share
+    cells of the floor, and the mean height of these is unknown.
     """
     if tracks.state is not None:
         states, numbers = np.unique(
@@ -172,7 +172,7 @@ def cells_of(tracks: OperatorTracks, edge_m: float = HUMAN_M) -> tuple[Ints, Flo
 
 
 def _arrivals(model: SafetyModel, task: NominalTask, cell_of: Ints, cells: Floats, step_s: float) -> Singles:
-    """Return when the motion ends that begins at each start, shape (K, starts), s; inf: not within the track."""
+    """Return when the motion from each start ends, shape (K, starts), s; inf: not within the track."""
     points = max(1, round(task.nominal_s / PATH_S))
     middle = (np.arange(points) + 0.5) / points * (len(task.xyz_m) - 1)
     path = task.xyz_m[np.rint(middle).astype(np.int64)]
@@ -182,7 +182,7 @@ def _arrivals(model: SafetyModel, task: NominalTask, cell_of: Ints, cells: Float
     begins = np.arange(0, samples - 1, _every(step_s))
     arrival = np.full(tracks * len(begins), np.inf, dtype=np.float32)
     row, sample = np.divmod(np.arange(tracks * len(begins)), len(begins))
-    at = row * samples + begins[sample]  # where in the flat track each start is now
+    at = row * samples + begins[sample]  # current position in the flattened tracks
     end = (row + 1) * samples - 1
     done_s, rate = np.zeros(len(at), dtype=np.float32), np.ones(len(at), dtype=np.float32)
     which, flat, per_s = np.arange(len(at)), cell_of.ravel(), points / task.nominal_s

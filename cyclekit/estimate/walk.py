@@ -1,7 +1,7 @@
-"""Cycles walked step by step: every operator track beside every program, all at the same time.
+"""Simulation of cycles step by step: every operator track with every program, all at once.
 
-The program advances along nominal time, in motion at the scaling s(x_r, x_h), while standing at 1. Nothing is assumed
-about the shape of s; it is what the network learned. The operator is taken not to react to the robot.
+The program advances along nominal time, in motion at the scaling s(x_r, x_h), at standstill at 1. Nothing is assumed
+about the form of s; it is what the network learned. The operator is assumed not to react to the robot.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 
 TIME_STEP_S, FINE_STEP_S = 0.2, 0.1
-"""Step of the walk, and of one in which s follows the safety function late, in ramps or with hysteresis, or in which
-single cycles count more than their mean. The safety function is asked once per TIME_STEP_S, where single cycles count
-and where it is a rule, which answers fast, once per step, at the positions in the middle."""
+"""Time step of the simulation, s, and the fine one, used if s follows the safety function with delay, ramps or
+hysteresis, or if single cycles count more than their mean. The safety function is evaluated at mid-step positions, once
+per TIME_STEP_S; once per step if single cycles count or it is a rule, which is fast."""
 SUPPORT_EVERY_S = 0.4
-"""Support is looked up this often."""
+"""Time between evaluations of the support, s."""
 ROWS = 4096
-"""Cycles walked at once: a step and its layers stay in the cache."""
+"""Number of cycles simulated at once: a step and its layers fit into the cache."""
 AT_ONCE = Dynamics()
 
 
@@ -38,14 +38,15 @@ class Rolled:
 
     Attributes:
         duration_s: Shape (K,).
-        stands_s: Stand at each task's goal per cycle, shape (K, tasks).
+        stands_s: Standstill time at each task's goal per cycle, shape (K, tasks).
         safety_s: Safety loss per cycle and task, shape (K, tasks).
         by_activity_s: Safety loss per operator activity, mean over cycles, shape (activities + 1,), last = unknown.
-        support: Part of the time in logged cells; NaN where it was not asked for.
-        spliced: Part of the time on a track that was continued beyond its own log.
-        own_s: Per cycle its time on the track's own log, without and with safety loss: (K, 2); None where not known.
-        looked_closely: False where it comes from the table of arrivals: `stands_s` and `safety_s` are then means, shape
-            (1, tasks), and the activities are not known.
+        support: Share of the time in logged cells; NaN if not requested.
+        spliced: Share of the time on a track continued beyond its own log.
+        looked_closely: False if the cycles come from the table of arrivals: `stands_s` and `safety_s` are then means,
+            shape (1, tasks), and the activities are unknown.
+        own_s: Time of each cycle on the track's own log, without safety loss and the safety loss: (K, 2); None if
+            unknown.
     """
 
     duration_s: Vector
@@ -60,10 +61,11 @@ class Rolled:
     def resampled_means(self, weights: Floats) -> Vector:
         """Return the mean duration in each resample of the logs, shape (resamples,), s.
 
-        Where a track goes on with stretches of other executions these are no new evidence: the spread is that of the
-        safety loss per second of undisturbed work on the tracks' own logs.
+        Stretches of other executions that continue a track are no new evidence: the spread is that of the safety loss
+        per second of undisturbed work on the tracks' own logs.
 
         Args:
+            weights: Weights of the cycles in each resample, shape (resamples, K).
             weights: Of the cycles in each resample, shape (resamples, K).
         """
         if self.own_s is None:
@@ -86,7 +88,7 @@ def roll_out(
     seed: int = 0,
     dynamics: Dynamics = AT_ONCE,
 ) -> Rolled:
-    """Walk every track beside the program once; a cycle that does not end within its track has duration inf."""
+    """Simulate the program once with every track; a cycle that does not end within its track has duration inf."""
     return next(roll_all(model, [program], tracks, support, seed=seed, dynamics=dynamics))
 
 
@@ -99,7 +101,7 @@ def roll_all(
     seed: int = 0,
     dynamics: Dynamics = AT_ONCE,
 ) -> Iterator[Rolled]:
-    """Walk every track beside every program, as many programs at once as `ROWS` allows; yield them in order."""
+    """Simulate every program with every track, as many programs at once as `ROWS` allows; yield them in order."""
     count = len(tracks.executions)
     drawn: dict[tuple[str, int], Floats] = {}
     at_once = max(1, ROWS // count)
@@ -114,10 +116,10 @@ def roll_all(
 
 @dataclass(frozen=True)
 class Walked:
-    """N rows, each one program beside one track: duration (N,), loss per task (N, tasks) and activity, looks, splices.
+    """N simulated cycles, each one program with one track: duration (N,), safety loss per task (N, tasks) and activity.
 
-    `known` counts the looks into logged cells, `looked` all looks; `spliced` is the time on continued tracks, s;
-    `own_loss_s` the safety loss before that.
+    `known` counts support evaluations in logged cells, `looked` all of them; `spliced` is the time on continued tracks,
+    s; `own_loss_s` the safety loss before that.
     """
 
     duration_s: Vector
@@ -141,18 +143,18 @@ def walk(
     *,
     fine: bool = False,
 ) -> Walked:
-    """Walk N rows to their ends.
+    """Simulate N cycles to their ends.
 
     Args:
         model: The safety function.
-        programs: What is run.
+        programs: The programs.
         which: Program of each row, shape (N,), ascending.
         track: Track of each row, shape (N,).
-        stands_s: Per program, the stands of its rows, shape (rows, tasks), s.
-        tracks: The operators.
-        support: Where logged positions lie; None leaves `known` and `looked` empty.
-        dynamics: How s follows the safety function.
-        fine: Walk in steps of FINE_STEP_S in any case.
+        stands_s: Per program, the standstill times of its rows, shape (rows, tasks), s.
+        tracks: The operator tracks.
+        support: Test for logged positions; None leaves `known` and `looked` at 0.
+        dynamics: Response of s to the safety function.
+        fine: Use steps of FINE_STEP_S in any case.
     """
     jumps = at_once(model, dynamics)
     step_s = TIME_STEP_S if jumps and not fine else FINE_STEP_S
@@ -163,7 +165,7 @@ def walk(
     follower = None if jumps else Follower(model, dynamics, step_s)
     often = fine or asked_often(model)
     looks_after, asks_after = round(SUPPORT_EVERY_S / step_s), 1 if often else round(TIME_STEP_S / step_s)
-    rows, mine, scaling = np.arange(count), track, np.ones(count)  # of the rows that are not at their end
+    rows, mine, scaling = np.arange(count), track, np.ones(count)  # of the cycles that have not ended
     for number in range(int((samples - 2) * tracks.step_s / step_s) - asks_after + 1):
         if number % asks_after == 0:
             robot = lines.robot_at(scaling * asks_after * step_s / 2)
@@ -196,15 +198,15 @@ def _follow(model: SafetyModel, follower: Follower | None, lines: _Lines, robot_
     if follower is not None:
         return follower.advance(robot_m, human_m)
     scaling = np.ones(len(robot_m))
-    matters = np.flatnonzero(lines.may_move)  # where a robot stands all through a step nothing is asked
+    matters = np.flatnonzero(lines.may_move)  # no evaluation where the robot is at standstill throughout the step
     scaling[matters] = scaling_of(model, robot_m.take(matters, axis=0), human_m.take(matters, axis=0))
     return scaling
 
 
 class _Lines:
-    """Programs side by side, one row per cycle under way: where each is, and what it has lost to safety per task.
+    """State of all cycles under way, one row each: the position in the program, and the safety loss per task.
 
-    What is kept of the losses has a row per cycle; everything else has one per cycle that is not at its end.
+    The array of losses has a row for every cycle; all other arrays have one per cycle that has not ended.
     """
 
     def __init__(self, programs: Sequence[Program], which: Ints, stands_s: Sequence[Floats], step_s: float) -> None:
@@ -224,39 +226,39 @@ class _Lines:
         self._last = np.array([2 * len(program.tasks) for program in programs])[which]
         self._first, self._cells = (np.cumsum(cells) - cells)[which], cells[which]
         self._per_s = (cells / np.array([program.length_s for program in programs]))[which]
-        self._part = np.zeros(len(which), dtype=np.int64)  # even: a motion, odd: the stand after it
+        self._part = np.zeros(len(which), dtype=np.int64)  # even: a motion, odd: the standstill after it
         self._at, self._lost = np.zeros(len(which)), np.zeros(len(which))
         self._end, self._moving, self._rate = ends[which, 0], np.ones(len(which), dtype=np.bool_), rates[:, 0]
 
     @property
     def arrived(self) -> Bools:
-        """Which rows are at their end."""
+        """Which rows have ended."""
         return np.asarray(self._part == self._last)
 
     @property
     def may_move(self) -> Bools:
-        """Which rows are in motion at some time of the next step."""
+        """Which rows move at some time of the next step."""
         rest = (self._end - self._at) / np.maximum(self._rate, 1e-12)
         return np.asarray(self._moving | (rest < self._step_s))
 
     def keep(self, going: Bools) -> None:
-        """Leave the other rows out from now on."""
+        """Drop all other rows."""
         for name in ("row", "which", "last", "first", "cells", "per_s", "part", "at", "lost", "end", "moving", "rate"):
             setattr(self, f"_{name}", getattr(self, f"_{name}")[going])
 
     def robot_at(self, ahead_s: Vector) -> Floats:
-        """TCP (N, 3) where the rows will be when their nominal time has advanced by `ahead_s` (N,)."""
+        """Return the TCP (N, 3) of the rows after their nominal time has advanced by `ahead_s` (N,)."""
         place = np.minimum(self._at + ahead_s, self._end)
         cell = np.minimum((place * self._per_s).astype(np.int64), self._cells - 1)
         return np.asarray(self._xyz.take(self._first + cell, axis=0))
 
     def advance(self, scaling: Vector) -> tuple[Vector, Vector]:
-        """Go on by a step; return the safety loss in it and what is left of it at the end, shape (N,) each.
+        """Advance by a step; return the safety loss in it and the time left of it after the end, shape (N,) each.
 
-        The step is divided where a motion or a stand ends in it: each has a rate of its own.
+        The step is divided where a motion or a standstill ends in it, as each has its own rate.
         """
         lost, left = np.zeros(len(scaling)), np.full(len(scaling), self._step_s)
-        rows: slice | Ints = slice(None)  # first all of them, then those with time left
+        rows: slice | Ints = slice(None)  # first all rows, then those with time left
         while True:
             end, at, moving = self._end[rows], self._at[rows], self._moving[rows]
             rate = np.where(moving, scaling[rows], self._rate[rows])
@@ -275,13 +277,13 @@ class _Lines:
                 return lost, left
 
     def losses(self) -> Floats:
-        """Safety loss per cycle and task, shape (cycles, tasks), s, that of motions under way included."""
+        """Return the safety loss per cycle and task, shape (cycles, tasks), s, including motions under way."""
         found = self._safety_s.copy()
         found[self._row, self._part // 2] += self._lost
         return found
 
     def _next(self, rows: Ints) -> None:
-        """Let these rows begin with their next motion or stand."""
+        """Start the next motion or standstill of these rows."""
         row, leg = self._row[rows], self._part[rows] // 2
         self._safety_s[row, leg] += self._lost[rows]
         part = self._part[rows] + 1
@@ -290,17 +292,17 @@ class _Lines:
 
 
 class _People:
-    """Operator tracks by time: where all are at an instant lies together in memory; or in which state."""
+    """Operator tracks indexed by time: the positions (or states) of all operators at an instant are contiguous."""
 
     def __init__(self, tracks: OperatorTracks) -> None:
         self._moves = tracks.state is None
         where = tracks.xyz_m if tracks.state is None else tracks.state
         self._where = np.ascontiguousarray(where.transpose(1, 0, 2))
-        self._activity = np.ascontiguousarray(tracks.activity.T) % (len(tracks.activities) + 1)  # unknown is the last
+        self._activity = np.ascontiguousarray(tracks.activity.T) % (len(tracks.activities) + 1)  # unknown is last
         self._step_s = tracks.step_s
 
     def at(self, t_s: float) -> tuple[Floats, Ints, int]:
-        """Return the position (K, 3) or state (K, D) of each operator, the activity (K,), and the sample before."""
+        """Return the position (K, 3) or state (K, D) of each operator, the activity (K,), and the previous sample."""
         sample = int(t_s / self._step_s + 1e-9)
         if not self._moves:
             return self._where[sample], self._activity[sample], sample

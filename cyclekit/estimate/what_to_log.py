@@ -1,4 +1,4 @@
-"""What to log next: tasks that are missing or rare, and how many executions a narrower interval takes."""
+"""What to log next: missing or rare tasks, and the number of executions for a narrower interval."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
 
 ENOUGH = 5
-"""Repetitions of a task; with fewer its motion (a median) and its dwell (a mean) hang on single ones."""
+"""Minimum number of repetitions of a task: with fewer, single ones determine its motion (median) and dwell (mean)."""
 WITHIN = 0.01
-"""Half of the 95 % interval of the mean cycle time that is wanted, as a part of the mean."""
+"""Requested half-width of the 95 % interval of the mean cycle time, as a share of the mean."""
 _Z = 1.96
 
 
 @dataclass(frozen=True)
 class OrderToLog:
-    """An order to be logged.
+    """An order to log.
 
     Attributes:
-        name: Of the sequence that was asked for; empty where the order was put together from logged tasks.
-        places: In order, the start first.
-        executions: How often.
+        name: Name of the requested sequence; empty if the order was built from logged tasks.
+        places: Ordered places, the start first.
+        executions: Number of executions to log.
         adds: The missing and rare tasks in it.
     """
 
@@ -45,16 +45,17 @@ class OrderToLog:
 
 @dataclass(frozen=True, repr=False)
 class RecordingPlan(Result):
-    """What to log next; as a frame one row per order.
+    """What to log next; as a frame, one row per order.
 
     Attributes:
-        missing: Tasks that are asked for and were never logged with a known speed scaling.
-        rare: Tasks logged fewer than ENOUGH times, with how often.
-        orders: What to log for these, in as few executions as were found.
-        executions: Whole executions logged so far.
-        half_width: Half of the 95 % interval of the mean logged cycle time, as a part of the mean; None below two.
-        within: The half width that is wanted.
-        more: Executions to be logged in all, of these orders and of those logged so far.
+        missing: Requested tasks that were never logged with a known speed scaling.
+        rare: Number of repetitions of tasks logged fewer than ENOUGH times.
+        orders: Orders with these tasks, in as few executions as were found.
+        executions: Complete executions logged so far.
+        half_width: Half-width of the 95 % interval of the mean logged cycle time, as a share of the mean; None with
+            fewer than two executions.
+        within: The requested half-width.
+        more: Total number of executions to log, of these orders and of those logged so far.
     """
 
     missing: tuple[str, ...]
@@ -67,11 +68,11 @@ class RecordingPlan(Result):
 
     @property
     def lines(self) -> list[str]:
-        """The plan in sentences; empty where nothing is lacking."""
+        """The plan in sentences; empty if nothing is missing."""
         return self.in_words(str)
 
     def in_words(self, shown: Callable[[str], str]) -> list[str]:
-        """Return the plan in sentences, with tasks and places as `shown` writes them."""
+        """Return the plan in sentences, with tasks and places formatted by `shown`."""
         found = [f"missing: {', '.join(map(shown, self.missing))}"] if self.missing else []
         if self.rare:
             rare = ", ".join(f"{shown(task)} ({count})" for task, count in self.rare.items())
@@ -97,15 +98,15 @@ class RecordingPlan(Result):
 
 
 def what_to_log(dataset: Dataset, sequences: Sequence[TaskSequence] = (), *, within: float = WITHIN) -> RecordingPlan:
-    """Return what to log next, for these sequences or, without any, for the tasks that were logged.
+    """Return what to log next, for these sequences or, without any, for the logged tasks.
 
     Args:
         dataset: The logs so far, with positions of the robot.
-        sequences: What is to be estimated.
-        within: Half of the 95 % interval of the mean cycle time that is wanted, as a part of the mean.
+        sequences: The sequences to estimate.
+        within: Requested half-width of the 95 % interval of the mean cycle time, as a share of the mean.
 
     Raises:
-        DatasetError: It holds no robot tasks.
+        DatasetError: The dataset holds no robot tasks.
     """
     dataset.require_positions()
     counts: dict[str, int] = dict(
@@ -126,7 +127,7 @@ def what_to_log(dataset: Dataset, sequences: Sequence[TaskSequence] = (), *, wit
 
 
 def _half_width(dataset: Dataset) -> tuple[int, float | None]:
-    """Return how many whole executions there are, and half of the 95 % interval of their mean, as a part of it."""
+    """Return the number of complete executions, and the half-width of the 95 % interval of their mean, as a share."""
     durations = dataset.executions.filter("complete")["duration_s"]
     if len(durations) < 2:
         return len(durations), None
@@ -134,7 +135,7 @@ def _half_width(dataset: Dataset) -> tuple[int, float | None]:
 
 
 def _of_sequences(sequences: Sequence[TaskSequence], lacking: Mapping[str, int]) -> list[OrderToLog]:
-    """Cover lacking tasks by the sequences: each time the one with the most repetitions that still lack."""
+    """Cover lacking tasks by the sequences: greedily the one with the most repetitions that are still needed."""
     left = {task: ENOUGH - count for task, count in lacking.items()}
     found: list[OrderToLog] = []
     while any(left.values()):
@@ -149,7 +150,7 @@ def _of_sequences(sequences: Sequence[TaskSequence], lacking: Mapping[str, int])
 
 
 def _one_tour(dataset: Dataset, counts: Mapping[str, int], lacking: Mapping[str, int]) -> list[OrderToLog]:
-    """Put rare tasks into one order of logged tasks, each time the one that is nearest; home again where that is."""
+    """Return one order of logged tasks that covers the rare ones, nearest first, to the usual end if possible."""
     if not lacking:
         return []
     whole = [one.places for one in dataset.card.executions if one.complete and len(one.places) > 1]
@@ -173,7 +174,7 @@ def _one_tour(dataset: Dataset, counts: Mapping[str, int], lacking: Mapping[str,
 
 
 def _way(start: str, goals: Iterable[str], ways: Sequence[tuple[str, str]]) -> list[str] | None:
-    """Return the places of a shortest way over logged tasks to one of the goals; None where there is none."""
+    """Return the places of a shortest path over logged tasks to one of the goals; None without one."""
     wanted, seen, waiting = set(goals), {start}, deque([[start]])
     while waiting:
         places = waiting.popleft()

@@ -1,4 +1,4 @@
-"""Estimates of cells in which one agent waits for the other, and of plans for both."""
+"""Estimates for cells in which one agent waits for the other, and for plans of both agents."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ if TYPE_CHECKING:
     _Refuse = Callable[[TaskSequence, EstimateError], None]
 
 CYCLES, OF_MANY, MANY, BEST = 1000, 120, 40, 12
-"""Cycles of each plan; of more than MANY plans at once OF_MANY each, and CYCLES of the BEST."""
+"""Cycles per plan; with more than MANY plans, OF_MANY cycles each, then CYCLES for the BEST."""
 WHY = "both agents rolled out together: learned safety function, logged walks and stays, who waits for whom"
 RESAMPLES = 1000
 NOT_JUDGED = "not validated on logged executions, so no bias is known or corrected: too few of them can be rolled out"
 
 
 def waits_are_known(model: SafetyModel, altered: Altered | None = None) -> bool:
-    """Return whether it is known that one agent waits for the other, or did before the cell was altered."""
+    """Return whether wait conditions of the agents are known, or were before the cell was altered."""
     card = altered.coupling if altered is not None else model.card.coupling
     return card is not None and (card.coupled or altered is not None)
 
@@ -60,18 +60,18 @@ def estimate_both(
     refuse: _Refuse,
     tell: Progress,
 ) -> list[CycleEstimate]:
-    """Return the expected cycle time of each sequence by rolling out both agents.
+    """Return the expected cycle time of each sequence from a rollout of both agents.
 
     Args:
-        ask: The question; its `check` is used where it is of joint rollouts.
-        sequences: What is asked for.
-        validate: Judge and correct by joint rollouts of the logged executions' own orders.
-        other_cell: Answer by a model that is far off on these logs too.
-        refuse: Told each sequence that cannot be answered, and why.
-        tell: Told fraction and text.
+        ask: The question; its `check` is used if it is of joint rollouts.
+        sequences: The sequences.
+        validate: Validate by joint rollouts of the orders of logged executions, and correct the bias.
+        other_cell: Estimate even if the model has a large bias on these logs.
+        refuse: Called with each sequence that has no answer, and the reason.
+        tell: Called with the fraction done and a text.
 
     Raises:
-        ModelError: The model is far off on the logged executions.
+        ModelError: The model has a large bias on the logged executions.
         EstimateError: No operator was logged.
     """
     dataset, left_out = in_memory(ask.dataset)
@@ -100,21 +100,21 @@ def estimate_both(
 
 
 class JointAnswers:
-    """Rolls plans out in one cell and tells what they say."""
+    """Estimates of plans in one cell from joint rollouts."""
 
     def __init__(self, ask: Question, cell: JointCell, nominal: Mapping[str, NominalTask]) -> None:
-        """Take the question, the cell and its nominal tasks."""
+        """Set the question, the cell and its nominal tasks."""
         self._ask, self._cell = ask, cell
         self._planner = Planner(cell, nominal)
 
     def check(self) -> JointCheck | None:
-        """Return how rollouts of the logged executions' own orders compare with the logs; None with too few."""
+        """Return the validation by joint rollouts of the orders of logged executions; None with too few."""
         return judge_joint(self._cell, self._planner, levels=self._ask.quantiles, seed=self._ask.seed)
 
     def found(
         self, sequences: Sequence[TaskSequence], check: JointCheck | None, refuse: _Refuse, tell: Progress
     ) -> list[tuple[CycleEstimate, Vector]]:
-        """Return the estimate of each sequence that can be answered, and its mean in each resample (RESAMPLES,), s."""
+        """Return the estimate of each sequence with an answer, and its mean in each resample (RESAMPLES,), s."""
         plans = {sequence: plan for sequence in sequences if (plan := self._plan(sequence, refuse)) is not None}
         rolled = self._rolled(plans, refuse, tell)
         drawn = resample_counts(self._ask.seed, self._cell.executions)
@@ -138,7 +138,7 @@ class JointAnswers:
     def _rolled(
         self, plans: dict[TaskSequence, Plan], refuse: _Refuse, tell: Progress
     ) -> dict[TaskSequence, RolledBoth]:
-        """Roll plans out; of many, the quickest once more with more cycles."""
+        """Return the cycles of plans; of many plans, the fastest are rolled out again with more cycles."""
         few = len(plans) <= MANY
         found = self._some(plans, CYCLES if few else OF_MANY, refuse, tell)
         if few:
@@ -220,14 +220,14 @@ class JointAnswers:
 
 
 def _left_out(cycles: RolledBoth, cell: JointCell) -> list[str]:
-    """Return what the cycles of a plan leave out, one sentence each."""
+    """Return the cycles and waits that the rollout of a plan leaves out, one sentence each."""
     until_s, part = longest_s(cycles.plan), cycles.left_out
     ended = f"{part:.1%} of the cycles are left out: they end in a deadlock or do not end within {until_s:.0f} s"
     return [*([ended] if part else []), *unbrought(cycles.plan, cell.coupling)]
 
 
 def _slowed(shares: Sequence[TaskShare], factor: float) -> list[TaskShare]:
-    """Return the split of cycles that take `factor` times as long: what is lost to safety or waited is learned."""
+    """Return the split of cycles `factor` times as long: safety loss and wait, which are learned, absorb the change."""
     if factor == 1.0:
         return list(shares)
     open_s = sum(share.safety_loss_s + share.wait_s for share in shares)
@@ -242,6 +242,6 @@ def _slowed(shares: Sequence[TaskShare], factor: float) -> list[TaskShare]:
 
 
 def resample_counts(seed: int, executions: int, cycles: int = CYCLES) -> Ints:
-    """Return how often each cycle is drawn again (RESAMPLES, cycles): as many cycles as the logs have executions."""
+    """Return how often each cycle is drawn per resample, (RESAMPLES, cycles); a resample has one draw per execution."""
     rng = np.random.default_rng(seed)
     return np.asarray(rng.multinomial(max(executions, 2), np.full(cycles, 1.0 / cycles), RESAMPLES))

@@ -1,4 +1,4 @@
-"""The agendas of one agent as tables, and what is drawn for each cycle: own work, lags, walks."""
+"""The agendas of one agent as tables, and the random draws of each cycle: own work, lags, walks."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Vector
 
 NEVER = -np.inf
-"""When an event came that nobody needs to wait for; the lag of one that is not needed this time."""
+"""Time of an event that needs no wait; lag of an event that is not needed in this cycle."""
 
 
 class EventColumns:
-    """Numbers of the events that may come: of all agendas together."""
+    """Column numbers of all events of several agendas."""
 
     def __init__(self, agendas: Iterable[Agenda]) -> None:
-        """Number the events of agendas; two more columns: one that nobody waits for, and one that nobody reads."""
+        """Number the events of agendas, plus two columns: one that is never waited for, and one that is never read."""
         self.events = list(dict.fromkeys(event for agenda in agendas for event, _ in agenda.events))
         self._number = {event: number for number, event in enumerate(self.events)}
         self.unneeded, self.unread = len(self.events), len(self.events) + 1
 
     def needed(self, event: Event) -> int:
-        """Return the column of an event to wait for; one that comes in no agenda is not waited for."""
+        """Return the column of an event to wait for; an event of no agenda is not waited for."""
         return self._number.get(event, self.unneeded)
 
     def times(self, agendas: Sequence[tuple[Agenda, Ints]], count: int) -> Floats:
-        """Return when events came before the start, shape (count, columns), s: inf where they are still to come.
+        """Return event times before the start, shape (count, columns), s: inf for events still to come.
 
         Args:
-            agendas: Each with the rows in which it is done.
-            count: How many rows there are.
+            agendas: Agendas, each with its rows.
+            count: Number of rows.
         """
         times = np.full((count, len(self.events) + 2), NEVER)
         for agenda, rows in agendas:
@@ -46,7 +46,7 @@ class EventColumns:
         return times
 
     def padded(self, groups: Sequence[Sequence[Sequence[Event]]]) -> Ints:
-        """Return the columns of the events that legs set, shape (agendas, legs, events), filled up with `unread`."""
+        """Return the columns of the events that legs set, shape (agendas, legs, events), padded with `unread`."""
         return _padded([[[self._number[e] for e in leg] for leg in legs] for legs in groups], self.unread)
 
 
@@ -61,18 +61,19 @@ def _padded(groups: Sequence[Sequence[Sequence[int]]], fill: int) -> Ints:
 
 
 class Drawn:
-    """N cycles of one agent: which agenda each does, and what is drawn for its legs.
+    """N cycles of one agent: the agenda of each, and the random draws for its legs.
 
     Attributes:
-        agendas: All that occur.
+        agendas: All agendas that occur.
         which: Agenda of each row, shape (N,).
         last: Number of the last leg of each agenda.
-        own_s: Own work, shape (N, legs).
-        lag_s: From each needed event to going on, shape (N, legs, needs).
-        needs: EventColumns of these events, shape (agendas, legs, needs).
-        not_before_s: Shape (agendas, legs).
-        arrives, passes: EventColumns of the events that are set, shape (agendas, legs, events).
-        walk, stay: Numbers of the operator's segments, shape (N, legs), and `walk_s`, how long the walks take.
+        own_s: Time of own work, shape (N, legs).
+        lag_s: Lag from each needed event to departure, shape (N, legs, needs).
+        needs: Columns of these events, shape (agendas, legs, needs).
+        not_before_s: Earliest departure, shape (agendas, legs).
+        arrives, passes: Columns of the events that a leg sets, shape (agendas, legs, events).
+        walk, stay: Numbers of the operator's segments, shape (N, legs).
+        walk_s: Duration of the walks, shape (N, legs).
     """
 
     def __init__(
@@ -81,13 +82,13 @@ class Drawn:
         """Draw for N rows.
 
         Args:
-            agendas: All that occur.
+            agendas: All agendas that occur.
             which: Agenda of each row, shape (N,).
-            turn: Number of each row's cycle among `count` cycles of one question: what is drawn is spread evenly over
-                these, and the same for every question.
-            count: See `turn`.
-            columns: Of the events.
-            seed: Of the draws.
+            turn: Number of each row's cycle among the `count` cycles of a question; draws are spread evenly over these
+                and are the same for every question.
+            count: Number of cycles of a question.
+            columns: Columns of the events.
+            seed: Seed of the draws.
         """
         self.agendas, self.which, self._turn, self._count, self._seed = agendas, which, turn, count, seed
         self.last = np.array([len(agenda.legs) - 1 for agenda in agendas])
@@ -121,7 +122,7 @@ class Drawn:
             turns[key] += 1
 
     def draw_segments(self, segments: Segments, pace: float = 1.0) -> None:
-        """Draw the operator's walks and stays; walks take `pace` times as long as logged."""
+        """Draw the operator's walks and stays; walks take `pace` times the logged duration."""
         for number, agenda in enumerate(self.agendas):
             rows, turns = self._rows[number], Counter[str]()
             for n, leg in enumerate(agenda.legs):
@@ -144,11 +145,11 @@ class Drawn:
 
 
 def quantile(values: Vector, level: Vector) -> Vector:
-    """Return the quantiles of a distribution that is given by quantiles at even levels, shape of `level`."""
+    """Return quantiles of a distribution given by its quantiles at evenly spaced levels, shape of `level`."""
     levels = np.linspace(0.0, 1.0, max(len(values), 2))
     return np.asarray(np.interp(level, levels, values if len(values) > 1 else np.repeat(values, 2)))
 
 
 def chosen(numbers: Ints, level: Vector) -> Ints:
-    """Return one of some numbers for each level in (0, 1)."""
+    """Return one of `numbers` for each level in (0, 1)."""
     return np.asarray(numbers[np.minimum((level * len(numbers)).astype(np.int64), len(numbers) - 1)])

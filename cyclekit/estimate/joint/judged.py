@@ -1,4 +1,4 @@
-"""Joint rollouts of the logged executions' own orders beside what was logged: bias, and the spread of single cycles."""
+"""Validation of joint rollouts on the orders of logged executions: bias, and the spread of single cycles."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 DRAWS = 60
-"""Cycles rolled out for each logged execution."""
+"""Number of cycles rolled out per logged execution."""
 
 
 @dataclass(frozen=True)
 class JointCheck(Check):
-    """How joint rollouts compare with the logs.
+    """Comparison of joint rollouts with the logs.
 
     Attributes:
-        scores: How far logged cycles are off the mean of their rollouts, in standard deviations of these; empty with
-            few executions.
-        unexplained_s: Mean wait of the robot in an execution that no condition explains, s.
+        scores: Differences of logged cycles from the means of their rollouts, in standard deviations of these; empty
+            with few executions.
+        unexplained_s: Mean wait of the robot per execution without a known condition, s.
     """
 
     scores: tuple[float, ...] = ()
@@ -41,12 +41,12 @@ class JointCheck(Check):
 
     @property
     def doubted_bias(self) -> float:
-        """A bias that no condition explains, as part of the duration: taken out, it may be wrong for other orders."""
+        """Bias without a known cause, as a share of the duration: it is corrected, but may differ for other orders."""
         return abs(self.own_bias) if self.biased(OWN_BIAS) else 0.0
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What speaks against the rollout, one sentence each."""
+        """Reasons to doubt the rollout, one sentence each."""
         if not self.unexplained_s:
             return super().doubts
         unexplained = (
@@ -56,7 +56,7 @@ class JointCheck(Check):
         return (*super().doubts, unexplained)
 
     def quantile(self, cycles_s: Vector, level: float) -> float:
-        """Return a quantile of corrected cycles (K,), s, by the conformal quantile of the scores if there are any."""
+        """Return a quantile of corrected cycles (K,), s, from the conformal quantile of the scores if there are any."""
         if not self.scores:
             return float(np.quantile(cycles_s, level))
         off = conformal(np.array(self.scores), level)
@@ -64,13 +64,13 @@ class JointCheck(Check):
 
 
 def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], seed: int) -> JointCheck | None:
-    """Roll out the logged executions' own orders, and compare; None where fewer than LEAST can be.
+    """Roll out the orders of logged executions and compare; None if fewer than LEAST of them end.
 
     Args:
         cell: The cell.
-        planner: Makes their plans.
-        levels: Quantile levels that will be asked for.
-        seed: Of the draws.
+        planner: Makes the plans of these orders.
+        levels: Quantile levels that the estimate will report.
+        seed: Seed of the draws.
     """
     sequences = [each for each in logged_sequences(cell.dataset, planner.nominal) if each.name in cell.segments.orders]
     if len(sequences) > MOST:
@@ -92,7 +92,7 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
     held_out = np.array([each.name in unseen for each in sequences])
     means = crossed.mean(axis=1)
     found = compare(logged, means, crossed, held_out, levels)
-    off = logged / means - 1.0  # the luck of a cycle is in what was logged, so that belongs above the fraction
+    off = logged / means - 1.0  # the chance of a cycle is in the logged duration, which therefore is the numerator
     bias = judge(-off / (1.0 + off.mean()), held_out)
     found = replace(found, own_bias=bias.bias, own_error=bias.error)
     scores = _scores(logged, crossed * found.factor) if len(ended) >= FEW_EXECUTIONS else ()
@@ -103,6 +103,6 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
 
 
 def _scores(logged: Vector, crossed: Vector) -> tuple[float, ...]:
-    """Return how far logged cycles (E,) are off the mean of rolled-out ones (E, K), in their standard deviations."""
+    """Return how far logged cycles (E,) are from means of rolled-out ones (E, K), in standard deviations of these."""
     off = (logged - crossed.mean(axis=1)) / np.maximum(crossed.std(axis=1, ddof=1), 1e-9)
     return tuple(off.tolist())

@@ -1,7 +1,7 @@
-"""What each agent does in a plan, leg by leg: a way, own work at its end, and what must have happened to go on.
+"""The legs of each agent in a plan: a way, own work at its end, and the events needed before departure.
 
-A leg of the robot is a nominal motion, one of the operator a walk. Where a gate comes before the own task begins, or
-midway, a leg without way or without work stands for it.
+A leg of the robot is a nominal motion, one of the operator a walk. A gate before a task or midway becomes a leg without
+a way or without work.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Vector
 
 Event = tuple[str, str, str, int]
-"""Whose, where (or which task), `arrives`, `leaves`, `set`, `cleared` or `done`, and the how manieth from 0."""
+"""Agent, place or task, kind (`arrives`, `leaves`, `set`, `cleared` or `done`), and occurrence number from 0."""
 NONE = np.zeros(1)
 
 
 @dataclass(frozen=True, eq=False)
 class Need:
-    """An event that must have come.
+    """An event that must have occurred.
 
     Attributes:
-        event: Which.
-        lag_s: Quantiles of the time from it to going on, s.
-        needed: How often it is needed.
-        together: Needs of one number are needed together in passages of one number; 0 = each by itself.
+        event: The event.
+        lag_s: Quantiles of the lag from the event to departure, s.
+        needed: Probability that it is needed.
+        together: Group: needs of one group are needed in the same passages; 0 = independent.
         passage: Number of the passage.
     """
 
@@ -48,20 +48,20 @@ class Need:
 
 @dataclass(frozen=True, eq=False)
 class AgendaLeg:
-    """A way, own work at its end, and what must have happened to go on.
+    """A way, own work at its end, and the events needed before departure.
 
     Attributes:
-        task: Number of the task of this agent; -1 = what comes before the first.
-        place: Where it ends.
-        path_m: Positions along the way of the robot, shape (K, 3); of the operator empty.
-        way_s: Duration of the way of the robot at scaling 1.
-        start: Place where the operator's walk begins, empty at the start of an execution; None = there is no walk.
-        own_s: Quantiles of the own work at its end, s.
-        name: By which own work and lags are drawn: the same in every plan.
-        needs: What must have happened to go on.
-        not_before_s: Earliest time to go on, from the start of the cycle.
-        arrives, passes: Events that it sets at the end of the way, and on going on.
-        hold: It stands for a wait before the task begins.
+        task: Number of the agent's task; -1 = before the first task.
+        place: Place at its end.
+        path_m: Robot positions along the way, shape (K, 3); empty for the operator.
+        way_s: Duration of the robot's way at scaling 1.
+        start: Place where the operator's walk begins, empty at the start of an execution; None = no walk.
+        own_s: Quantiles of the time of own work at its end, s.
+        name: Key of the draws of own work and lags: the same in every plan.
+        needs: Events needed before departure.
+        not_before_s: Earliest departure, from the start of the cycle.
+        arrives, passes: Events set at the end of the way, and at departure.
+        hold: Whether it is a wait before the task begins.
     """
 
     task: int
@@ -80,12 +80,12 @@ class AgendaLeg:
 
 @dataclass(frozen=True, eq=False)
 class Agenda:
-    """All legs of one agent in a plan; the first is where it stands before.
+    """All legs of one agent in a plan; the first is the initial position.
 
     Attributes:
         agent: `robot` or `operator`.
-        legs: In order.
-        tasks: What each task is called.
+        legs: The legs, in order.
+        tasks: Names of the tasks.
     """
 
     agent: str
@@ -99,18 +99,18 @@ class Agenda:
 
 
 class Gates:
-    """The gates of a cell by agent and place."""
+    """The gates of a cell by agent and place: points where an agent may have to wait."""
 
     def __init__(self, coupling: CouplingCard | None) -> None:
-        """Take them from what was learned; None = there are none."""
+        """Store the learned gates; None = no gates."""
         self._gates = {(gate.agent, gate.at, gate.place): gate for gate in (coupling.gates if coupling else ())}
 
     def at(self, agent: str, at: str, place: str) -> GateCard | None:
-        """Return a gate, if there is one."""
+        """Return a gate, or None."""
         return self._gates.get((agent, at, place))  # type: ignore[arg-type]
 
     def needs(self, agent: str, at: str, place: str, turn: int) -> tuple[Need, ...]:
-        """Return what the passage number `turn` of a gate needs."""
+        """Return the needs of passage number `turn` of a gate."""
         gate = self.at(agent, at, place)
         return tuple(
             Need(
@@ -125,26 +125,26 @@ class Gates:
         )
 
     def waits(self, agent: str) -> bool:
-        """Return whether an agent ever waits: a stay of it is then more than its work."""
+        """Return whether an agent ever waits; if so, its stays are longer than its work."""
         return any(gate.conditions for gate in self._gates.values() if gate.agent == agent)
 
     def own_s(self, agent: str, place: str) -> Vector | None:
-        """Return the quantiles of an agent's own work at a place, where they were learned."""
+        """Return the quantiles of an agent's own work at a place, if learned."""
         gate = self.at(agent, "leave", place)
         return np.array(gate.own_s) if gate is not None and max(gate.own_s) > 0.0 else None
 
 
 def event_kind(condition: ConditionCard) -> str:
-    """Return what must have come; who gives a signal at a place has done there, though he may have to stay."""
+    """Return the kind of event; a signal set at a place means done there, even if its agent has to stay."""
     given = condition.signal is not None and condition.event == "leaves"
     return "set" if given else condition.event
 
 
 def told_needs(tasks: Sequence[PlannedTask], where: str) -> dict[int, tuple[Need, ...]]:
-    """Return what each task of a plan is told to come after, by its number in the plan.
+    """Return the tasks that each task of a plan must follow (`after`), as needs by number in the plan.
 
     Raises:
-        UnknownName: A task that it shall come after is not in the plan.
+        UnknownName: A task in `after` is not in the plan.
     """
     turns: Counter[tuple[str, str]] = Counter()
     count = Counter((task.agent, task.name) for task in tasks)
@@ -163,7 +163,7 @@ def told_needs(tasks: Sequence[PlannedTask], where: str) -> dict[int, tuple[Need
 
 
 class _Builder:
-    """Legs of one agent, put one behind the other."""
+    """Builds the legs of one agent, one after the other."""
 
     def __init__(self, agent: str, start: str, at_m: Floats, gates: Gates) -> None:
         self.agent, self._gates = agent, gates
@@ -180,7 +180,7 @@ class _Builder:
         not_before_s: float,
         split: Callable[[AgendaLeg, tuple[Need, ...], float], list[AgendaLeg]] | None = None,
     ) -> None:
-        """Add a task: wait for its start if need be, go, wait midway if need be, do the own work at its end."""
+        """Add a task: wait before its start if needed, way, wait midway if needed, own work at its end."""
         here, place = self.legs[-1].place, leg.place
         turn = self._visits[place]
         gate = self._gates.at(self.agent, "approach", place)
@@ -202,7 +202,7 @@ class _Builder:
         self._done[name] += 1
 
     def agenda(self, tasks: Sequence[str]) -> Agenda:
-        """Return all legs; the last place is left at the end."""
+        """Return the agenda of all legs; the agent leaves the last place at the end."""
         here = self.legs[-1].place
         self._passes((self.agent, here, "leaves", self._visits[here] - 1))
         return Agenda(self.agent, tuple(self.legs), tuple(tasks))
@@ -219,14 +219,14 @@ def robot_agenda(
     told: Mapping[int, tuple[Need, ...]] | None = None,
     not_before_s: Sequence[float] | None = None,
 ) -> Agenda:
-    """Return the legs of a robot that does chained tasks.
+    """Return the legs of a robot with consecutive tasks.
 
     Args:
-        tasks: In order.
-        gates: Of the cell.
-        names: What a plan calls them; None: `start->goal`.
-        told: What each of them shall come after, by number.
-        not_before_s: Earliest start of each.
+        tasks: The tasks, in order.
+        gates: Gates of the cell.
+        names: Names of the tasks in the plan; None: `start->goal`.
+        told: Tasks that each must follow (`after`), by number.
+        not_before_s: Earliest start of each task.
     """
     start = tasks[0].task.partition("->")[0]
     builder = _Builder("robot", start, tasks[0].xyz_m[:1], gates)
@@ -242,7 +242,7 @@ def robot_agenda(
 
 
 def _split(leg: AgendaLeg, needs: tuple[Need, ...], phase: float) -> list[AgendaLeg]:
-    """Return a leg of the robot with a wait midway, at this part of its nominal motion."""
+    """Split a leg of the robot at fraction `phase` of its nominal motion, with a wait there."""
     row = min(max(1, round(phase * (len(leg.path_m) - 1))), len(leg.path_m) - 1)
     before, name = leg.path_m[: row + 1], f"approach {leg.place}"
     first = AgendaLeg(leg.task, leg.place, before, phase * leg.way_s, name=name, needs=needs)
@@ -258,15 +258,15 @@ def operator_agenda(
     told: Mapping[int, tuple[Need, ...]] | None = None,
     not_before_s: Sequence[float] | None = None,
 ) -> Agenda:
-    """Return the legs of an operator who goes to places one after the other, from where he is at the start.
+    """Return the legs of an operator who visits places one after the other.
 
     Args:
-        places: In order.
-        gates: Of the cell.
-        work_s: Quantiles of his stays at each place: his work, if he never waits; at others he has none.
-        first_stays_s: Of his stays at the start of an execution, for a place where he is at no other time.
-        told: What each of them shall come after, by number.
-        not_before_s: Earliest start of each.
+        places: The places, in order.
+        gates: Gates of the cell.
+        work_s: Quantiles of stays at each place, which are work if he never waits; elsewhere he has no work.
+        first_stays_s: Quantiles of stays at the start of an execution, for places where he is at no other time.
+        told: Tasks that each must follow (`after`), by number.
+        not_before_s: Earliest start of each task.
     """
     builder = _Builder("operator", "", np.empty((0, 3)), gates)
     for number, place in enumerate(places):

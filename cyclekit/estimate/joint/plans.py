@@ -1,4 +1,4 @@
-"""What is asked for, as agendas of both agents: a plan for both, or the robot's places beside logged operators."""
+"""Sequences as agendas of both agents: a plan of both, or the robot's places with logged operator orders."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ AGENTS = ("robot", "operator")
 
 @dataclass(frozen=True)
 class _Mine:
-    """One agent's tasks of a plan: names, what each shall come after by number, and earliest starts."""
+    """One agent's tasks of a plan: names, needs from `after` by number, and earliest starts."""
 
     names: tuple[str, ...]
     told: dict[int, tuple[Need, ...]]
@@ -33,10 +33,10 @@ class _Mine:
 
 
 class Planner:
-    """Makes plans of sequences for one cell."""
+    """Makes the plans of sequences in one cell."""
 
     def __init__(self, cell: JointCell, nominal: Mapping[str, NominalTask]) -> None:
-        """Take the cell and its nominal tasks; what the operator does is laid out once for each order."""
+        """Set the cell and its nominal tasks; agendas of the operator are built once per order."""
         self._cell, self.nominal = cell, nominal
         self._orders: dict[tuple[str, ...], Agenda] = {}
         self.waited_for = _waited_for(cell)
@@ -45,11 +45,11 @@ class Planner:
         }
 
     def plan(self, sequence: TaskSequence) -> Plan:
-        """Return what both agents do.
+        """Return the plan of both agents.
 
         Raises:
             UnknownName: A place, a task or an agent does not exist.
-            EstimateError: A task was never logged, or no logged operator fits the robot's places.
+            EstimateError: A task was never logged, or no logged operator order fits the robot's places.
         """
         if sequence.plan:
             return self._of_both(sequence)
@@ -61,7 +61,7 @@ class Planner:
         return Plan(sequence.shown, robot, tuple(self.operator(order, sequence.shown) for order in fitting), both=False)
 
     def operator(self, order: Sequence[str], where: str) -> Agenda:
-        """Return the agenda of an operator who goes to these places.
+        """Return the agenda of an operator who visits these places.
 
         Raises:
             UnknownName: A place does not exist.
@@ -78,10 +78,12 @@ class Planner:
                 raise UnknownName(where, "place of the operator", place, self._cell.dataset.human_places)
 
     def _fitting(self, sequence: TaskSequence) -> list[tuple[str, ...]]:
-        """Return the operator's orders in logged executions of the same work, or of as many visits that are waited for.
+        """Return the operator's orders in logged executions of the same work, else with the same coupled visits.
+
+        A coupled visit is one at a place where an agent waits for the other.
 
         Raises:
-            EstimateError: There is none.
+            EstimateError: There are none.
         """
         same = Counter(sequence.places[1:])
         found = [name for name, went in self._went.items() if Counter(went[1:]) == same]
@@ -99,7 +101,7 @@ class Planner:
 
     @property
     def logged_orders(self) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
-        """The places of the robot and of the operator in each execution that a sequence may be rolled out beside."""
+        """Places of robot and operator in each execution whose operator order a sequence may use."""
         orders = self._cell.segments.orders
         return [(went, tuple(visit.place for visit in orders[name])) for name, went in self._went.items()]
 
@@ -141,7 +143,7 @@ class Planner:
         )
 
     def chained(self, names: Sequence[str], where: str) -> tuple[str, ...]:
-        """Return the places that tasks go through, each `start->goal` or the goal alone.
+        """Return the places of consecutive tasks, each given as `start->goal` or as the goal alone.
 
         Raises:
             EstimateError: A task does not start where the one before it ends.
@@ -167,14 +169,14 @@ def _of_agent(agent: str, tasks: Sequence[PlannedTask], told: Mapping[int, tuple
 
 
 def _waited_for(cell: JointCell) -> set[str]:
-    """Return the robot's places at which somebody waits for somebody."""
+    """Return the robot's places at which one agent waits for the other."""
     gates = [gate for gate in (cell.coupling.gates if cell.coupling else ()) if gate.conditions]
     found = {gate.place for gate in gates if gate.agent == "robot"}
     return found | {one.place for gate in gates for one in gate.conditions if one.agent == "robot"}
 
 
 def legs_of_tasks(agenda: Agenda) -> list[list[int]]:
-    """Return the numbers of the legs of each task."""
+    """Return the leg numbers of each task."""
     found: list[list[int]] = [[] for _ in agenda.tasks]
     for number, leg in enumerate(agenda.legs):
         if leg.task >= 0:

@@ -1,4 +1,4 @@
-"""Many cycles of several plans at once: agendas, draws and the walk of both agents put together."""
+"""Rollout of many cycles of several plans at once: agendas, draws and the simulation of both agents."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
 
 ROWS = 8192
-"""Cycles walked at once."""
+"""Number of cycles simulated at once."""
 REST_S, TIMES = 60.0, 4.0
-"""A cycle is given up after so many times the undisturbed work of both, and this."""
+"""A cycle is abandoned after TIMES the undisturbed work of both agents plus REST_S, s."""
 ENDLESS_PART = 0.05
-"""Up to this part of the cycles that are given up are left out; of more, the plan has no answer."""
+"""Maximum share of abandoned cycles that are left out; with more, the plan has no answer."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What both agents do in the cycles of one question.
+    """The agendas of both agents for the cycles of one question.
 
     Attributes:
-        name: How a message names it.
-        robot: What the robot does.
-        operators: What the operator does: one of these in each cycle, in turn.
-        both: The cycle lasts until both are done; else until the robot is.
+        name: Name of the plan in messages.
+        robot: Agenda of the robot.
+        operators: Agendas of the operator, used by the cycles in turn.
+        both: Whether the cycle ends when both agents are done; else when the robot is.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class OneAgent:
-    """One agent in those cycles `rows` of one question in which it does an agenda; times of shape (rows, legs)."""
+    """One agent with one agenda in the cycles `rows` of a question; times of shape (rows, legs)."""
 
     agenda: Agenda
     rows: Ints
@@ -65,13 +65,13 @@ class RolledBoth:
 
     Attributes:
         plan: The plan.
-        duration_s: Of each cycle, shape (cycles,); inf where it does not end.
+        duration_s: Duration of each cycle, shape (cycles,); inf if it does not end.
         robot: The robot in all cycles.
-        operators: The operator, by what he did.
+        operators: The operator, by agenda.
         events: The events by column.
-        activity_s: Mean safety loss by what the operator was at.
-        support: Part of the time in logged positions.
-        left_out: Part of the cycles that do not end: nobody can go on, or they were given up.
+        activity_s: Mean safety loss by the operator's place.
+        support: Share of the time in logged positions.
+        left_out: Share of the cycles left out: a deadlock, or abandoned.
     """
 
     plan: Plan
@@ -85,56 +85,56 @@ class RolledBoth:
 
 
 class JointCell:
-    """What rollouts of both agents rest on: safety function, who waits for whom, the operator's logged tracks."""
+    """Inputs of joint rollouts: safety function, wait conditions, the operator's logged tracks."""
 
     def __init__(
         self, model: SafetyModel, dataset: Dataset, coupling: CouplingCard | None, *, dynamics: Dynamics | None = None
     ) -> None:
-        """Read what the operator did.
+        """Read the operator's visits.
 
         Raises:
-            EstimateError: There is no operator in the logs, or he never stays at a place.
+            EstimateError: The logs hold no operator, or he never stays at a place.
         """
         self.model, self.dataset, self.coupling = model, dataset, coupling
         self.gates, self.segments = Gates(coupling), Segments(dataset)
         self.dynamics = dynamics or Dynamics.of(dataset.card.dynamics, model)
-        self.pace = 1.0  # what the operator does takes so many times as long as logged
+        self.pace = 1.0  # factor on the logged durations of the operator
         if not self.segments.orders:
             seen = f"{dataset.path}: no complete execution has an operator who stays at one of his places"
             raise EstimateError(seen, cure="Ingest the tracker's log too; name [human_places.*] in the cell file.")
 
     @property
     def executions(self) -> int:
-        """How many logged executions it rests on."""
+        """Number of logged executions with an operator."""
         return len(self.segments.orders)
 
     @cached_property
     def work_s(self) -> dict[str, Vector]:
-        """How long the operator stays at each of his places, as logged."""
+        """Logged durations of the operator's stays at each of his places."""
         found = {place: self.segments.work_s(place) for place in self.dataset.human_places}
         return {place: self.pace * works for place, works in found.items() if len(works)}
 
     @cached_property
     def first_stays_s(self) -> dict[str, Vector]:
-        """How long the operator stays where he is at the start of an execution."""
+        """Logged durations of the operator's stays at the start of an execution, by place."""
         found = {place: self.segments.first_stays_s(place) for place in self.dataset.human_places}
         return {place: self.pace * stays for place, stays in found.items() if len(stays)}
 
     @cached_property
     def support(self) -> Support | None:
-        """Where logged positions lie."""
+        """Logged positions; None if the safety function is valid everywhere."""
         return None if holds_everywhere(self.model) else logged_support(self.dataset)
 
     def roll(
         self, plans: Sequence[Plan], *, cycles: int, seed: int = 0, until_s: float
     ) -> Iterator[RolledBoth | EstimateError]:
-        """Yield the cycles of plans, in order; in place of those in which nobody can go on, an error that tells why.
+        """Yield the cycles of plans, in order; for a plan that ends in a deadlock, an error with the cause.
 
         Args:
-            plans: What is done in them.
-            cycles: Of each.
-            seed: Of what is drawn; every plan draws the same.
-            until_s: A cycle that takes longer has no end.
+            plans: The plans.
+            cycles: Number of cycles per plan.
+            seed: Seed of the draws; every plan has the same draws.
+            until_s: A cycle that takes longer is abandoned.
         """
         at_once = max(1, ROWS // cycles)
         for first in range(0, len(plans), at_once):
@@ -177,7 +177,7 @@ class JointCell:
             yield _of_one(plan, walked, np.flatnonzero(which == n), columns, number, does)
 
     def source(self, source: SourceCard, robots: Sequence[Agenda]) -> Agenda:
-        """Return how parts come: one after the other, as long as there is room."""
+        """Return the agenda of a source of parts: one part after the other, while the buffer has room."""
         taken = [event for agenda in robots for event, _ in agenda.events if event[1:3] == (source.taken_by, "leaves")]
         count = 1 + max((event[3] for event in taken), default=-1)
         legs = []
@@ -222,7 +222,7 @@ def _of_one(
 def _agents_of(
     plan: Plan, walked: JointCycles, rows: Ints, number: dict[Agenda, int], does: Ints
 ) -> tuple[OneAgent, list[OneAgent], Vector]:
-    """Return the robot and the operator, by what he did, in some cycles, and how long these take, s."""
+    """Return the robot and the operator (by agenda) in some cycles, and the durations of these, s."""
     robot = OneAgent(plan.robot, np.arange(len(rows)), _cut(walked.robot, rows, len(plan.robot.legs)))
     mine = []
     for agenda in dict.fromkeys(plan.operators):
@@ -237,7 +237,7 @@ def _agents_of(
 
 
 def longest_s(plan: Plan) -> float:
-    """Return after which time a cycle of a plan is given up, s."""
+    """Return the time after which a cycle of a plan is abandoned, s."""
     agendas = (plan.robot, *plan.operators)
     work = sum(max(float(np.max(leg.own_s)), 0.0) + leg.way_s + 5.0 for agenda in agendas[:2] for leg in agenda.legs)
     latest = max(leg.not_before_s for agenda in agendas for leg in agenda.legs)
@@ -262,7 +262,7 @@ def _cut(times: LegTimes, rows: Ints, legs: int) -> LegTimes:
 
 
 def _stuck(plan: Plan, walked: JointCycles, row: int, columns: EventColumns) -> str:
-    """Return who waits where for what, in a cycle in which nobody can go on."""
+    """Return a description of a deadlock: which agent waits where for which event."""
     told = []
     for agenda, times in ((plan.robot, walked.robot), (plan.operators[row % len(plan.operators)], walked.operator)):
         ended = np.isfinite(times.passes_s[row, : len(agenda.legs)])
@@ -275,7 +275,7 @@ def _stuck(plan: Plan, walked: JointCycles, row: int, columns: EventColumns) -> 
 
 
 def unbrought(plan: Plan, coupling: CouplingCard | None) -> list[str]:
-    """Return what a plan leaves out, one sentence each: waits for a signal that nobody in it gives."""
+    """Return what a plan leaves out, one sentence each: waits for a signal that no agent sets."""
     sources = coupling.sources if coupling else ()
     brought = {(source.signal, "arrives" if source.inferred else "set") for source in sources}
     found: dict[str, None] = {}
@@ -292,7 +292,7 @@ def unbrought(plan: Plan, coupling: CouplingCard | None) -> list[str]:
 
 
 def shown(event: Event) -> str:
-    """Return an event in words: `operator leaves fixture (2nd time)`."""
+    """Return an event in words: `operator leaves fixture (time 2)`."""
     who, where, what, turn = event
     verb = {"set": "has done the work at", "done": "has done", "cleared": "leaves"}.get(what, what)
     said = f"a part comes ({where})" if who == "signal" else f"{who} {verb} {where}"

@@ -1,6 +1,6 @@
-"""Orders of the work of both agents: all pairs by mean times alone, then the best of them rolled out.
+"""Search over orders of both agents: all pairs by mean times, then a rollout of the best ones.
 
-By mean times the robot is slowed as it was on average, and nothing is drawn: a pair of orders takes microseconds.
+With mean times the robot is slowed by its average factor and nothing is drawn: a pair of orders takes microseconds.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Vector
 
 MOST_ORDERS = 1000
-"""Of more orders of one agent than this, so many are drawn."""
+"""Maximum number of orders of one agent; of more, a random sample of this size."""
 PAIRS = 50_000
-"""Pairs of orders looked at in one go."""
+"""Number of pairs of orders evaluated at once."""
 ROLLED, CYCLES = 24, 250
-"""So many of the best pairs are rolled out, in so many cycles each."""
+"""Number of best pairs that are rolled out, and number of cycles per pair."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """An order of the robot and one of the operator, by their numbers, and what a cycle takes by mean times, s."""
+    """Numbers of an order of the robot and one of the operator, and the cycle time by mean times, s."""
 
     robot: int
     operator: int
@@ -44,7 +44,7 @@ class Pair:
 
 
 def orders_to_try(jobs: Jobs, seed: int) -> list[tuple[str, ...]]:
-    """Return all orders of some jobs, each once; of very many a part, drawn."""
+    """Return all distinct orders of some jobs; if there are too many, a random sample."""
     found = list(dict.fromkeys(islice(every_order(jobs), MOST_ORDERS + 1)))
     if len(found) <= MOST_ORDERS:
         return found
@@ -53,13 +53,13 @@ def orders_to_try(jobs: Jobs, seed: int) -> list[tuple[str, ...]]:
 
 
 def mean_times(cell: JointCell, robots: Sequence[Agenda], operators: Sequence[Agenda], *, both: bool) -> Floats:
-    """Return how long each pair takes by mean times, shape (robots, operators), s; inf where nobody can go on.
+    """Return the cycle time of each pair by mean times, shape (robots, operators), s; inf for a deadlock.
 
     Args:
         cell: The cell.
-        robots: What the robot may do.
-        operators: What the operator may do.
-        both: The cycle lasts until both are done; else until the robot is.
+        robots: Agendas of the robot.
+        operators: Agendas of the operator.
+        both: Whether the cycle ends when both agents are done; else when the robot is.
     """
     sources = [cell.source(source, robots) for source in (cell.coupling.sources if cell.coupling else ())]
     columns = EventColumns([*robots, *operators, *sources])
@@ -89,21 +89,21 @@ def mean_times(cell: JointCell, robots: Sequence[Agenda], operators: Sequence[Ag
 
 
 def best_pairs(means_s: Floats) -> list[Pair]:
-    """Return the quickest pairs, the first one first."""
+    """Return the fastest pairs, in ascending order of cycle time."""
     order = np.argsort(means_s, axis=None, kind="stable")[:ROLLED]
     pairs = (np.unravel_index(int(n), means_s.shape) for n in order)
     return [Pair(int(r), int(o), float(means_s[r, o])) for r, o in pairs if np.isfinite(means_s[r, o])]
 
 
 def rolled_cycles(cell: JointCell, plans: Sequence[Plan], seed: int) -> list[Vector | None]:
-    """Return the durations of CYCLES cycles of each plan, s; None where nobody can go on."""
+    """Return the durations of CYCLES cycles of each plan, s; None for a deadlock."""
     until_s = max(longest_s(plan) for plan in plans)
     rolled = cell.roll(plans, cycles=CYCLES, seed=seed, until_s=until_s)
     return [None if isinstance(each, EstimateError) else np.resize(each.duration_s, CYCLES) for each in rolled]
 
 
 def _slowed(cell: JointCell) -> float:
-    """Return how many times as long as nominal the robot's motions take on average."""
+    """Return the mean ratio of the robot's motion times to nominal ones."""
     tasks = cell.dataset.tasks()
     nominal, lost = float(tasks["nominal_s"].sum() or 0.0), float(tasks["safety_loss_s"].sum() or 0.0)
     return 1.0 + lost / nominal if nominal > 0.0 else 1.0
@@ -118,7 +118,7 @@ def _walks_s(cell: JointCell, agenda: Agenda) -> list[float]:
 
 
 def _usual(agendas: Sequence[Agenda], columns: EventColumns, ways_s: Sequence[Sequence[float]]) -> Drawn:
-    """Return agendas with median work and lags, and ways as long as usual: one row each."""
+    """Return agendas with median work and lags, and mean ways, one row each."""
     every = np.arange(len(agendas))
     drawn = Drawn(agendas, every, np.zeros_like(every), 1, columns, 0)
     for row, seconds in enumerate(ways_s):
@@ -127,7 +127,7 @@ def _usual(agendas: Sequence[Agenda], columns: EventColumns, ways_s: Sequence[Se
 
 
 def _rows(drawn: Drawn, rows: Ints) -> Drawn:
-    """Return some rows of what was drawn, any as often as wanted."""
+    """Return selected rows of draws; rows may repeat."""
     found = copy(drawn)
     for name in ("which", "own_s", "lag_s", "walk_s"):
         setattr(found, name, getattr(drawn, name)[rows])

@@ -1,4 +1,4 @@
-"""Where the time of joint cycles goes: the split of the robot's tasks, and when each task of both starts and ends."""
+"""Split of joint cycles: the times of the robot's tasks, and start and end of each task of both agents."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def task_shares(rolled: RolledBoth) -> list[TaskShare]:
-    """Return the split of each of the robot's tasks, mean seconds; the wait before a task is its own."""
+    """Return the split of each of the robot's tasks, mean seconds; the wait before a task counts as its own."""
     agenda, times = rolled.robot.agenda, rolled.robot.times
     waits, works = times.waits_s.mean(axis=0), (times.works_s - times.arrives_s).mean(axis=0)
     lost = times.lost_s.mean(axis=0)
@@ -36,14 +36,14 @@ def task_shares(rolled: RolledBoth) -> list[TaskShare]:
 def planned_shares(
     rolled: RolledBoth, factor: float = 1.0, band: Callable[[Vector], tuple[float, ...]] = lambda _ends_s: ()
 ) -> list[PlannedShare]:
-    """Return when each task starts and ends and what its start waited for; a task that waits midway has two rows.
+    """Return start, end and cause of the start of each task; a task that waits midway has two rows.
 
-    Where the operator does this in one cycle and that in another, his tasks have no mean times and are left out.
+    If the operator's agenda differs between cycles, his tasks have no mean times and are left out.
 
     Args:
         rolled: The cycles.
-        factor: What every duration is multiplied by: the bias on logged executions, taken out.
-        band: Between which times a task ends in single cycles, from its ends (cycles,), s.
+        factor: Factor on every duration that corrects the bias on logged executions.
+        band: Function from the ends of a task (cycles,), s, to their interval in single cycles.
     """
     agents = [rolled.robot, *(rolled.operators if len(rolled.operators) == 1 else ())]
     whose, found = _whose(rolled), list[PlannedShare]()
@@ -57,7 +57,7 @@ def planned_shares(
 
 
 def operator_shares(rolled: RolledBoth, cycle_s: float) -> dict[str, tuple[float, ...]]:
-    """Return in which part of the cycles the operator is at each task, in PARTS equal parts of a cycle."""
+    """Return the share of the cycles with the operator at each task, in PARTS equal parts of a cycle."""
     middle_s = (np.arange(PARTS) + 0.5) / PARTS * cycle_s
     found: dict[str, Floats] = {}
     for agent in rolled.operators:
@@ -71,7 +71,7 @@ def operator_shares(rolled: RolledBoth, cycle_s: float) -> dict[str, tuple[float
 
 
 def _whose(rolled: RolledBoth) -> dict[int, str]:
-    """Return which task sets each event, `operator: bench`, by its column."""
+    """Return the task that sets each event, such as `operator: bench`, by column."""
     agendas = [rolled.plan.robot, *rolled.plan.operators]
     names = {event: _named(agenda, task) for agenda in agendas for event, task in agenda.events}
     signals = {n: f"signal: {event[1]}" for n, event in enumerate(rolled.events) if event[0] == "signal"}
@@ -83,7 +83,7 @@ def _named(agenda: Agenda, task: int) -> str:
 
 
 class _Span(NamedTuple):
-    """One task of one agent: times from the start of each cycle (rows,), s, and what decided going on at its gates."""
+    """One task of one agent: times from the start of each cycle (rows,), s, and what decided departure at its gates."""
 
     task: str
     start_s: Vector
@@ -99,7 +99,7 @@ def _spans(agent: OneAgent, rolled: RolledBoth) -> Iterator[_Span]:
         for leg in legs:
             if agenda.legs[leg].hold:
                 continue
-            gates = list(range(before, leg))  # from the last own work to going on: its own gate, and a hold
+            gates = list(range(before, leg))  # from the last own work to departure: the gate of that place, and a hold
             start, works = times.passes_s[:, leg - 1], np.maximum(times.works_s[:, before], begin_s)
             end = times.passes_s[:, leg] if leg == len(agenda.legs) - 1 else times.works_s[:, leg]
             wait = np.maximum(start - works, 0.0)
@@ -108,7 +108,7 @@ def _spans(agent: OneAgent, rolled: RolledBoth) -> Iterator[_Span]:
 
 
 def _decided(columns: Ints, whose: dict[int, str]) -> dict[str, float]:
-    """Return in which part of the cycles what decided going on; of several gates in a row, the last that held."""
+    """Return the share of the cycles in which each cause decided departure; of several gates, the last that held."""
     names = {OWN: "own task before", PLANNED: "planned start"} | whose
     last = np.full(len(columns), OWN)
     for gate in range(columns.shape[1]):

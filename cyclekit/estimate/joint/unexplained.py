@@ -1,7 +1,7 @@
-"""Waits of the robot that no condition explains: how far they may put an order off that was never logged.
+"""Waits of the robot without a known condition, and the error that they cause for orders that were never logged.
 
-Whatever the robot waits for goes on while it is away, so its wait depends on how long it was away from the place, and
-that depends on the order. An estimate without the condition has the mean of all orders.
+Whatever the robot waits for continues while it is away. So its wait depends on its time away from the place, and thus
+on the order. An estimate without the condition uses the mean over all orders.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 LEAST_PART = 0.01
-"""Of the executions' time: less unexplained wait is not looked at."""
+"""Minimum share of unexplained waits in the executions' time that is considered."""
 LEAST_VISITS = 10
 
 
 class Unexplained(NamedTuple):
-    """Mean unexplained wait of an execution, and how far the order moves it (standard deviation), s."""
+    """Mean unexplained wait per execution, and its standard deviation due to the order, s."""
 
     wait_s: float
     by_order_s: float
 
 
 def unexplained_waits(dataset: Dataset, executions: Collection[str], mean_s: float) -> Unexplained:
-    """Return the robot's waits in some executions that last `mean_s` on average, without a known end; 0.0 if few."""
+    """Return the robot's waits without a known condition, in executions of mean duration `mean_s`; 0.0 if small."""
     visits = dataset.tasks().filter(pl.col("execution").is_in(list(executions)), pl.col("arrival_s").is_not_null())
     waits = visits.with_columns(wait_s=pl.when(pl.col("waited_for").is_null()).then("wait_s").fill_null(0.0))
     waits = waits.with_columns(pl.col("wait_s").fill_null(0.0))
@@ -54,7 +54,7 @@ def unexplained_waits(dataset: Dataset, executions: Collection[str], mean_s: flo
 
 
 def _by_time_away(visits: pl.DataFrame) -> Vector:
-    """Return the wait at each visit of one place as the time away from it tells, shape (N,), s: two straight lines."""
+    """Return a linear fit of waits at a place by the time away, shape (N,), s; first visits are fitted apart."""
     first, away = visits["first"].to_numpy() * 1.0, visits["away_s"].to_numpy()
     by = np.column_stack([first, first * away, 1.0 - first, (1.0 - first) * away])
     return np.asarray(by @ np.linalg.lstsq(by, visits["wait_s"].to_numpy(), rcond=None)[0])

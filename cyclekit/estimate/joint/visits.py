@@ -1,4 +1,4 @@
-"""What the operator did in the logs: his visits, and his positions on each walk and stay, to be drawn again."""
+"""The operator's logged visits, and his positions on each walk and stay, from which rollouts draw."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Vector
 
 AT_START_S = 0.5
-"""Who stands at a place this soon after the start of an execution has not walked there."""
+"""Maximum time, s, from the start of an execution to a stay that counts as begun before the start."""
 WALK_M_S = 1.2
-"""Of an operator whose walks were never logged."""
+"""Walking speed, m/s, of an operator whose walks were never logged."""
 LEAST_WALKS, LEAST_M = 10, 0.1
-"""From fewer walks, or from walks of much the same length, it is not known how long others take."""
+"""Minimum number of walks, and minimum standard deviation of their lengths, m, to fit durations of other walks."""
 SURE = 3.0
-"""So many standard errors between two means are no chance."""
+"""Threshold, standard errors, for a significant difference between two means."""
 STRAIGHT = 16
-"""So many straight walks of different duration stand for a way that was never logged."""
+"""Number of straight walks of different duration generated for a way that was never logged."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class OperatorVisit:
 
 
 class Segments:
-    """Positions of the operator on logged walks and stays, each by its number.
+    """Numbered segments: the operator's positions on logged walks and stays.
 
     Attributes:
-        orders: His visits in each execution, by its name.
+        orders: The visits in each execution, by its name.
     """
 
     def __init__(self, dataset: Dataset) -> None:
@@ -66,9 +66,9 @@ class Segments:
         self._pace = self._paces()
 
     def walk(self, start: str, goal: str) -> Ints:
-        """Return the numbers of walks between two places; `start` is empty where he is at the start of an execution.
+        """Return the numbers of walks between two places; `start` is empty at the start of an execution.
 
-        Of a way that was never logged they are straight, and take as long as his others of that length.
+        For a way that was never logged, straight walks with the usual duration for their length are generated.
         """
         found = self._ways.get((start, goal))
         if found is None:
@@ -76,29 +76,29 @@ class Segments:
         return np.array(found)
 
     def stay(self, place: str) -> Ints:
-        """Return the numbers of stays at a place; one at its middle where none was logged."""
+        """Return the numbers of stays at a place; without any, of a generated one at its centre."""
         if not self._stays[place]:
             self._stays[place].append(self._add(np.array([self._places[place].xyz_m])))
         return np.array(self._stays[place])
 
     def table(self) -> tuple[Floats, Ints, Ints]:
-        """Return the positions of all segments one after the other (M, 3), and of each its first row and their count.
+        """Return the positions of all segments concatenated (M, 3), and the first row and row count of each.
 
-        The row after the last one of a segment repeats it: who stands on after it stands still.
+        The last row of a segment is repeated after it: the operator stands still there.
         """
         count = np.array([len(part) for part in self._parts])
         rows = [np.concatenate([part, part[-1:]]) for part in self._parts]
         return np.concatenate(rows), np.cumsum(count + 1) - count - 1, count
 
     def durations_s(self, numbers: Ints) -> Vector:
-        """Return how long segments take, shape (N,), s."""
+        """Return the durations of segments, shape (N,), s."""
         return np.array([(len(self._parts[number]) - 1) * self._step_s for number in numbers.tolist()])
 
     def work_s(self, place: str) -> Vector:
-        """Return how long he stayed at a place, ascending, shape (N,), s; without stays cut by an execution's ends.
+        """Return durations of stays at a place, ascending, shape (N,), s, except those cut by the ends of executions.
 
-        Two tasks at one place, one after the other, are seen as one long stay. Executions with the most stays there
-        have none such: where their stays are shorter beyond chance, they alone count.
+        Two consecutive tasks at one place appear as one long stay. Executions with the most stays there have no such
+        stays: if their stays are significantly shorter, only these are used.
         """
         stays: list[tuple[int, float]] = []
         for order in self.orders.values():
@@ -114,7 +114,7 @@ class Segments:
         return np.sort([s for _, s in stays])
 
     def first_stays_s(self, place: str) -> Vector:
-        """Return how long he stood at a place at the start of an execution, ascending, shape (N,), s."""
+        """Return durations of stays at a place at the start of an execution, ascending, shape (N,), s."""
         return np.sort(self._first_stays[place])
 
     def _cut(self, name: str, track: LoggedTrack, visits: pl.DataFrame) -> None:
@@ -135,13 +135,13 @@ class Segments:
         there = at_s[0][1] <= AT_START_S
         self._begin(where, spans, there=there)
         self._ways["", spans[0][0]].append(self._add(where[spans[0][1] if there else 0 : spans[0][1] + 1]))
-        if there and len(spans) > 1:  # a plan may begin with his second place
+        if there and len(spans) > 1:  # a plan may begin with the second place
             self._ways["", spans[1][0]].append(self._add(where[: spans[1][1] + 1]))
         for (start, _, left), (goal, arrives, _) in pairwise(spans):
             self._ways[start, goal].append(self._add(where[left : arrives + 1]))
 
     def _begin(self, where: Floats, spans: Sequence[tuple[str, int, int]], *, there: bool) -> None:
-        """Keep how long he stood where he began: also where that was too short to be seen as a stay."""
+        """Store the initial stay, including one too short to be detected as a stay."""
         goal, arrives, left = spans[0]
         if there:
             if len(spans) > 1:
@@ -160,7 +160,7 @@ class Segments:
         return len(self._parts) - 1
 
     def _paces(self) -> tuple[float, float, Vector]:
-        """Return how long walks take: at least, for each metre, and the quantiles of what they take beside that, s."""
+        """Return the duration of walks, s: constant part, time per metre, and quantiles of the residuals."""
         walks = [(part[-1, :2] - part[0, :2], len(part) - 1) for part in self._logged_walks()]
         far = np.array([float(np.linalg.norm(way)) for way, _ in walks])
         took = np.array([steps * self._step_s for _, steps in walks])

@@ -1,8 +1,8 @@
-"""Cycles of both agents walked step by step: each goes on when its own work and what it waits for are over.
+"""Simulation of cycles of both agents step by step: an agent departs once its own work and its waits are over.
 
-The robot advances as in `estimate.walk`, at the scaling that the safety function gives beside the operator. He, and
-parts that come, are not slowed: when they go on is known as soon as what they wait for has come, and is computed then.
-Times of events are exact within a step: who waited for one catches up with what is left of the step.
+The robot advances as in `estimate.walk`, at the scaling of the safety function for the operator's position. The
+operator and sources of parts are not slowed: their departure is computed as soon as the events they wait for are known.
+Event times are exact within a step: an agent that waited uses the rest of the step.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Floats, Ints, Vector
 
 OWN, PLANNED = -1, -2
-"""What decides going on, where it is no event: the own work, or the earliest start of the plan."""
+"""Causes of departure other than an event: own work, or the earliest start in the plan."""
 MOVES, WORKS, WAITS, ENDED = range(4)
 
 
 class LegTimes:
-    """When each leg of one agent arrives, has its own work done, and goes on: shape (rows, legs) each, s.
+    """Times of arrival, end of own work and departure for each leg of one agent: shape (rows, legs) each, s.
 
     Attributes:
-        decided: Column of the event that decided going on; OWN, PLANNED.
+        decided: Column of the event that decided departure, or OWN or PLANNED.
         lost_s: Safety loss of the leg.
     """
 
     def __init__(self, drawn: Drawn) -> None:
-        """Nothing has come yet."""
+        """Create times of inf: nothing has occurred yet."""
         shape = drawn.own_s.shape
         self.arrives_s, self.works_s, self.passes_s = (np.full(shape, np.inf) for _ in range(3))
         self.decided = np.full(shape, OWN)
@@ -52,7 +52,7 @@ class LegTimes:
 
 
 def opens(drawn: Drawn, events_s: Floats, rows: Ints, legs: Ints, works_s: Vector) -> tuple[Vector, Ints]:
-    """Return when these rows may go on from these legs, s (inf: not known yet), and what decides it."""
+    """Return when these rows may depart from these legs, s (inf: not known yet), and the cause that decides it."""
     agenda = drawn.which[rows]
     columns = drawn.needs[agenda, legs]
     lag_s = drawn.lag_s[rows, legs]
@@ -67,17 +67,17 @@ def opens(drawn: Drawn, events_s: Floats, rows: Ints, legs: Ints, works_s: Vecto
 
 
 class Unhindered:
-    """An agent that nothing slows: the operator, or a source of parts."""
+    """An agent that is never slowed: the operator, or a source of parts."""
 
     def __init__(self, drawn: Drawn, events_s: Floats) -> None:
-        """Let all rows begin."""
+        """Start all rows."""
         self.drawn, self.times, self._events_s = drawn, LegTimes(drawn), events_s
         self.leg = np.zeros(len(drawn.which), dtype=np.int64)
         self.ended = np.zeros(len(drawn.which), dtype=np.bool_)
         self._arrive(np.arange(len(drawn.which)), np.zeros(len(drawn.which)))
 
     def go_on(self, rows: Ints) -> Ints:
-        """Compute all that is known now of these rows, and return those of them that went on."""
+        """Compute all departures of these rows that are known now; return the rows that departed or ended."""
         rows = moved = rows[~self.ended[rows]]
         first = self.leg[rows].copy()
         while len(rows):
@@ -105,7 +105,7 @@ class Unhindered:
 
 
 class OperatorPositions:
-    """Where the operators are, as time goes on."""
+    """Positions of the operators over time."""
 
     def __init__(self, operator: Unhindered, segments: Segments, step_s: float, pace: float = 1.0) -> None:
         self._operator, self._pace = operator, pace
@@ -124,7 +124,7 @@ class OperatorPositions:
         self._leg = np.zeros(len(drawn.which), dtype=np.int64)
 
     def at(self, t_s: float, rows: Ints) -> tuple[Floats, Ints]:
-        """Return the positions (N, 3) of the operators of these rows, and at what they are (N,)."""
+        """Return the operators' positions (N, 3) in these rows, and the index of their place (N,)."""
         drawn, times = self._operator.drawn, self._operator.times
         agenda = drawn.which[rows]
         while True:
@@ -138,7 +138,7 @@ class OperatorPositions:
         arrives = times.arrives_s[rows, leg]
         walks = t_s < arrives
         starts = self._starts[agenda]
-        still = leg < starts  # before his first walk he is where that begins
+        still = leg < starts  # before his first walk he is at its start
         segment = np.where(walks, drawn.walk[rows, leg], drawn.stay[rows, leg])
         segment = np.where(still, drawn.walk[rows, starts], segment)
         since = np.where(still, 0.0, np.where(walks, (t_s - departs) / self._pace, t_s - arrives)) / self._step_s
@@ -151,10 +151,10 @@ class OperatorPositions:
 
 
 class RobotLine:
-    """The robot in N cycles: its leg, how far it is, and what it waits for."""
+    """The robot in N cycles: its leg, its progress on it, and what it waits for."""
 
     def __init__(self, drawn: Drawn, events_s: Floats, step_s: float) -> None:
-        """Let all rows stand where they begin."""
+        """Place all rows at their start."""
         self.drawn, self.times, self._events_s, self._step_s = drawn, LegTimes(drawn), events_s, step_s
         legs, count = drawn.own_s.shape[1], len(drawn.which)
         paths = [leg.path_m for agenda in drawn.agendas for leg in agenda.legs]
@@ -174,17 +174,17 @@ class RobotLine:
 
     @property
     def may_move(self) -> Bools:
-        """Which rows may be in motion at some time of the next step."""
+        """Which rows may move at some time of the next step."""
         soon = (self.part == WORKS) & (self._end - self._at < self._step_s)
         return np.asarray((self.part == MOVES) | soon | (self.part == WAITS))
 
     def keep(self, going: Bools) -> None:
-        """Leave the other rows out from now on."""
+        """Drop all other rows."""
         for name in ("row", "part", "leg", "_at", "_clock", "_end"):
             setattr(self, name, getattr(self, name)[going])
 
     def where(self, ahead_s: Vector) -> Floats:
-        """TCP (N, 3) where the rows will be when their motions have gone on by `ahead_s` (N,)."""
+        """Return the TCP (N, 3) of the rows after their motions have advanced by `ahead_s` (N,)."""
         agenda = self.drawn.which[self.row]
         last = self._rows[agenda, self.leg] - 1
         gone = np.minimum(self._at + ahead_s, self._end) / np.maximum(self._end, 1e-9)
@@ -192,7 +192,7 @@ class RobotLine:
         return np.asarray(self._xyz_m[self._first[agenda, self.leg] + (gone * last + 0.5).astype(np.int64)])
 
     def advance(self, scaling: Vector, until_s: float) -> tuple[Vector, Ints]:
-        """Go on to a time; return the safety loss of each row meanwhile (N,), s, and the rows that began a new part."""
+        """Advance to a time; return the safety loss of each row in it (N,), s, and the rows that began a new part."""
         lost, some, touched = np.zeros(len(scaling)), np.flatnonzero(self.part != ENDED), [np.empty(0, dtype=np.int64)]
         while len(some):
             row, leg, part, clock = self.row[some], self.leg[some], self.part[some], self._clock[some]
@@ -219,7 +219,7 @@ class RobotLine:
         return lost, np.unique(np.concatenate(touched))
 
     def _next(self, some: Ints, decided: Ints) -> None:
-        """Let these rows, which have ended a way, their own work or a wait, begin with what follows."""
+        """Start the next part of rows that have ended a way, own work or a wait."""
         row, leg, part, clock = self.row[some], self.leg[some], self.part[some], self._clock[some]
         agenda = self.drawn.which[row]
         for when, found in ((MOVES, self.times.arrives_s), (WORKS, self.times.works_s), (WAITS, self.times.passes_s)):
@@ -242,12 +242,12 @@ class JointCycles:
     """N cycles of both agents.
 
     Attributes:
-        robot, operator: What each did when; `None` for an operator where there is none.
-        activity_s: Safety loss by what the operator was at, shape (N, activities + 1); the last = not known.
-        activities: Names of that.
-        known, looked: Looks into logged positions, and all, shape (N,).
-        stuck: Rows in which each waits for the other, shape (N,).
-        events_s: When each event came, shape (N, columns).
+        robot, operator: Times of the legs of each agent.
+        activity_s: Safety loss by the operator's place, shape (N, activities + 1); the last = unknown.
+        activities: Names of the places.
+        known, looked: Number of support evaluations in logged positions, and of all, shape (N,).
+        stuck: Rows that end in a deadlock, shape (N,).
+        events_s: Time of each event, shape (N, columns).
     """
 
     robot: LegTimes
@@ -274,20 +274,20 @@ def walk_both(
     dynamics: Dynamics,
     pace: float = 1.0,
 ) -> JointCycles:
-    """Walk N cycles to their ends.
+    """Simulate N cycles to their ends.
 
     Args:
         model: The safety function.
-        robot: What is drawn for the robot, N rows.
-        operator: For the operator.
-        sources: Of parts, N rows each.
-        events_s: When events came: of `EventColumns.times`; filled in.
+        robot: Draws for the robot, N rows.
+        operator: Draws for the operator.
+        sources: Draws for sources of parts, N rows each.
+        events_s: Event times from `EventColumns.times`; filled in place.
         segments: Positions of the operator.
-        step_s: Between samples of these.
-        until_s: A cycle that is not at its end then has none: its times are inf.
-        support: Where logged positions lie; None: `looked` stays empty.
-        dynamics: How s follows the safety function.
-        pace: The operator's walks take so many times as long as logged.
+        step_s: Time between samples of the segments.
+        until_s: Cycles that have not ended by then are abandoned: their remaining times are inf.
+        support: Test for logged positions; None: `looked` stays 0.
+        dynamics: Response of s to the safety function.
+        pace: Factor on the logged duration of the operator's walks.
     """
     line = RobotLine(robot, events_s, FINE_STEP_S)
     others = [Unhindered(drawn, events_s) for drawn in (operator, *sources)]
@@ -328,14 +328,14 @@ def walk_both(
 
 
 def settle(others: Sequence[Unhindered], rows: Ints) -> None:
-    """Let those that nothing slows go on as far as is known, each with what the others brought."""
+    """Advance the agents that are never slowed as far as known, until no event of one lets another depart."""
     while len(rows):
         moved = [other.go_on(rows) for other in others]
         rows = np.unique(np.concatenate(moved)) if len(others) > 1 else rows[:0]
 
 
 def _due(line: RobotLine) -> Vector:
-    """Return when each row may go on; of those that do not wait it is 0."""
+    """Return when each row may depart; 0 for rows that do not wait."""
     due, waits = np.zeros(len(line.row)), np.flatnonzero(line.part == WAITS)
     if len(waits):
         due[waits] = opens(line.drawn, line._events_s, line.row[waits], line.leg[waits], np.zeros(len(waits)))[0]

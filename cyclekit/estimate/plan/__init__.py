@@ -1,9 +1,10 @@
-"""Which order of the same work takes least time: the search behind `cyclekit plan`.
+"""Search for the fastest order of the same work, behind `cyclekit plan`.
 
-jobs    what is to be visited, and what must come before what
-search  all orders where they are few; else greedy, Monte Carlo and a local search
-exact   orders as `estimate` gives them
-answer  the order found, what it saves against the logged ones, and how much of that is luck of the logs
+jobs         the places to visit, and precedence constraints
+search       all orders if there are few; else greedy, Monte Carlo and a local search
+both         orders of both agents, where one waits for the other
+task_orders  orders of both agents' tasks, by a model of task times
+answer       the order found, its saving over the logged ones, and the part of it that holds for other operators
 """
 
 from cyclekit.estimate.plan.answer import OrderPlan, plan

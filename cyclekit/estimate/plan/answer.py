@@ -1,4 +1,4 @@
-"""The order found, against the logged ones, and how much of its gain would stay with other operators."""
+"""The order found, compared with the logged ones, and the part of its saving that holds for other operators."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ if TYPE_CHECKING:
     Order = tuple[str, ...]
 
 WALKED = 10
-"""Of more different orders to compare with, this many are simulated, and all are looked up in the table of arrivals."""
+"""Number of different orders to compare with that are simulated; of more, the rest only use the table of arrivals."""
 RANDOM_BASIS = 200
-"""Number of random orders to compare with, where no logged order does the same work."""
+"""Number of random orders to compare with, if no logged order does the same work."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -53,22 +53,22 @@ class OrderPlan(Result):
     """The order found.
 
     Attributes:
-        order: The visits in order; of all orders the one with the least sum of mean and its standard error.
-        places: All places in order, `via` included.
-        expected_s: Mean cycle time of it over the logged operators, as `estimate` gives it for these places.
-        against: What it is compared with: `logged orders` or `random orders`.
-        against_s: Mean cycle time of those over the same operators.
-        saves_s: against_s - expected_s, and its 95 % interval from resampling executions, widened by a doubted bias.
-        saves_unseen_s: What an order saves that is chosen by one half of the executions, on the other half (mean of
-            both halves): the part of the saving that is no luck of these logs.
-        searched: `all orders`, `all orders of logged tasks` (others need what was never logged) or `search`.
-        tried: How many orders were scored.
-        executions: Logged executions it rests on.
+        order: The visits in order; the least mean plus standard error of all orders tried.
+        places: All places in order, including `via`.
+        expected_s: Its mean cycle time with the logged operators, as `estimate` returns it for these places.
+        against: Basis of comparison: `logged orders` or `random orders`.
+        against_s: Mean cycle time of these orders with the same operators.
+        saves_s: against_s - expected_s, and its 95 % interval from resampled executions, widened by a doubted bias.
+        saves_unseen_s: Saving, on one half of the executions, of the order chosen on the other half (mean of both
+            halves): the part of the saving that is not due to chance.
+        searched: `all orders`, `all orders of logged tasks` (others need unlogged tasks) or `search`.
+        tried: Number of orders scored.
+        executions: Number of logged executions behind the result.
         expected_low_s, expected_high_s: 95 % interval of `expected_s`.
-        doubts, alarm: What makes it doubtful, and what belongs above it, as of its estimate.
-        unlogged: Tasks that were never logged with a known speed scaling; orders that need one were left out.
-        notes: What limits the answer, one sentence each.
-        operator: The operator's places in order, where his order was sought too.
+        doubts, alarm: Doubts and warning of its estimate.
+        unlogged: Tasks never logged with a known speed scaling; orders that need one were left out.
+        notes: Limits of the answer, one sentence each.
+        operator: The operator's places in order, if his order was searched too.
     """
 
     order: tuple[str, ...]
@@ -90,7 +90,7 @@ class OrderPlan(Result):
     operator: tuple[str, ...] | None = None
 
     def plot(self) -> Drawing:
-        """Return the mean cycle time of the order beside that of the others, as a matplotlib figure."""
+        """Return a figure of the mean cycle time of the order and of the others (matplotlib)."""
         from cyclekit.plots.results import order_figure
 
         interval_s = (self.expected_low_s, self.expected_high_s)
@@ -101,7 +101,7 @@ class OrderPlan(Result):
         return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per visit of the order found."""
+        """Return one row per visit of the order found."""
         import polars as pl
 
         return pl.DataFrame({"visit": range(1, len(self.order) + 1), "place": self.order})
@@ -124,12 +124,12 @@ def plan(
     other_cell: bool = False,
     progress: Progress | None = None,
 ) -> OrderPlan:
-    """Search the order of `jobs` with the least expected cycle time, the surer one where they are alike.
+    """Search the order of `jobs` with the least expected cycle time; of similar ones, the more certain.
 
-    What is asked is said at `cyclekit.plan_order`. Orders that need a task that was never logged are left out.
+    The arguments are described at `cyclekit.plan_order`. Orders that need a task never logged are left out.
 
     Raises:
-        ModelError: The model predicts something else than the present scaling; or as of `estimate`.
+        ModelError: The model does not predict the present scaling; or as `estimate`.
         UnknownName: A place does not exist.
         EstimateError: Every allowed order needs a task that was never logged, or there is no operator track.
     """
@@ -141,7 +141,7 @@ def plan(
     model = on_states_of(model, dataset)
     tasks, unlogged = _tasks(jobs, dataset)
     jobs = replace(jobs, unlogged=frozenset(unlogged))
-    first_order(jobs, lambda _, options: options)  # refused before the tracks are walked
+    first_order(jobs, lambda _, options: options)  # refuse before tracks are simulated
     if jobs.operator or waits_are_known(model):
         return _of_both(model, dataset, jobs, seed=seed, validate=validate, other_cell=other_cell, progress=progress)
     length = max(task.nominal_s + task.dwell_s + task.wait_s for task in tasks.values()) * (2 * len(jobs.visit) + 2)
@@ -168,7 +168,7 @@ def plan(
         against=against,
         against_s=found.expected_s + float(saved.mean()),
         saves_s=(float(saved.mean()), low - doubt_s, high + doubt_s),
-        saves_unseen_s=unseen * found.expected_s / looked_up,  # seconds of the table, made those of the walk
+        saves_unseen_s=unseen * found.expected_s / looked_up,  # from seconds of the table to seconds of the simulation
         searched=searched,
         tried=tried,
         executions=len(set(tracks.executions)),
@@ -203,7 +203,7 @@ def _of_both(
         against="random orders",
         against_s=found.expected_s + saved[0],
         saves_s=saved,
-        saves_unseen_s=saved[0],  # the same for all operators: what is drawn does not depend on the order
+        saves_unseen_s=saved[0],  # draws do not depend on the order, so the saving is the same for all operators
         searched="search",
         tried=tried,
         executions=found.executions,
@@ -219,7 +219,7 @@ def _of_both(
 def _mean_of(
     orders: Sequence[Order], table: Scorer, walked: Callable[[list[TaskSequence]], list[CycleEstimate]]
 ) -> Floats:
-    """Return the mean duration of orders, each as often as it occurs, on each track, shape (K,), s."""
+    """Return the mean duration of orders on each track, shape (K,), s; repeated orders count repeatedly."""
     times = Counter(orders)
     some = [list(times)[i] for i in np.linspace(0, len(times) - 1, min(len(times), WALKED)).astype(int)]
     wanted = [TaskSequence(f"order {n}", table.jobs.places(order)) for n, order in enumerate(some)]
@@ -231,17 +231,17 @@ def _mean_of(
 
 
 def _doubt_s(found: CycleEstimate, saved_s: float) -> float:
-    """Return what a saving may be off by to either side, s, where the validation doubts the rollout.
+    """Return the possible error of a saving to either side, s, if the validation doubts the rollout.
 
-    A rollout is off in its safety loss, and orders differ by that: as large a part of the saving is in doubt as of the
-    loss, and never more than the whole bias.
+    A rollout's error is in its safety loss, and orders differ in that: the doubted share of the saving equals the
+    doubted share of the loss, and is at most the whole bias.
     """
     bias_s = found.expected_s * found.check.doubted_bias if found.check else 0.0
     return min(bias_s, abs(saved_s) * bias_s / found.safety_loss_s) if found.safety_loss_s > 0.0 else bias_s
 
 
 def _tasks(jobs: Jobs, dataset: Dataset) -> tuple[dict[str, NominalTask], list[str]]:
-    """Return every task that an allowed order may need, and those of them that were never logged."""
+    """Return every task that an allowed order may need, and which of them were never logged."""
     known = nominal_tasks(dataset)
     for name in (*(place for job in jobs.visit for place in job.split(ROW)), jobs.start, jobs.end, jobs.via):
         if name is not None and name not in dataset.places:
@@ -252,7 +252,7 @@ def _tasks(jobs: Jobs, dataset: Dataset) -> tuple[dict[str, NominalTask], list[s
 
 
 def _basis(dataset: Dataset, jobs: Jobs, seed: int) -> tuple[str, list[Order]]:
-    """Return what an order is compared with: the logged orders of the same work, else random ones."""
+    """Return the orders to compare with: logged orders of the same work, else random ones."""
     found = []
     for one in dataset.card.executions:
         order = tuple(place for place in one.places if place in jobs.visit)
@@ -268,7 +268,7 @@ def _basis(dataset: Dataset, jobs: Jobs, seed: int) -> tuple[str, list[Order]]:
 
 
 def _unseen(table: TransitTable, jobs: Jobs, basis: list[Order], executions: tuple[str, ...], seed: int) -> float:
-    """Mean saving of orders chosen by one half of the executions, on the other half, s."""
+    """Return the mean saving, on one half of the executions, of orders chosen on the other half, s."""
     names = np.unique(np.array(executions))
     first = np.isin(np.array(executions), np.random.default_rng(seed).permutation(names)[: len(names) // 2])
     savings = []

@@ -1,4 +1,4 @@
-"""The order of both agents that takes least, where one waits for the other or the jobs name the work of both."""
+"""Search for the fastest order of both agents, if one waits for the other or the jobs include both agents' work."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Progress, Vector
 
 ALL_PAIRS = 60_000
-"""Up to so many pairs of orders all are tried."""
+"""Maximum number of pairs of orders for an exhaustive search."""
 RANDOM = 24
-"""Random orders that the order found is compared with."""
+"""Number of random orders to compare with."""
 
 
 class Both:
-    """The orders that jobs allow, of the robot and of the operator."""
+    """The orders of robot and operator that jobs allow."""
 
     def __init__(self, model: SafetyModel, dataset: Dataset, jobs: Jobs, seed: int) -> None:
-        """List them.
+        """Generate the orders.
 
         Raises:
             UnknownName: A place does not exist.
-            EstimateError: No order of logged tasks is allowed, or no logged operator fits.
+            EstimateError: No order of logged tasks is allowed, or no logged operator order fits.
         """
         self.cell = JointCell(model, dataset, model.card.coupling)
         self._planner, self._jobs = Planner(self.cell, nominal_tasks(dataset)), jobs
@@ -57,7 +57,7 @@ class Both:
         ] or plans[0].operators
 
     def sequence(self, robot: tuple[str, ...], operator: tuple[str, ...] | None, name: str) -> TaskSequence:
-        """Return orders as a sequence: a plan for both, or the robot's places alone."""
+        """Return orders as a sequence: a plan of both agents, or the robot's places only."""
         places = self._jobs.places(robot)
         if operator is None:
             known = self._operator_places(self.operators[0]) if getattr(self, "operators", None) else None
@@ -67,10 +67,10 @@ class Both:
         return TaskSequence.of_plan(name, plan)
 
     def pairs(self) -> tuple[list[Pair], int]:
-        """Return the quickest pairs by mean times, and how many were looked at.
+        """Return the fastest pairs by mean times, and the number of pairs evaluated.
 
-        Of very many pairs, all orders of the operator are tried beside some of the robot, all of the robot beside the
-        best of those, and all of the operator beside the best of these.
+        With too many pairs: all orders of the operator with a sample of the robot's; all of the robot's with the best
+        of those; all of the operator's with the best of these.
         """
         robots, operators = np.arange(len(self.robot_agendas)), np.arange(len(self.operator_agendas))
         looked = 0
@@ -92,11 +92,11 @@ class Both:
         return mean_times(self.cell, some, others, both=bool(self.operators))
 
     def sequence_of(self, robot: int, operator: int, name: str) -> TaskSequence:
-        """Return a pair of orders by their numbers as a sequence."""
+        """Return a pair of orders, given by numbers, as a sequence."""
         return self.sequence(self.robots[robot], self.operators[operator] if self.operators else None, name)
 
     def cycles_s(self, sequences: Sequence[TaskSequence], seed: int) -> list[Vector]:
-        """Return the durations of cycles of each sequence in which both can go on to the end, s; inf in others."""
+        """Return the durations of cycles of each sequence, s; inf for a deadlock."""
         found = rolled_cycles(self.cell, [self._planner.plan(each) for each in sequences], seed)
         return [np.full(1, np.inf) if each is None else each for each in found]
 
@@ -106,7 +106,7 @@ class Both:
 
 
 def _mean_of_ended(found: Floats) -> Floats:
-    """Return the mean over the operators beside which a cycle ends, shape (robots, 1)."""
+    """Return the mean over the operators with which a cycle ends, shape (robots, 1)."""
     ends = np.isfinite(found)
     total = np.where(ends, found, 0.0).sum(axis=1)
     return np.where(ends.any(axis=1), total / np.maximum(ends.sum(axis=1), 1), np.inf)[:, None]
@@ -122,14 +122,14 @@ def best_of_both(
     other_cell: bool,
     tell: Progress,
 ) -> tuple[TaskSequence, tuple[str, ...], CycleEstimate, tuple[float, float, float], int]:
-    """Search the orders of both.
+    """Search the orders of both agents.
 
     Returns:
-        The best as a sequence, the robot's order, its estimate, what it saves against random orders (mean and 95 %
-        interval, s), and how many pairs were looked at.
+        The best pair as a sequence, the robot's order, its estimate, its saving over random orders (mean and 95 %
+        interval, s), and the number of pairs evaluated.
 
     Raises:
-        EstimateError: In none of the orders both can go on to the end.
+        EstimateError: Every pair of orders ends in a deadlock.
     """
     both = Both(model, dataset, jobs, seed)
     tell(0.1, f"{len(both.robots)} orders of the robot, {max(len(both.operators), 1)} of the operator")

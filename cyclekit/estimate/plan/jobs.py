@@ -1,12 +1,12 @@
-"""The work to be put in order: places to visit, the place between them, and what must come first.
+"""The jobs to order: places to visit, a place between visits, and precedence constraints.
 
 start = "home"
 end = "home"
-via = "conveyor"                        # visited before each; leave it out where the robot goes straight on
+via = "conveyor"                        # visited before each; leave it out if the robot goes on directly
 visit = ["left_1", "left_2", "right_1"]
-before = [["left_1", "left_2"]]         # the first one before the second one
+before = [["left_1", "left_2"]]         # the first before the second
 
-Where robot and operator wait for each other, the order of both can be sought; a job may be several places in a row:
+If robot and operator wait for each other, the order of both can be searched; a job may be several places in a row:
 
 visit = ["feeder->fixture", "tray->rack_1"]
 operator = ["bench->fixture", "shelf"]
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ROW = "->"
-"""Between the places of a job of several."""
+"""Separator between the places of one job."""
 _EXAMPLE = """For example:
   start = "home"
   end = "home"
@@ -40,18 +40,17 @@ _EXAMPLE = """For example:
 
 @dataclass(frozen=True)
 class Jobs:
-    """Places to visit in an order that is to be found.
+    """Places to visit, in an order to be found.
 
     Attributes:
-        visit: The places; one that is visited twice stands there twice. `feeder->fixture` is one job of two places.
-        start, end: Where the robot begins and ends; None: where it happens to be.
+        visit: The places, repeated if visited several times. `feeder->fixture` is one job of two places.
+        start, end: Start and end of the robot; None: anywhere.
         via: Place visited before each.
         before: Pairs of places; every visit to the first comes before every visit to the second.
-        operator: Jobs of the operator in the same form, in an order that is to be found too; empty: what he does is
-            drawn from the logs.
-        operator_end: Place where he ends.
-        shown: How a message names it.
-        unlogged: Tasks that no order may need, since they were never logged.
+        operator: Jobs of the operator in the same form, also to be ordered; empty: his orders are drawn from the logs.
+        operator_end: Place where the operator ends.
+        shown: Name of the jobs in messages.
+        unlogged: Tasks that were never logged; no order may need them.
     """
 
     visit: tuple[str, ...]
@@ -69,7 +68,7 @@ class Jobs:
 
         Raises:
             UnknownName: A constraint names a place that is not visited.
-            ConfigError: There is nothing to order, or the constraints form a circle.
+            ConfigError: There are fewer than two visits, or the constraints are cyclic.
         """
         if len(self.visit) < 2:
             raise ConfigError(f"{self.shown}: fewer than two places to visit", cure=_EXAMPLE)
@@ -85,14 +84,14 @@ class Jobs:
             raise ConfigError(msg, cure="No order is possible; take one of these pairs out of before.")
 
     def places(self, order: Sequence[str]) -> tuple[str, ...]:
-        """Return the places that the robot goes through for an order of the visits."""
+        """Return the places that the robot drives to for an order of the visits."""
         via = (self.via,) if self.via else ()
         stops = [stop for name in order for stop in (*via, *name.split(ROW))]
         found = [self.start, *stops, *([self.end] if self.end else [])]
         return tuple(name for i, name in enumerate(found) if i == 0 or name != found[i - 1])
 
     def allowed(self, order: Sequence[str]) -> bool:
-        """Tell whether an order keeps every constraint and needs no task that was never logged."""
+        """Return whether an order satisfies every constraint and needs no unlogged task."""
         last = {name: i for i, name in enumerate(order)}
         first = {name: i for i, name in reversed(list(enumerate(order)))}
         if not all(last[a] < first[b] for a, b in self.before):
@@ -100,7 +99,7 @@ class Jobs:
         return not self.unlogged.intersection(tasks_of(self.places(order)))
 
     def needed(self) -> set[str]:
-        """Return every task that an order may need which keeps the constraints; whether it was logged is not asked."""
+        """Return every task that an order within the constraints may need, logged or not."""
         names = set(self.visit)
         first, last = names.difference(b for _, b in self.before), names.difference(a for a, _ in self.before)
         follow = [(a, b) for a in names for b in names if (b, a) not in self.before]
@@ -112,15 +111,14 @@ class Jobs:
         return {task for places in ways for task in tasks_of(places)}
 
     def next_of(self, left: Sequence[str], last: str | None = None) -> list[str]:
-        """Return which of the visits that are left may come next, each once.
+        """Return which of the remaining visits may come next, without repetition.
 
         Args:
-            left: The visits that are left.
-            last: The visit before; None: the start.
+            left: The remaining visits.
+            last: The previous visit; None: the start.
 
         Returns:
-            Where tasks are missing, those to which a logged way leads; that an order can be completed then is likely
-            but not sure.
+            If tasks are unlogged, only visits reached by logged tasks from which the order can probably be completed.
         """
         free = [name for name in dict.fromkeys(left) if not any(b == name and a in left for a, b in self.before)]
         return [name for name in free if _leads_on(self, last or self.start, name, left)] if self.unlogged else free
@@ -133,7 +131,7 @@ def tasks_of(places: Sequence[str]) -> list[str]:
 
 @lru_cache(maxsize=8)
 def _ways(jobs: Jobs) -> dict[str, frozenset[str]]:
-    """Return the visits that the robot can go on to from each visit and from the start, by logged tasks alone."""
+    """Return the visits that the robot can reach by logged tasks from each visit and from the start."""
 
     def is_logged(one: str, other: str) -> bool:
         via = (jobs.via,) if jobs.via else ()
@@ -145,7 +143,7 @@ def _ways(jobs: Jobs) -> dict[str, frozenset[str]]:
 
 
 def _leads_on(jobs: Jobs, last: str, name: str, left: Sequence[str]) -> bool:
-    """Tell whether `name` can follow `last`, and no visit is cut off then: one that nothing leads to, two dead ends."""
+    """Return whether `name` can follow `last` and leaves no unreachable visit and at most one dead end."""
     ways = _ways(jobs)
     if name not in ways[last]:
         return False
@@ -169,7 +167,7 @@ def load_jobs(path: Path) -> Jobs:
     """Read a jobs file.
 
     Raises:
-        ConfigError: The file cannot be read, or its jobs cannot be put in any order.
+        ConfigError: The file cannot be read, or its jobs cannot be ordered.
     """
     raw = read_toml(path)
     if not raw:

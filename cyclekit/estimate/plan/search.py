@@ -1,8 +1,8 @@
-"""Orders of the same visits, scored on all operator tracks at once through the transit table.
+"""Search over orders of the same visits, scored on all operator tracks at once by the table of arrivals.
 
-Where all orders are few they are all tried, each prefix once. Otherwise three searches share the work: greedy (the
-visit that loses least comes next), Monte Carlo (random orders), and a local search from the best of both that moves
-one visit or swaps two until nothing gets better.
+If there are few orders, all are tried. Otherwise three searches are combined: greedy (the visit with the least loss
+comes next), Monte Carlo (random orders), and a local search from the best of both that moves one visit or swaps two
+until no step improves the score.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     Order = tuple[str, ...]
 
 FEW_ORDERS = 6000
-"""Up to this many orders all are tried (7! = 5040)."""
+"""Maximum number of orders for an exhaustive search (7! = 5040)."""
 RANDOM_ORDERS = 400
 STARTS = 4
-"""Local searches begin at the greedy order and at this many of the best random ones."""
+"""Number of best random orders from which local searches start, in addition to the greedy order."""
 
 
 class Scorer:
-    """Durations of orders over the tracks `which`, shape (k,); all tracks where None.
+    """Durations of orders on the tracks `which`, shape (k,); None: all tracks.
 
-    `executions`: how many independent operators these tracks are of; None: orders are ranked by their means alone.
+    `executions`: number of independent operators of these tracks; None: orders are ranked by their means only.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Scorer:
 
     @classmethod
     def of_unfinished(cls, scorer: Scorer) -> Scorer:
-        """Return a scorer of orders that go on: the robot does not return to the end after them."""
+        """Return a scorer of unfinished orders: the robot does not return to the end after them."""
         unfinished = replace(scorer.jobs, end=None)
         return cls(scorer._table, unfinished, which=scorer._rows, seed=scorer._seed, executions=scorer._executions)
 
@@ -70,21 +70,21 @@ class Scorer:
         return np.asarray(self.durations(orders).mean(axis=1))
 
     def scores(self, orders: Sequence[Order]) -> Floats:
-        """Return what orders are ranked by, shape (orders,), s: the mean and its standard error on top.
+        """Return the scores that rank orders, shape (orders,), s: the mean plus its standard error.
 
-        The least of many means is mostly one that few operators happened to suit. Of two orders with like means the
-        one whose cycles differ less is the more likely to be as good beside other operators.
+        The minimum of many means is often due to a few operators. Of two orders with similar means, the one with less
+        varying cycles is more likely to be as good with other operators.
         """
         found = self.durations(orders)
         means = np.asarray(found.mean(axis=1))
         if self._executions is None:
             return means
-        with np.errstate(invalid="ignore"):  # cycles that do not end are inf
+        with np.errstate(invalid="ignore"):  # abandoned cycles are inf
             return np.asarray(means + np.nan_to_num(found.std(axis=1)) / self._executions**0.5)
 
 
 def best_order(scorer: Scorer, *, seed: int = 0, progress: Progress | None = None) -> tuple[Order, str, int]:
-    """Return the best order found, how it was searched for (`all orders` or `search`), and how many were scored."""
+    """Return the best order found, the kind of search (`all orders` or `search`), and the number of orders scored."""
     tell = progress or (lambda fraction, text: None)
     jobs = scorer.jobs
     if factorial(len(jobs.visit)) <= FEW_ORDERS:
@@ -118,7 +118,7 @@ def every_order(jobs: Jobs) -> Iterator[Order]:
 
 
 def greedy_order(scorer: Scorer) -> Order:
-    """Return the order in which each next visit is the one after which least was lost, as part of the nominal time.
+    """Return the order in which each next visit minimises the time so far relative to nominal time.
 
     Raises:
         EstimateError: As `first_order`.
@@ -134,7 +134,7 @@ def greedy_order(scorer: Scorer) -> Order:
 
 
 def random_order(jobs: Jobs, rng: np.random.Generator) -> Order:
-    """Return an allowed order; each next visit is drawn from those that may come.
+    """Return an allowed order; each next visit is drawn from the allowed ones.
 
     Raises:
         EstimateError: As `first_order`.
@@ -150,12 +150,12 @@ def random_order(jobs: Jobs, rng: np.random.Generator) -> Order:
 
 
 def first_order(jobs: Jobs, ranked: Callable[[Order, list[str]], Iterable[str]]) -> Order:
-    """Return the first allowed order that is come to by trying the next visits as they are ranked.
+    """Return the first allowed order found when next visits are tried in ranked order (depth-first).
 
     Raises:
         EstimateError: Every allowed order needs a task that was never logged.
     """
-    dead: set[tuple[str | None, Order]] = set()  # from where no order was found
+    dead: set[tuple[str | None, Order]] = set()  # states from which no order was found
 
     def completed(done: Order, left: list[str]) -> Order | None:
         last = done[-1] if done else None
@@ -178,13 +178,13 @@ def first_order(jobs: Jobs, ranked: Callable[[Order, list[str]], Iterable[str]])
 
 
 def some(names: Sequence[str], most: int = 8) -> str:
-    """Return the first few of many names, and how many more there are."""
+    """Return the first few of many names, and the number of others."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
 
 
 def _improved(scorer: Scorer, order: Order) -> tuple[Order, float, int]:
-    """Move one visit or swap two, the best of all such steps, until none helps; order, its score, orders scored."""
+    """Improve an order by the best move or swap until none helps; return it, its score, and the number scored."""
     best, tried = float(scorer.scores([order])[0]), 1
     while True:
         around = [near for near in dict.fromkeys(_neighbours(order)) if scorer.jobs.allowed(near)]
@@ -210,7 +210,7 @@ def _neighbours(order: Order) -> Iterator[Order]:
 
 
 def without(names: Sequence[str], name: str) -> list[str]:
-    """Return the names with one `name` fewer."""
+    """Return the names with one `name` removed."""
     rest = list(names)
     rest.remove(name)
     return rest

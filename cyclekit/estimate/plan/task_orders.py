@@ -1,10 +1,10 @@
-"""The order of both agents' tasks that takes least time, by a model of task times.
+"""Search for the fastest order of both agents' tasks, by a model of task times.
 
 before = [["bring", "weld"]]            # the first, second ... bring before the first, second ... weld
 [[task]]
 agent = "robot"
 name = "bring"
-times = 3                               # how often; 1 where not given
+times = 3                               # number of repetitions; default 1
 [[task]]
 agent = "operator"
 name = "mount"
@@ -46,9 +46,9 @@ if TYPE_CHECKING:
     Order = tuple[int, ...]
 
 RANDOM, MOVES, CYCLES = 60, 240, 48
-"""Random orders to begin with, moves tried of the best ones, and cycles rolled out for each."""
+"""Number of random initial orders, of moves tried on the best ones, and of cycles rolled out per order."""
 STARTS, FINAL, FINAL_CYCLES = 2, 12, 600
-"""Moves begin with so many of the random orders; so many of the best are rolled out with more cycles."""
+"""Number of random orders that are improved by moves; number of best orders rolled out again, and their cycles."""
 _EXAMPLE = """For example:
   [[task]]
   agent = "robot"
@@ -58,7 +58,7 @@ _EXAMPLE = """For example:
 
 @dataclass(frozen=True)
 class JobTask:
-    """One kind of task to be done: whose, which, how often, and its earliest start, s."""
+    """One kind of task: agent, name, number of repetitions, and earliest start, s."""
 
     agent: str
     name: str
@@ -73,7 +73,7 @@ class TaskJobs:
     Attributes:
         task: Kinds of tasks.
         before: Pairs of names: the k-th of the first ends before the k-th of the second starts.
-        shown: How a message names it.
+        shown: Name of the jobs in messages.
     """
 
     task: tuple[JobTask, ...] = ()
@@ -87,11 +87,11 @@ class TaskOrderPlan(Result):
 
     Attributes:
         estimate: Its estimate.
-        tasks: Each agent's in order.
-        against: What it is compared with: `logged orders` or `random orders`.
-        against_s: Mean cycle time of those.
-        saves_s: against_s less the expected cycle time, and its 95 % interval.
-        tried: Orders scored.
+        tasks: The tasks of each agent, in order.
+        against: Basis of comparison: `logged orders` or `random orders`.
+        against_s: Mean cycle time of these orders.
+        saves_s: against_s minus the expected cycle time, and its 95 % interval.
+        tried: Number of orders scored.
     """
 
     estimate: CycleEstimate
@@ -102,7 +102,7 @@ class TaskOrderPlan(Result):
     tried: int
 
     def plot(self) -> Drawing:
-        """Return the plan as a time chart of both agents, as a matplotlib figure."""
+        """Return the plan as a time chart of both agents (matplotlib figure)."""
         return gantt_figure([self.estimate])
 
     def to_dict(self) -> dict[str, object]:
@@ -118,7 +118,7 @@ class TaskOrderPlan(Result):
         }
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per task: agent, task, start and end, wait, s."""
+        """Return one row per task: agent, task, start, end and wait, s."""
         import polars as pl
 
         rows = [(one.agent, one.task, one.start_s, one.end_s, one.wait_s) for one in self.estimate.plan]
@@ -138,7 +138,7 @@ def load_task_jobs(path: Path) -> TaskJobs:
     """Read a jobs file for both agents.
 
     Raises:
-        ConfigError: It cannot be read, or names places in place of tasks.
+        ConfigError: It cannot be read, or names places instead of tasks.
     """
     raw = read_toml(path)
     if "task" not in raw:
@@ -158,15 +158,15 @@ def plan_tasks(
     """Search the order of both agents' tasks with the least expected cycle time.
 
     Args:
-        model: What was learned from task lists.
+        model: Task times learned from task lists.
         jobs: The work.
-        runs: Logged executions; orders of the same work among them are what the answer is compared with.
-        seed: Of the search and of what is drawn.
-        progress: Told fraction and text.
+        runs: Logged executions; those of the same work are the basis of comparison.
+        seed: Seed of the search and of the draws.
+        progress: Called with the fraction done and a text.
 
     Raises:
         UnknownName: An agent or a task was never logged.
-        ConfigError: The precedence of the jobs names no task of them.
+        ConfigError: A precedence constraint names no task of the jobs.
         EstimateError: No order is possible.
     """
     search = _Search(model, jobs, seed)
@@ -190,7 +190,7 @@ def plan_tasks(
 
 
 class _Search:
-    """Orders as sequences of all tasks in which what is waited for comes first; so none of them blocks itself."""
+    """Orders as sequences of all tasks in which every needed task comes first, so that none ends in a deadlock."""
 
     def __init__(self, model: TaskModelCard, jobs: TaskJobs, seed: int) -> None:
         self.model, self.jobs, self.seed = model, jobs, seed
@@ -203,7 +203,7 @@ class _Search:
         self.scored: dict[Order, float] = {}
 
     def _precedence(self) -> list[set[int]]:
-        """Return for each task the numbers of those that come before it."""
+        """Return for each task the numbers of the tasks that must come before it."""
         at = {(key, turn): number for number, (key, turn) in enumerate(zip(self.keys, self.turn, strict=True))}
         needs = {(card.agent, card.task): card.needs for card in self.model.tasks}
         for name in {name for pair in self.jobs.before for name in pair}:
@@ -220,7 +220,7 @@ class _Search:
         return found
 
     def random(self) -> Order:
-        """Return a random order that keeps what comes first."""
+        """Return a random order that satisfies the precedence."""
         order: list[int] = []
         while len(order) < len(self.tasks):
             free = [n for n in range(len(self.tasks)) if n not in order and self.first[n] <= set(order)]
@@ -231,24 +231,24 @@ class _Search:
         return tuple(order)
 
     def plan(self, order: Order) -> list[PlannedTask]:
-        """Return an order as a plan: each agent's tasks in order, with the precedence that was told."""
+        """Return an order as a plan: each agent's tasks in order, with the precedence of the jobs."""
         agents = sorted({self.tasks[n].agent for n in order}, key=lambda agent: agent != "robot")
         told = {task: tuple(a for a, b in self.jobs.before if b == task) for _, task in self.keys}
         mine = [self.tasks[n] for agent in agents for n in order if self.tasks[n].agent == agent]
         return [replace(task, after=told[task.name]) for task in mine]
 
     def rolled(self, order: Order, cycles: int) -> float:
-        """Return the mean cycle time, s."""
+        """Return the mean cycle time of an order, s."""
         return float(roll_plan(self.model, self.plan(order), cycles=cycles, seed=self.seed).duration_s.mean())
 
     def score(self, order: Order) -> float:
-        """Return the mean cycle time of few cycles, s; the same cycles for each order."""
+        """Return the mean cycle time of few cycles, s; every order has the same draws."""
         if order not in self.scored:
             self.scored[order] = self.rolled(order, CYCLES)
         return self.scored[order]
 
     def improve(self, order: Order, moves: int) -> None:
-        """Move single tasks as long as that helps."""
+        """Try random moves of single tasks, and keep those that do not increase the cycle time."""
         for _ in range(moves):
             moved = list(order)
             task = moved.pop(int(self.rng.integers(len(moved))))
@@ -270,7 +270,7 @@ class _Search:
 
 
 def _basis(search: _Search, runs: Sequence[Run], random: Sequence[Order]) -> tuple[list[list[PlannedTask]], str]:
-    """Return what the order found is compared with: at most FINAL logged orders of the same work, else random ones."""
+    """Return the basis of comparison: at most FINAL logged orders of the same work, else random ones."""
     work = Counter(search.keys)
     same = {
         run.order: run for run in runs if Counter((a, t.task) for a, some in run.tasks.items() for t in some) == work

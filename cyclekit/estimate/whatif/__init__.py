@@ -1,7 +1,7 @@
-"""The same logs against another cell: `cyclekit whatif`. A forecast, no safety proof.
+"""Estimates of a changed cell from the same logs: `cyclekit whatif`. A forecast, no safety proof.
 
-change  what is changed, as a TOML file says it
-alter   the change made: another safety function, moved places, moved base, an operator who comes more or less often
+change  the change, as read from a TOML file
+alter   the changed safety function, places, base position, and frequency of the operator's visits
 answer  cycle times before and after
 """
 

@@ -1,8 +1,8 @@
-"""A change made to what a rollout works with: the safety function, the nominal motions, the operator's tracks.
+"""The inputs of a rollout after a change: the safety function, the nominal motions, the operator's tracks.
 
-What is approximate: a moved place bends the logged motion by a share of the shift that grows along it, and lengthens
-its time as its path; the controller would plan anew. An operator who comes more or less often is the logged one whose
-time away is cut or stretched; his visits stay as they were.
+Approximations: for a moved place, the logged motion is shifted by a share that grows along it, and its time is scaled
+with the path length; the controller would plan a new motion. For an operator who comes more or less often, the logged
+times away are shortened or stretched; his visits are unchanged.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 AWAY = 0.99
-"""The operator is away where the robot may do this part of its best scaling wherever it is."""
+"""Share of the maximum scaling that must be allowed at all robot positions for the operator to count as away."""
 SAME_LEVEL = 0.005
-"""A level of the rule is named within this: levels found in logs have more digits than people write."""
+"""Tolerance for naming a level of the rule: learned levels have more digits than people write."""
 LOOKED_AT = 60
-"""Points of the robot's motions at which it is asked whether the operator slows it."""
+"""Number of robot positions at which the operator's effect is evaluated."""
 SPOT_M, NOWHERE_M = 0.1, 1000.0
-"""That is asked of operators in spots so far apart; stands for a coordinate that is unknown."""
+"""Grid of operator positions for this, m; value in place of an unknown coordinate."""
 
 
 @dataclass(frozen=True)
 class WrittenSafety:
-    """A safety function written down: a staircase over ||x_r - x_h||, zones on the floor, or the slower of both.
+    """A safety function defined in a file: a staircase over ||x_r - x_h||, zones on the floor, or the lower of both.
 
-    Thresholds and zones are those at which the robot slows; `margin_m` moves them outwards. `often` is that of the
-    model that it is compared with: both are rolled out in the same steps.
+    At its thresholds and zones the robot slows down; `margin_m` moves them outwards. `often` is copied from the model
+    it is compared with, so that both are rolled out in the same steps.
     """
 
     change: Change
@@ -67,15 +67,15 @@ class WrittenSafety:
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """Its levels, ascending."""
+        """The levels, ascending."""
         return self.change.levels
 
     def moved_outwards(self, margin_m: float) -> WrittenSafety:
-        """Return what must allow a level for s to rise to it, `margin_m` being the hysteresis."""
+        """Return the function that must allow a level before s rises to it; `margin_m` is the hysteresis."""
         return replace(self, margin_m=margin_m)
 
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
-        """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
+        """Return the scaling for rows x_r, x_h, shape (N, 6), m; shape (N,)."""
         levels, margin_m = np.array(self.change.levels), self.margin_m
         scaling = np.full(len(X), levels[-1])
         if self.change.thresholds_m:
@@ -90,7 +90,7 @@ class WrittenSafety:
 
 @dataclass(frozen=True)
 class LearnedSafety:
-    """A learned safety function as s falls by it: what was learned lies half the logged hysteresis farther out."""
+    """A learned safety function as it applies when s falls: learned thresholds are half the hysteresis farther out."""
 
     model: SafetyModel
     hysteresis_m: float
@@ -99,20 +99,20 @@ class LearnedSafety:
 
     @property
     def card(self) -> TrainingCard:
-        """Of the model."""
+        """Card of the model."""
         return self.model.card
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """Of the model; empty where it says none."""
+        """Levels of the model; empty if it has none."""
         return getattr(self.model, "levels", ())
 
     def moved_outwards(self, margin_m: float) -> LearnedSafety:
-        """Return what must allow a level for s to rise to it, `margin_m` being the hysteresis."""
+        """Return the function that must allow a level before s rises to it; `margin_m` is the hysteresis."""
         return replace(self, margin_m=margin_m)
 
     def predict(self, X: NDArray[np.float32]) -> Vector:
-        """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
+        """Return the scaling for rows x_r, x_h, shape (N, 6), m; shape (N,)."""
         outwards_m = self.margin_m - self.hysteresis_m / 2
         robot_m, human_m = X[:, :3].astype(np.float64), X[:, 3:].astype(np.float64)
         every = [human_m, *(around(robot_m, human_m, abs(outwards_m)) if outwards_m else ())]
@@ -120,14 +120,14 @@ class LearnedSafety:
         return np.asarray(found.min(axis=0) if outwards_m > 0.0 else found.max(axis=0))
 
     def _level(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
-        """Return the likeliest level where the model is a classifier: it hesitates within the hysteresis."""
+        """Return the most probable level of a classifier (uncertain within the hysteresis); else the scaling."""
         if isinstance(self.model, Classifier) and names_levels(self.model.network):
             return likeliest_of(self.model, robot_m, human_m)[0]
         return scaling_of(self.model, robot_m, human_m)
 
 
 def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> SafetyModel:
-    """Return the safety function that holds after the change; `logged` is how s followed it before.
+    """Return the safety function after the change; `logged` is the response of s before.
 
     Raises:
         EstimateError: The change is of a rule, and the model has none, or not this threshold or edge.
@@ -151,7 +151,7 @@ def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> Safe
 
 
 def _asks_positions(change: Change) -> bool:
-    """Tell whether a change can be answered only where the positions of people are known."""
+    """Return whether a change needs the positions of people."""
     return bool(change.levels or change.limits or change.base_m is not None or "hysteresis_m" in change.dynamics)
 
 
@@ -184,7 +184,7 @@ def _has(known: Mapping[RulePlace, object]) -> str:
 
 
 def _numbers(wanted: LimitChange) -> Iterator[tuple[str, int, str, float]]:
-    """Yield kind and edge of each number that is wanted, its name in the file, and its new value, m."""
+    """Yield kind and edge of each requested number, its name in the file, and its new value, m."""
     if wanted.threshold_m is not None:
         yield "nearer", 0, "threshold_m", wanted.threshold_m
     for first, name, edges in ((0, "x_m", wanted.x_m), (2, "y_m", wanted.y_m)):
@@ -196,7 +196,7 @@ def altered_tasks(change: Change, tasks: Mapping[str, NominalTask], dataset: Dat
     """Return the nominal tasks with the moved places.
 
     Raises:
-        UnknownName: A place that is moved does not exist.
+        UnknownName: A moved place does not exist.
     """
     places = dataset.places
     for name in change.places:
@@ -225,10 +225,10 @@ def _bent(task: NominalTask, at_start: Vector, at_goal: Vector) -> NominalTask:
 def altered_tracks(
     change: Change, tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: SafetyModel
 ) -> OperatorTracks:
-    """Return the operator's tracks as the moved robot sees them, with more or less time between visits.
+    """Return the operator's tracks in the frame of the moved base, with longer or shorter times between visits.
 
     Raises:
-        EstimateError: The operator is never away, or is present too much to come as often as asked for.
+        EstimateError: The operator is never away, or not enough to come as often as requested.
     """
     if change.base_m is not None:
         tracks = replace(tracks, xyz_m=_seen_from(change, tracks.xyz_m))
@@ -268,7 +268,7 @@ def _as_often(
 
 
 def _away(tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: SafetyModel) -> NDArray[np.bool_]:
-    """Tell where the operator slows the robot nowhere on its way, shape (K, T); nobody seen is away."""
+    """Return when the operator slows the robot at no position, shape (K, T); an unseen operator counts as away."""
     points = np.concatenate([task.xyz_m for task in tasks.values()])
     points = points[np.linspace(0, len(points) - 1, min(LOOKED_AT, len(points))).astype(np.int64)]
     if tracks.state is not None:
@@ -283,7 +283,7 @@ def _away(tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: Safe
 
 
 def spots_of(xyz_m: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the number of the spot of each position (N, 3), and the spots (S, 3); NaN: nobody, or nobody's height."""
+    """Return the spot number of each position (N, 3), and the spots (S, 3); NaN: no operator, or unknown height."""
     found, number = np.unique(np.round(np.nan_to_num(xyz_m, nan=NOWHERE_M) / SPOT_M), axis=0, return_inverse=True)
     spots = found * SPOT_M
     spots[spots > NOWHERE_M / 10] = np.nan

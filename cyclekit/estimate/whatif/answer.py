@@ -1,4 +1,4 @@
-"""Cycle times before and after a change, against the same operators."""
+"""Cycle times before and after a change, with the same operators."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ class WhatIf(Result):
     """One sequence under one change.
 
     Attributes:
-        change: Its name.
-        before, after: The estimates; the sequence's name is in them.
-        saves_s: before - after, mean, and its 95 % interval from resampling executions (common operators); where the
-            changed safety function is written down, with the error of the learned one.
+        change: Name of the change.
+        before, after: The estimates, with the name of the sequence.
+        saves_s: before - after, mean, and its 95 % interval from resampled executions (common operators); if the
+            changed safety function is defined in a file, including the error of the learned one.
         safety: NO_PROOF.
     """
 
@@ -66,7 +66,7 @@ class WhatIf(Result):
         }
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per changed sequence, seconds."""
+        """Return one row for the changed sequence, seconds."""
         import polars as pl
 
         saved, low, high = self.saves_s
@@ -97,16 +97,16 @@ def what_if(
     other_cell: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> list[WhatIf]:
-    """Estimate every sequence as it is and under every change.
+    """Estimate every sequence without change and under every change.
 
-    What is asked is said at `cyclekit.what_if`. `refused` is told each change that cannot be answered from these logs,
-    and why, and the others are answered; without it the first such change is raised.
+    The arguments are described at `cyclekit.what_if`. `refused` is called with each change that these logs cannot
+    answer and the reason; the others are answered. Without it the error of the first such change is raised.
 
     Raises:
-        UnknownName: A place does not exist; a change that names it is named.
-        ModelError: As of `estimate`.
-        EstimateError: As of `estimate` for the sequences as they are; or a change cannot be answered, such as an
-            operator who cannot come as often as asked for.
+        UnknownName: A place does not exist; the message names the change.
+        ModelError: As `estimate`.
+        EstimateError: As `estimate` without change; or a change cannot be answered, such as an operator who cannot come
+            as often as requested.
     """
     tell = progress or (lambda fraction, text: None)
     names = [sequence.name for sequence in sequences]
@@ -144,7 +144,7 @@ def _named(change: Change, error: EstimateError) -> EstimateError:
 
 
 def _check_of(change: Change, check: Check | None) -> Check | None:
-    """Return the validation that holds after the change: a function that is written down has no bias of the network."""
+    """Return the validation for the changed cell: a function defined in a file has no network bias."""
     return check if check is None or not change.levels else replace(check, own_bias=0.0)
 
 
@@ -170,7 +170,7 @@ def _marked(change: Change, after: CycleEstimate, logged: Dynamics) -> CycleEsti
 
 
 def _in_time(change: Change, logged: Dynamics) -> str:
-    """Say what is kept of how s followed the safety function of the logs."""
+    """Return a sentence on the response of s that is kept from the logs."""
     kept = {name: value for name, value in vars(logged).items() if value and name not in change.dynamics}
     if kept:
         told = ", ".join(f"{name} {value:.3g}" for name, value in kept.items())
@@ -191,7 +191,7 @@ def _compared(change: Change, before: CycleEstimate, after: CycleEstimate, seed:
 
 
 def saved_of(before: CycleEstimate, after: CycleEstimate, seed: int) -> tuple[Vector, Vector]:
-    """Return what each cycle saves beside the same operator (K,), and the mean in resamples of the logs, s."""
+    """Return the saving of each cycle with the same operator (K,), and its mean in resamples of the logs, s."""
     saved = np.array(before.durations_s) - np.array(after.durations_s)
     entries = len(saved) // max(before.executions, 1)
     names = [str(k % max(before.executions, 1)) for k in range(len(saved))]
@@ -199,9 +199,9 @@ def saved_of(before: CycleEstimate, after: CycleEstimate, seed: int) -> tuple[Ve
 
 
 def _network_error_s(change: Change, before: CycleEstimate) -> float:
-    """Return half a 95 % interval, s, of what the network's error moves a saving by.
+    """Return half the 95 % interval, s, of the error of a saving due to the network.
 
-    Only where the changed function is written down: it has no such error, and the cell as it is has.
+    Only if the changed function is defined in a file: it has no such error, but the unchanged cell has.
     """
     if not change.levels or before.check is None:
         return 0.0

@@ -1,4 +1,4 @@
-"""What one question about several changes is answered with."""
+"""Answers to a question about several changes."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ class WhatIfAnswers(Answers[WhatIf]):
 
     Attributes:
         answers: One for each change and sequence, in the order of the changes.
-        refused: Changes that cannot be answered from these logs.
-        safety: That this is no safety proof.
+        refused: Changes that these logs cannot answer.
+        safety: Note that this is no safety proof.
     """
 
     safety: str = NO_PROOF
 
     @property
     def alarms(self) -> tuple[str, ...]:
-        """What belongs above the numbers, one sentence each."""
+        """Warnings to show above the numbers, one sentence each."""
         checks = (one.before.check for one in self)
         return tuple(dict.fromkeys(check.alarm for check in checks if check and check.alarm))
 
@@ -40,7 +40,7 @@ class WhatIfAnswers(Answers[WhatIf]):
         }
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per change and sequence, seconds."""
+        """Return one row per change and sequence, seconds."""
         import polars as pl
 
         return pl.concat([one.to_frame() for one in self]) if self.answers else pl.DataFrame()

@@ -1,4 +1,4 @@
-"""Changes of a cell of which task lists alone are known: a faster agent, a removed wait, parts in advance."""
+"""Changes of a cell known only by task lists: a faster agent, a removed wait, parts in advance."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ def what_if_tasks(
     seed: int = 0,
     refused: Callable[[Change, EstimateError], None],
 ) -> list[WhatIf]:
-    """Estimate every plan as it is and under every change.
+    """Estimate every plan without change and under every change.
 
     Args:
-        model: What was learned from task lists.
+        model: Task times learned from task lists.
         sequences: Plans for both agents.
-        changes: Each by itself.
-        seed: Of what is drawn; the same before and after.
-        refused: Told each change that cannot be answered, and why.
+        changes: Changes, each applied alone.
+        seed: Seed of the draws; the same before and after.
+        refused: Called with each change that has no answer, and the reason.
 
     Raises:
-        EstimateError: A plan as it is cannot be answered.
+        EstimateError: A plan without change has no answer.
     """
     before = _estimates(model, sequences, seed)
     answers = []
@@ -57,11 +57,11 @@ def what_if_tasks(
 
 
 def altered_times(model: TaskModelCard, change: Change) -> TaskModelCard:
-    """Return a model as it is after a change.
+    """Return the model after a change.
 
     Raises:
         EstimateError: The change is of positions or of the safety function, which task lists do not hold.
-        UnknownName: An agent or a task is not in the model, or does not wait for what is named.
+        UnknownName: An agent, a task or a wait is not in the model.
     """
     where = f"change {change.name!r}"
     if not change.of_tasks:
@@ -100,7 +100,7 @@ def _estimates(model: TaskModelCard, sequences: Sequence[TaskSequence], seed: in
 
 
 def _saved(before: CycleEstimate, after: CycleEstimate) -> tuple[float, float, float]:
-    """Return what a change saves, s, with its 95 % interval: both estimates are off by the same part."""
+    """Return the saving of a change, s, with its 95 % interval; both estimates have the same relative error."""
     saved = before.expected_s - after.expected_s
     part = (before.expected_high_s - before.expected_low_s) / (2 * SURE) / before.expected_s
     noise = float(np.std(np.array(before.durations_s))) / np.sqrt(len(before.durations_s))

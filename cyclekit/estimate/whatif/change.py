@@ -1,4 +1,4 @@
-"""What is changed about the cell, as a file says it.
+"""A change of the cell, as read from a file.
 
 [[change]]
 name = "thresholds of the new scanner"
@@ -11,36 +11,36 @@ levels = [0.0, 0.5, 1.0]
 zones = [{ x_m = [-1.0, 1.0], y_m = [-1.0, 1.0], level = 0.0 }]   # rectangles on the floor, base frame
 
 [[change]]
-name = "thresholds and a zone"                                    # where both slow the robot, the slower holds
+name = "thresholds and a zone"                                    # the slower of both holds
 levels = [0.0, 0.5, 1.0]
 thresholds_m = [0.8, 1.5]
 zones = [{ x_m = [1.0, 2.5], y_m = [-1.0, 1.0], level = 0.5 }]
 
 [[change]]
-name = "single numbers of the rule in the model"                  # the others stay; so does the hysteresis
+name = "single numbers of the rule in the model"                  # all others and the hysteresis are unchanged
 limits = [{ level = 0.5, threshold_m = 1.3 }, { level = 0.0, x_m = [0.9, 2.0] }]
 
 [[change]]
-name = "another level, and a mat that counts in a part of the path only"      # where signals tell of people
+name = "another level, and a mat that counts in a part of the path only"      # with signals of people
 signals = [{ signal = "warning field", level = 0.7 }, { signal = "mat", x_m = [0.0, 1.0], y_m = [-0.3, 0.3] }]
 
 [[change]]
 name = "robot half a metre back, fewer visits"
-base = { xyz_m = [-0.5, 0.0, 0.0], yaw_deg = 0.0 }   # where the base shall stand, in the present base frame
-places = { conveyor = [0.7, 0.0, 0.1] }              # places of the robot that move, in the frame of its base
-frequency = 0.5                                      # visits per hour, against the logged ones
+base = { xyz_m = [-0.5, 0.0, 0.0], yaw_deg = 0.0 }   # new position of the base, in the present base frame
+places = { conveyor = [0.7, 0.0, 0.1] }              # moved places of the robot, in the frame of its base
+frequency = 0.5                                      # visits per hour, relative to the logged ones
 
 [[change]]
-name = "quicker recovery"        # how s follows the safety function; what is not given stays as it was logged
+name = "quicker recovery"        # response of s to the safety function; omitted values stay as logged
 ramp_up_per_s = 2.0              # inf: at once
 hysteresis_m = 0.0               # also ramp_down_per_s, latency_s
 
 [[change]]
-name = "a practised operator, parts in advance"   # where robot and operator wait for each other
+name = "a practised operator, parts in advance"   # if robot and operator wait for each other
 faster = { operator = 1.2 }                       # 1.2 times as fast; in task lists also robot or the agent's name
-buffer = { part = 3 }                             # so many parts of a source, or of a task of task lists, in advance
-more_places = { fixture = 1 }                     # so many more of a place that must be free again
-without_waits = ["robot approach fixture"]        # nobody waits there any more
+buffer = { part = 3 }                             # parts in advance, of a source or of a task of task lists
+more_places = { fixture = 1 }                     # additional places of the kind that must be free again
+without_waits = ["robot approach fixture"]        # waits that are removed
 no_wait = [["weld", "mount"]]                     # in task lists: weld no longer waits for mount
 """
 
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 _DYNAMICS = ("latency_s", "ramp_down_per_s", "ramp_up_per_s", "hysteresis_m")
 FASTEST = 100
-"""Nobody becomes faster than that, and no buffer holds more."""
+"""Maximum of factors in `faster`, and of counts in `buffer` and `more_places`."""
 _EXAMPLE = """Add one:
   [[change]]
   name = "fewer visits"
@@ -77,7 +77,7 @@ def _refuse_edges(what: str, x_m: tuple[float, float] | None, y_m: tuple[float, 
 
 @dataclass(frozen=True)
 class Zone:
-    """A rectangle on the floor, base frame, m, border included; an operator in it allows at most `level`."""
+    """A rectangle on the floor, base frame, m, including its border; an operator in it allows at most `level`."""
 
     x_m: tuple[Number, Number]
     y_m: tuple[Number, Number]
@@ -87,17 +87,17 @@ class Zone:
         """Refuse a rectangle without extent.
 
         Raises:
-            ValueError: It has none.
+            ValueError: It has no extent.
         """
         _refuse_edges("zone", self.x_m, self.y_m)
 
 
 @dataclass(frozen=True)
 class LimitChange:
-    """Other numbers of one limit of the model's rule, m: where the robot slows down to `level`.
+    """New numbers of one limit of the model's rule, m: where the robot slows down to `level`.
 
-    What is None stays, and so does how much farther out the robot speeds up again. Edges of a turned rectangle are
-    those along its own axes.
+    Numbers that are None are unchanged, and so is the hysteresis of the limit. Edges of a rotated rectangle are along
+    its own axes.
     """
 
     level: float
@@ -106,10 +106,10 @@ class LimitChange:
     y_m: tuple[Number, Number] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what changes nothing or is no threshold or rectangle.
+        """Refuse an empty change, a negative threshold, or a rectangle without extent.
 
         Raises:
-            ValueError: It is none.
+            ValueError: It is one of these.
         """
         if self.threshold_m is None and self.x_m is None and self.y_m is None:
             msg = f"limit of level {self.level:g}: give threshold_m, x_m or y_m"
@@ -122,9 +122,9 @@ class LimitChange:
 
 @dataclass(frozen=True)
 class SignalChange:
-    """What a signal that tells of people asks for: another level, or only while the TCP is in a rectangle, m.
+    """New settings of a signal of people: another level, or an effect only while the TCP is in a rectangle, m.
 
-    What is None stays.
+    Settings that are None are unchanged.
     """
 
     signal: str
@@ -133,10 +133,10 @@ class SignalChange:
     y_m: tuple[Number, Number] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what changes nothing, is no level or no rectangle.
+        """Refuse an empty change, an invalid level, or a rectangle without extent.
 
         Raises:
-            ValueError: It is none.
+            ValueError: It is one of these.
         """
         if self.level is None and self.x_m is None and self.y_m is None:
             msg = f"signal {self.signal!r}: give level, x_m or y_m"
@@ -149,24 +149,24 @@ class SignalChange:
 
 @dataclass(frozen=True)
 class Change:
-    """One change of the cell; what is None or empty stays as it was.
+    """One change of the cell; values that are None or empty are unchanged.
 
     Attributes:
-        name: How the answer names it.
+        name: Name of the change in the answer.
         levels: Levels of another safety function, ascending.
         thresholds_m: Its thresholds on ||x_r - x_h||, one fewer than levels.
         zones: Its zones on the floor; with thresholds as well, the slower of both holds.
-        limits: Single thresholds and edges of the rule in the model, in place of `levels`.
-        signals: What single signals of people ask for, where the model knows people by signals.
-        base_m, base_yaw_deg: Where the robot's base shall stand, in the present base frame.
-        places: Robot places that move: name -> TCP, m, in the frame of the robot's base.
-        frequency: The operator's visits per hour, as a multiple of the logged ones.
-        more_places: So many more of a place that somebody waits for to be free again, by its name.
-        without_waits: Waits that fall away: `robot approach fixture`.
-        dynamics: What changes of how s follows the safety function, by the name of `Dynamics`: s, 1/s or m.
-        faster: How many times as fast an agent works and walks, by agent; where there are positions only the operator.
+        limits: Single thresholds and edges of the rule in the model, instead of `levels`.
+        signals: New settings of single signals of people, if the model's input is signals.
+        base_m, base_yaw_deg: New position of the robot's base, in the present base frame.
+        places: Moved places of the robot: name -> TCP, m, in the frame of the robot's base.
+        frequency: The operator's visits per hour, relative to the logged ones.
+        more_places: Number of additional places, by name of a place that must be free again.
+        without_waits: Waits that are removed: `robot approach fixture`.
+        dynamics: Changed response of s to the safety function, by name in `Dynamics`: s, 1/s or m.
+        faster: Factor on the speed of an agent, by agent; only the operator in cells with positions.
         no_wait: Pairs of tasks of task lists: the first no longer waits for the second.
-        buffer: So many parts may wait, by the signal of their source; in task lists by the task that waits for them.
+        buffer: Number of parts in advance, by signal of their source; in task lists by the task that waits for them.
     """
 
     name: str
@@ -188,17 +188,17 @@ class Change:
 
     @property
     def operator_pace(self) -> float:
-        """How many times as fast the operator works and walks."""
+        """Factor on the operator's speed of work and walking."""
         return self.faster.get("operator", 1.0)
 
     @property
     def waits_change(self) -> bool:
-        """Whether it changes who waits for whom, or how long."""
+        """Whether it changes wait conditions, or the durations of waits."""
         return bool(self.faster or self.no_wait or self.buffer or self.more_places or self.without_waits)
 
     @property
     def of_tasks(self) -> bool:
-        """Whether it changes tasks and waits of task lists, and nothing that needs positions."""
+        """Whether it changes only tasks and waits of task lists, without positions."""
         return bool(self.faster or self.no_wait or self.buffer) and not self._of_positions
 
     @property
@@ -207,7 +207,7 @@ class Change:
         return any(map(bool, (*found, self.more_places, self.without_waits)))
 
     def __post_init__(self) -> None:
-        """Refuse what is no safety function or no change.
+        """Refuse an invalid safety function or an empty change.
 
         Raises:
             ConfigError: Levels, thresholds or zones do not fit together, or nothing is changed.
@@ -256,7 +256,7 @@ def load_changes(path: Path) -> list[Change]:
     """Read a file of changes.
 
     Raises:
-        ConfigError: The file cannot be read, holds no change, or a change is not one.
+        ConfigError: The file cannot be read, holds no change, or a change is invalid.
     """
     raw = read_toml(path)
     if not list_at(str(path), raw, "change") and not set(raw) - {"change"}:
@@ -266,7 +266,7 @@ def load_changes(path: Path) -> list[Change]:
 
 @dataclass(frozen=True)
 class _Base:
-    """Where the base shall stand, as the file says it."""
+    """New position of the base, as in the file."""
 
     xyz_m: Point = (0.0, 0.0, 0.0)
     yaw_deg: Number = 0.0
@@ -274,7 +274,7 @@ class _Base:
 
 @dataclass(frozen=True)
 class _Entry:
-    """A change as the file says it."""
+    """A change, as in the file."""
 
     name: str | None = None
     levels: Levels = ()

@@ -1,7 +1,7 @@
-"""What each number of the safety function costs: the change of the expected cycle time beside the same operators.
+"""Cost of each number of the safety function: the change of the expected cycle time with the same operators.
 
-Each number is moved to either side and the cycles are rolled out again; the difference is that of the same cycles.
-Steps are wider than the unit that is told: a threshold that moves by 1 cm is crossed by few operators.
+Each number is moved to either side and the same cycles are rolled out again. The steps are larger than the reported
+unit: few operators cross a threshold that moves by 1 cm.
 """
 
 from __future__ import annotations
@@ -34,26 +34,26 @@ if TYPE_CHECKING:
     from cyclekit.schema import Progress
 
 BY_M = 0.05
-"""Thresholds, edges and the hysteresis are moved by this to either side, m."""
+"""Step of thresholds, edges and the hysteresis to either side, m."""
 BY_RATE = 0.1
-"""Ramps are taken so much steeper per second, or by this part of their rate."""
+"""Step of ramps: the larger of this, in 1/s, and this share of the rate."""
 RAMPS = {"recovery": "ramp_up_per_s", "braking": "ramp_down_per_s"}
 EDGES = ("x from", "x to", "y from", "y to")
 
 
 @dataclass(frozen=True)
 class ParameterCost:
-    """What one number of the safety function costs.
+    """Cost of one number of the safety function.
 
     Attributes:
         parameter: threshold, edge, hysteresis, reaction time, recovery (ramp up) or braking (ramp down).
-        level: Of the limit that it belongs to, 0 to 1; None where it is of all.
-        where: By which distance, or which edge.
-        value: In the logs, in `unit`.
+        level: Level of its limit, 0 to 1; None if it applies to all limits.
+        where: Distance or edge that it applies to.
+        value: Value in the logs, in `unit`.
         unit: m, s, or 1/s of the scaling.
-        step: The change that costs so much: a region larger by 0.01 m, or so much more of the number.
-        costs_s: Seconds that it adds to the cycle.
-        standard_error_s: Of it, from which operators were logged.
+        step: Step of the number that has this cost; for thresholds and edges, a region larger by 0.01 m.
+        costs_s: Increase of the cycle time, s.
+        standard_error_s: Standard error of the increase, from resampled operators.
     """
 
     parameter: str
@@ -68,7 +68,7 @@ class ParameterCost:
 
 @dataclass(frozen=True)
 class SequenceCosts:
-    """One sequence: its expected cycle time by the rule, not corrected by logged executions, and what costs what."""
+    """One sequence: its expected cycle time by the rule, not corrected by logged executions, and the costs."""
 
     sequence: str
     expected_s: float
@@ -77,13 +77,13 @@ class SequenceCosts:
 
 @dataclass(frozen=True, repr=False)
 class SafetyCosts(Result):
-    """What each number of the safety function costs, and its margin to the protective separation distance.
+    """Costs of the numbers of the safety function, and margins to the protective separation distance.
 
     Attributes:
         sequences: One for each sequence.
-        margins: None where the separation distance was not asked for.
-        notes: What is not among them, and why.
-        safety: That this is no safety proof.
+        margins: Margins; None if the separation distance was not requested.
+        notes: What is missing, and why.
+        safety: Note that this is no safety proof.
     """
 
     sequences: tuple[SequenceCosts, ...]
@@ -101,7 +101,7 @@ class SafetyCosts(Result):
 
 
 def named(cost: ParameterCost) -> str:
-    """Return a number of the rule as a row of a table names it."""
+    """Return the name of a number of the rule in a row of a table."""
     if cost.level is None:
         return cost.parameter
     return f"{'stop' if cost.level == 0.0 else exact_percent(cost.level)}, {cost.where}"
@@ -115,7 +115,7 @@ def step(cost: ParameterCost) -> str:
 
 @dataclass(frozen=True)
 class _Moved:
-    """A number moved to either side: how the cell is then, and by how much both sides are apart."""
+    """A number moved to either side: rule and dynamics of both sides, and the difference between them."""
 
     cost: ParameterCost
     less: tuple[RuleSafety, Dynamics]
@@ -136,12 +136,12 @@ def costs_of(
 ) -> SafetyCosts:
     """Roll every sequence out with each number of the rule moved to either side.
 
-    What is asked is said at `cyclekit.cost_of_safety_function`.
+    The arguments are described at `cyclekit.cost_of_safety_function`.
 
     Raises:
         ConfigError: The separation distance does not fit the rule.
-        EstimateError: As of `estimate`.
-        ModelError: As of `estimate`.
+        EstimateError: As `estimate`.
+        ModelError: As `estimate`.
         UnknownName: A place does not exist.
     """
     if separation is not None:
@@ -174,7 +174,7 @@ def costs_of(
 def _margins(
     safety: RuleSafety, separation: Separation, found: Sequence[SequenceCosts], latency_s: float | None
 ) -> Margins:
-    """Return the margins, each with what a centimetre costs in the mean of the sequences."""
+    """Return the margins, each with the mean cost per centimetre over the sequences."""
     rows = [one for each in found for one in each.parameters if one.parameter == "threshold"]
     costs_s: dict[tuple[float | None, str], float] = {}
     for row in rows:
@@ -184,7 +184,7 @@ def _margins(
 
 
 def _moved(safety: RuleSafety, dynamics: Dynamics) -> Iterator[_Moved]:
-    """Yield every number of the rule and of the response, moved; ramps that the logs do not show are left out."""
+    """Yield every number of the rule and of the response, moved; ramps missing in the logs are left out."""
     limits = safety.rule.limits
     for place, metres in quantities(limits).items():
         if not place.until:
@@ -194,7 +194,7 @@ def _moved(safety: RuleSafety, dynamics: Dynamics) -> Iterator[_Moved]:
             yield _Moved(cost, (less, dynamics), (more, dynamics), 2 * BY_M * side)
     yield from _hysteresis(safety, dynamics)
     late_s = dynamics.latency_s or 0.0
-    first = max(0.0, late_s - FINE_STEP_S)  # a rollout answers in whole steps
+    first = max(0.0, late_s - FINE_STEP_S)  # the latency in a rollout is a whole number of steps
     less_late, later = (replace(dynamics, latency_s=first + by) for by in (0.0, 2 * FINE_STEP_S))
     cost = _unknown("reaction time", None, "", late_s, "s", 0.01)
     yield _Moved(cost, (safety, less_late), (safety, later), 2 * FINE_STEP_S)
@@ -207,7 +207,7 @@ def _moved(safety: RuleSafety, dynamics: Dynamics) -> Iterator[_Moved]:
 
 
 def _hysteresis(safety: RuleSafety, dynamics: Dynamics) -> Iterator[_Moved]:
-    """Yield the hysteresis of all limits at once; that of a rule with none is only made larger."""
+    """Yield the hysteresis of all limits together; one of 0 is only increased."""
     inner = quantities(safety.rule.limits)
     if not inner:
         return

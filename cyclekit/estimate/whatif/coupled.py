@@ -1,4 +1,4 @@
-"""Who waits for whom after a change: quicker people, a second place, room for more parts, a wait less."""
+"""Wait conditions after a change: faster people, an additional place, a larger buffer, a removed wait."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
 
 def altered_coupling(change: Change, card: CouplingCard | None) -> CouplingCard | None:
-    """Return who waits for whom after a change; None where nobody did before it.
+    """Return the wait conditions after a change; None if there were none before.
 
     Raises:
-        UnknownName: It names a place, a signal or a wait that nobody waits at.
-        EstimateError: It changes waits where nobody waits, or is not known to be answered where somebody does.
+        UnknownName: It names a place, signal or wait without a wait condition.
+        EstimateError: It changes waits where there are none, or is not supported where there are some.
     """
     where = f"change {change.name!r}"
     if card is None or not card.coupled:
@@ -45,7 +45,7 @@ def altered_coupling(change: Change, card: CouplingCard | None) -> CouplingCard 
 
 
 def shown(gate: GateCard) -> str:
-    """Return how a change names a wait: `robot approach fixture`."""
+    """Return the name of a wait in a change: `robot approach fixture`."""
     return f"{gate.agent} {gate.at} {gate.place}"
 
 
@@ -60,5 +60,5 @@ def _gate(change: Change, gate: GateCard) -> GateCard:
 
 
 def _condition(change: Change, one: ConditionCard) -> ConditionCard:
-    """Return a condition; one that a place is free again looks back one more turn for each further place."""
+    """Return a condition; if it needs a free place, each additional place lets it refer to one turn further back."""
     return replace(one, back=one.back + change.more_places.get(one.place, 0)) if one.back else one

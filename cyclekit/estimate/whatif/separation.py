@@ -1,7 +1,7 @@
-"""The thresholds of a rule beside the protective separation distance, computed from what the user gives.
+"""Thresholds of a rule compared with the protective separation distance, which is computed from the user's numbers.
 
 S_p = S_h + S_r + S_s + C + Z_d + Z_r (ISO 10218-2:2025, before ISO/TS 15066; approach speed and C: ISO 13855:2024).
-No safety validation: it compares numbers, and knows neither the risk assessment nor the system.
+This is no safety validation: it compares numbers, without knowledge of the risk assessment or the system.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ _MOST = {"m": 10.0, "s": 10.0, "m/s": 20.0}
 
 @dataclass(frozen=True)
 class Separation:
-    """What S_p is computed from.
+    """Numbers from which S_p is computed.
 
     Attributes:
-        reaction_time_s: T_r, from the person's position to the start of braking, with sensor and controller.
+        reaction_time_s: T_r, from the person's position to the start of braking, including sensor and controller.
         stopping_time_s: T_s of the robot; one for all speeds, or one for each threshold, the slowest speed first.
-        stopping_distance_m: S_s, as the stopping time.
-        robot_speed_m_s: Greatest speed of the robot towards the person at 100 %.
-        intrusion_m: C, how far a part of the body reaches before it is detected.
-        operator_uncertainty_m: Z_d, of the person's position.
-        robot_uncertainty_m: Z_r, of the robot's position.
-        approach_speed_m_s: K, v_h: how fast the person comes.
+        stopping_distance_m: S_s, in the same form as the stopping time.
+        robot_speed_m_s: Maximum speed of the robot towards the person at 100 %.
+        intrusion_m: C, distance that a part of the body can reach before it is detected.
+        operator_uncertainty_m: Z_d, uncertainty of the person's position.
+        robot_uncertainty_m: Z_r, uncertainty of the robot's position.
+        approach_speed_m_s: K, v_h: approach speed of the person.
     """
 
     reaction_time_s: float
@@ -49,10 +49,10 @@ class Separation:
     approach_speed_m_s: float = APPROACH_M_S
 
     def __post_init__(self) -> None:
-        """Refuse what is no length, time or speed in these units.
+        """Refuse numbers that are no length, time or speed in these units.
 
         Raises:
-            ConfigError: A number is negative, not finite, or so large that it was given in another unit.
+            ConfigError: A number is negative, not finite, or so large that it must be in another unit.
         """
         for name, value in vars(self).items():
             unit = "m/s" if name.endswith("_m_s") else name.rpartition("_")[2]
@@ -65,7 +65,7 @@ class Separation:
                     raise ConfigError(f"{name} {one:g}", cure=f"{cure}, at most {_MOST[unit]:g}.")
 
     def distance_m(self, speed: float, number: int) -> float:
-        """Return S_p, m, for a robot at part `speed` of its speed, and the stopping times of threshold `number`."""
+        """Return S_p, m, for a robot at share `speed` of its speed, with the stopping times of threshold `number`."""
         stopping = self.stopping_time_s, self.stopping_distance_m
         stopping_s, stopping_m = (each[min(number, len(each) - 1)] for each in stopping)
         person_m = self.approach_speed_m_s * (self.reaction_time_s + stopping_s)
@@ -75,16 +75,16 @@ class Separation:
 
 @dataclass(frozen=True)
 class Margin:
-    """One threshold beside S_p.
+    """One threshold compared with S_p.
 
     Attributes:
-        level: At most this speed holds nearer than the threshold.
-        speed: The speed that the robot may have just beyond it, 0 to 1.
-        distance: By which the threshold is measured.
-        threshold_m: Where the robot slows down.
+        level: Maximum speed nearer than the threshold.
+        speed: Maximum speed just beyond the threshold, 0 to 1.
+        distance: Distance that the threshold applies to.
+        threshold_m: Distance at which the robot slows down.
         separation_m: S_p at that speed.
-        margin_m: Threshold less S_p; None where the distance is to the base: the robot's reach is not in it.
-        costs_s_per_cm: What a centimetre of it costs, mean of the sequences.
+        margin_m: Threshold minus S_p; None if the distance is to the base, which does not include the robot's reach.
+        costs_s_per_cm: Cost of one centimetre, mean of the sequences.
     """
 
     level: float
@@ -98,14 +98,14 @@ class Margin:
 
 @dataclass(frozen=True)
 class Margins:
-    """All thresholds beside S_p.
+    """All thresholds compared with S_p.
 
     Attributes:
-        given: What S_p was computed from.
-        thresholds: The slowest first.
-        reaction_costs_s_per_10_ms: What 10 ms of reaction time cost where every threshold follows S_p.
+        given: The numbers behind S_p.
+        thresholds: The thresholds, the slowest level first.
+        reaction_costs_s_per_10_ms: Cost of 10 ms of reaction time if every threshold follows S_p.
         notes: What is not compared.
-        safety: That this is no validation.
+        safety: Note that this is no validation.
     """
 
     given: Separation
@@ -124,9 +124,9 @@ def margins_of(
     """Compare every threshold of a rule with S_p at the speed that holds just beyond it.
 
     Args:
-        rule: With thresholds on distances.
-        given: For S_p.
-        costs_s_per_cm: By level and distance.
+        rule: A rule with thresholds on distances.
+        given: Numbers for S_p.
+        costs_s_per_cm: Costs by level and distance.
         latency_s: Reaction time in the logs; None = unknown.
     """
     near, rows = _thresholds(rule), list[Margin]()
@@ -142,10 +142,10 @@ def margins_of(
 
 
 def refuse_other_thresholds(rule: RuleCard, given: Separation) -> None:
-    """Refuse numbers that cannot be compared with a rule.
+    """Refuse numbers that do not fit the rule.
 
     Raises:
-        ConfigError: No threshold is on a distance, or there are more or fewer stopping times than thresholds.
+        ConfigError: No threshold is on a distance, or the number of stopping times differs from that of thresholds.
     """
     count = len(_thresholds(rule))
     if not count:

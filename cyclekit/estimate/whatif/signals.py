@@ -1,4 +1,4 @@
-"""Another level for a signal of people, or another part of the robot's path where it counts."""
+"""A changed level of a signal of people, or a changed part of the robot's path in which it applies."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from cyclekit.estimate.whatif.change import Change, SignalChange
 
 SAME_LEVEL = 0.005
-"""Levels so near to each other are one."""
+"""Tolerance within which two levels are equal."""
 
 
 def with_other_signals(change: Change, model: SafetyModel) -> RuleSafety:
-    """Return a rule on signals with other levels, or other rectangles of the TCP, for some of them.
+    """Return a rule on signals in which some have other levels, or other rectangles of the TCP.
 
     Raises:
-        EstimateError: The model has no rule on signals, or the rule does not ask this signal.
+        EstimateError: The model has no rule on signals, or the rule does not use this signal.
     """
     if not isinstance(model, RuleSafety) or not model.card.operator_signals:
         seen = f"change {change.name!r}: signals needs a rule on signals of people, and the model has none"
@@ -47,7 +47,7 @@ def with_other_signals(change: Change, model: SafetyModel) -> RuleSafety:
 
 
 def _changed(wanted: SignalChange, level: float, card: SignalCard) -> tuple[float, SignalCard]:
-    """Return the level that a signal asks for, and where."""
+    """Return the changed level and card of a signal."""
     if wanted.level is not None and abs(wanted.level - level) > SAME_LEVEL:
         level = wanted.level
     if wanted.x_m is None and wanted.y_m is None:

@@ -1,5 +1,5 @@
-"""Logs -> dataset: logs found, read by their adapters, checked, and handed to `derive`.
+"""Logs to a dataset: finds the logs, reads them with their adapters, checks them, and hands them to `derive`.
 
-In: files and folders of logs, the cell file. Out: a dataset, put in place as a whole; or one log as one table
-(`convert`). `registry` knows the adapters. Used by `api` and `inspect`.
+In: files and folders of logs, the cell file. Out: a dataset, written atomically; or one log as one table (`convert`).
+`registry` knows the adapters. Used by `api` and `inspect`.
 """

@@ -1,6 +1,6 @@
-"""Sources of a drafted cell file that are written alike, as one: `day*/people.csv` in place of a source for each day.
+"""Merging of similar sources in a drafted cell file: `day*/people.csv` instead of one source per day.
 
-A plant logs one file an execution or a day. Nobody corrects the same line sixty times.
+A plant logs one file per execution or day, and one correction should apply to all of them.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _UNIT = "_unit"
 def as_one(
     known: Sequence[Source], drafted: Mapping[str, tuple[str, Draft]], unread: Collection[str]
 ) -> tuple[list[Source], dict[str, Draft]]:
-    """Return sources and drafts, by path, with one in place of those that are written alike.
+    """Return sources and drafts, by path, with groups of similar sources merged into one with a glob.
 
     Args:
-        known: Sources that an adapter recognises, or the cell file names.
-        drafted: Of tables that nobody recognises, by path: the adapter that proposes, and what.
-        unread: All files that nobody reads.
+        known: Sources that an adapter recognises, or that the cell file lists.
+        drafted: Tables that no adapter recognises: path -> adapter that made the draft, and draft.
+        unread: All files that no adapter reads.
     """
     sources: _Sources = [(source, None) for source in known]
     sources += [(Source(shown, adapter), draft) for shown, (adapter, draft) in drafted.items()]
@@ -58,17 +58,17 @@ def as_one(
             alone += group
         else:
             globs.append((replace(first, path=glob), told))
-    found = [*alone, *globs]  # the first that matches counts, so a pattern comes behind what it does not mean
+    found = [*alone, *globs]  # the first match counts, so a glob follows the paths that it must not match
     return [source for source, _ in found], {source.path: draft for source, draft in found if draft is not None}
 
 
 def kind_of(path: str) -> str:
-    """Return what paths of one kind have in common: all but the digits."""
+    """Return a path with all digits replaced, equal for files of one kind."""
     return re.sub(r"\d+", "#", path)
 
 
 def _glob(paths: Sequence[str]) -> str | None:
-    """Return a pattern for paths of one kind; None where a name has a character that patterns use."""
+    """Return a glob for paths of one kind; None if a name contains a glob character."""
     if any(character in path for path in paths for character in "*?["):
         return None
     parts = []
@@ -81,14 +81,14 @@ def _glob(paths: Sequence[str]) -> str | None:
 
 
 def _beginning(names: Sequence[str]) -> str:
-    """Return the characters with which all names begin."""
+    """Return the common prefix of all names."""
     first, last = min(names), max(names)
     same = next((at for at, (one, other) in enumerate(zip(first, last, strict=False)) if one != other), len(first))
     return first[:same]
 
 
 def _agreed(drafts: Sequence[Draft]) -> Draft | None:
-    """Return the surest of drafts that differ in nothing but what is not sure, and in units; None where others do."""
+    """Return the most certain of several drafts; None if they differ in more than unsure values and units."""
     if not drafts:
         return None
     best = min(drafts, key=lambda draft: draft.unsure)

@@ -1,4 +1,4 @@
-"""The card of a dataset, from what was read and derived."""
+"""Card of a dataset, made from what was read and derived."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def card_of(
     cell: Cell, derived: Derived, not_read: Sequence[tuple[str, str]], how: How, fingerprint: str
 ) -> DatasetCard:
-    """Return the card, but for who waits for whom and the checksums of its files."""
+    """Return the card, without wait conditions and file checksums."""
     return DatasetCard(
         schema_version=schema.SCHEMA_VERSION,
         cyclekit_version=version("cyclekit"),
@@ -49,7 +49,7 @@ def card_of(
 
 
 def _placed(recordings: Sequence[RecordingCard]) -> tuple[Literal["robot", "people"], ...]:
-    """Return of whom the recordings hold places."""
+    """Return whether the recordings hold positions of the robot, of people, or of both."""
     placed = {table for one in recordings if one.positions is not False for table in one.tables}
     whose: tuple[Literal["robot", "people"], ...] = ("robot", "people")
     return tuple(each for each in whose if each in placed)

@@ -1,7 +1,7 @@
-"""One log of any supported kind -> one table: at its own rate, or averaged over equal lengths of time.
+"""One log of any supported format to one table: at its own rate, or averaged over equal intervals.
 
-For looking at a log with other tools. What ingest does with clocks, frames and executions is not done here: the table
-is in the log's own clock and frame, checked as every log is (`plausible`), and what was set aside is counted.
+For inspection with other tools. Clocks, frames and executions are not handled: the table is in the log's own clock and
+frame. It is checked as in `ingest` (`validate`), and rows set aside are counted.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ if TYPE_CHECKING:
 
 TABLES = {name: table for name, table in schema.OF_LOGS.items() if name != "stamps"}
 GAP_PERIODS, GAP_S = 5.0, 0.25
-"""A silence longer than both is a gap: nothing is averaged across it."""
+"""A time step longer than both, in periods and in s, is a gap; averages do not cross it."""
 
 
 @dataclass(frozen=True, repr=False)
 class Converted(Result):
-    """What a conversion did."""
+    """Result of a conversion."""
 
     out: Path
     adapter: str
@@ -69,22 +69,22 @@ def convert(
     cell: Cell | str | Path | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> Converted:
-    """Write one table of a log as Parquet or CSV: SI units, the log's own clock and frame.
+    """Write one table of a log as Parquet or CSV, in SI units and in the log's own clock and frame.
 
     Args:
         log: A file, or a folder that is one log.
-        out: `.parquet` or `.csv`; replaced as a whole.
-        table: robot, people, events, task_list, safety or skeletons; by default the first that the log has.
-        rate_hz: Rows a second: numbers are averaged over the length of one, texts are those in force at its end.
-            By default every row of the log.
-        columns: Columns to write; by default all that hold anything, `t_s` always.
-        cell: Cell file that says how the log is to be read; by default the one beside it.
-        progress: Told the fraction done and what is being done.
+        out: `.parquet` or `.csv` file; written atomically.
+        table: robot, people, events, task_list, safety or skeletons; by default the first one in the log.
+        rate_hz: Output rows per second: numbers are averaged over each interval, texts are the last ones in it. By
+            default every row of the log.
+        columns: Columns to write; by default all non-empty ones; `t_s` is always written.
+        cell: Cell file that describes how to read the log; by default the one next to it.
+        progress: Called with the fraction done and a description.
 
     Raises:
         LogError: The log cannot be used, or has no such table.
-        ConfigError: A name, a rate or the kind of output is not known.
-        OutputError: The output would replace the log, or what no conversion wrote.
+        ConfigError: A name, a rate or the output format is unknown.
+        OutputError: The output would replace the log, or a file not written by a conversion.
         CyclekitError: The output cannot be written.
     """
     log, out = Path(log), Path(out)
@@ -96,7 +96,7 @@ def convert(
     found, _ = find_all([log], settings, follow_links=True)
     if len(found) != 1:
         raise LogError(log, f"holds {len(found)} logs", cure="Convert one at a time, or use `cyclekit ingest`.")
-    computed = found[0].robot is not None and not {*TCP}.isdisjoint(columns)  # from columns that nobody asked for
+    computed = found[0].robot is not None and not {*TCP}.isdisjoint(columns)  # needs columns that were not requested
     wanted = () if computed else tuple(columns)
     options = replace(options_of(found[0].source, skeletons=table == "skeletons"), columns=wanted)
     parts = _Parts(found[0], options)
@@ -107,7 +107,7 @@ def convert(
 
 
 class _Parts:
-    """The parts of one table of a log, and what else there is to say of it."""
+    """Parts of one table of a log, with row counts and warnings."""
 
     def __init__(self, log: Log, options: ReadOptions) -> None:
         self.path, self._robot = log.path, log.robot
@@ -171,7 +171,7 @@ def _chosen(frame: pl.DataFrame, columns: Sequence[str], table: str) -> list[str
 
 
 class _Output:
-    """A file in the making."""
+    """Writer of the output file."""
 
     def __init__(self, file: Path, suffix: str, first: pl.DataFrame, table: str) -> None:
         from cyclekit.storage.parquet import TableWriter  # Arrow is imported while the next blocks are parsed
@@ -202,7 +202,7 @@ class _Output:
 
 
 def _no_formulas(frame: pl.DataFrame) -> pl.DataFrame:
-    """Return a table in which no text is a formula for a spreadsheet: an apostrophe stands before those."""
+    """Return a table with an apostrophe before each text that a spreadsheet would execute as a formula."""
     for name in [name for name, dtype in frame.schema.items() if dtype == pl.String]:
         text = pl.col(name)
         formula = text.str.contains(FORMULA) & text.cast(pl.Float64, strict=False).is_null()
@@ -211,19 +211,19 @@ def _no_formulas(frame: pl.DataFrame) -> pl.DataFrame:
 
 
 class Thinner:
-    """Averages a table over equal lengths of time, part after part; never across a gap or a step back of the clock.
+    """Averages a table over equal intervals, part by part, but not across a gap or a backward step of the clock.
 
-    A row's place in the log is that of the last row that went in. Rows of several people are kept apart.
+    The `source_row` of an output row is that of its last input row. Rows of different people are averaged separately.
     """
 
     def __init__(self, rate_hz: float) -> None:
-        """Begin.
+        """Set the rate.
 
         Args:
-            rate_hz: Rows a second.
+            rate_hz: Output rows per second.
 
         Raises:
-            ConfigError: It is not a rate.
+            ConfigError: The rate is invalid.
         """
         if not 0.0 < rate_hz < 1e5:
             raise ConfigError(f"rate_hz = {rate_hz:g} is not a rate", cure="Give rows per second, for example 10.")
@@ -232,7 +232,7 @@ class Thinner:
         self._waiting: pl.DataFrame | None = None
 
     def add(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the rows that are complete now; the rows of the last length of time wait for the next part."""
+        """Return the rows that are complete; the rows of the last interval wait for the next part."""
         rows = frame if self._waiting is None else pl.concat([self._waiting, frame], rechunk=True)
         cells = self._cells(rows["t_s"].to_numpy())
         last = int(np.searchsorted(cells, cells[-1])) if len(cells) else 0
@@ -240,12 +240,12 @@ class Thinner:
         return _averaged(rows[:last], cells[:last])
 
     def rest(self) -> pl.DataFrame:
-        """Return the rows of the last length of time."""
+        """Return the rows of the last interval."""
         rows = self._waiting if self._waiting is not None else pl.DataFrame()
         return _averaged(rows, self._cells(rows["t_s"].to_numpy()))
 
     def _cells(self, t_s: Vector) -> NDArray[np.int64]:
-        """Number the lengths of time that the rows lie in, ascending; a gap or a step back begins another one."""
+        """Return the interval number of each row, ascending; a gap or a backward step starts a new interval."""
         steps = np.diff(t_s)
         if self._period_s is None and (steps > 0).any():
             self._period_s = float(np.median(steps[steps > 0]))
@@ -276,7 +276,7 @@ def _mean_or_last(name: str, dtype: pl.DataType) -> pl.Expr:
 
 
 def _means(columns: Sequence[pl.Series], starts: NDArray[np.int64]) -> list[pl.Series]:
-    """Return the mean of what is known from each start to the next, column by column; unknown where nothing is."""
+    """Return the mean of the known values from each start to the next, per column; NaN if there are none."""
     values = np.stack([column.to_numpy() for column in columns])
     counts = np.diff(np.append(starts, values.shape[1]))
     sums = np.add.reduceat(values, starts, axis=1)

@@ -1,6 +1,6 @@
-"""Which logs there are: files and folders walked, matched with the cell file, given to adapters by content.
+"""Discovery of logs: walks files and folders, matches them with the cell file, finds their adapters by content.
 
-Nothing is read here beyond the first bytes that tell a format. Reading is the business of `ingest`.
+Only the first bytes of a file are read here; `ingest` reads the logs.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 CELL_FILE = "cell.toml"
 _MOST_ALIKE, _MOST_TRIED = 5, 500
 _OF_USE = {"x", "joints", "scaling", "signal"}
-"""A table in a folder in which none of these is found is no log, most likely."""
+"""Keys of which a draft for a table in a folder must have at least one; otherwise the table is probably no log."""
 
 
 @dataclass(frozen=True)
 class Log:
-    """One log to be read: where, by whom, with what options, and a key that changes when any of these does."""
+    """One log to read: path, adapter, options, and a key that changes when any of these does."""
 
     id: str
     path: Path
@@ -55,11 +55,11 @@ class Log:
 
 @dataclass(frozen=True)
 class Suggested:
-    """A cell file to begin with.
+    """A cell file to start from.
 
     Attributes:
-        cell: What it says.
-        drafts: Of sources that nobody recognises, by path: what is proposed for them.
+        cell: Its content.
+        drafts: Path -> draft, for sources that no adapter recognises.
     """
 
     cell: Cell
@@ -67,10 +67,10 @@ class Suggested:
 
 
 def cell_for(roots: Sequence[Path], given: Path | None) -> Cell:
-    """Return the cell file given, else the one beside the logs, else the defaults.
+    """Return the given cell file, else the one next to the logs, else the defaults.
 
     Raises:
-        ConfigError: It cannot be followed, or there are two.
+        ConfigError: The file is invalid, or there are two.
     """
     if given is not None:
         return load_cell(given)
@@ -83,9 +83,9 @@ def cell_for(roots: Sequence[Path], given: Path | None) -> Cell:
 
 
 def suggest_cell(paths: Sequence[Path], *, follow_links: bool = False) -> Suggested:
-    """Return the cell file that an ingest of these paths would work with, for a person to complete.
+    """Return the cell file that an ingest of these paths would use, for the user to complete.
 
-    A dataset gives its places as well; logs give one source each, tables that nobody knows a draft of one.
+    A dataset also gives its places. Logs give one source each; unknown tables give a draft of one.
 
     Raises:
         CyclekitError: As `ingest`, for paths that cannot be used.
@@ -112,9 +112,9 @@ def suggest_cell(paths: Sequence[Path], *, follow_links: bool = False) -> Sugges
 
 
 def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> tuple[dict[str, tuple[str, Draft]], list[str]]:
-    """Return what is proposed for files that nobody reads, with the adapter that proposes it, and the names of all.
+    """Return drafts for files that no adapter reads, with the proposing adapter, and the names of all such files.
 
-    Of files of a kind the first few are looked at.
+    Only the first few files of each kind are drafted.
     """
     found: dict[str, tuple[str, Draft]] = {}
     prefixes, tried = _prefixes(roots), 0
@@ -134,7 +134,7 @@ def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> tuple[d
             tried += 1
             try:
                 proposed = drafted(path)
-            except CyclekitError:  # of a file that was named it is the answer; beside others it is no log
+            except CyclekitError:  # an error for a file given explicitly; other files are just no logs
                 if path in roots:
                     raise
                 continue
@@ -147,17 +147,17 @@ def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> tuple[d
 def find_all(
     roots: Sequence[Path], cell: Cell, *, follow_links: bool = False
 ) -> tuple[list[Log], list[tuple[str, str]]]:
-    """Return the logs in files and folders, and the files that nobody reads with the reason.
+    """Return the logs in files and folders, and the files that no adapter reads with reasons.
 
     Args:
         roots: Files and folders.
-        cell: What is to be ignored, and which adapters are forced.
-        follow_links: Follow links in a folder that lead out of it; else they are among what is not read.
+        cell: Cell file, with files to ignore and adapters to use.
+        follow_links: Follow links that lead out of a folder; otherwise they are listed as not read.
 
     Raises:
-        UnknownFormat: A file named explicitly is no log.
-        LogError: There is no log at all.
-        UnknownName: The cell file forces an adapter that does not exist.
+        UnknownFormat: A file given explicitly is no log.
+        LogError: There is no log.
+        UnknownName: The cell file names an unknown adapter.
     """
     logs: dict[str, Log] = {}
     not_read: list[tuple[str, str]] = []
@@ -167,7 +167,7 @@ def find_all(
     for root in roots:
         base = root if root.is_dir() else root.parent
         for path, registered in _candidates(root, base, cell, follow_links=follow_links):
-            if (here := real(path)) in seen:  # given as a file and once more by its folder
+            if (here := real(path)) in seen:  # given as a file, and again by its folder
                 continue
             seen.add(here)
             shown = path.relative_to(base).as_posix() if path != base else path.name
@@ -180,7 +180,7 @@ def find_all(
                 log = _log(path, shown, known, source, logs, cell.robot) if known else None
                 if log is None:
                     unknown = _no_text(path) if not is_text else _no_way_out(path) if away else why_unknown(path)
-            except OSError as error:  # it went away, or was never to be read, since its folder was listed
+            except OSError as error:  # removed, or unreadable, since its folder was listed
                 log, unknown = None, LogError(path, f"cannot be read ({error.strerror})", cure="Check the file.")
             if log is not None:
                 logs[log.id] = log
@@ -198,13 +198,13 @@ def find_all(
 
 
 def _as_text(name: str) -> tuple[str, bool]:
-    """Return a name as it can be written down, in one line, and whether it is text at all."""
+    """Return a name in printable form, in one line, and whether it is valid text."""
     text = name.encode("utf-8", "backslashreplace").decode()
     return one_line(text), text == name
 
 
 def _leads_out(path: Path, root: Path) -> bool:
-    """Tell whether a log is elsewhere than in the folder given, as a whole or in part."""
+    """Return whether a log is outside of the given folder, completely or in part."""
     if leads_out(path, root):
         return True
     return path.is_dir() and any(leads_out(file, path) and leads_out(file, root) for file in files_of(path))
@@ -219,14 +219,14 @@ def _no_text(path: Path) -> LogError:
 
 
 def _some(not_read: Sequence[tuple[str, str]], count: int = 3) -> str:
-    """Name the first few files that nobody reads, with the reason."""
+    """Return the first few files that no adapter reads, with reasons."""
     shown = "; ".join(f"{name}: {reason}" for name, reason in not_read[:count])
     more = len(not_read) - count
     return f"{shown}; and {more} more" if more > 0 else shown
 
 
 def _prefixes(roots: Sequence[Path]) -> dict[Path, str]:
-    """What tells the logs of several folders apart, by folder: its path below what all have in common."""
+    """Return the prefix that distinguishes the logs of each folder: its path below the common parent."""
     bases = dict.fromkeys(root if root.is_dir() else root.parent for root in roots)
     whole = {base: resolved(base) for base in bases}
     if len(set(whole.values())) == 1:
@@ -244,7 +244,7 @@ def _candidates(root: Path, base: Path, cell: Cell, *, follow_links: bool) -> It
 
 
 def matches(shown: str, path: Path, pattern: str) -> bool:
-    """Tell whether a log, shown relative to the folder given, is meant by a path or glob of the cell file."""
+    """Return whether a path or glob of the cell file matches a log, shown relative to the given folder."""
     wanted = Path(pattern).as_posix()
     return shown == wanted or shown.startswith(f"{wanted}/") or fnmatchcase(shown, wanted) or str(path) == pattern
 
@@ -262,7 +262,7 @@ def _log(
 
 
 def key_of(log: Log) -> str:
-    """Return what changes when the log, its reader or its options do.
+    """Return a hash that changes with the log, its adapter or its options.
 
     Raises:
         OSError: A file of the log has gone.
@@ -274,12 +274,12 @@ def key_of(log: Log) -> str:
 
 
 def files_of(path: Path) -> list[Path]:
-    """Return the files that make a log: itself, or all in a folder that is one log."""
+    """Return the files of a log: itself, or all files in a folder that is one log."""
     return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
 
 
 def options_of(source: Source | None, *, skeletons: bool = False) -> ReadOptions:
-    """Return what an adapter is told about a source of the cell file."""
+    """Return the adapter options for a source of the cell file."""
     if source is None:
         return ReadOptions(skeletons=skeletons)
     return ReadOptions(

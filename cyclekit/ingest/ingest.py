@@ -1,8 +1,8 @@
-"""Logs of any supported kind -> one dataset.
+"""Logs of any supported format to one dataset.
 
-Finds the logs, lets each adapter read its own, keeps the native-rate tables with their provenance, puts recordings
-that belong together into sessions and has `derive` compute samples and tasks. What is unchanged since the last ingest
-is not read again. Everything is built beside the dataset and swapped in at the end, so a killed ingest leaves the old
+Finds the logs, lets each adapter read its own, stores the tables at their native rates with their provenance, groups
+recordings into sessions and lets `derive` compute samples and tasks. Logs unchanged since the last ingest are not read
+again. Everything is built next to the dataset and swapped in at the end, so a killed ingest leaves either the old
 dataset or the new one.
 """
 
@@ -78,25 +78,25 @@ def ingest(
     follow_links: bool = False,
     progress: Progress | None = None,
 ) -> IngestReport:
-    """Read logs into the dataset `out`; what has not changed since the last time is not read again.
+    """Read logs into the dataset `out`; logs unchanged since the last ingest are not read again.
 
     Args:
-        logs: Files and folders, by path or URL, one or any mix.
-        out: Folder of the dataset, or the URL where it is published when it is complete.
-        cell: Cell file; by default `cell.toml` beside the logs, if there is one.
-        engine: Where logs are read, and how many at the same time.
+        logs: Files and folders, by path or URL, one or several.
+        out: Folder of the dataset, or the URL to which the complete dataset is published.
+        cell: Cell file; by default `cell.toml` next to the logs, if there is one.
+        engine: Where logs are read, and how many in parallel.
         rate_hz: Rate of the samples; by default that of the cell file, or 10 Hz.
-        pseudonymise: Keep neither the names that trackers give nor wall-clock time (docs/privacy.md).
-        keep_skeletons: Keep every joint of every person, where a tracker has them; no estimate needs it.
-        checksums: Keep the BLAKE3 of each log: what was read can then be told from what was not.
+        pseudonymise: Store neither tracker names nor wall-clock time (docs/privacy.md).
+        keep_skeletons: Store all joints of all persons, if a tracker has them; no estimate needs them.
+        checksums: Store the BLAKE3 checksum of each log, which later shows whether a file is the one that was read.
         align_clocks: "coarse": last resort for unrelated clocks; hides the reaction time (docs/clocks.md).
-        follow_links: Read what links in a folder of logs lead to outside of it; else they are among `not_read`.
-        progress: Told the fraction done and what is being done.
+        follow_links: Read targets of links that lead out of a folder of logs; otherwise they are listed in `not_read`.
+        progress: Called with the fraction done and a description.
 
     Raises:
-        LogError: A log named explicitly cannot be used, or nothing in the folders can.
-        ConfigError: The cell file cannot be followed.
-        OutputError: The dataset would replace the logs, or what is no dataset.
+        LogError: A log given explicitly cannot be used, or the folders hold none.
+        ConfigError: The cell file is invalid.
+        OutputError: The dataset would replace the logs, or something that is no dataset.
         BusyPlace: Another process is writing the dataset.
         CyclekitError: The dataset cannot be written.
     """
@@ -128,7 +128,7 @@ def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -
             shelf.clear()
             return report_of(out, card, new=0, kept=count, unchanged=True)
         if how.pseudonymise:
-            shelf.clear()  # what an earlier ingest left has names in it
+            shelf.clear()  # the files of an earlier ingest hold names
         with shelf.while_making(), built(out) as staging, Digests(wanted=how.checksums) as digests:
             explicit = {path for path in roots if path.is_file()}
             shelved = None if how.pseudonymise else shelf
@@ -141,10 +141,10 @@ def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -
 
 
 def left_by(out: Path | str) -> Path | None:
-    """Return where an ingest that did not come to its end keeps what it has read, None where it keeps nothing.
+    """Return the folder in which an unfinished ingest keeps the recordings it has read; None if there is none.
 
     Args:
-        out: Where its dataset was to be made.
+        out: Path or URL of its dataset.
     """
     path = (of_file_url(str(out)) or cached(str(out))) if is_url(out) else Path(out)
     return Shelf(path, "").left
@@ -152,7 +152,7 @@ def left_by(out: Path | str) -> Path | None:
 
 @dataclass(frozen=True)
 class _Wanted:
-    """What shall be in the dataset."""
+    """Content requested for the dataset."""
 
     cell: Cell
     logs: tuple[Log, ...]
@@ -176,7 +176,7 @@ def _up_to_date(out: Path, wanted: _Wanted) -> DatasetCard | None:
 
 
 def _repaired(old: Dataset | None, there: bool) -> list[Note]:
-    """Say what of the dataset that is replaced was damaged: it was made anew, and the disk may be failing."""
+    """Return notes about damage of the replaced dataset: it was rebuilt, and the disk may be failing."""
     if old is None:
         return [note("made-anew")] if there else []
     damaged = list(old.damaged().items())
@@ -194,7 +194,7 @@ def _build(
     names: Names | None,
     tell: Progress,
 ) -> tuple[DatasetCard, int]:
-    """Build the dataset in `staging`, without these names; return its card and how many recordings were taken over."""
+    """Build the dataset in `staging`, pseudonymised by `names`; return its card and number of reused recordings."""
     alike = old is not None and old.card.skeletons == wanted.how.skeletons
     intake = read_all(
         wanted.logs,
@@ -247,7 +247,7 @@ def _build(
 
 
 def _empty_people(logs: Sequence[Log], read: Sequence[LogCard], failed: Sequence[LogError]) -> list[str]:
-    """Return the paths of a tracker's logs without rows: others by the same adapter and source hold people."""
+    """Return the paths of empty tracker logs: other logs of the same adapter and source hold people."""
     trackers = {card.id for card in read if "people" in card.tables and "robot" not in card.tables}
     kinds = [(log.adapter, log.source) for log in logs if log.id in trackers]
     empty = {error.path for error in failed if isinstance(error, EmptyLog)}
@@ -255,10 +255,10 @@ def _empty_people(logs: Sequence[Log], read: Sequence[LogCard], failed: Sequence
 
 
 def _with_waits(derived: Derived, read: Read, stored: Stored, cell: Cell) -> tuple[pl.DataFrame, CouplingCard | None]:
-    """Return table TASKS with its waits, and who waits for whom.
+    """Return table TASKS with its waits, and the learned wait conditions.
 
-    Where anybody waits, an execution is over when both agents are done: the operator's tasks after the robot's last
-    one count too.
+    If an agent waits for the other, an execution ends when both are done, so the operator's tasks after the robot's
+    last one are included.
     """
     tasks, bits = derived.tasks, partial(logged_bits, stored=stored)
     courses = courses_of(derived.executions, tasks, derived.recordings, read, bits)
@@ -287,7 +287,7 @@ def _old(out: Path) -> Dataset | None:
     try:
         return Dataset.open(out)
     except DatasetError:
-        return None  # absent, or of another version: everything is read again
+        return None  # absent, or of another version: all logs are read again
 
 
 def _native(staging: Path, recording: str, table: str) -> pl.DataFrame | None:
@@ -310,7 +310,7 @@ def _is_reference(cell: Cell, shown: str) -> bool:
 
 
 def _unmatched(cell: Cell, logs: Sequence[Log]) -> list[Note]:
-    """Say which sources of the cell file mean no log: a slip there would silently change what the logs mean."""
+    """Return notes for sources of the cell file that match no log: a typo there would silently change the result."""
     used = {id(log.source) for log in logs}
     unused = [source.path for source in cell.sources if id(source) not in used]
     unused += [glob for glob in cell.reference if not any(matches(log.shown, log.path, glob) for log in logs)]
@@ -318,7 +318,7 @@ def _unmatched(cell: Cell, logs: Sequence[Log]) -> list[Note]:
 
 
 def _without_places(logs: Sequence[LogCard]) -> list[Note]:
-    """Say so where nothing tells where the robot and the people were."""
+    """Return a note if no log holds positions, or none belongs to a robot."""
     if all(set(log.tables) <= WITHOUT_PLACES for log in logs):
         return [note("no-positions")]
     tables = {table for log in logs for table in log.tables}

@@ -1,9 +1,9 @@
-"""What names a person or tells when somebody was there, taken out of a dataset on demand.
+"""Removal of names and dates from a dataset, on request.
 
-Where an operator stood at which second is personal data in most plants. The estimate needs neither who it was nor the
-date. Tracks become `person_1`, `person_2` ... in order of appearance, logs `recording_1`, `recording_2` ... in order of
-their paths, and every recording begins at 0, whatever its clock counts: the values decide, not what the adapter says of
-them. Positions stay: docs/privacy.md says what that means.
+An operator's position with a time is personal data in most plants. Estimates need neither the name nor the date. Tracks
+become `person_1`, `person_2` ... in order of appearance, logs `recording_1`, `recording_2` ... in order of their paths,
+and every recording starts at 0, whatever its clock: the values decide, not the clock kind of the adapter. Positions
+remain; docs/privacy.md explains the consequences.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from cyclekit.ingest.discover import Log
 
 _SHIFTED = {"task_list": ("t_s", "end_s", "planned_start_s", "planned_end_s")}
-"""Columns of times of the log's clock, of tables that have others than `t_s`."""
+"""Time columns of tables that have others than `t_s`."""
 GONE = "…"
-"""Stands where a name or a time was."""
+"""Replacement for a name or a time."""
 _NEAR_0_S = 3600.0
-"""What begins sooner tells no time of the day."""
+"""Start time, s, below which a recording holds no time of day."""
 YEAR_S = 366 * 86400.0
-"""Times further apart than this are of two clocks, and their difference tells the date."""
+"""Minimum difference, s, that indicates two clocks and so reveals the date."""
 _QUOTED = re.compile(r"(?<!\w)(?:'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\")(?!\w)")
 _DATE = re.compile(
     r"(?<!\d)(?<!\d\.)(?:19|20)\d\d(?:([-_./ ]?)[01]\d\1[0-3]\d)"  # 2025-10-09, 20251009
@@ -46,10 +46,10 @@ _DATE = re.compile(
 )
 _NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:,\d{3})*(?:\.\d+)?(?:[eE][+-]?\d+)?|\d{9,}")
 _PERHAPS = r"\d{9}|\d[eE]\+?\d|(?:19|20)\d\d\D?[01]\d|\d:[0-5]\d|[./-](?:19|20)\d\d"
-"""What every text with a time in it holds, in words that polars searches fast."""
+"""Fast pre-check for polars: matches every text that may hold a time."""
 _UNITS = (1.0, 1e3, 1e6, 1e9)
 _ENDINGS = (".bag", ".bin", ".c3d", ".csv", ".db3", ".gz", ".json", ".jsonl", ".log", ".mcap", ".tsv", ".txt", ".xml")
-"""Of a file name these stay, since they tell the format and nobody's name."""
+"""File endings that are kept, because they show the format and no name."""
 
 
 def without_times(text: str) -> str:
@@ -58,20 +58,20 @@ def without_times(text: str) -> str:
 
 
 def _is_time(number: str) -> bool:
-    """Tell whether a number is a time between 1998 and 2103: seconds since 1970, or ms, us, ns; or ticks of Windows."""
+    """Return whether a number is a time of 1998 to 2103: s, ms, us or ns since 1970, or Windows ticks."""
     value = abs(float(number.replace(",", "")))
     since_1970 = any(9e8 <= value / unit <= 4.2e9 for unit in _UNITS)
     return since_1970 or 1.25e17 <= value <= 1.6e17 or 6.3e17 <= value <= 6.7e17
 
 
 class Nameless:
-    """Takes the names out of a recording, part by part: people are numbered, and nothing is quoted from the log."""
+    """Removes the names from a recording, part by part: numbers people, and removes quotes from the log."""
 
     def __init__(self, *, keep: str | None = None) -> None:
-        """Begin.
+        """Set up without any names.
 
         Args:
-            keep: A body that is nobody (the one on the robot's flange) and keeps its name.
+            keep: A body that is no person (the one on the robot's flange) and keeps its name.
         """
         self._keep = keep
         self._numbers: dict[str, str] = {}
@@ -79,7 +79,7 @@ class Nameless:
         self._spans: dict[str, tuple[float, float]] = {}
 
     def part(self, recording: Recording) -> Recording:
-        """Return a part of the recording with numbered people, and without facts."""
+        """Return a part of the recording with numbered people and without facts."""
         tables = recording.tables()
         changed = {name: self._numbered(table) for name, table in tables.items() if "person" in table.columns}
         if "task_list" in tables:
@@ -101,10 +101,10 @@ class Nameless:
         return replace(recording, **changed, set_aside=aside, warnings=warnings, facts=facts)  # type: ignore[arg-type]
 
     def check(self, path: Path) -> None:
-        """Refuse a log whose clock was set while it was recorded: the size of that step tells the date.
+        """Refuse a log whose clock was set during recording, because the size of that step reveals the date.
 
         Raises:
-            LogError: Its times lie more than a year apart.
+            LogError: Its times span more than a year.
         """
         first = min((span[0] for span in self._spans.values()), default=0.0)
         last = max((span[1] for span in self._spans.values()), default=0.0)
@@ -115,7 +115,7 @@ class Nameless:
             raise LogError(path, cause, cure="Split the log there, or ingest without --pseudonymise.")
 
     def _nameless_tasks(self, table: pl.DataFrame) -> pl.DataFrame:
-        """Return a task list in which operators and executions are numbered, also in the names of tasks."""
+        """Return a task list with numbered operators and executions, also within task names."""
         operators = table.filter(pl.col("agent") == "operator")["agent_name"].drop_nulls().unique(maintain_order=True)
         for name in operators:
             self._numbers.setdefault(name, f"person_{len(self._numbers) + 1}")
@@ -129,7 +129,7 @@ class Nameless:
         return without_times(text)
 
     def _executions(self, table: pl.DataFrame) -> pl.Expr:
-        """Return the column of executions, numbered: their names tell when they were, and sometimes whose."""
+        """Return the execution column with numbers: execution names show their time, and sometimes a person."""
         for name in table["execution"].drop_nulls().unique(maintain_order=True):
             self._execution_numbers.setdefault(name, f"execution_{len(self._execution_numbers) + 1}")
         if not self._execution_numbers:
@@ -155,7 +155,7 @@ def _timeless(column: str) -> pl.Expr:
 
 
 def _without(text: str, names: dict[str, str]) -> str:
-    """Return a text with other names; those of one or two characters could be anything, and stay."""
+    """Return a text with names replaced; names of one or two characters are ambiguous and remain."""
     for name in sorted(names, key=len, reverse=True):
         if len(name) > 2 and name in text:
             text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", names[name].replace("\\", r"\\"), text)
@@ -163,13 +163,13 @@ def _without(text: str, names: dict[str, str]) -> str:
 
 
 def numbered_logs(logs: Sequence[Log]) -> list[Log]:
-    """Return the logs under ids that tell nothing."""
+    """Return the logs with neutral ids."""
     digits = len(str(len(logs)))
     return [replace(log, id=f"recording_{number:0{digits}d}") for number, log in enumerate(logs, 1)]
 
 
 def shown_as(log: Log) -> str:
-    """Return the name of a numbered log's file, in place of its own: the number, and what tells the format."""
+    """Return the replacement for a file name of a numbered log: its number and the format's ending."""
     return f"{log.id}{_ending(log.shown)}"
 
 
@@ -180,7 +180,7 @@ def _ending(name: str) -> str:
 
 @dataclass(frozen=True)
 class Names:
-    """The names that went into an ingest of numbered logs, and what stands in their place."""
+    """Names used in an ingest of numbered logs, and their replacements."""
 
     logs: Sequence[Log]
     roots: Sequence[Path]
@@ -195,7 +195,7 @@ class Names:
         return [changed(one, self.said, lambda value: value) for one in notes]
 
     def not_read(self, files: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
-        """Return files that were not read, with the reason, under other names."""
+        """Return the files not read, with reasons, under neutral names."""
         found = []
         for number, (name, reason) in enumerate(files, 1):
             new = f"not_read_{number}{_ending(name)}"
@@ -204,9 +204,9 @@ class Names:
         return found
 
     def settings(self) -> Cell:
-        """Return the settings without names of files and bodies, and without offsets, which would give the time back.
+        """Return the settings without names of files and bodies, and without offsets, which would reveal the time.
 
-        The cell's name stays where it is not merely that of a folder or file.
+        The cell's name is kept unless it is only that of a folder or file.
         """
         sources = [
             replace(
@@ -234,14 +234,14 @@ class Names:
 def take_out(
     recordings: Sequence[RecordingCard], names: Names, staging: Path, copies: Mapping[str, str]
 ) -> list[RecordingCard]:
-    """Let every recording begin at 0, its tables under `staging` and its card alike; its files get other names.
+    """Shift every recording to start at 0, in its tables under `staging` and in its card, and rename its files.
 
-    How it lies in the time of its session stays the same: what the times lose, the clock's offset gains. Stamps of the
-    host are needed for the clocks only, which are known by now. Of a log that several sessions share, `copies` names it
-    by the id of each recording but the first.
+    Its position in the session's time is unchanged: the clock offset compensates the shift. Host stamps are removed,
+    because they serve only the clocks, which are known by now. `copies` maps the id of each additional recording of a
+    shared log to the id of that log.
 
     Raises:
-        ConfigError: Two recordings of a session lie years apart: the clock of one was not set.
+        ConfigError: Two recordings of a session are years apart: the clock of one was not set.
     """
     logs = {log.id: log for log in names.logs}
     return [
@@ -276,15 +276,16 @@ def _without_time(card: RecordingCard, log: Log, names: Names, folder: Path) -> 
         listed=said(card.listed),
         first_s=0.0,
         last_s=card.last_s - card.first_s,
-        key="",  # made of the paths and times of files; what is pseudonymised is read again anyway
+        key="",  # derived from paths and times of files; pseudonymised logs are always read again
         sources=tuple(structs.replace(one, path=path) for one, path in zip(card.sources, paths, strict=True)),
     )
 
 
 def _said(notes: Iterable[Note], *, names: Names, span_s: tuple[float, float]) -> tuple[Note, ...]:
-    """Return notes without names and times, among them those of a recording that does not begin near 0.
+    """Return notes without names and times.
 
-    Those are seconds of the day, or of a controller.
+    If a recording does not start near 0, its own times are also removed: they are seconds of the day, or of a
+    controller.
     """
 
     def number(value: float) -> float | str:

@@ -1,7 +1,7 @@
-"""Which adapters exist, and which one reads this file.
+"""Registry of adapters, and selection of the adapter for a file.
 
-Adapters are found through the entry-point group `cyclekit.adapters`, ours and third parties' alike; cyclekit imports
-none by name. What a file contains is the adapters' business. An adapter that fails costs its own logs and no others.
+All adapters, built-in and third-party, are found through the entry-point group `cyclekit.adapters`; cyclekit imports
+none by name. Adapters interpret the content. An adapter that fails affects only its own logs.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LFS = b"version https://git-lfs.github.com/spec/"
 
 @dataclass(frozen=True)
 class Registered:
-    """An adapter and where it comes from."""
+    """An adapter and its package."""
 
     name: str
     package: str
@@ -46,13 +46,13 @@ class Registered:
     adapter: Adapter
 
     def parts(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
-        """Yield a log in consecutive parts, each read while the one before it is worked on; one part if need be.
+        """Yield a log in consecutive parts, each read while the previous one is processed, or as one part.
 
-        Of a small file no thread reads ahead: to begin one takes a while, and there may be ten thousand of them.
+        A small file is read without a thread, because starting one takes time and there may be ten thousand files.
 
         Raises:
             LogError, ConfigError: As the adapter's `read`.
-            BrokenAdapter: The adapter raised something else, or returned no recording.
+            BrokenAdapter: The adapter raised another error, or did not return a recording.
         """
         try:
             for part in self._parts(path, options):
@@ -91,7 +91,7 @@ def _proven(part: object) -> Recording:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """An adapter that is installed and not used, and why."""
+    """An installed adapter that is not used, and the reason."""
 
     name: str
     package: str
@@ -103,21 +103,21 @@ class LeftOut:
 
 
 _broken: dict[str, LeftOut] = {}
-"""Adapters that raised when they were asked whether a file is theirs, by name; not asked again in this process."""
+"""Adapters whose `recognises` raised, by name; not called again in this process."""
 
 
 def adapters() -> dict[str, Registered]:
-    """Return the adapters that can be used, by name, in order of name; `left_out` has the others."""
+    """Return the usable adapters by name, in order of name; `left_out` returns the others."""
     return {name: entry for name, entry in _loaded()[0].items() if name not in _broken}
 
 
 def left_out() -> tuple[LeftOut, ...]:
-    """Return the adapters that are installed and cannot be used: not imported, or failed when asked about a file."""
+    """Return the installed adapters that are not usable: their import failed, or their `recognises`."""
     return (*_loaded()[1], *_broken.values())
 
 
 def noticed() -> tuple[LeftOut, ...]:
-    """Return what `left_out` does if this process has looked for adapters at all, else nothing; loads none."""
+    """Return `left_out()` if this process has loaded adapters, else nothing; loads none."""
     return left_out() if _loaded.cache_info().currsize else ()
 
 
@@ -134,7 +134,7 @@ def _loaded() -> tuple[dict[str, Registered], tuple[LeftOut, ...]]:
             found[point.name] = _load(point)
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # an import may even leave the process
+        except BaseException as error:  # an import may even call sys.exit
             failed.append(LeftOut(point.name, _package(point), f"it cannot be loaded ({_told(error)})"))
     return found, tuple(failed)
 
@@ -154,12 +154,12 @@ def _package(point: EntryPoint) -> str:
 
 
 def _told(error: BaseException) -> str:
-    """Say an exception in one line."""
+    """Return an exception as one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
 
 
 def _is_about(error: OSError, path: Path) -> bool:
-    """Tell whether the log itself cannot be read, and not another file of the adapter."""
+    """Return whether the log itself cannot be read, as opposed to another file of the adapter."""
     return error.filename is None or str(error.filename).startswith(str(path))
 
 
@@ -168,7 +168,7 @@ def adapter_named(name: str) -> Registered:
 
     Raises:
         UnknownName: There is none.
-        CyclekitError: It is left out.
+        CyclekitError: It is not usable.
     """
     known = adapters()
     for broken in left_out():
@@ -180,7 +180,7 @@ def adapter_named(name: str) -> Registered:
 
 
 def find_adapter(path: Path) -> Registered | None:
-    """Return the adapter that recognises `path` (file or folder) by its content, or None."""
+    """Return the adapter that recognises `path` (file or folder) by its content; None if there is none."""
     return next((entry for entry in adapters().values() if _recognises(entry, path)), None)
 
 
@@ -196,7 +196,7 @@ def _recognises(entry: Registered, path: Path) -> bool:
 
 
 def drafted(path: Path) -> tuple[Registered, Draft] | None:
-    """Return the draft of a map for a file that no adapter recognises, and the adapter that made it; None = no draft.
+    """Return the adapter and the draft map for a file that no adapter recognises; None if no adapter proposes one.
 
     Raises:
         LogError: The file cannot be read.
@@ -217,15 +217,15 @@ def drafted(path: Path) -> tuple[Registered, Draft] | None:
 
 
 def find_logs(path: Path, *, follow_links: bool = True) -> Iterator[tuple[Path, Registered | None]]:
-    """Walk `path`; yield each log with the adapter that reads it, None for what nobody reads.
+    """Walk `path`; yield each log with its adapter, or with None if no adapter reads it.
 
-    A folder that is itself a log (a ROS 2 bag, a folder of one file per signal) is yielded as one. Below `path`,
-    hidden files and datasets are passed over, and so is a folder that was seen already: links may lead in circles.
-    Nothing is opened but files: a pipe or a device would wait for ever, or never end.
+    A folder that is itself a log (a ROS 2 bag, a folder of one file per signal) is yielded as one. Below `path`, hidden
+    files and datasets are skipped, and so is a folder that was already visited, because links may be circular. Only
+    regular files are opened: a pipe or a device may block or never end.
 
     Args:
         path: A file or a folder.
-        follow_links: Follow links below `path` that lead out of it; else each is what nobody reads.
+        follow_links: Follow links below `path` that lead out of it; otherwise yield each with None.
     """
     waiting, seen = [path], set[tuple[int, int]]()
     while waiting:
@@ -243,17 +243,17 @@ def find_logs(path: Path, *, follow_links: bool = True) -> Iterator[tuple[Path, 
             children = sorted(here.iterdir(), reverse=True) if (about.st_dev, about.st_ino) not in seen else []
             seen.add((about.st_dev, about.st_ino))
             waiting += [c for c in children if not c.name.startswith(".") and not (c / CARD).is_file()]
-        except OSError:  # a name that is too long, a folder that may not be listed
+        except OSError:  # a name that is too long, or a folder without permission
             yield here, None
 
 
 def why_unknown(path: Path) -> UnknownFormat:
-    """Return the error for a file that no adapter recognises, with the likeliest reason first."""
+    """Return the error for a file that no adapter recognises, with the most likely reason."""
     if path.is_dir():
         return UnknownFormat(path, "the folder cannot be listed", cure="Check its permissions.")
     if not path.is_file():
         return UnknownFormat(path, "neither a file nor a folder: a pipe, a socket, a device or a broken link")
-    if not path.stat().st_size:  # of a file of the system (/proc) too, which may take long to read
+    if not path.stat().st_size:  # also for system files (/proc), which may take long to read
         return UnknownFormat(path, "the file is empty", cure="Check the copy, or remove the file.")
     with path.open("rb") as file:
         head = file.read(4096)
@@ -291,7 +291,7 @@ def why_unknown(path: Path) -> UnknownFormat:
 
 
 def _is_table(head: bytes) -> bool:
-    """Tell a table: lines of the same number of cells, three or more, or of numbers with blanks between; a workbook."""
+    """Return whether data looks like a table: lines with three or more cells each, rows of numbers, or a workbook."""
     if head.startswith(b"PK\x03\x04"):
         return b"[Content_Types].xml" in head or b"xl/" in head
     lines = head.strip().splitlines()[:12]

@@ -1,4 +1,4 @@
-"""What an ingest did, for the one who asked."""
+"""Report of an ingest."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class IngestReport(Result):
-    """What an ingest did.
+    """Result of an ingest.
 
     Attributes:
         dataset: Its folder on this machine.
-        place: Where it was asked for: that folder, or a URL.
-        recordings_new: Recordings read now.
-        recordings_kept: Recordings taken over from the old dataset without reading their logs.
-        not_read: Files that were found and not used, with the reason.
-        said: What a person must know before trusting the dataset: name of a recording, empty where it is about all of
-            them, and a sentence.
+        place: Path or URL of the dataset, as requested.
+        recordings_new: Number of recordings read.
+        recordings_kept: Number of recordings reused from the old dataset without reading their logs.
+        not_read: Files found but not used, with reasons.
+        said: What the user must know before trusting the dataset: name of a recording (empty if it concerns all) and a
+            sentence.
         unchanged: The dataset was up to date; nothing was read or written.
     """
 
@@ -43,7 +43,7 @@ class IngestReport(Result):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a person must know before trusting the dataset, one sentence each."""
+        """What the user must know before trusting the dataset, one sentence each."""
         return tuple(f"{name}: {text}" if name else text for name, text in self.said)
 
     def to_dict(self) -> dict[str, object]:
@@ -53,7 +53,7 @@ class IngestReport(Result):
         return {**found, "dataset": self.place, "not_read": not_read, "warnings": list(self.warnings)}
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per file that was not read."""
+        """Return one row per file that was not read."""
         return pl.DataFrame(list(self.not_read), schema={"path": pl.String, "reason": pl.String}, orient="row")
 
     def _said(self) -> list[str]:
@@ -64,7 +64,7 @@ class IngestReport(Result):
 
 
 def report_of(out: Path, card: DatasetCard, *, new: int, kept: int, unchanged: bool) -> IngestReport:
-    """Return the report on a dataset in `out`, of which so many recordings are new and so many were kept."""
+    """Return the report on a dataset in `out`, with `new` recordings read and `kept` recordings reused."""
     said = [("", text) for text in texts(card.warnings)]
     said += [(_shown(one), text) for one in card.recordings for text in one.said]
     return IngestReport(
@@ -82,5 +82,5 @@ def report_of(out: Path, card: DatasetCard, *, new: int, kept: int, unchanged: b
 
 
 def _shown(card: RecordingCard) -> str:
-    """How a message names a recording: by its file, or by its id where a folder is one log."""
+    """Return the name of a recording in messages: its file, or its id for a folder that is one log."""
     return card.shown if len(card.sources) == 1 else card.id

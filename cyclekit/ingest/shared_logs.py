@@ -1,8 +1,7 @@
-"""One log of people or events beside several robot logs: the scanner or tracker that several robots, or shifts, share.
+"""One log of people or events for several robot logs: a scanner or tracker shared by robots or shifts.
 
-Each robot log becomes a session of its own, and each of them needs what the log says of its own time. So the log
-becomes a recording of each. Which logs may be shared is decided here; how sessions are made is the business of
-`sessions`.
+Each robot log becomes a separate session and needs the shared log during its own time. So the log becomes one recording
+in each of them. This module decides which logs may be shared; `dataset.sessions` makes the sessions.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ if TYPE_CHECKING:
 
 _SHARED: set[Table] = {"events", "people", "skeletons"}
 _MARGIN_S = 60.0
-"""What a copy has before and after the robot's log: enough to bridge gaps in tracks, and for clocks that are off."""
+"""Margin, s, of a copy before and after the robot's log: bridges gaps in tracks, and clock errors."""
 
 
 def may_be_shared(log: LogCard, sources: Mapping[str, Source | None]) -> bool:
-    """Tell whether a log may lie beside several robot logs: its clock is known beside each.
+    """Return whether a log may belong to several robot logs, because its clock is known relative to each.
 
-    So it is where it counts since 1970; that of events also where the cell file says how it lies beside a robot's log.
+    True for time since 1970; for events also if the cell file gives their time relative to a robot log.
     """
     if not set(log.tables) <= _SHARED:
         return False
@@ -49,11 +48,11 @@ def may_be_shared(log: LogCard, sources: Mapping[str, Source | None]) -> bool:
 
 @dataclass(frozen=True)
 class Shared:
-    """Sessions in which each recording is in one alone.
+    """Sessions without shared recordings.
 
     Attributes:
         groups: The sessions.
-        copies: Cards of the recordings that were added, by id the id of the log that each is one of.
+        copies: Id of each added recording -> id of its log.
     """
 
     groups: list[LogGroup]
@@ -61,12 +60,12 @@ class Shared:
 
 
 def apart(groups: Sequence[LogGroup], read: Read, staging: Path) -> Shared:
-    """Return sessions that share no log: each but the first gets a recording of its own of one that they share.
+    """Return sessions that share no log: all but the first get their own recording of a shared log.
 
     Args:
         groups: Sessions; a log of people or events may be in several.
-        read: Returns a native table of a recording (id, table), None if it has none.
-        staging: Folder of the dataset in the making.
+        read: Function from (id, table) to a native table of a recording, or None.
+        staging: Folder of the dataset being built.
 
     Raises:
         OSError: A recording cannot be written.
@@ -89,9 +88,9 @@ def apart(groups: Sequence[LogGroup], read: Read, staging: Path) -> Shared:
 
 
 def _copied(read: Read, log: LogCard, name: str, robot: LogCard, folder: Path) -> LogCard:
-    """Write what a log says of a robot log's time; return its card.
+    """Write the part of a log within a robot log's time; return its card.
 
-    Of a clock that does not count since 1970 nobody knows yet which rows these are: all are written.
+    For a clock that does not count since 1970 that part is unknown yet, so all rows are written.
     """
     epoch = log.clock.kind == "epoch" and robot.clock.kind == "epoch"
     span_s = (robot.first_s - _MARGIN_S, robot.last_s + _MARGIN_S) if epoch else (-np.inf, np.inf)

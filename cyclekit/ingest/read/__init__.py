@@ -1,4 +1,4 @@
-"""One log -> its tables on the disk and its card; resumed after a kill, reused when nothing changed.
+"""One log to its tables on disk and its card; resumed after a kill, reused if unchanged.
 
-`read_logs` is the way in: one log a task of the engine.
+Entry point: `read_logs`, with one log per task of the engine.
 """

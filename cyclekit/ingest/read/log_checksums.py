@@ -1,8 +1,8 @@
-"""Checksums of the logs, computed beside the reading: a second look at a file that is in memory anyway.
+"""Checksums of the logs, computed in parallel with reading, while the file is in memory anyway.
 
-BLAKE3, which `b3sum` prints: SHA-256 takes longer than the reading on a processor without instructions for it. What an
-earlier version has put into a dataset stays what it is; the name of the entry says by which function it was made.
-Nothing waits for a checksum before the card of the dataset is written.
+BLAKE3, as printed by `b3sum`: on a processor without SHA instructions, SHA-256 takes longer than reading. Checksums
+from earlier versions remain in a dataset; the entry's name shows the function. Nothing waits for a checksum before the
+card of the dataset is written.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ AnyLog = TypeVar("AnyLog", bound=LogCard)
 
 
 class Digests:
-    """Computes the checksums of files in the background, one after the other, until its `with` block is left.
+    """Computes checksums of files in the background, one at a time, until its `with` block ends.
 
     Attributes:
-        wanted: Whether it does.
+        wanted: Whether checksums are computed.
     """
 
     def __init__(self, *, wanted: bool = True) -> None:
-        """Begin.
+        """Set up; no thread is started yet.
 
         Args:
-            wanted: Compute them; else only watch whether a log changes.
+            wanted: Compute checksums; otherwise only detect changes of a log.
         """
         self.wanted = wanted
         self._worker: ThreadPoolExecutor | None = None
@@ -46,7 +46,7 @@ class Digests:
         self._pending: dict[str, tuple[Log, list[Future[str]]]] = {}
 
     def sources(self, log: Log) -> tuple[SourceFile, ...]:
-        """Return where a log comes from, file by file; `settle` gives each its `blake3`.
+        """Return the files of a log; `settle` adds their `blake3`.
 
         Raises:
             OSError: A file has gone.
@@ -62,7 +62,7 @@ class Digests:
         return tuple(found)
 
     def completed(self, entry: LogCard, log: Log) -> LogCard:
-        """Return the card of a log taken over, with its checksums to come if it has none yet.
+        """Return the card of a reused log, and schedule its checksums if they are missing.
 
         Raises:
             OSError: A file has gone.
@@ -72,10 +72,10 @@ class Digests:
         return entry
 
     def settle(self, entries: Iterable[AnyLog]) -> list[AnyLog]:
-        """Return the cards with the checksums of their files, and warnings of logs that changed since they were found.
+        """Return the cards with checksums of their files, and warnings for logs that changed since they were found.
 
         Raises:
-            LogError: A file cannot be read any more.
+            LogError: A file can no longer be read.
         """
         return [self._settled(entry) if entry.id in self._pending else entry for entry in entries]
 

@@ -1,7 +1,7 @@
-"""One log -> its tables on the disk and its entry of provenance.
+"""One log to its tables on disk and its card.
 
-The adapter reads, in parts if it can; what cannot be is taken out (`plausible`); the parts are written as they come, so
-a log may be larger than memory.
+The adapter reads, in parts if it can. Implausible values are removed (`validate`). The parts are written as they
+arrive, so a log may exceed memory.
 """
 
 from __future__ import annotations
@@ -41,20 +41,20 @@ _PLACES = ("tcp_x_m", "x_m")
 _ENDS = ("t_s", "end_s")
 QUARANTINE = "quarantine"
 MAKING = ".making-"
-"""Begins the name of the folder that a recording is written in before it has its own."""
+"""Prefix of the temporary folder in which a recording is written."""
 UNPROTECTED = "none: a flipped bit is found only where it makes a value impossible"
-"""What a recording's fact `checksum` says where its adapter knows of none."""
+"""Fact `checksum` of a recording whose adapter reports none."""
 SHORT_BYTES, SHORT_ROWS = 1 << 20, 1024
-"""A recording of a log of fewer bytes, and of up to so many rows, can be held until others are written with it."""
+"""A log of less than SHORT_BYTES and at most SHORT_ROWS rows may be held, to be written together with others."""
 
 
 @dataclass(frozen=True)
 class How:
-    """What of each log is kept.
+    """What to store of each log.
 
     Attributes:
-        pseudonymise: Replace the names that trackers give.
-        skeletons: Keep every joint of every person, where a tracker has them.
+        pseudonymise: Replace the names given by trackers.
+        skeletons: Store all joints of all persons, if a tracker has them.
         checksums: Compute the BLAKE3 of each file.
     """
 
@@ -65,17 +65,17 @@ class How:
 
 @dataclass(frozen=True)
 class Kept:
-    """The card of a log whose tables are on the disk, or here: then none of them is there."""
+    """Card of a log, and its tables if they are held in memory; then none of them is on disk."""
 
     card: LogCard
     tables: dict[str, pl.DataFrame] = field(default_factory=dict)
 
 
 def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How, hold: bool = False) -> Kept | LogError:
-    """Read a log into `staging/recordings/<id>`, or return why that cannot be; then nothing of it is left there.
+    """Read a log into `staging/recordings/<id>`, or return the error; then nothing of it remains there.
 
-    The folder has its name when it is whole, so that reading a log twice does no harm. `hold`: the tables of a short
-    recording are returned and not written.
+    The folder gets its name when it is complete, so reading a log twice does no harm. `hold`: the tables of a short
+    recording are returned instead of written.
     """
     place = staging / "recordings" / log.id
     folder = place.with_name(f"{MAKING}{secrets.token_hex(6)}")
@@ -84,7 +84,7 @@ def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How, hold: 
         if not kept.tables:
             _put(folder, place)
     except LogError as error:
-        problem = copy(error)  # without what hangs on it: frames, tables, the error that it came from
+        problem = copy(error)  # without references to frames, tables and the original error
     except (OSError, MemoryError) as error:
         if _is_ours(error, folder):
             raise
@@ -102,11 +102,11 @@ def _put(folder: Path, place: Path) -> None:
     except OSError as error:
         if not place.is_dir():
             raise OSError(error.errno, error.strerror, str(place)) from error
-        shutil.rmtree(folder)  # it was read before, by a worker that was lost after that: the same bytes
+        shutil.rmtree(folder)  # read before by a worker that was lost afterwards: the bytes are the same
 
 
 def _is_ours(error: BaseException, folder: Path) -> bool:
-    """Tell whether it was our own file that could not be written, not the log that could not be read."""
+    """Return whether our own file could not be written, as opposed to a log that could not be read."""
     name = getattr(error, "filename", None)
     return name is not None and str(folder.parent.parent) in str(name)
 
@@ -148,7 +148,7 @@ def _keep(log: Log, digests: Digests, folder: Path, how: How, *, hold: bool) -> 
 
 
 def _held(written: Mapping[str, _Table]) -> dict[str, pl.DataFrame]:
-    """Return the tables of a short recording, none of which is on the disk yet; nothing of a long one."""
+    """Return the tables of a short recording, none of which is on disk yet; empty for a long one."""
     if sum(table.writer.rows for table in written.values()) > SHORT_ROWS:
         return {}
     held = {name: frame for name, table in written.items() if (frame := table.writer.held()) is not None}
@@ -156,7 +156,7 @@ def _held(written: Mapping[str, _Table]) -> dict[str, pl.DataFrame]:
 
 
 class _Table:
-    """A table in the making, and what is known of its times."""
+    """A table being written, and the range and rate of its times."""
 
     def __init__(self, folder: Path, name: str, first: pl.DataFrame) -> None:
         self._columns = schema.OF_LOGS[name]
@@ -206,7 +206,7 @@ def _card(
     main = next(written[name] for name in schema.MAIN if name in written and written[name].writer.rows)
     duration_s = main.last_s - main.first_s
     rate = main.rates.found() if main.rates is not None else None
-    tables = cast("dict[Table, _Table]", written)  # as `schema` names them
+    tables = cast("dict[Table, _Table]", written)  # names as in `schema`
     return LogCard(
         id=log.id,
         tables=tuple(tables),

@@ -1,8 +1,7 @@
-"""Logs -> their native-rate tables on the disk and their cards, one log a task of the engine.
+"""Logs to their native-rate tables on disk and their cards, with one log per task of the engine.
 
-What is unchanged since the last ingest is taken over from the old dataset without reading, and so is what an ingest
-that was killed had already read (`shelf`). What one log becomes is decided in `keep`, what the recordings mean together
-in `derive`.
+Recordings unchanged since the last ingest are reused from the old dataset, and those of a killed ingest from its
+`Shelf` (`resume`). `read_log` handles a single log; `derive` combines the recordings.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ __all__ = ["Digests", "How", "Intake", "check_shared", "read_all"]
 
 @dataclass(frozen=True)
 class Intake:
-    """What came of reading.
+    """Result of reading.
 
     Attributes:
-        cards: Of the recordings, in order of the logs.
-        failed: Why the others could not be read.
-        kept: How many recordings were taken over without reading.
+        cards: Cards of the recordings, in the order of the logs.
+        failed: Errors of the other logs.
+        kept: Number of recordings reused without reading.
     """
 
     cards: list[LogCard]
@@ -60,14 +59,14 @@ def read_all(
     """Read the logs into `staging/recordings`.
 
     Args:
-        logs: What to read.
-        staging: Folder of the dataset in the making.
-        digests: Computes the checksums of the files; some are still to come when all is read.
-        old: Dataset to take unchanged recordings over from.
-        shelf: Where recordings are put as soon as they are read, and found again after a kill.
-        engine: Who reads. Its workers must see the logs and `staging` under the same paths.
-        how: What of each log is kept.
-        tell: Told the fraction done and what is being done.
+        logs: Logs to read.
+        staging: Folder of the dataset being built.
+        digests: Computes the checksums of the files; some may be pending at the end.
+        old: Dataset with recordings to reuse.
+        shelf: Stores recordings as soon as they are read, for an ingest after a kill.
+        engine: Runs the reading. Its workers must see the logs and `staging` under the same paths.
+        how: What to store of each log.
+        tell: Called with the fraction done and a description.
     """
     how = how or How()
     damaged = old.damaged() if old else {}
@@ -88,9 +87,9 @@ def read_all(
     size = sum(log.size for log in todo) or 1
     done = 0
     failures: dict[str, LogError] = {}
-    hold = together.shares and not how.pseudonymise  # which has every recording's times changed in its own files
+    hold = together.shares and not how.pseudonymise  # pseudonymising changes the times in each recording's own files
     read: Callable[[Log], Kept | LogError] = partial(_read, staging=staging, how=how, hold=hold)
-    if engine.stays_here(len(todo)):  # then no log waits for the checksums of the one before
+    if engine.stays_here(len(todo)):  # so no log waits for the checksums of the previous one
         read = partial(keep_or_error, digests=digests, staging=staging, how=how, hold=hold)
     for outcome in engine.map(read, todo):
         log, result = outcome.item, outcome.get()
@@ -106,16 +105,16 @@ def read_all(
             shelf.put(result.card, log, staging)
     together.close()
     for left in staging.glob(f"recordings/{MAKING}*"):
-        shutil.rmtree(left, ignore_errors=True)  # of a worker that was killed; its log was read again
+        shutil.rmtree(left, ignore_errors=True)  # of a killed worker; its log was read again
     failed = [failures[log.id] for log in todo if log.id in failures]
     return Intake([entries[log.id] for log in logs if log.id in entries], failed, kept)
 
 
 def check_shared(staging: Path) -> None:
-    """Refuse to work for a dataset that this machine does not see.
+    """Check that this machine sees the dataset being built.
 
     Raises:
-        EngineError: The folder in which it is made is not here.
+        EngineError: Its folder does not exist here.
     """
     if not staging.is_dir():
         seen = f"{staging}: not there on the machine of the worker"
@@ -124,7 +123,7 @@ def check_shared(staging: Path) -> None:
 
 
 def _read(log: Log, *, staging: Path, how: How, hold: bool) -> Kept | LogError:
-    """Read one log, wherever that is; its checksums are computed beside the reading."""
+    """Read one log, on any machine; its checksums are computed in parallel."""
     check_shared(staging)
     with Digests(wanted=how.checksums) as digests:
         result = keep_or_error(log, digests, staging=staging, how=how, hold=hold)

@@ -1,10 +1,10 @@
-"""Recordings that an ingest has read, kept beside the dataset until it is in place: a killed ingest goes on from here.
+"""Recordings already read by an ingest, stored next to the dataset until it is complete, to resume after a kill.
 
-They hold people as logged, so they go as soon as they are of no use: docs/privacy.md says when.
+They hold people as logged, so they are deleted as soon as they are not needed (docs/privacy.md).
 
-One folder per recording under `.NAME.read`, named by the key of its log: the tables and the entry. What is there is
-whole, since it is put there by a rename. The key changes when the log, its reader or its options do, so that nothing
-else is ever taken for it.
+`.NAME.read` has one folder per recording, named by the key of its log, with the tables and the card. A folder is always
+complete, because it is created by a rename. The key changes with the log, its adapter or its options, so a folder is
+never used for anything else.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ if TYPE_CHECKING:
 
 _ENTRY = "entry.json"
 WORTH_BYTES = 1 << 20
-"""A smaller log is sooner read again than put on the shelf."""
+"""Minimum size, bytes, of a log worth storing; a smaller one is read again faster."""
 
 
 class Shelf:
-    """The recordings beside one dataset; for one who holds its lock."""
+    """The stored recordings next to one dataset; the user must hold the dataset's lock."""
 
     def __init__(self, out: Path, options: str) -> None:
-        """Open the shelf.
+        """Set the paths.
 
         Args:
             out: The dataset.
-            options: What else than the log decides what is kept of it; other options, another recording.
+            options: Further settings on which the stored content depends; other settings give another recording.
         """
         out = resolved(out)
         self._folder, self._gone = beside(out, "read"), beside(out, "read-gone")
         self._options = options
 
     def find(self, log: Log) -> Path | None:
-        """Return where the recording of a log stands, None if it does not, or cannot be used: then it is removed."""
+        """Return the folder of a log's recording; None if it is absent or unusable (then it is removed)."""
         place = self._folder / f"{log.key[:32]}-{self._options}"
         try:
             entry = checked(read_json(place / _ENTRY), LogCard)
@@ -65,7 +65,7 @@ class Shelf:
         return None
 
     def take(self, place: Path, log: Log, staging: Path) -> LogCard:
-        """Link a recording into the dataset in the making; return its card."""
+        """Link a recording into the dataset being built; return its card."""
         entry = checked(read_json(place / _ENTRY), LogCard)
         target = staging / "recordings" / log.id
         link_files(sorted(place.iterdir()), target)
@@ -79,7 +79,7 @@ class Shelf:
         return as_read(entry, log)
 
     def put(self, entry: LogCard, log: Log, staging: Path) -> None:
-        """Keep a recording that is in the dataset in the making; where that fails nothing is lost but the shortcut."""
+        """Store a recording of the dataset being built; a failure only costs the shortcut."""
         if log.size < WORTH_BYTES:
             return
         place = self._folder / f"{log.key[:32]}-{self._options}"
@@ -94,19 +94,19 @@ class Shelf:
 
     @property
     def is_left(self) -> bool:
-        """Tell whether a killed ingest (or one at work) has left something."""
+        """Whether a killed (or running) ingest has left something."""
         return self._folder.exists() or self._gone.exists()
 
     @property
     def left(self) -> Path | None:
-        """Where recordings wait for the next ingest, None if there are none."""
+        """Folder of recordings for the next ingest; None if there is none."""
         return self._folder if self._folder.exists() else None
 
     @contextmanager
     def while_making(self) -> Iterator[None]:
-        """Have everything forgotten when the dataset is made, or cannot be; not where the next ingest shall go on.
+        """Delete everything when the dataset is complete or has failed, unless the next ingest can resume.
 
-        That is so where it was interrupted, and where the cell file or a log is wrong: both are mended in a minute.
+        It can resume after an interruption, and after an error in the cell file or a log, which is quickly corrected.
         """
         try:
             yield
@@ -118,14 +118,14 @@ class Shelf:
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything.
+        """Delete everything.
 
-        Under another name first, so that one who is killed here leaves no recording that has lost a table.
+        The folder is renamed first, so that a kill during deletion leaves no recording with a missing table.
         """
         shutil.rmtree(self._gone, ignore_errors=True)
         try:
             self._folder.rename(self._gone)
-        except OSError:  # there is none, or the disk refuses: what has lost its entry is not used
+        except OSError:  # absent, or the disk refuses: a recording without card is not used
             for entry in self._folder.glob(f"*/{_ENTRY}"):
                 with suppress(OSError):
                     entry.unlink()

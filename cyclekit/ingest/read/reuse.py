@@ -1,4 +1,4 @@
-"""Recordings taken over without reading their logs: links to files that were written before."""
+"""Reuse of recordings without reading their logs, by links to existing files."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _ALL = f"{QUARANTINE}.parquet"
 
 
 def is_whole(entry: LogCard, old: Path, damaged: Container[str] = ()) -> bool:
-    """Tell whether everything that an entry of the dataset `old` speaks of is still there, and as it was written.
+    """Return whether everything that a card of the dataset `old` refers to still exists unchanged.
 
-    One whose warnings are those of an earlier version is not: they do not say which of them were found out later.
+    A card with warnings of an earlier version is not reusable, because they do not show which were added after reading.
 
     Args:
-        entry: Of a recording.
+        entry: Card of a recording.
         old: The dataset.
-        damaged: Its files that are not what they were.
+        damaged: Its files that have changed.
     """
     if any(one.code == TEXT for one in entry.warnings):
         return False
@@ -43,7 +43,7 @@ def is_whole(entry: LogCard, old: Path, damaged: Container[str] = ()) -> bool:
     names += [_ALL] if entry.rows_set_aside else []
     try:
         return all(inside(old, *name.split("/")).is_file() and name not in damaged for name in names)
-    except OutsideFolder:  # what the card names was never ours
+    except OutsideFolder:  # a path outside of the dataset was not written by cyclekit
         return False
 
 
@@ -52,9 +52,9 @@ def _tables(entry: LogCard, old: Path) -> list[Path]:
 
 
 def take_over(entry: LogCard, log: Log, old: Path, staging: Path) -> LogCard:
-    """Link the tables of a recording of the dataset `old` into `staging`; return its card as it was after reading.
+    """Link the tables of a recording of the dataset `old` into `staging`; return its card as after reading.
 
-    What lies in a file that it shares stays where it is (`together`).
+    Tables in files shared with other recordings are not linked (`together`).
     """
     target = staging / "recordings" / log.id
     if not any(shared_rows(old, entry.id, name) for name in entry.tables):
@@ -67,19 +67,19 @@ def take_over(entry: LogCard, log: Log, old: Path, staging: Path) -> LogCard:
 
 
 def named_anew(quarantine: pl.DataFrame, log: Log) -> pl.DataFrame:
-    """Return rows set aside under the name that their log has now."""
+    """Return rows set aside, with the current name of their log."""
     rows = quarantine.with_columns(recording=pl.lit(log.id), file=pl.lit(log.shown))
     return schema.conform(rows, schema.QUARANTINE)
 
 
 def as_read(entry: LogCard, log: Log) -> LogCard:
-    """Return the card without what was found out later: session, clock and operator."""
+    """Return the card without later additions: session, clock and operator."""
     read = {name: getattr(entry, name) for name in LogCard.__struct_fields__}
     return LogCard(**{**read, "id": log.id, "clock": LogClock(kind=entry.clock.kind)})
 
 
 def link_files(files: Iterable[Path], target: Path) -> None:
-    """Give files a second name in a new folder, or copies where there are no links."""
+    """Hard-link files into a new folder, or copy them if links are not possible."""
     target.mkdir(parents=True)
     for file in files:
         try:
@@ -89,7 +89,7 @@ def link_files(files: Iterable[Path], target: Path) -> None:
 
 
 def gather_quarantine(entries: Sequence[LogCard], staging: Path) -> None:
-    """Put what each recording set aside into one table of the dataset."""
+    """Move the rows that each recording set aside into one table of the dataset."""
     files = [staging / "recordings" / entry.id / _ALL for entry in entries if entry.rows_set_aside]
     with TableWriter(staging / _ALL, schema.QUARANTINE) as table:
         for file in files:

@@ -1,7 +1,7 @@
-"""The tables of short recordings put into files that many of them share, as they come.
+"""Storage of the tables of short recordings in shared files, as they arrive.
 
-Which recordings share a file is told by their logs' order alone, so that the same logs make the same files, whoever
-read them first.
+The order of the logs alone decides which recordings share a file, so the same logs give the same files, whichever
+worker reads them first.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
     Tables = Mapping[str, pl.DataFrame]
 
 FEW_LOGS = 50
-"""In datasets of up to so many logs, each recording has files of its own."""
+"""Maximum number of logs in a dataset in which each recording has its own files."""
 AT_ONCE = 64
-"""Logs whose recordings may share a file."""
+"""Number of consecutive logs whose recordings may share a file."""
 
 
 class Together:
-    """Puts the tables of short recordings into the files of a dataset in the making."""
+    """Writes the tables of short recordings into shared files of a dataset being built."""
 
     def __init__(self, logs: Sequence[Log], staging: Path) -> None:
-        """Begin.
+        """Set up the batches.
 
         Args:
-            logs: Of all recordings; each is to be `put` once.
-            staging: Folder of the dataset in the making.
+            logs: Logs of all recordings; `put` must be called once for each.
+            staging: Folder of the dataset being built.
         """
         self.shares = len(logs) > FEW_LOGS
         self._staging = staging
@@ -51,7 +51,7 @@ class Together:
         self._index: Index = {}
 
     def put(self, recording: str, tables: Tables) -> None:
-        """Take the tables of a short recording; none of one that has files of its own, or could not be read.
+        """Add the tables of a short recording; `tables` is empty for one with its own files, or one that failed.
 
         Raises:
             OSError: They cannot be written.
@@ -70,7 +70,7 @@ class Together:
             self._write_out(batch, {name: waiting[name] for name in sorted(waiting, key=self._number.__getitem__)})
 
     def close(self) -> None:
-        """Write down whose rows lie where.
+        """Write the index of rows and files.
 
         Raises:
             OSError: It cannot be written.
@@ -94,7 +94,7 @@ class Together:
 
 
 def tables_shared(entry: LogCard, dataset: Path) -> Tables:
-    """Return the tables of a recording of a dataset that lie in files it shares; none where it has its own."""
+    """Return the tables of a recording that are in shared files; empty if it has its own files."""
     where = {name: shared_rows(dataset, entry.id, name) for name in entry.tables}
     return {name: shared_frame(dataset, rows) for name, rows in where.items() if rows is not None}
 

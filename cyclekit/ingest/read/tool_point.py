@@ -1,4 +1,4 @@
-"""The TCP of a log that holds joint angles alone, where the cell file says which arm it is."""
+"""TCP of a log that holds only joint angles, if the cell file gives the arm."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from cyclekit.config import Robot
 
 TCP = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
-"""The columns that are computed."""
+"""Computed columns."""
 
 
 def with_tool_point(parts: Iterable[Recording], robot: Robot | None) -> Iterator[Recording]:
-    """Yield the parts of a log, with the TCP computed by forward kinematics where it was not logged.
+    """Yield the parts of a log, with the TCP computed by forward kinematics if it was not logged.
 
     Args:
-        parts: Of one log.
-        robot: The arm; None = nothing is computed.
+        parts: Parts of one log.
+        robot: The arm; None = compute nothing.
     """
     for part in parts:
         yield part if robot is None else _computed(part, robot)

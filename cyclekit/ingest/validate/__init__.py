@@ -1,4 +1,4 @@
-"""Values that no cell produces: found, named with the likely cure, and kept out.
+"""Checks for implausible values: found, reported with the likely cure, and removed.
 
-In: tables of a recording, window by window. Out: the plausible rows, and what was set aside. `validate` is the way in.
+In: tables of a recording, window by window. Out: the plausible rows, and the rows set aside. Entry point: `validate`.
 """

@@ -1,7 +1,7 @@
-"""The checks: which rows of a window are implausible, and what to report about the whole table.
+"""The checks: implausible rows of a window, and warnings about the whole table.
 
-A check gets window after window (`window`), sets rows aside and counts; after the last one it reports what it has
-found, one sentence each.
+A check receives window after window (`window`), sets rows aside and counts them. After the last one it returns its
+warnings, one sentence each.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 
 
 ANGLE_RAD = 26.0
-"""Over four turns: no joint angle in radians."""
+"""Maximum joint angle, rad: over four turns. A larger value is not in radians."""
 SPEED_M_S = 10.0
 DAY_S = 86_400.0
 _NEAR = 8
 LATEST_S = 1e11
-"""The year 5138: beyond any clock."""
+"""Maximum time, s: the year 5138, beyond any clock."""
 
 
 class Checks:
-    """What all tables have in common: rows set aside, numbers that are none, time."""
+    """Checks common to all tables: rows set aside, non-finite numbers, time."""
 
     def __init__(self, whose: str) -> None:
         self.whose = whose
@@ -46,11 +46,11 @@ class Checks:
         return self.timed(self.finite(frame))
 
     def warnings(self) -> list[str]:
-        """Report what was found, after the last window."""
+        """Return the warnings, after the last window."""
         return [*self._said_of_numbers(), *self._said_of_time()]
 
     def beside(self, frame: pl.DataFrame) -> int:
-        """Return how many rows before and behind a row are its neighbours: itself two, some of which may go."""
+        """Return the number of neighbours before and after a row; two are needed, and some may be removed."""
         return _NEAR
 
     def taken_aside(self) -> list[pl.DataFrame]:
@@ -59,7 +59,7 @@ class Checks:
         return aside
 
     def drop(self, frame: pl.DataFrame, bad: Bools, reason: str) -> pl.DataFrame:
-        """Return the rows that are not bad; the bad ones to be judged here are set aside."""
+        """Return the rows that are not bad; bad rows that are judged in this window are set aside."""
         if not bad.any():
             return frame
         here = frame.filter(pl.Series(bad) & (frame[PLACE] == HERE))
@@ -68,7 +68,7 @@ class Checks:
         return frame.filter(~bad)
 
     def finite(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Make NaN and infinities unknown, and count them; adapters of text logs have done so already."""
+        """Replace NaN and infinity by null, and count them; adapters of text logs have already done so."""
         names = [name for name, dtype in frame.schema.items() if dtype.is_float() and name != "t_s"]
         if not names:
             return frame
@@ -81,7 +81,7 @@ class Checks:
         return frame.with_columns(pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in hit)
 
     def timed(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Set rows without a possible time aside, and note where time jumps ahead."""
+        """Set rows without a plausible time aside, and count forward jumps of time."""
         frame = self.drop(frame, ~(np.abs(column(frame, "t_s")) < LATEST_S), "its time is not a plausible number")
         steps = np.diff(column(frame, "t_s"))
         far = steps[(steps > DAY_S) & (is_here(frame)[1:])]
@@ -123,7 +123,7 @@ NO_TCP = (
 
 
 class RobotChecks(Checks):
-    """A robot's rows."""
+    """Checks of a robot's rows."""
 
     def __init__(self) -> None:
         super().__init__("the robot")
@@ -154,7 +154,7 @@ class RobotChecks(Checks):
         return frame
 
     def warnings(self) -> list[str]:
-        """Report what was found, after the last window."""
+        """Return the warnings, after the last window."""
         said = [*super().warnings(), *self._said_of_periods()]
         still, others = self._places.warnings()
         said += others
@@ -175,7 +175,7 @@ class RobotChecks(Checks):
 
 
 class PeopleChecks(Checks):
-    """The people of a tracker; neighbours are rows of one person."""
+    """Checks of the people of a tracker; neighbours are rows of the same person."""
 
     def __init__(self) -> None:
         super().__init__("a person")
@@ -183,7 +183,7 @@ class PeopleChecks(Checks):
         self._nobody = Nobody()
 
     def beside(self, frame: pl.DataFrame) -> int:
-        """Return how many rows hold the neighbours of every person that is there."""
+        """Return the number of rows that include the neighbours of every person present."""
         if "person" not in frame.columns:
             return _NEAR
         return _NEAR * frame["person"].n_unique()
@@ -192,13 +192,13 @@ class PeopleChecks(Checks):
         """Return the window without implausible rows."""
         frame = self.timed(self._nobody.look(self.finite(frame)))
         groups, times = tracks(frame), column(frame, "t_s")
-        if any((np.diff(times[rows]) <= 0.0).any() for rows in groups):  # else no time is twice there, or stray
+        if any((np.diff(times[rows]) <= 0.0).any() for rows in groups):  # otherwise no time repeats or is garbled
             frame = self._in_order(frame)
             groups = tracks(frame)
         return placed(self, frame, self._places, groups)
 
     def _in_order(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Set aside what repeats a time of its person, and single times that do not fit between their neighbours."""
+        """Set aside repeated times of a person, and single times that do not fit between their neighbours."""
         twice = frame.select(~pl.struct("t_s", "person").is_first_distinct()).to_series().to_numpy()
         frame = self.drop(frame, twice, "repeats person and time of a row before it")
         bad = np.zeros(frame.height, bool)
@@ -207,13 +207,13 @@ class PeopleChecks(Checks):
         return self.drop(frame, bad, "its time does not fit between its neighbours")
 
     def warnings(self) -> list[str]:
-        """Report what was found, after the last window."""
+        """Return the warnings, after the last window."""
         still, others = self._places.warnings()
         return [*super().warnings(), *self._nobody.warnings(), *others, *still]
 
 
 class _Beyond:
-    """Counts the implausible values of a column, and makes them unknown."""
+    """Counts implausible values of a column and replaces them by null."""
 
     def __init__(self) -> None:
         self.rows, self.known, self.most = 0, 0, -np.inf
@@ -229,9 +229,9 @@ class _Beyond:
 
 
 def scaling_while_playing(frame: pl.DataFrame) -> pl.DataFrame:
-    """Return robot rows whose scaling is unknown where the program is known not to run.
+    """Return robot rows with null scaling where the program is known not to run.
 
-    While a program is paused or stopped a controller writes any value, mostly 0: that is not a protective stop.
+    While a program is paused or stopped, a controller writes any value, mostly 0, which is not a protective stop.
     """
     if not {"scaling", "state"}.issubset(frame.columns) or not (frame["state"] != "playing").any():
         return frame
@@ -256,7 +256,7 @@ def placed(checks: Checks, frame: pl.DataFrame, places: Places, groups: Sequence
 
 
 def column(frame: pl.DataFrame, name: str) -> Vector:
-    """Return a column, shape (N,), NaN = unknown; all NaN where there is none."""
+    """Return a column, shape (N,), NaN = unknown; all NaN if the column is missing."""
     if name not in frame.columns:
         return np.full(frame.height, np.nan)
     values = frame.get_column(name)
@@ -264,28 +264,28 @@ def column(frame: pl.DataFrame, name: str) -> Vector:
 
 
 def positions(frame: pl.DataFrame, kind: Kind) -> Vector:
-    """Return the positions of a table, shape (3, N), metres."""
+    """Return the positions of a table, shape (3, N), m."""
     return np.stack([column(frame, name) for name in kind.columns])
 
 
 def _is_finite(values: pl.Series) -> bool:
-    """Tell whether no value is NaN or infinite; the sum shows it, unless it is too large itself."""
+    """Return whether no value is NaN or infinite; checked through the sum, unless that overflows."""
     total = values.sum()
     return bool(np.isfinite(float(total))) or bool(values.is_finite().all())
 
 
 def is_here(frame: pl.DataFrame) -> Bools:
-    """Tell which rows of a window are judged now."""
+    """Return a mask of the rows of a window that are judged now."""
     return np.asarray(frame[PLACE].to_numpy() == HERE)
 
 
 def repeated(times: Vector) -> Bools:
-    """Tell which rows repeat the time of the row before."""
+    """Return a mask of the rows that repeat the time of the row before."""
     return np.concatenate([[False], np.diff(times) == 0.0])[: len(times)]
 
 
 def stray_times(times: Vector) -> Bools:
-    """Rows whose time lies outside that of their neighbours, which fit each other: a garbled number, no restart."""
+    """Return a mask of rows with a time outside of that of their consistent neighbours: garbled, no restart."""
     bad = np.zeros(len(times), bool)
     if len(times) < 3:
         return bad
@@ -297,7 +297,7 @@ def stray_times(times: Vector) -> Bools:
 
 
 def tracks(frame: pl.DataFrame) -> Sequence[Track]:
-    """Row numbers of each person, in order; all rows where the table has no persons."""
+    """Return the row numbers of each person, in order; all rows if the table has no persons."""
     if "person" not in frame.columns:
         return [slice(None)]
     grouped = frame.lazy().with_row_index("__row").group_by("person", maintain_order=True).agg("__row").collect()

@@ -1,4 +1,4 @@
-"""Implausible positions: out of reach, jumps there and back, or never changing at all."""
+"""Implausible positions: out of reach, jumping there and back, or constant."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ if TYPE_CHECKING:
     Track = NDArray[np.int64] | slice
 
 STILL_ROWS = 100
-"""A constant value over fewer rows is not reported."""
+"""Minimum number of rows for a warning about a constant value."""
 NOWHERE_M = 1e9
 NEAR_M = 0.02
-"""A person or a tool always gets farther from the origin than this: the robot's base or the camera is there."""
+"""Distance from the origin, m, that every person or tool exceeds, because the robot's base or the camera is there."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Which columns are a position, and what is possible there.
+    """Position columns and their plausible limits.
 
     Attributes:
         speed_m_s: Maximum plausible speed of a robot's TCP or of a person on foot.
-        slack_m: A shorter step is not a jump, however short the time: clocks jitter, tracks move from head to hip.
+        slack_m: Maximum step that is never a jump, whatever its time: clocks jitter, tracks move from head to hip.
         reach_m: Maximum plausible distance: a robot on a gantry, a person in the same hall.
         likely: Likely cause of a lasting jump.
     """
@@ -47,11 +47,11 @@ PERSON = Kind("a person", ("x_m", "y_m", "z_m"), 20.0, 0.3, 150.0, "a track that
 
 
 class Places:
-    """The positions of one table, window after window."""
+    """Position checks of one table, window after window."""
 
     def __init__(self, kind: Kind) -> None:
         self.kind = kind
-        self._scale_off: bool | None = None  # whether most of the first positions are out of reach: another unit
+        self._scale_off: bool | None = None  # True if most of the first positions are out of reach: another unit
         self._far_rows, self._far_m = 0, 0.0
         self._usual_s: float | None = None
         self._jumps = 0
@@ -60,9 +60,9 @@ class Places:
         self._most_m = 0.0
 
     def out_of_reach(self, xyz: Vector, here: Bools) -> Bools:
-        """Tell which positions, shape (3, N), are out of reach; none where most are, for then the unit is another.
+        """Return a mask of positions, shape (3, N), out of reach; all False if most are, because then the unit differs.
 
-        As a whole such a table is consistent, and only the user knows its unit.
+        Such a table is consistent as a whole, and only the user knows its unit.
         """
         far = _length(_without_nan(np.clip(xyz, -NOWHERE_M, NOWHERE_M)))
         beyond = far > self.kind.reach_m
@@ -75,7 +75,7 @@ class Places:
         return np.asarray(beyond)
 
     def strays(self, times: Vector, xyz: Vector, groups: Sequence[Track], here: Bools) -> Bools:
-        """Tell which positions are single strays of their track, and count the jumps that remain without them."""
+        """Return a mask of single outliers of each track, and count the jumps that remain without them."""
         bad = np.zeros(len(times), bool)
         if self._scale_off:
             return bad
@@ -108,28 +108,28 @@ class Places:
         return bad, int((self._cannot(t[kept], p[:, kept]) & here[seen][kept][1:]).sum())
 
     def _cannot(self, t: Vector, p: Vector, apart: int = 1) -> Bools:
-        """Tell of each row and the one `apart` rows later whether the way between them is impossible."""
+        """Return for each row whether the distance to the row `apart` rows later is impossible in that time."""
         step = t[apart:] - t[:-apart]
         way = _length(p[:, apart:] - p[:, :-apart])
         possible = self.kind.slack_m + self.kind.speed_m_s * np.maximum(step, self._usual_s or 0.0)
         return np.asarray((way > possible) & (step > 0))
 
     def look_still(self, xyz: Vector) -> None:
-        """Note the distance and whether it ever changed; a sensor has noise even when a person stands still."""
+        """Record the distance, and whether the position ever changed; a sensor has noise even for a person at rest."""
         known = np.isfinite(xyz[0]) & np.isfinite(xyz[1])
         if not known.all():
             xyz = xyz[:, known]
         if not xyz.shape[1]:
             return
         if self._same is None:
-            self._same = xyz[:2, 0].copy()  # else all the others are kept with it
+            self._same = xyz[:2, 0].copy()  # a view would keep all the other rows
         self._seen += xyz.shape[1]
         self._most_m = max(self._most_m, -float(np.nanmin(xyz)), float(np.nanmax(xyz)))
         x, y = self._same
         self._still = self._still and bool(((xyz[0] == x) & (xyz[1] == y)).all())
 
     def warnings(self) -> tuple[list[str], list[str]]:
-        """Report whether the position never changed, and the rest."""
+        """Return the warning about a constant position, and the others."""
         kind, said = self.kind, []
         if self._far_rows:
             said.append(
@@ -152,11 +152,11 @@ class Places:
 
 
 def _without_nan(values: Vector) -> Vector:
-    """Return values with 0 for what is unknown; themselves where nothing is."""
+    """Return values with 0 for NaN; the same array if it holds none."""
     return np.asarray(np.where(np.isnan(values), 0.0, values)) if np.isnan(values.sum()) else values
 
 
 def _length(vectors: Vector) -> Vector:
-    """Return the lengths of vectors, shape (3, N); row by row, which is several times faster than across."""
+    """Return the lengths of vectors, shape (3, N); computed by rows, several times faster than by columns."""
     x, y, z = vectors
     return np.asarray(np.sqrt(x * x + y * y + z * z))

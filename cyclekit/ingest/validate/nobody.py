@@ -1,8 +1,8 @@
-"""Positions that trackers write while they see no person: 0, 0, 0; -1, -1, -1; 9999, 9999, 9999.
+"""Positions that trackers write without a person: 0, 0, 0; -1, -1, -1; 9999, 9999, 9999.
 
-Taken for places they are a person at the robot's base, or far away. No measurement is exactly the same on three axes,
-so such a row is one in which the person is not seen. Of a tracker that knows x and y only it is believed where the
-person was, or goes on, right beside it: one may well walk across the middle of a floor that is counted in centimetres.
+Read as positions, they put a person at the robot's base, or far away. No measurement is exactly equal on three axes, so
+the person is not seen in such a row. With a tracker of x and y only, such a position is kept if the person was right
+next to it before or is after it, because a person may cross the centre of a floor measured in centimetres.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ AXES = ("x_m", "y_m", "z_m")
 WRITTEN = (0.0, -1.0, -99.0, *(sign * number for number in (999.0, 9999.0, 99999.0) for sign in (1.0, -1.0)))
 UNITS_M = (1.0, 0.01, 0.001, 0.0254)
 STANDS_FOR_NOBODY = np.unique(np.outer(UNITS_M, WRITTEN))
-"""Metres of WRITTEN in each unit of length."""
+"""Values of WRITTEN in m, for each unit of length."""
 BESIDE_M = 0.3
 """Maximum plausible step of a person from one row to the next, m."""
 
@@ -37,7 +37,7 @@ class Nobody:
     def __init__(self) -> None:
         self._rows: dict[float, int] = {}
         self._seen = 0
-        self._last: dict[str | None, tuple[float, float]] = {}  # where each person was seen last
+        self._last: dict[str | None, tuple[float, float]] = {}  # last position of each person
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window with unknown positions where no person is seen."""
@@ -64,7 +64,7 @@ class Nobody:
         return frame.with_columns(pl.when(known).then(pl.col(a)).alias(a) for a in AXES if a in frame.columns)
 
     def _beside(self, frame: pl.DataFrame, x: Vector, y: Vector, odd: Bools) -> Bools:
-        """Tell which odd rows lie beside where their person was seen before, or is seen next."""
+        """Return a mask of odd rows close to the previous or the next position of their person."""
         beside, judged = np.zeros(len(x), bool), frame[PLACE].to_numpy() != BEFORE
         for person, rows in _rows_of(frame).items():
             mine = odd[rows]
@@ -84,7 +84,7 @@ class Nobody:
         self._last |= {person: (x, y) for person, x, y in last.iter_rows()}
 
     def warnings(self) -> list[str]:
-        """Report which positions meant no person, and how often."""
+        """Return warnings with the positions that meant no person, and their counts."""
         return [
             f"a person is at exactly {value:g} m on every axis in {count} of {self._seen} rows: "
             "this means no person seen; unknown there"
@@ -93,7 +93,7 @@ class Nobody:
 
 
 def _stands_for_nobody(values: Vector) -> Bools:
-    """Tell which values are one of STANDS_FOR_NOBODY, but for the rounding of a change of unit."""
+    """Return a mask of values equal to one of STANDS_FOR_NOBODY, up to rounding in a unit conversion."""
     at = np.clip(np.searchsorted(STANDS_FOR_NOBODY, values), 1, len(STANDS_FOR_NOBODY) - 1)
     nearest = np.minimum(np.abs(values - STANDS_FOR_NOBODY[at]), np.abs(values - STANDS_FOR_NOBODY[at - 1]))
     return np.asarray(nearest <= 1e-12 * np.abs(values))
@@ -108,7 +108,7 @@ def _rows_of(frame: pl.DataFrame) -> Mapping[str | None, NDArray[np.int64]]:
 
 
 def _neighbours(odd: Bools) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return of each row the last one before it and the first one behind it that is not odd; -1 = none."""
+    """Return for each row the last row before it and the first row after it that are not odd; -1 = none."""
     at = np.arange(len(odd))
     before = np.maximum.accumulate(np.where(odd, -1, at))
     after = np.minimum.accumulate(np.where(odd, len(odd), at)[::-1])[::-1]

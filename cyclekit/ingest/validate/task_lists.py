@@ -1,6 +1,6 @@
-"""What is odd about a task list as a whole: tasks without an end, tasks of one agent at the same time, wrong units.
+"""Checks of a task list as a whole: tasks without an end, overlapping tasks of one agent, wrong units.
 
-No row is set aside for it: a planner may well start an agent's next task before the last one is booked as done.
+No row is set aside, because a planner may start an agent's next task before the previous one is booked as done.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 LONGEST_S, SHORTEST_S = 86_400.0, 1e-3
-"""Half of the tasks of a list lie between these, unless its unit of time is another."""
+"""Plausible range of the median task duration, s; outside of it the unit of time is probably wrong."""
 SHOWN = 6
-"""Agents that are named."""
+"""Maximum number of agents in messages."""
 TOUCH_S = 1e-3
-"""A task may start this much before its agent's previous one has ended: clocks are rounded."""
+"""Tolerance, s: a task may start this much before its agent's previous one ends, because times are rounded."""
 _READ = ("t_s", "end_s", "agent_name", "execution")
 
 
 class TaskChecks(Checks):
-    """A task list: days may lie between its tasks."""
+    """Checks of a task list; days may pass between its tasks."""
 
     def __init__(self) -> None:
         super().__init__("a task")
@@ -39,7 +39,7 @@ class TaskChecks(Checks):
         return frame
 
     def warnings(self) -> list[str]:
-        """Report what was found, after the last window."""
+        """Return the warnings, after the last window."""
         said = self._said_of_numbers()
         rows = pl.concat(self._rows) if self._rows else pl.DataFrame()
         if rows.is_empty() or set(rows.columns) != set(_READ):
@@ -65,10 +65,10 @@ def overlaps_of(rows: pl.DataFrame, by: Sequence[str]) -> pl.DataFrame:
 
     Args:
         rows: Columns `t_s`, `end_s`, `agent_name`, and those of `by`.
-        by: What makes one agent in one clock; `agent_name` is among them, and `execution`: some count from its start.
+        by: Columns that identify one agent in one clock: `agent_name`, and `execution` if times count from its start.
 
     Returns:
-        Columns `agent_name`, `tasks`, `overlaps`, `overlap_s` (by how much at most), in order of appearance.
+        Columns `agent_name`, `tasks`, `overlaps`, `overlap_s` (maximum overlap, s), in order of appearance.
     """
     before = pl.col("end_s").cum_max().shift(1).forward_fill().over(by)
     late = rows.sort("t_s", maintain_order=True).with_columns(over_s=before - pl.col("t_s"))

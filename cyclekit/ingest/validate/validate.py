@@ -1,10 +1,10 @@
-"""Implausible values of a recording: found, reported with the likely cure, and kept out.
+"""Implausible values of a recording: found, reported with the likely cure, and removed.
 
-Many containers have no checksum, so a flipped bit or a slip of units passes every reader; only the values can give it
-away. A row whose time or position is impossible beside its neighbours is set aside; a column that looks wrong as a
-whole (millimetres read as metres) is named and left as it is, because only a person knows. The thresholds are far
-beyond what people and robots do. A recording may come in parts: what is found does not depend on where they were cut.
-Reading is the adapters' business, time and frame that of `derive`.
+Many containers have no checksum, so only the values reveal a flipped bit or a wrong unit. A row with an impossible time
+or position relative to its neighbours is set aside. A column that looks wrong as a whole (millimetres read as metres)
+is reported and left unchanged, because only the user knows. The thresholds are far beyond what people and robots do. A
+recording may come in parts; the result does not depend on how it was split. Adapters read; `derive` handles time and
+frame.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ _TEXTS = {
     "task_list": ("agent", "agent_name", "task", "execution", "outcome"),
     "safety": ("execution",),
 }
-"""Columns of names and values as logs have them."""
+"""Text columns from logs."""
 
 
 def examined(recording: Recording) -> Recording:
-    """Return the recording without its impossible rows and values, which it lists and names.
+    """Return the recording without impossible rows and values; rows set aside and warnings are added to it.
 
     Args:
-        recording: As an adapter returned it; columns may be absent.
+        recording: As returned by an adapter; columns may be absent.
     """
     return whole(examined_parts([recording]))
 
 
 def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
-    """Yield the parts of a recording without their impossible rows and values; the last one has the warnings.
+    """Yield the parts of a recording without impossible rows and values; the last part has the warnings.
 
-    A row stands in the part in which it could be judged, which may be the one after that in which it came.
+    A row is in the part in which it could be judged, which may be the next one.
     """
     checks: dict[str, Checks]
     checks = {"robot": RobotChecks(), "people": PeopleChecks(), "events": Checks("an event"), "task_list": TaskChecks()}
@@ -79,7 +79,7 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
 
 
 def _named_in_lines(part: Recording) -> Recording:
-    """Return a part in which every name and value is one line, its controls escaped: a message may quote it."""
+    """Return a part with single-line names and values, control characters escaped, because messages may quote them."""
     changed = {}
     for table, columns in _TEXTS.items():
         frame = part.tables().get(table)

@@ -1,7 +1,7 @@
-"""The rows of a table that comes in parts, each with the rows beside it.
+"""Windows of a table that comes in parts: its rows with their neighbours.
 
-Whether a row can be is told by its neighbours. So the last rows of a part wait for those of the next one, and the last
-rows that were judged, whatever came of it, go along once more, to be looked at and not judged again.
+A row is judged by its neighbours. So the last rows of a part wait for the next one, and the rows judged last are
+included again as neighbours, but not judged again.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 PLACE = "\x1fplace"
-"""Column of a window: BEFORE (judged already), HERE (to be judged) or AHEAD (to be judged with the next part)."""
+"""Column of a window: BEFORE (already judged), HERE (judged now) or AHEAD (judged with the next part)."""
 BEFORE, HERE, AHEAD = 0, 1, 2
 
 
@@ -23,17 +23,18 @@ class Sliding:
     """Makes windows of consecutive parts."""
 
     def __init__(self, beside: Callable[[pl.DataFrame], int]) -> None:
-        """Begin.
+        """Set the function for the number of neighbours.
 
         Args:
-            beside: How many rows before and behind a row are its neighbours, told from a part of the table.
+            beside: Function from a part of the table to the number of rows before and after a row that are its
+                neighbours.
         """
         self._beside = beside
         self._before: pl.DataFrame | None = None
         self._waiting: pl.DataFrame | None = None
 
     def with_neighbours(self, frame: pl.DataFrame, *, last: bool) -> pl.DataFrame:
-        """Return the next window: rows judged before, those that waited and those of `frame`."""
+        """Return the next window: rows judged before, waiting rows and those of `frame`."""
         known = [rows for rows in (self._before, self._waiting) if rows is not None]
         seen = pl.concat([*known, frame], rechunk=True) if known else frame
         judged = 0 if self._before is None else self._before.height
@@ -47,13 +48,13 @@ class Sliding:
 
 
 def judged_rows(window: pl.DataFrame) -> slice:
-    """Return which rows of a window are judged and still there: they stand one behind the other."""
+    """Return the slice of a window's rows that are judged now and were not removed."""
     first, end = np.searchsorted(window[PLACE].to_numpy(), [HERE, AHEAD]).tolist()
     return slice(first, end)
 
 
 def let_through(window: pl.DataFrame) -> pl.DataFrame:
-    """Return the rows of a window that were judged and are still there."""
+    """Return the judged rows of a window that were not removed."""
     rows = window[judged_rows(window)].clone()
     rows.drop_in_place(PLACE)
     return rows

@@ -1,6 +1,6 @@
-"""cyclekit_sim: seeded human-robot cells that write plant logs in vendor formats, with their ground truth beside them.
+"""cyclekit_sim: seeded human-robot cells that write plant logs in vendor formats, together with their ground truth.
 
-It imports nothing of cyclekit: what tests a computation may not share it.
+It imports nothing of cyclekit, because a test may not share code with what it tests.
 """
 
 from cyclekit_sim.causes import MixedCauses

@@ -1,7 +1,7 @@
-"""The arm: a UR5e by its public Denavit-Hartenberg parameters; joint angles to TCP and back.
+"""The arm, a UR5e by its public Denavit-Hartenberg parameters: joint angles to TCP and back.
 
-The TCP is the flange (no tool offset), so anyone with the same parameters can check a log. What the arm does with
-its joints over time is the business of `motion`.
+The TCP is the flange (no tool offset), so a log can be checked with the same parameters. `motion` plans the joints over
+time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _ALPHA_RAD = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
 
 
 def link_frames(q_rad: Array) -> tuple[Array, Array, Array]:
-    """Return origins (7, T, 3) in m, z axes (7, T, 3) and TCP rotation (T, 3, 3) of the joints `q_rad` (T, 6)."""
+    """Return origins (7, T, 3) in m, z axes (7, T, 3) and TCP rotation (T, 3, 3) for joints `q_rad` (T, 6)."""
     count = len(q_rad)
     rotation = np.broadcast_to(np.eye(3), (count, 3, 3))
     origin = np.zeros((count, 3))
@@ -65,8 +65,8 @@ def jacobian(q_rad: Array) -> Array:
 def reach(tcp_m: tuple[float, float, float]) -> Array:
     """Return the joints (6,), rad, that put the TCP at `tcp_m` with the tool pointing down, elbow up.
 
-    The tool turns with the direction of the place as seen from the base, so that all places share one arm branch and
-    motions between them stay short.
+    The tool turns with the direction from base to place, so that all places share one arm branch and motions between
+    them stay short.
 
     Raises:
         SimulationError: The place is out of reach.
@@ -89,7 +89,7 @@ def reach(tcp_m: tuple[float, float, float]) -> Array:
 
 
 def quaternion(rotation: Array) -> Array:
-    """Return unit quaternions x, y, z, w (T, 4) of rotations (T, 3, 3), of one sign along the series."""
+    """Return unit quaternions x, y, z, w (T, 4) of rotations (T, 3, 3), without sign changes along the series."""
     m = rotation
     trace = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
     squares = np.stack([2 * m[:, i, i] - trace for i in range(3)] + [trace], axis=1) + 1.0

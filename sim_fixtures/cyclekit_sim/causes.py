@@ -1,7 +1,7 @@
-"""What slows or stops a robot besides a person: slider, reduced mode, limits, waits, pauses, protective stops.
+"""Causes of lost time other than a person: slider, reduced mode, limits, waits, pauses, protective stops.
 
-Each cause is a cap of the speed scaling or a standstill, known to the cycle. A lost second is shared out in the order
-nominal motion, slider, limits, input, person, protective stop: each cause has what it adds to those before it. So a
+Each cause is a cap of the speed scaling or a standstill, known for each cycle. Lost time is attributed in the order
+nominal motion, slider, limits, input, person, protective stop: each cause gets what it adds to those before it. So a
 protective stop costs nothing while a person stops the robot anyway.
 """
 
@@ -20,24 +20,24 @@ Bools = NDArray[np.bool_]
 CAUSES = ("person", "slider", "input", "limits", "wait", "pause", "stop")
 REDUCED_BIT, PART_BIT = 2, 3
 _HOUR_S = 3600.0
-_REACTION_S = 0.2  # of the controller to the input of the reduced mode
+_REACTION_S = 0.2  # s, of the controller to the input of the reduced mode
 
 
 @dataclass(frozen=True)
 class MixedCauses:
-    """Causes of lost time beside the person; None or 0 leaves one out.
+    """Causes of lost time other than the person; None or 0 disables one.
 
     Attributes:
-        slider: The operator's speed slider in some executions, in (0, 1).
-        slider_share: In which share of them.
+        slider: Speed slider in some executions, in (0, 1).
+        slider_share: Share of these executions.
         reduced: Cap of the scaling while digital input 2 is on, in (0, 1).
-        reduced_per_hour, reduced_s: How often that is, and for how long.
+        reduced_per_hour, reduced_s: Frequency and duration range of the reduced mode.
         limit: Cap of the scaling on one stretch of every move away from the conveyor, in (0, 1).
-        limit_from, limit_to: Where that is, shares of the move's nominal time.
-        wait_share, wait_s: For which share of the parts it waits at the conveyor, and how long.
-        part_signal: Digital input 3 tells when the part is there.
-        pauses_per_hour, pause_s: Pauses of the program.
-        stops_per_hour, stop_s: Protective stops: the speed is 0 while the program plays.
+        limit_from, limit_to: Limits of that stretch, as shares of the move's nominal time.
+        wait_share, wait_s: Share of parts with a wait at the conveyor, and its duration range.
+        part_signal: Digital input 3 is on while a part is at the conveyor.
+        pauses_per_hour, pause_s: Frequency and duration range of program pauses.
+        stops_per_hour, stop_s: Frequency and duration range of protective stops: speed 0 while the program plays.
     """
 
     slider: float | None = 0.6
@@ -59,7 +59,7 @@ class MixedCauses:
 
 @dataclass(frozen=True)
 class Why:
-    """The caps of K cycles of one run, shape (K,) each; the slider; protective stops and pauses of the program."""
+    """Caps of K cycles of one run, shape (K,) each; the slider; protective stops and pauses of the program."""
 
     person: Array
     reduced: Array
@@ -70,7 +70,7 @@ class Why:
 
 
 class Slowing:
-    """The other causes of B runs side by side."""
+    """The other causes of B parallel runs."""
 
     def __init__(
         self, programs: Sequence[Program], causes: MixedCauses, streams: Sequence[np.random.Generator], until_s: float
@@ -108,7 +108,7 @@ class Slowing:
         return cap, _inside(times, stops), _inside(times, pauses)
 
     def of_segment(self, segment: Ints, nominal_s: Array, b: Ints | int | None = None) -> tuple[Array, Array]:
-        """Return slider and cap of the limits of the running segments."""
+        """Return slider and cap of the limits for the running segments."""
         which = self._row if b is None else b
         share = nominal_s / self._length[which, segment]
         inside = (share >= self._causes.limit_from) & (share < self._causes.limit_to)
@@ -121,21 +121,21 @@ class Slowing:
         return Why(person, reduced, limit, slider, stopped, paused)
 
     def switched_on(self, b: int, times: Array) -> Bools:
-        """Tell when the input of the reduced mode of run `b` is on."""
+        """Return a mask of the times at which the input of the reduced mode of run `b` is on."""
         return _inside(times, self._spans[b][0])
 
 
 def scaling_of(why: Why) -> Array:
-    """Return the scaling that the controller carries out, slider and pause left out."""
+    """Return the scaling executed by the controller, without slider and pause."""
     return np.where(why.stopped, 0.0, np.minimum(np.minimum(why.person, why.reduced), why.limit))
 
 
 def lost_parts(why: Why, kind: Ints) -> dict[str, Array]:
-    """Return which part of each cycle was lost to which cause, shape (K,) each.
+    """Return the share of each cycle lost to each cause, shape (K,) each.
 
     Args:
         why: The caps.
-        kind: What the program did (K,).
+        kind: Kind of program segment, shape (K,).
     """
     s, c1 = scaling_of(why), why.limit
     c2 = np.minimum(c1, why.reduced)
@@ -153,7 +153,7 @@ def lost_parts(why: Why, kind: Ints) -> dict[str, Array]:
 
 
 def part_there(program: Program, segment: Ints) -> Bools:
-    """Tell in which cycles a part lies at the conveyor: from the end of the wait until it was picked."""
+    """Return a mask of cycles with a part at the conveyor: from the end of the wait until it is picked."""
     return np.asarray((program.kind == DWELL) & (np.array(program.goals) == "conveyor"))[segment]
 
 
@@ -163,7 +163,7 @@ def _leaves_conveyor(program: Program) -> Bools:
 
 
 def _spans(rng: np.random.Generator, per_hour: float, lasts_s: tuple[float, float], until_s: float) -> Array:
-    """Return begins and ends of what happens so often, shape (N, 2), s."""
+    """Return start and end of random events with this frequency, shape (N, 2), s."""
     if per_hour <= 0:
         return np.empty((0, 2))
     found, at = [], 0.0

@@ -1,7 +1,7 @@
-"""The cell file beside the logs: what an integrator would have written down about this cell.
+"""The cell file that belongs to the logs: the knowledge of an integrator about this cell.
 
-It tells places, roles, frames and the offset between the clocks; it tells neither the safety function nor the
-imperfections that were asked for.
+It holds places, roles, frames and the offset between the clocks, but neither the safety function nor the requested
+imperfections.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _ROBOT_RADIUS_M = 0.05
 
 
 def cell_file(scene: Scene, options: SimulationOptions, events: bool, inputs: bool) -> str:
-    """Return the text of cell.toml; `events`, `inputs`: there are logs of events, digital inputs in the robot's log."""
+    """Return the text of cell.toml; `events`: there are event logs; `inputs`: the robot's log has digital inputs."""
     lines = [f'name = "{scene.name}"', 'ignore = ["truth/*"]']
     if options.task_list:
         return "\n".join(lines) + "\n"
@@ -28,7 +28,7 @@ def cell_file(scene: Scene, options: SimulationOptions, events: bool, inputs: bo
     tracked = options.people in ("tracker", "both")
     stations = (
         {} if options.operator_log or not tracked else scene.stations
-    )  # nobody knows where a recorded operator goes
+    )  # the places of a recorded operator are unknown
     for name, station in stations.items():
         where = f"xyz_m = {_numbers(station.xyz_m)}"
         lines += ["", f"[human_places.{name}]", where, f"radius_m = {station.radius_m}"]

@@ -1,7 +1,7 @@
-"""Chance in the cell: which slot comes next, where the operator goes, how long everybody takes.
+"""Random choices in the cell: next slot, the operator's next station, durations.
 
-Every execution has its own stream of random numbers, drawn from the seed, the scene and the execution's number, so
-that an execution is the same however many are simulated. What the streams are used for is the business of `plan`.
+Every execution has its own random stream, derived from seed, scene and execution number, so an execution does not
+depend on how many are simulated. `plan` uses the streams.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LOGGED, FRESH = range(2)
 def stream(seed: int, scene: Scene, purpose: int, number: int, *, domain: int = LOGGED) -> np.random.Generator:
     """Return the random stream of one `purpose` of execution (or session) `number`.
 
-    `domain` FRESH keeps executions made to check an estimate apart from those that were logged with the same seed.
+    `domain` FRESH separates executions that check an estimate from executions logged with the same seed.
     """
     kind = list(BUILT_IN).index(scene.name) if scene.name in BUILT_IN else 1000 + list(COUPLED).index(scene.name)
     key = (kind, domain, purpose, number)
@@ -43,7 +43,7 @@ def draw_places(scene: Scene, rng: np.random.Generator) -> tuple[str, ...]:
 def draw_execution(
     scene: Scene, index: int, places: tuple[str, ...], rng: np.random.Generator, causes: MixedCauses | None = None
 ) -> Execution:
-    """Add to `places` the waits for boxes that are late, as `causes` or the scene has them, and the idle stay after."""
+    """Return an execution of `places`, with waits for late boxes by `causes` or the scene, and its idle stay."""
     goals = places[1:]
     late = rng.exponential(scene.wait_s, len(goals)) if scene.wait_s > 0 else np.zeros(len(goals))
     if causes is not None:
@@ -53,7 +53,7 @@ def draw_execution(
 
 
 def places_again(scene: Scene, places: tuple[str, ...], task: int, rng: np.random.Generator) -> tuple[str, ...]:
-    """Return `places` with those after the goal of `task` drawn again, in a way that those before allow."""
+    """Return `places` with those after the goal of `task` redrawn, consistent with those before."""
     drawn, known = list(places), [place for place in places[: task + 2] if place in scene.slots]
     left = list(scene.slots) if scene.repeats_slots else [slot for slot in scene.slots if slot not in known]
     later = [at for at in range(task + 2, len(places)) if places[at] in scene.slots]
@@ -64,12 +64,12 @@ def places_again(scene: Scene, places: tuple[str, ...], task: int, rng: np.rando
 
 
 def legs_again(scene: Scene, legs: Sequence[Leg], into_s: float, rng: np.random.Generator) -> Iterator[Leg]:
-    """Yield the last of `legs`, `into_s` of which is over, and what may follow after all of them.
+    """Yield the last of `legs`, of which `into_s` has passed, and possible legs after it.
 
-    A walk goes on as it was; how long a dwell still lasts, and whither he goes then, is drawn again.
+    A walk continues unchanged; the remaining dwell and the next station are redrawn.
 
     Raises:
-        SimulationError: The operator visits: how long he has been away is no part of the legs.
+        SimulationError: The operator visits: the legs do not show how long they have been away.
     """
     if scene.operator == "visit":
         raise SimulationError(f"{scene.name}: futures are drawn for operators who deliver or roam")
@@ -87,7 +87,7 @@ def legs_again(scene: Scene, legs: Sequence[Leg], into_s: float, rng: np.random.
 
 
 def operator_legs(scene: Scene, rng: np.random.Generator) -> Iterator[Leg]:
-    """Yield the operator's legs: endless where he roams or visits, up to the rest place where boxes run out."""
+    """Yield the operator's legs: endless for roaming or visiting, otherwise up to the rest place when boxes run out."""
     if scene.operator == "visit":
         while True:
             yield away(scene.away_s[0] + rng.exponential(scene.away_s[1] - scene.away_s[0]))
@@ -97,7 +97,7 @@ def operator_legs(scene: Scene, rng: np.random.Generator) -> Iterator[Leg]:
 
 
 def _legs(scene: Scene, names: Iterator[str], rng: np.random.Generator) -> Iterator[Leg]:
-    """Yield the walks and dwells from station to station, the first dwell included."""
+    """Yield the walks and dwells from station to station, including the first dwell."""
     name = next(names)
     here = draw_goal(scene, name, rng)
     yield _begin(stand(here, _dwell_s(scene, name, rng)), name, here)
@@ -105,7 +105,7 @@ def _legs(scene: Scene, names: Iterator[str], rng: np.random.Generator) -> Itera
 
 
 def _onwards(scene: Scene, here: Array, names: Iterator[str], rng: np.random.Generator) -> Iterator[Leg]:
-    """Yield the walks and dwells from `here` on."""
+    """Yield the walks and dwells that follow `here`."""
     for name in names:
         there = draw_goal(scene, name, rng)
         yield draw_walk(scene, here, there, name, rng)
@@ -114,9 +114,9 @@ def _onwards(scene: Scene, here: Array, names: Iterator[str], rng: np.random.Gen
 
 
 def _deliver(scene: Scene, rng: np.random.Generator, done: Sequence[str] = ()) -> Iterator[str]:
-    """Fill the outbound areas in turn, beginning with any; the spots of one area (`out_left_1`, ...) in any order.
+    """Yield stations that fill the outbound areas in turn, in random order of areas and of spots (`out_left_1`, ...).
 
-    `done` are the stations that come first; only what follows them is drawn.
+    `done` are the stations already visited; only the following ones are drawn.
     """
     areas: dict[str, list[str]] = {}
     for name in scene.stations:
@@ -135,7 +135,7 @@ def _deliver(scene: Scene, rng: np.random.Generator, done: Sequence[str] = ()) -
 
 
 def _spots(spots: list[str], done: Sequence[str], rng: np.random.Generator) -> list[str]:
-    """Return the spots of an area, the next one last: those that are done, then the others in any order."""
+    """Return the spots of an area, the next one last: visited ones first, then the others in random order."""
     first = [spot for spot in reversed(done) if spot in spots]
     return [*map(str, rng.permutation(np.array([spot for spot in spots if spot not in first]))), *first]
 
@@ -149,7 +149,7 @@ def _roam(scene: Scene, rng: np.random.Generator, here: str | None = None) -> It
 
 
 def _visit(scene: Scene, rng: np.random.Generator) -> Iterator[str]:
-    """One visit: in by the door, to one to three stations, out by the door."""
+    """Yield one visit: in by the door, to one to three stations, out by the door."""
     names = [name for name in scene.stations if name not in ("door", "exit")]
     yield "door"
     if scene.passing and rng.random() < scene.passing:
@@ -167,7 +167,7 @@ def draw_walk(scene: Scene, here: Array, there: Array, name: str, rng: np.random
 
 
 def draw_goal(scene: Scene, name: str, rng: np.random.Generator) -> Array:
-    """Return where a person stands at the station `name` this time (3,), m."""
+    """Return the person's position at the station `name` for one dwell, shape (3,), m."""
     goal = np.array(scene.stations[name].xyz_m)
     goal[:2] += rng.normal(0.0, GOAL_SD_M, 2)
     return goal

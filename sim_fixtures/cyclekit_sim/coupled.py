@@ -1,4 +1,4 @@
-"""Cells where robot and operator wait, from a seed to sessions, and fresh executions of one order of both agents."""
+"""Cells with waits of robot and operator: sessions from a seed, and fresh executions of one order of both agents."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from cyclekit_sim.plan import begins_of
 from cyclekit_sim.scenes import Scene
 from cyclekit_sim.session import Session
 
-_BATCH, _FRESH_BATCH = 128, 1000  # executions stepped side by side
+_BATCH, _FRESH_BATCH = 128, 1000  # executions simulated in parallel
 _DEFAULT = SimulationOptions()
 
 
 @dataclass(frozen=True)
 class CoupledWork:
-    """What is to be simulated: the cell, its motion table, and the order of each execution."""
+    """Content of a simulation: the cell, its motion table, and the order of each execution."""
 
     cell: Coupled
     seed: int
@@ -35,12 +35,12 @@ class CoupledWork:
 
     @property
     def scene(self) -> Scene:
-        """Its places, stations and safety function."""
+        """Places, stations and safety function of the cell."""
         return self.cell.scene
 
     @property
     def signal_logs(self) -> tuple[bool, bool]:
-        """Whether there are logs of events, and digital inputs in the robot's log."""
+        """Whether there are event logs, and digital inputs in the robot's log."""
         told = self.options.signals
         return told and len(self.cell.bits) < len(self.cell.signals), told and bool(self.cell.bits)
 
@@ -62,7 +62,7 @@ class CoupledWork:
                 yield Session(at // size, mine, begins, self.table, self._signals(mine, begins))
 
     def run(self, numbers: Sequence[int], progress: Callable[[float], None] | None = None) -> list[CoupledTrace]:
-        """Run executions by their numbers."""
+        """Run executions given by number."""
         strength = self.options.coupling
         cells = [make_cell(self.cell, self.executions[i], self.table, self.seed, i, strength, LOGGED) for i in numbers]
         return run_cells(self.cell, cells, self.table, self.options, logged=True, progress=progress)[1]
@@ -81,7 +81,7 @@ def coupled_work(name: str, seed: int, options: SimulationOptions, executions: i
     """Draw the orders of all executions and plan their moves.
 
     Raises:
-        SimulationError: Options that such a cell has not.
+        SimulationError: Such a cell does not support these options.
     """
     cell = _cell(name)
     if executions < 1:
@@ -94,10 +94,10 @@ def coupled_work(name: str, seed: int, options: SimulationOptions, executions: i
 
 
 def random_orders(scene: str, seed: int, count: int) -> list[Order]:
-    """Return orders of both agents as the scene draws them, apart from those that are logged.
+    """Return orders of both agents as drawn by the scene, independent of the logged ones.
 
     Raises:
-        SimulationError: Not a scene where robot and operator wait.
+        SimulationError: The scene has no waits.
     """
     cell = _cell(scene)
     return [random_order(cell, stream(seed, cell.scene, SEQUENCE, number)) for number in range(count)]
@@ -105,7 +105,7 @@ def random_orders(scene: str, seed: int, count: int) -> list[Order]:
 
 @dataclass(frozen=True)
 class FreshCycles:
-    """Fresh executions of one order: when both and when the robot alone are done, and the waits of each (N,), s."""
+    """Fresh executions of one order: duration, end of the robot alone, and waits of each agent, (N,), s."""
 
     durations_s: Array
     robot_s: Array
@@ -116,12 +116,12 @@ class FreshCycles:
 def fresh_cycles(
     scene: str, order: Order, *, cycles: int, seed: int, options: SimulationOptions = _DEFAULT
 ) -> FreshCycles:
-    """Run one order of both agents again and again, and write nothing.
+    """Run one order of both agents repeatedly, without writing logs.
 
-    The random streams are apart from those of `simulate`, whatever the seeds.
+    The random streams are independent of those of `simulate` for all seeds.
 
     Raises:
-        SimulationError: Not a scene where robot and operator wait, or not an order of it.
+        SimulationError: The scene has no waits, or the order does not belong to it.
     """
     cell = _cell(scene)
     check_order(cell, order)

@@ -1,8 +1,8 @@
-"""Task lists of cells where robot and operator wait: starts and ends of the tasks of both, nothing else.
+"""Task lists of cells with waits of robot and operator: starts and ends of all tasks, nothing else.
 
-A job is cut into tasks where an agent may have to wait, and where something ends that the other waits for; so every
-wait lies between two tasks. Tasks before a gate are named `JOB to PLACE`, those that end with such a moment in the
-middle of a job `JOB PLACE`, the last of a job `JOB`.
+A job is split into tasks where an agent may have to wait, and where something ends that the other agent waits for, so
+every wait is between two tasks. Tasks before a gate are named `JOB to PLACE`, tasks that end with such a moment within
+a job `JOB PLACE`, the last task of a job `JOB`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cyclekit_sim.session import Session
 
 NAMES = {"robot": "arm", "operator": "worker"}
-"""What the list calls the agents."""
+"""Names of the agents in the list."""
 EPOCH_S = 1_700_000_000.0
 
 
@@ -50,7 +50,7 @@ def task_list(session: Session, cell: Coupled) -> pl.DataFrame:
 
 
 def tasks_of(cell: Coupled, agent: str, script: Script) -> list[Listed]:
-    """Cut the script of an agent into tasks."""
+    """Return the script of an agent split into tasks."""
     jobs = _jobs(cell.robot_jobs if agent == "robot" else cell.operator_jobs, script.execution.places[1:])
     gates = {segment: gate for segment, gate, _ in script.gates}
     needs = {(gate.need.place, gate.need.moment) for gate in cell.gates if gate.need.agent == agent}
@@ -76,7 +76,7 @@ def tasks_of(cell: Coupled, agent: str, script: Script) -> list[Listed]:
 
 
 def _jobs(jobs: Mapping[str, tuple[str, ...]], places: Sequence[str]) -> list[tuple[str, int]]:
-    """Return of each visit the job, and its number in the order; a place of no job is one."""
+    """Return for each visit its job, and the job's number in the order; a place without a job counts as one."""
     found: list[tuple[str, int]] = []
     number = 0
     while len(found) < len(places):
@@ -88,7 +88,7 @@ def _jobs(jobs: Mapping[str, tuple[str, ...]], places: Sequence[str]) -> list[tu
 
 
 def _last_steps(script: Script, jobs: Sequence[tuple[str, int]], done: set[int]) -> list[int]:
-    """Return the segments in which an agent has done a job that the other waits for, and not left yet."""
+    """Return the segments in which an agent has finished a job that the other waits for, but has not left yet."""
     leaving = [at for (_, moment), some in script.moments.items() if moment == "leaves" for at in some]
     tasks = {at: script.columns[at][4] for at in leaving if at - 1 in done}
     return [at for at, task in tasks.items() if task + 1 == len(jobs) or jobs[task + 1] != jobs[task]]
@@ -104,13 +104,13 @@ def _scripts(cell: Coupled, order: Order) -> dict[str, Script]:
 
 
 def task_plan(cell: Coupled, order: Order) -> list[tuple[str, str]]:
-    """Return the agent and the task, as the list calls them, of all tasks of an order."""
+    """Return agent and task, as named in the list, of all tasks of an order."""
     scripts = _scripts(cell, order)
     return [(name, task.name) for agent, name in NAMES.items() for task in tasks_of(cell, agent, scripts[agent])]
 
 
 def listed_conditions(cell: Coupled) -> list[dict[str, object]]:
-    """Return which task waits for the end of which other one, as JSON."""
+    """Return which task waits for the end of which other task, as JSON."""
     scripts = _scripts(cell, random_order(cell, np.random.default_rng(0)))
     tasks = {agent: tasks_of(cell, agent, scripts[agent]) for agent in scripts}
     found = []

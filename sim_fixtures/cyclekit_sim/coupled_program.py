@@ -1,7 +1,7 @@
-"""What two agents do in one execution, as segments: moves or walks, work, and gates that open when something has ended.
+"""Content of one execution of two agents as segments: moves or walks, work, and gates that open after an event.
 
-All is drawn ahead: the way of every walk, the length of every work, the lag of every gate. When a gate opens is the
-business of `coupled_run`.
+Everything is drawn in advance: the path of every walk, the duration of every work, the lag of every gate. `coupled_run`
+determines when a gate opens.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from cyclekit_sim.program import DWELL, HOME, IDLE, MOVE, WAIT, Column, Executio
 from cyclekit_sim.walking import Leg, stand
 
 Order = dict[str, tuple[str, ...]]
-"""The places of each agent, in order: `robot` from home to home, `operator` from rest to rest."""
+"""Places of each agent in order: `robot` from home to home, `operator` from rest to rest."""
 AGENTS = ("robot", "operator", "source")
 
 
 @dataclass(frozen=True)
 class Opening:
-    """A gate in a script: it opens a lag after the end of a segment of an agent; `agent` = None: it is open.
+    """A gate in a script: it opens a lag after the end of an agent's segment; `agent` = None: it is open.
 
     Attributes:
-        segment: Of the gate.
-        gate: What it waits for; None: the end of the execution, or room for a part.
-        agent, needed: Whose segment must have ended, and which.
-        lag_s: From that to going on.
+        segment: Segment of the gate.
+        gate: The gate; None for the end of the execution, or for room for a part.
+        agent, needed: Agent and segment that must have ended.
+        lag_s: Time from that end until the agent continues, s.
     """
 
     segment: int
@@ -47,14 +47,14 @@ class Opening:
 
 @dataclass
 class Script:
-    """What one agent does in one execution, while it is written.
+    """Content of one execution of one agent, under construction.
 
     Attributes:
         execution: Number and places.
         columns, goals: Segments.
-        moments: Segments whose end is a moment at a place, in order.
+        moments: (place, moment) -> segments that end with it, in order.
         gates: Segment, gate, and the number of its passage.
-        legs: Of an operator, one per segment.
+        legs: For an operator, one per segment.
     """
 
     execution: Execution
@@ -73,7 +73,7 @@ class Script:
         return len(self.columns) - 1
 
     def add_gates(self, gates: Sequence[Gate], row: int, task: int, goal: str, closed: int = 0) -> None:
-        """Add gates in a row."""
+        """Add several gates in sequence."""
         for gate in gates:
             number = sum(gate is other for _, other, _ in self.gates)
             self.gates.append((self.add(WAIT, 0.0, row, 0.0, task, goal, closed), gate, number))
@@ -88,7 +88,7 @@ class Script:
 
 
 def plan_all(cell: Coupled, orders: Sequence[Order]) -> MotionTable:
-    """Plan all moves of these orders, those by way of where the robot stops short of a place included."""
+    """Plan all moves of these orders, including those via the stop short of a place."""
     pairs = set()
     for order in orders:
         for start, goal in pairwise(order["robot"]):
@@ -103,7 +103,7 @@ def _short(place: str) -> str:
 
 
 def robot_script(cell: Coupled, places: Sequence[str], table: MotionTable, index: int) -> Script:
-    """Write what the robot does; last it stands at home until the operator is done."""
+    """Return the robot's script; at the end it stays at home until the operator is done."""
     script = Script(Execution(index, tuple(places), ()))
     closed = 0
     for task, (start, goal) in enumerate(pairwise(places)):
@@ -123,14 +123,14 @@ def robot_script(cell: Coupled, places: Sequence[str], table: MotionTable, index
 
 
 def _move(script: Script, table: MotionTable, pair: tuple[str, str], task: int, goal: str, closed: int) -> int:
-    """Add a move; return the row of the table where it ends."""
+    """Add a move; return the row of the table at its end."""
     rows, length_s = table.rows[pair], table.duration_s[pair]
     script.add(MOVE, length_s, table.first_row[pair], rows / length_s, task, goal, closed)
     return table.first_row[pair] + rows
 
 
 def operator_script(cell: Coupled, places: Sequence[str], index: int, rng: np.random.Generator) -> Script:
-    """Write what the operator does; rows are of the legs, one after the other."""
+    """Return the operator's script; rows refer to the consecutive legs."""
     script, stations = Script(Execution(index, tuple(places), ())), cell.scene.stations
     here = draw_goal(cell.scene, places[0], rng)
     _stay(script, here, float(rng.uniform(*stations[places[0]].dwell_s)), -1, places[0])
@@ -166,7 +166,7 @@ def _rows(script: Script) -> int:
 
 
 def source_script(cell: Coupled, parts: int, index: int, rng: np.random.Generator) -> Script:
-    """Write how parts come: a gap, then a gate until there is room for it."""
+    """Return the script of the part source: for each part a gap, then a gate until there is room."""
     script = Script(Execution(index, (), ()))
     if cell.feed is not None:
         for part in range(parts):
@@ -185,7 +185,7 @@ def _gates(cell: Coupled, agent: str, at: str, place: str) -> list[Gate]:
 def link(
     cell: Coupled, scripts: dict[str, Script], waits: NDArray[np.bool_], rng: np.random.Generator
 ) -> dict[str, list[Opening]]:
-    """Return what opens each gate of one execution; `waits` tells in which joint tasks they wait (JOINT_TIMES,)."""
+    """Return what opens each gate of one execution; `waits`: whether they wait in each joint task (JOINT_TIMES,)."""
     found: dict[str, list[Opening]] = {agent: [] for agent in AGENTS}
     for agent in ("robot", "operator"):
         for segment, gate, passage in scripts[agent].gates:
@@ -207,7 +207,7 @@ def link(
 
 
 def random_order(cell: Coupled, rng: np.random.Generator) -> Order:
-    """Return an order of both agents: three joint tasks and all others of each, shuffled."""
+    """Return an order of both agents: three joint tasks and all other tasks of each, shuffled."""
     jobs = {"robot": cell.robot_jobs, "operator": cell.operator_jobs}
     ends = {"robot": HOME, "operator": REST}
     return {
@@ -226,10 +226,10 @@ def _shuffled(jobs: Mapping[str, tuple[str, ...]], rng: np.random.Generator) -> 
 
 
 def check_order(cell: Coupled, order: Order) -> None:
-    """Refuse an order of unknown places, or one that does not go from home to home or from rest to rest.
+    """Refuse an order with unknown places, or one that does not go from home to home or from rest to rest.
 
     Raises:
-        SimulationError: It is such.
+        SimulationError: The order is invalid.
     """
     known = {"robot": (HOME, cell.scene.places), "operator": (REST, cell.scene.stations)}
     for agent, (end, names) in known.items():
@@ -242,5 +242,5 @@ def check_order(cell: Coupled, order: Order) -> None:
 
 
 def at_row(program: Program, row: int) -> Program:
-    """Return an operator's program with its rows counted from `row` on."""
+    """Return an operator's program with its rows shifted by `row`."""
     return replace(program, row=program.row + row)

@@ -1,7 +1,7 @@
-"""Robot, operator and source of parts stepped together: each gate opens when what it needs has ended.
+"""Parallel simulation of robot, operator and part source: each gate opens when its condition has ended.
 
-The robot goes on at the scaling that the safety function allows at the operator's position of this very cycle; the
-others go on at rate 1. Agents of all cells are the lines of one `Lines`: robots first, then operators, then sources.
+The robot moves at the scaling that the safety function allows at the operator's position in the same cycle; the others
+continue at rate 1. The agents of all cells are the lines of one `Lines`: robots first, then operators, then sources.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from cyclekit_sim.walking import Leg, WalkedTrack
 
 _LONGEST_S = 1800.0
 PULSE_S = (0.2, 0.6)
-"""For how long a signal is on: shortest and longest."""
+"""Duration range of a signal, s."""
 
 
 @dataclass(frozen=True)
 class Waited:
-    """A wait of an agent: from when to when, s since the start of the execution, in which task, and at what gate."""
+    """A wait of an agent: task, begin and end, s since the start of the execution, and gate."""
 
     agent: str
     task: int
@@ -65,28 +65,28 @@ class Cell:
 
 @dataclass(frozen=True)
 class Done:
-    """One execution that was run: the ends of all segments of each agent, s since its start."""
+    """One finished execution: the ends of all segments of each agent, s since its start."""
 
     cell: Cell
     ends_s: dict[str, Array]
 
     @property
     def duration_s(self) -> float:
-        """From the start to the last end of either agent."""
+        """Time from the start to the last end of either agent, s."""
         return float(self.ends_s["robot"][-1])
 
     def moments_s(self, agent: str, place: str, moment: Moment) -> list[float]:
-        """Return when an agent arrived at a place, was done there, or left it."""
+        """Return the times at which an agent arrived at a place, was done there, or left it."""
         return [float(self.ends_s[agent][at]) for at in self.cell.scripts[agent].moments[place, moment]]
 
     def signals(self, cell: Coupled) -> list[tuple[float, float, str]]:
-        """Return from when to when each signal is on, s, and its name."""
+        """Return begin and end of each signal, s, and its name."""
         rng = np.random.default_rng(self.cell.scripts["robot"].execution.index)
         moments = sorted((t_s, name) for key, name in cell.signals.items() for t_s in self.moments_s(*key))
         return [(t_s, t_s + rng.uniform(*PULSE_S), name) for t_s, name in moments]
 
     def waits(self, agent: str) -> Iterator[Waited]:
-        """Yield the waits of an agent, those of length 0 too."""
+        """Yield the waits of an agent, including those of length 0."""
         ends_s, script = self.ends_s[agent], self.cell.scripts[agent]
         for opening in self.cell.openings[agent]:
             if opening.gate is not None:
@@ -94,19 +94,19 @@ class Done:
                 yield Waited(agent, script.columns[at][4], float(ends_s[at - 1]), float(ends_s[at]), opening)
 
     def waited_s(self, agent: str) -> float:
-        """How long an agent waited in all."""
+        """Return the total wait of an agent, s."""
         return sum(wait.end_s - wait.begin_s for wait in self.waits(agent))
 
 
 @dataclass(frozen=True)
 class CoupledTrace(Trace):
-    """What the robot of one execution did, and what everybody did and waited for."""
+    """Trace of the robot in one execution, with segments and waits of all agents."""
 
     done: Done = field(kw_only=True)
 
 
 def coupled_runs(session: Session) -> list[tuple[CoupledTrace, float]]:
-    """Return the runs of a coupled cell's session, and when each begins, s."""
+    """Return the runs of a coupled cell's session, and the start of each, s."""
     runs = zip(session.traces, session.begins_s, strict=True)
     return [(trace, begin_s) for trace, begin_s in runs if isinstance(trace, CoupledTrace)]
 
@@ -130,7 +130,7 @@ def make_cell(
 
 
 class _Gates:
-    """What the gates of all lines need, by flat index: a segment of a line and a lag; -1: nothing."""
+    """Conditions of the gates of all lines, by flat index: a segment of a line and a lag; -1: none."""
 
     def __init__(self, cells: Sequence[Cell], width: int) -> None:
         shape = (len(AGENTS) * len(cells), width)
@@ -145,7 +145,7 @@ class _Gates:
                         self._segment[row, at], self._lag_s[row, at] = opening.needed, opening.lag_s
 
     def open(self, lines: Lines) -> None:
-        """Let those lines go on whose need has ended."""
+        """Release the lines whose condition has ended."""
         held = lines.held
         if len(held):
             at = (held, lines.segment[held])
@@ -156,7 +156,7 @@ class _Gates:
 
 
 class _People:
-    """The ways of B operators, one table of positions."""
+    """Paths of B operators in one table of positions."""
 
     def __init__(self, cells: Sequence[Cell]) -> None:
         ways = [np.concatenate([leg.xyz_m for leg in cell.scripts["operator"].legs]) for cell in cells]
@@ -165,7 +165,7 @@ class _People:
         self._step = np.diff(self._xyz_m, axis=0, append=self._xyz_m[-1:])
 
     def at(self, row: Ints, nominal_s: Array, rows_per_s: Array) -> Array:
-        """Return where they are (B, 3), m."""
+        """Return their positions (B, 3), m."""
         row, way = table_rows(row, nominal_s, rows_per_s)
         return np.asarray(self._xyz_m[row] + way[:, None] * self._step[row])
 
@@ -179,10 +179,10 @@ def run_cells(
     logged: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[list[Done], list[CoupledTrace]]:
-    """Step cells side by side until all agents are done; traces only if they are `logged`.
+    """Simulate cells in parallel until all agents are done; traces only if `logged`.
 
     Raises:
-        SimulationError: An agent never gets done.
+        SimulationError: An agent never finishes.
     """
     people, count = _People(cells), len(cells)
     columns = list(zip(*(each.programs() for each in cells), strict=True))
@@ -245,7 +245,7 @@ def _inputs(cell: Coupled, done: Done, cycles: int, options: SimulationOptions) 
 
 
 def realised(done: Done, agent: str) -> Program:
-    """Return the program of an agent with its gates as long as they were."""
+    """Return the program of an agent with the actual lengths of its gates."""
     program = done.cell.scripts[agent].program([])
     length_s = program.length_s.copy()
     ends_s = done.ends_s[agent]
@@ -256,7 +256,7 @@ def realised(done: Done, agent: str) -> Program:
 
 
 def _track(done: Done) -> WalkedTrack:
-    """Return where the operator was: his legs, those at gates as long as he waited."""
+    """Return the operator's track: the legs, with the actual waits at gates."""
     script, program = done.cell.scripts["operator"], realised(done, "operator")
     gates = {segment for segment, _, _ in script.gates}
     legs = []

@@ -1,7 +1,7 @@
-"""Cells where robot and operator wait: what each needs before it goes on, and what they do in one execution.
+"""Cells with waits of robot and operator: conditions of both, and their tasks in one execution.
 
-In every execution each agent does three joint tasks and four of his own, in any order: the k-th joint task of one goes
-with the k-th of the other. Geometry and times are ours, tuned for cycles of 45 to 60 s.
+In every execution each agent does three joint tasks and four separate ones, in any order; the k-th joint task of one
+belongs to the k-th of the other. Geometry and times are ours, tuned for cycles of 45 to 60 s.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ Moment = Literal["arrives", "done", "leaves"]
 OPERATOR_LAG_S, ROBOT_LAG_S = (0.3, 0.8), (0.1, 0.2)
 INPUT = "digital-input "
 LINGER_S = (0.1, 0.4)
-"""From the end of an operator's work at a place to his first step away from it."""
+"""Range of the time, s, from the end of an operator's work at a place to the first step away from it."""
 
 
 @dataclass(frozen=True)
 class Need:
-    """What a gate needs: the (k - back)-th such event for its k-th passage; none where that is negative.
+    """Condition of a gate: for its k-th passage the (k - back)-th such event; none if that is negative.
 
     Attributes:
-        agent: Whose event; `source` = of the conveyor.
-        place: Where.
-        moment: He arrives there, has done his work there, or leaves it.
+        agent: Agent of the event; `source` = the conveyor.
+        place: Place of the event.
+        moment: The agent arrives there, has done the work there, or leaves.
         back: See above.
-        lag_s: Shortest and longest time from the event to going on.
+        lag_s: Range of the time from the event until the waiting agent continues, s.
     """
 
     agent: Literal["robot", "operator", "source"]
@@ -42,7 +42,7 @@ class Need:
 
 @dataclass(frozen=True)
 class Gate:
-    """Where an agent waits: before it goes to `place` (`approach`) or before its work there (`work`)."""
+    """A point where an agent waits: before going to `place` (`approach`) or before its work there (`work`)."""
 
     agent: Literal["robot", "operator"]
     at: Literal["approach", "work"]
@@ -52,12 +52,12 @@ class Gate:
 
 @dataclass(frozen=True)
 class Feed:
-    """Parts that come to a place of the robot.
+    """Supply of parts to a place of the robot.
 
     Attributes:
-        place: Where they are taken.
-        gap_s: Shortest and mean time from one to the next, as long as there is room.
-        buffer: So many may wait; while they do, the next comes as soon as one is taken.
+        place: Place of the parts.
+        gap_s: Minimum and mean time between parts while there is room, s.
+        buffer: Maximum number of waiting parts; when full, the next one arrives as soon as one is taken.
     """
 
     place: str
@@ -71,12 +71,12 @@ class Coupled:
 
     Attributes:
         scene: Places, stations, furniture and safety function.
-        short_of: Where the robot stops on its way to a place, by the name of that place.
-        robot_s: Process times by robot place.
-        robot_jobs, operator_jobs: Places of each task, by the task's name; joint tasks first, each done three times.
-        gates: Who waits where for what.
-        signals: Name of the signal that tells a moment of an agent at a place.
-        feed: Parts that come, if any.
+        short_of: Place -> where the robot stops on its way to it.
+        robot_s: Process times by robot place, s.
+        robot_jobs, operator_jobs: Task -> places; joint tasks come first and are done three times each.
+        gates: Wait conditions.
+        signals: (agent, place, moment) -> name of the signal that shows it.
+        feed: Supply of parts, if any.
     """
 
     scene: Scene
@@ -90,7 +90,7 @@ class Coupled:
 
     @property
     def bits(self) -> dict[str, int]:
-        """Bits of the signals that the robot's log has as digital inputs; the others are events."""
+        """Bits of the signals that are digital inputs in the robot's log; the others are events."""
         names = [name.removeprefix(INPUT) for name in self.signals.values() if name.startswith(INPUT)]
         return {INPUT + number: int(number) for number in names}
 

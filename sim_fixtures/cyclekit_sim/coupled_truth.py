@@ -1,4 +1,4 @@
-"""Truth of cells where robot and operator wait: the tasks of both with what ended each wait, and the conditions."""
+"""Truth of cells with waits of robot and operator: tasks of both, what ended each wait, and all conditions."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from cyclekit_sim.session import Session
 from cyclekit_sim.truth import task_rows
 from cyclekit_sim.walking import Nobody
 
-_SHORTEST_S = 1e-6  # what is no wait
+_SHORTEST_S = 1e-6  # s; shorter ones are no waits
 
 
 def coupled_tasks(session: Session, cell: Coupled, clock_s: float) -> pl.DataFrame:
-    """Return the tasks of both agents, those of an execution together, the robot's first."""
+    """Return the tasks of both agents, grouped by execution, the robot's first."""
     rows: list[dict[str, object]] = []
     for trace, begin_s in coupled_runs(session):
         rows += _rows(trace, cell, clock_s + begin_s)
@@ -44,14 +44,14 @@ def _rows(trace: CoupledTrace, cell: Coupled, clock_s: float) -> Iterator[dict[s
 
 
 def ended_by(wait: Waited, signals: Mapping[tuple[str, str, Moment], str]) -> str:
-    """Return what ended a wait: agent, place and moment, and the signal that tells it."""
+    """Return what ended a wait: agent, moment and place, and the signal that shows it."""
     need = cast(Gate, wait.opening.gate).need
     signal = signals.get((need.agent, need.place, need.moment))
     return f"{need.agent} {need.moment} {need.place}" + (f" ({signal})" if signal else "")
 
 
 def coupled_executions(tasks: pl.DataFrame, session: Session) -> pl.DataFrame:
-    """Return one row per execution: times of the robot's tasks, waits of both, orders, from first start to last end."""
+    """Return one row per execution: from first start to last end, with times of the robot's tasks, waits, orders."""
     rows = []
     for trace, _ in coupled_runs(session):
         index, done = trace.program.executions[0].index, trace.done
@@ -77,7 +77,7 @@ def coupled_executions(tasks: pl.DataFrame, session: Session) -> pl.DataFrame:
 
 
 def conditions(cell: Coupled) -> list[dict[str, object]]:
-    """Return who waits where for what, as JSON."""
+    """Return all wait conditions, as JSON."""
     return [
         {
             "agent": gate.agent,

@@ -1,8 +1,8 @@
-"""What the controller measures of its own motion: every joint through an encoder that is not exact.
+"""Controller measurements of its own motion: joints read by imperfect encoders.
 
-The size is that of a real UR5 in motion: third differences of its logged joint angles at 125 Hz show 2e-5 rad (standard
-deviation) at the base, shoulder and elbow and 1e-4 rad at the wrists. Position, orientation and velocity of the TCP are
-computed from the measured joints, as the controller does. The truth is left as it is.
+The noise is that of a real UR5 in motion: third differences of its logged joint angles at 125 Hz show 2e-5 rad
+(standard deviation) at base, shoulder and elbow, and 1e-4 rad at the wrists. Position, orientation and velocity of the
+TCP are computed from the measured joints, as in the controller. The truth is unchanged.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from cyclekit_sim.arm import forward, jacobian, quaternion
 from cyclekit_sim.session import RobotStates
 
 _WRISTS = np.array([1.0, 1.0, 1.0, 5.0, 5.0, 5.0])
-_SPEED_PER_S = 20.0  # noise of a joint speed over that of the angle: controllers filter their differences
-_ROWS = 1 << 16  # at once
+_SPEED_PER_S = 20.0  # 1/s, ratio of speed noise to angle noise: controllers filter their differences
+_ROWS = 1 << 16  # rows per block
 
 
 def measured(robot: RobotStates, noise_rad: float, rng: np.random.Generator) -> RobotStates:
-    """Return the robot as its encoders see it; `noise_rad` is the standard deviation at the big joints."""
+    """Return the robot as measured by its encoders; `noise_rad` is the standard deviation at the big joints."""
     if noise_rad <= 0:
         return robot
     spread = noise_rad * _WRISTS

@@ -1,8 +1,8 @@
-"""The cell in motion: programs, tracks and a safety function stepped together, one control cycle at a time.
+"""Simulation loop: programs, tracks and a safety function, one control cycle at a time.
 
 The scaling acts as time scaling: while the robot moves, the nominal time of its program advances at the rate s; while
-it dwells or waits, at rate 1. Many cells are stepped side by side. What comes out is bare (nominal time, s, segment
-per cycle, and when each segment ended); turning it into logs and truth is the business of the writers.
+it dwells or waits, at rate 1. Many cells are simulated in parallel. The result is minimal (nominal time, s and segment
+per cycle, and the end of each segment); the writers turn it into logs and truth.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from cyclekit_sim.safety import SafetyFunction, SafetyInputs, SpeedScaling
 from cyclekit_sim.walking import Track
 
 _Now = tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]
-_CHUNK = 1024  # cycles between two looks at whether all are done
-_SLOWEST = 20.0  # a run this many times longer than its nominal time is stuck
-_FAR_M = 1e6  # where nobody stands
+_CHUNK = 1024  # cycles between two checks whether all are done
+_SLOWEST = 20.0  # a run longer than its nominal time by this factor is stuck
+_FAR_M = 1e6  # position of an absent person
 
 
 @dataclass(frozen=True)
 class Trace:
-    """What one run did: K control cycles, S segments.
+    """Result of one run: K control cycles, S segments.
 
     Attributes:
-        program: What was run.
-        track: Who walked.
+        program: The program that was run.
+        track: The person's track.
         nominal_s: Nominal time since the start of the running segment, at the start of each cycle (K,).
         scaling: s, held over the cycle (K,), all its causes together.
         segment: Running segment (K,).
         ends_s: Real time since the start of the run when each segment ended (S,).
         cycle_s: Length of a cycle.
-        why: What caused s, slider and pauses; None: the person alone.
+        why: Causes of s, slider and pauses; None: the person only.
         inputs: Digital inputs as a bit field (K,); None: there are none.
     """
 
@@ -57,12 +57,12 @@ class Trace:
 
     @property
     def duration_s(self) -> float:
-        """How long the run took."""
+        """Duration of the run, s."""
         return float(self.ends_s[-1])
 
     @property
     def pace(self) -> Array:
-        """By how much the nominal time of a move advances (K,): s and slider, 0 in a pause."""
+        """Rate at which the nominal time of a move advances (K,): s times slider, 0 in a pause."""
         if self.why is None:
             return self.scaling
         return np.where(self.why.paused, 0.0, self.scaling * self.why.slider)
@@ -73,14 +73,14 @@ class Trace:
         return np.concatenate([[0.0], self.ends_s[:-1]])
 
     def rows(self) -> tuple[Ints, Array]:
-        """Return the row of the motion table at the start of each cycle (K,), and the way to the next one (K,)."""
+        """Return the row of the motion table at the start of each cycle (K,), and the fraction to the next row (K,)."""
         return table_rows(self.program.row[self.segment], self.nominal_s, self.program.rows_per_s[self.segment])
 
 
 def table_rows(first: Ints, nominal_s: Array, rows_per_s: Array) -> tuple[Ints, Array]:
-    """Return table rows and the ways to the next row in [0, 1).
+    """Return table rows and the fraction of the way to the next row, in [0, 1).
 
-    The way is taken from the start of the segment, so that it does not depend on where in the table the move lies.
+    The fraction counts from the start of the segment, so it does not depend on the position of the move in the table.
     """
     within = nominal_s * rows_per_s
     below = within.astype(np.int64)
@@ -88,14 +88,14 @@ def table_rows(first: Ints, nominal_s: Array, rows_per_s: Array) -> tuple[Ints, 
 
 
 class Arms:
-    """What a safety function sees of robots that follow a motion table."""
+    """Inputs of a safety function for robots that follow a motion table."""
 
     def __init__(self, table: MotionTable) -> None:
         self._q_rad = table.q_rad
         self._tcp, self._tcp_step = table.tcp_m, np.diff(table.tcp_m, axis=0, append=table.tcp_m[-1:])
 
     def seen(self, row: Ints, way: Array, person_m: Array) -> SafetyInputs:
-        """Return what it sees where the robots (B,) are in the table and persons (B, 3) stand, m."""
+        """Return the inputs for robots (B,) at these table rows and persons (B, 3), m."""
         tcp_m = self._tcp[row] + way[:, None] * self._tcp_step[row]
         return SafetyInputs(tcp_m, person_m, lambda: self._links_m(row, way))
 
@@ -107,15 +107,15 @@ class Arms:
 
 
 class _Cells:
-    """B cells at one instant."""
+    """B cells at one time."""
 
     def __init__(self, programs: Sequence[Program], table: MotionTable, scaling: SpeedScaling, cycle_s: float) -> None:
         self.lines, self._scaling, self._arms = Lines(programs, cycle_s), scaling, Arms(table)
 
     def step(self, t_s: float, person_m: Array, slowing: Slowing | None, now: _Now | None) -> tuple[Array, Array, Ints]:
-        """Go on by one cycle from `t_s`; return nominal time, s and segment (B,) as they were at its start.
+        """Advance by one cycle from `t_s`; return nominal time, s and segment (B,) at its start.
 
-        s is that of the safety function alone; `slowing` has the other causes, `now` those of them at this time.
+        s is that of the safety function alone; `slowing` holds the other causes, `now` their values at this time.
         """
         lines = self.lines
         u, segment = lines.nominal_s, lines.segment
@@ -141,10 +141,10 @@ def run(
     streams: Sequence[np.random.Generator] = (),
     progress: Callable[[float], None] | None = None,
 ) -> list[Trace]:
-    """Step B programs against B tracks until the last one is done; `streams` draw their other causes.
+    """Run B programs against B tracks until the last one is done; `streams` draw their other causes.
 
     Raises:
-        SimulationError: A robot never gets done, because the person never leaves its way.
+        SimulationError: A robot never finishes, because the person never leaves its way.
     """
     cells = _Cells(programs, table, SpeedScaling(safety, options), options.cycle_s)
     records: list[tuple[Array, Array, Ints]] = []
@@ -177,7 +177,7 @@ def run(
 
 
 def _with_causes(trace: Trace, slowing: Slowing, b: int, options: SimulationOptions) -> Trace:
-    """Return run `b` with all its causes; until here its s is the person's."""
+    """Return run `b` with all its causes; its s so far is the person's."""
     times = np.asarray(np.arange(len(trace.scaling)) * trace.cycle_s, dtype=np.float64)
     why = slowing.why(b, times, trace.scaling, trace.segment, trace.nominal_s)
     there = part_there(trace.program, trace.segment) & bool(options.causes and options.causes.part_signal)
@@ -195,10 +195,10 @@ def scaling_after(
     safety: SafetyFunction,
     options: SimulationOptions,
 ) -> Array:
-    """Return s (B,) a time after B cells were in the segments (B,) and at the nominal times in them (B,) of `begins`.
+    """Return s (B,) a time after B cells started in the segments (B,) and nominal times (B,) of `begins`.
 
     Raises:
-        SimulationError: The scaling depends on more than the present: latency, hysteresis or ramps.
+        SimulationError: The scaling depends on the past: latency, hysteresis or ramps.
     """
     if options.latency_s or options.hysteresis_m or options.ramp_down_per_s or options.ramp_up_per_s:
         raise SimulationError("futures are drawn without latency, hysteresis and ramps")

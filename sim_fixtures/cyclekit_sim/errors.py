@@ -1,7 +1,7 @@
-"""What the simulator refuses, in one class; the border: it knows nothing of cyclekit's own error tree."""
+"""Error of the simulator, separate from cyclekit's own errors."""
 
 from __future__ import annotations
 
 
 class SimulationError(ValueError):
-    """The simulation cannot be made as asked: the message says what was seen and what to change."""
+    """The simulation is not possible as requested: the message says what was seen and what to change."""

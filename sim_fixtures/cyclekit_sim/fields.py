@@ -1,7 +1,7 @@
-"""Cells without a tracker: fields that watch the floor, as bits in the logs, beside bits that tell of nobody.
+"""Cells without a tracker: fields that watch the floor, as bits in the logs, and bits unrelated to people.
 
-A field is on while the person stands in its rectangle; it may count only while the TCP is in a region of its own. What
-a controller or PLC logs besides changes as in real cells: with the gripper, the conveyor, the program, or the speed.
+A field is on while the person is in its rectangle; it may count only while the TCP is in a given region. The other bits
+that a controller or PLC logs change as in real cells: with the gripper, the conveyor, the program, or the speed.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from cyclekit_sim.rules import Limit, Points, Rectangle, Rule
 from cyclekit_sim.session import Session
 
 GRIPPER_BIT, CONVEYOR_BIT, LAMP_BIT, SIDE_BIT = 0, 1, 6, 7
-"""Bits that tell of nobody: feedback of the gripper, parts that pass, a lamp of slow speed, the program's own bit."""
+"""Bits unrelated to people: gripper feedback, passing parts, a lamp for slow speed, a bit of the program."""
 NAMES = {GRIPPER_BIT: "gripper_closed", CONVEYOR_BIT: "part_passes", LAMP_BIT: "slow_lamp", SIDE_BIT: "left_side"}
 _FEEDBACK_S, _LAMP_S, _PART_S = 0.04, 0.1, (1.5, 6.0)
 
 
 @dataclass(frozen=True)
 class Field:
-    """A field: a scanner's, a light curtain, a mat.
+    """A field of a scanner, a light curtain, or a mat.
 
     Attributes:
-        name: Of its signal in an event log.
+        name: Name of its signal in an event log.
         bit: Its digital input.
-        x_m, y_m: Where it watches the floor, base frame.
-        scaling: The highest scaling while somebody stands there.
+        x_m, y_m: Ranges of the watched rectangle, base frame.
+        scaling: Maximum scaling while a person is there.
         robot_polygon_m: It counts only while the TCP is above this polygon; empty: always.
-        occupied: The value of its bit while somebody stands there; safety outputs are 0 then.
+        occupied: Value of its bit while a person is there; 0 for safety outputs.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Field:
 
 
 def rule_of(fields: Sequence[Field]) -> Rule:
-    """Return the safety function of some fields: the lowest of those that count."""
+    """Return the safety function of some fields: the lowest scaling of those that count."""
     return Rule(
         tuple(
             Limit(one.scaling, rectangle=Rectangle(one.x_m, one.y_m), robot_polygon_m=one.robot_polygon_m)
@@ -56,7 +56,7 @@ def rule_of(fields: Sequence[Field]) -> Rule:
 
 
 def on_of(fields: Sequence[Field], person_m: Array) -> Ints:
-    """Return which fields are on (K,), bit k = field k, for a person at (K, 3); NaN: nobody."""
+    """Return which fields are on (K,), bit k = field k, for person positions (K, 3); NaN: no person."""
     found = np.zeros(len(person_m), np.int64)
     for k, one in enumerate(fields):
         found |= Rectangle(one.x_m, one.y_m).holds(np.nan_to_num(person_m, nan=1e6), 0.0).astype(np.int64) << k
@@ -64,7 +64,7 @@ def on_of(fields: Sequence[Field], person_m: Array) -> Ints:
 
 
 def with_inputs(trace: Trace, fields: Sequence[Field], rng: np.random.Generator) -> Trace:
-    """Return a run with its digital inputs: those of the fields, and those that tell of no person."""
+    """Return a run with its digital inputs: those of the fields, and those unrelated to people."""
     times = np.asarray(np.arange(len(trace.scaling)) * trace.cycle_s, dtype=np.float64)
     on, inputs = on_of(fields, trace.track.at(times)), np.zeros(len(times), np.int64)
     for k, one in enumerate(fields):
@@ -83,7 +83,7 @@ def with_inputs(trace: Trace, fields: Sequence[Field], rng: np.random.Generator)
 
 
 def events_of(session: Session, fields: Sequence[Field]) -> tuple[list[float], list[str], list[str]]:
-    """Return when which signal took which value, as a PLC logs it: session time, name, value; first the values at 0."""
+    """Return the signal changes as logged by a PLC: session times, names, values; the initial values come first."""
     robot = session.robot
     names: Mapping[int, str] = {**NAMES, **{one.bit: one.name for one in fields}}
     rows = []

@@ -1,7 +1,7 @@
-"""What nobody can know: many futures of the same state, and how far their speed scalings lie apart.
+"""Irreducible uncertainty: many futures of the same state, and the spread of their speed scalings.
 
-The state is all there is of the cell at that instant: where the robot is in its motion, what it has done, where the
-operator is, the walk that he is on, and where he has been. What follows is drawn again from another random stream.
+The state is complete at that time: the robot's position in its motion, its past tasks, the operator's position, current
+walk and past stations. The future is drawn from another random stream.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from cyclekit_sim.scenes import BUILT_IN
 from cyclekit_sim.walking import Leg, WalkedTrack
 
 FUTURES, EVERY_S = 16, 2.0
-"""Futures of a state, and time between two states of an execution."""
+"""Number of futures of a state, and time between two states of an execution, s."""
 
 
 def spread_ahead(scene: str, seed: int, executions: int, numbers: Sequence[int], after_s: float) -> Array:
     """Return the variance of the scaling after a time over the futures of states, shape (S,).
 
     Args:
-        scene: One whose executions begin afresh, without latency, hysteresis and ramps.
-        seed: Of the simulation, as of `simulate`.
-        executions: How many were simulated; enough of them that each move the robot may make occurs.
-        numbers: Of which of them the states are taken, one each `EVERY_S`.
-        after_s: How far ahead.
+        scene: A scene whose executions start afresh, without latency, hysteresis and ramps.
+        seed: Seed of the simulation, as in `simulate`.
+        executions: Number of simulated executions; enough to include every possible move.
+        numbers: Executions from which states are taken, one per `EVERY_S`.
+        after_s: Prediction horizon, s.
     """
     work = prepare(BUILT_IN[scene], seed, SimulationOptions(), executions=executions)
     found = []
@@ -61,7 +61,7 @@ def scaling_of_futures(work: Work, trace: Trace, cycles: Sequence[int], after_s:
 
 
 def _legs(work: Work, trace: Trace) -> list[Leg]:
-    """Return the legs of the operator of a run, as they were, until it was over."""
+    """Return the operator's actual legs of a run, up to its end."""
     rng = stream(work.seed, work.scene, OPERATOR, trace.program.executions[0].index, domain=LOGGED)
     found, end_s = [], 0.0
     for leg in operator_legs(work.scene, rng):
@@ -73,14 +73,14 @@ def _legs(work: Work, trace: Trace) -> list[Leg]:
 
 
 def _until(legs: Sequence[Leg], t_s: float) -> tuple[list[Leg], float]:
-    """Return the legs up to the running one, and for how long that has been running."""
+    """Return the legs up to the running one, and the time since that one started."""
     ends = np.cumsum([leg.t_s[-1] for leg in legs])
     running = min(int(np.searchsorted(ends, t_s, side="right")), len(legs) - 1)
     return list(legs[: running + 1]), t_s - float(ends[running] - legs[running].t_s[-1])
 
 
 def _program_again(work: Work, trace: Trace, cycle: int, rng: np.random.Generator) -> Program:
-    """Return the program of a run with what comes after a cycle drawn again."""
+    """Return the program of a run with everything after a cycle redrawn."""
     program, segment = trace.program, trace.segment[cycle]
     (execution,), task = program.executions, int(program.task[segment])
     places = execution.places if task < 0 else places_again(work.scene, execution.places, task, rng)
@@ -93,7 +93,7 @@ def _program_again(work: Work, trace: Trace, cycle: int, rng: np.random.Generato
 def _waits(
     work: Work, execution: Execution, task: int, waiting: bool, waited_s: float, rng: np.random.Generator
 ) -> Iterator[float]:
-    """Yield the wait of each task: boxes come at any time, so a wait that has begun lasts on as if it just had."""
+    """Yield the wait of each task: boxes arrive at any time, so a running wait lasts on as if it had just begun."""
     for number, wait_s in enumerate(execution.wait_s):
         if number < task or wait_s == 0 or task < 0:
             yield wait_s

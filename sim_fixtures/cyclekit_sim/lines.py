@@ -1,4 +1,4 @@
-"""Programs side by side at one instant: the running segment of each, nominal time in it, when segments ended."""
+"""State of parallel programs: the running segment of each, its nominal time, and the ends of segments."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cyclekit_sim.program import MOVE, Ints, Program
 
 
 class Lines:
-    """N programs, each closed by an endless stand; flat index = base + segment."""
+    """N programs, each followed by an endless standstill; flat index = base + segment."""
 
     def __init__(self, programs: Sequence[Program], cycle_s: float) -> None:
         width = max(len(program.kind) for program in programs) + 1
@@ -36,12 +36,12 @@ class Lines:
         self.begin_at(np.zeros(len(programs), dtype=np.int64), np.zeros(len(programs)))
 
     def begin_at(self, segment: Ints, nominal_s: Array) -> None:
-        """Be in these segments (N,), at these nominal times in them."""
+        """Set the running segments (N,) and nominal times in them."""
         self.segment, self.nominal_s = segment, nominal_s
         self._look_up()
 
     def _look_up(self) -> None:
-        """Look up what the running segments are; it stays until one of them ends."""
+        """Look up the properties of the running segments, valid until one of them ends."""
         flat = self.flat
         self.row, self.rows_per_s, self._length_s = self._rows[flat], self._all_rows_per_s[flat], self._lengths_s[flat]
         self._moving = self._movings[flat]
@@ -53,7 +53,7 @@ class Lines:
 
     @property
     def running(self) -> NDArray[np.bool_]:
-        """Which programs are not done yet (N,)."""
+        """Mask of unfinished programs (N,)."""
         return np.asarray(self.segment < self._last)
 
     @property
@@ -67,13 +67,13 @@ class Lines:
         return np.flatnonzero(np.isinf(self._length_s) & self.running)
 
     def let_go(self, which: Ints, at_s: Array) -> None:
-        """Let the running segments of these programs end at real times, at once where those are over."""
+        """Set the real end times of the running segments of these programs; a time in the past ends them at once."""
         begin_s = np.where(self.segment[which] > 0, self.ends_s[which, self.segment[which] - 1], 0.0)
         length_s = np.maximum(at_s - begin_s, 0.0)
         self._lengths_s[self.flat[which]] = self._length_s[which] = length_s
 
     def advance(self, t_s: float, pace: Array, standing: Array | float) -> None:
-        """Go on by one cycle from `t_s`: moves at the rate `pace` (N,), other segments at the rate `standing`."""
+        """Advance by one cycle from `t_s`: moves at the rate `pace` (N,), other segments at the rate `standing`."""
         dt, segment = self._cycle_s, self.segment
         rate = np.where(self._moving, pace, standing)
         left = self._length_s - self.nominal_s

@@ -1,7 +1,7 @@
-"""Robot motion at full override: each move planned once, sampled finely in nominal time.
+"""Robot motion at scaling 1: each move planned once, sampled finely in nominal time.
 
 A move goes joint to joint between two places, time-optimal and jerk-limited. The safety function later stretches time
-along these tables and never changes their path. Which moves are made in which order is the business of `program`.
+along these tables and never changes the path. `program` decides the order of moves.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cyclekit_sim.arm import Array, forward, jacobian, quaternion, reach
 from cyclekit_sim.errors import SimulationError
 
 Place = tuple[float, float, float]
-# The speed and acceleration that UR's own movej takes by default (60 deg/s, 80 deg/s^2); the jerk is ours.
+# Default speed and acceleration of UR's movej (60 deg/s, 80 deg/s^2); the jerk is ours.
 SPEED_RAD_S = 1.05
 ACCELERATION_RAD_S2 = 1.4
 JERK_RAD_S3 = 10.0
@@ -30,11 +30,11 @@ class MotionTable:
 
     Attributes:
         q_rad: Joints (R, 6).
-        qd_rad_s: Joint speeds at full override (R, 6).
+        qd_rad_s: Joint speeds at scaling 1 (R, 6).
         tcp_m: TCP position (R, 3), base frame.
         quaternion: TCP orientation x, y, z, w (R, 4).
-        twist: TCP velocity at full override, linear m/s and angular rad/s (R, 6).
-        first_row: Row where the move of a (start, goal) pair begins.
+        twist: TCP velocity at scaling 1, linear m/s and angular rad/s (R, 6).
+        first_row: First row of the move of a (start, goal) pair.
         rows: Number of steps of that move; it has one row more.
         duration_s: Nominal duration of that move.
     """
@@ -72,8 +72,8 @@ def plan_moves(places: Mapping[str, Place], pairs: Iterable[tuple[str, str]]) ->
 def _move(start: Place, goal: Place) -> tuple[Array, Array, Array, Array, Array, float]:
     """Return joints, joint speeds, TCP, orientation, twist and duration of one move.
 
-    Move by move, so that a move is the same to the last bit whatever other moves are planned with it; and kept, as
-    the next simulation of a scene makes the same moves.
+    Computed per move, so that a move is bit-identical whatever other moves are planned; cached, because the next
+    simulation of a scene uses the same moves.
     """
     q, qd, duration = _plan(_joints(start), _joints(goal))
     tcp_m, rotation = forward(q)

@@ -1,7 +1,7 @@
-"""The switches of a simulation: log format, imperfections of the logs, dynamics of the safety function.
+"""Options of a simulation: log format, imperfections of the logs, dynamics of the safety function.
 
-Everything is off by default: perfect clocks, a noiseless tracker, a scaling that jumps at once. What the options
-mean for a cell (places, thresholds, walking) is the business of `scenes`.
+All are off by default: perfect clocks, a noiseless tracker, a scaling without delay. `scenes` defines the cells
+(places, thresholds, walking).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SimulationOptions:
-    """How the cell is logged, and what is imperfect in it.
+    """Format and imperfections of the logs, and dynamics of the cell.
 
     Attributes:
         logs: "csv" writes record.py, Motive and event CSVs; "mcap" writes one ROS 2 bag per session.
@@ -27,38 +27,37 @@ class SimulationOptions:
         tracker_rate_hz: Frames per second of the tracker.
         delta_m: Tracker noise, standard deviation per axis; white, in the log only.
         dropout: Fraction of tracker frames lost, in bursts; 0 to below 1.
-        clock_offset_s: By how much the tracker's clock is behind what cell.toml says.
+        clock_offset_s: Delay of the tracker's clock relative to cell.toml.
         clock_drift: Rate error of the tracker's clock (50e-6: 50 ppm fast).
-        tracker_xyz_m: Where the tracker's origin is, robot base frame; z is the height of the floor.
-        tracker_yaw_deg: How the tracker is turned about the vertical.
+        tracker_xyz_m: Position of the tracker's origin, robot base frame; z is the height of the floor.
+        tracker_yaw_deg: Rotation of the tracker about the vertical.
         millimetres: The tracker writes millimetres (and says so in its header).
-        silent_when_empty: The tracker writes no rows while it sees nobody (CSV).
-        log_outputs: False leaves the gripper's output and the register of the execution out of the CSV.
-        log_override: False leaves the two scaling columns (or the scaling topic) out of the logs.
-        ramp_down_per_s: Fastest fall of s per second; None: it jumps.
-        ramp_up_per_s: Fastest rise of s per second; None: it jumps.
+        silent_when_empty: The tracker writes no rows while it sees no person (CSV).
+        log_outputs: False omits the gripper's output and the register of the execution from the CSV.
+        log_override: False omits the two scaling columns (or the scaling topic) from the logs.
+        ramp_down_per_s: Maximum fall of s per second; None: it jumps.
+        ramp_up_per_s: Maximum rise of s per second; None: it jumps.
         latency_s: Age of the positions that s reacts to.
-        hysteresis_m: How much farther than the threshold a person must go before s rises again.
-        hold_s: For how long s stays down after the safety function allows more.
-        rule: The safety function, in place of the scene's.
-        operator_log: Real tracker recording to use instead of the simulated operator.
-        operator_xyz_m: Where the recording's origin (turned Z up) stands in the base frame.
-        operator_yaw_deg: How the recording is turned about the vertical.
-        executions_per_session: After how many executions the logger starts a new session; a scene recorded without
-            pauses takes at least 60.
-        with_operator: False is the reference run, with nobody in the cell.
-        encoder_noise_rad: Noise of the joint angles, standard deviation at the big joints (wrists have five times as
-            much); 2e-5 is what a real UR5 shows.
-        pick_s: Process time of picking instead of the scene's.
-        place_s: Process time of placing instead of the scene's.
-        causes: What slows or stops the robot besides the person (CSV); None: nothing does.
-        people: What the logs hold of people (CSV): the tracker, the signals of fields, both or nothing; None: what the
-            scene has. With signals the safety function is that of the scene's fields.
-        plc_trace: The signals of the fields stand in a PLC's trace, one column per tag ("wide") or rows of tag, time
-            and value ("long"), and not in the robot's log (CSV); None: where the scene has them.
-        coupling: In which share of the joint tasks robot and operator wait, in cells where they do (CSV).
-        signals: False leaves buttons and sensors out of the logs of such cells.
-        task_list: The logs of such a cell are starts and ends of tasks alone.
+        hysteresis_m: Additional distance beyond the threshold before s rises again.
+        hold_s: Time for which s stays low after the safety function allows more.
+        rule: Safety function that replaces the scene's.
+        operator_log: Real tracker recording that replaces the simulated operator.
+        operator_xyz_m: Position of the recording's origin (Z up) in the base frame.
+        operator_yaw_deg: Rotation of the recording about the vertical.
+        executions_per_session: Number of executions in a session; at least 60 for a scene recorded without pauses.
+        with_operator: False is the reference run, with an empty cell.
+        encoder_noise_rad: Noise of the joint angles, standard deviation at the big joints (five times as much at the
+            wrists); a real UR5 shows 2e-5.
+        pick_s: Process time of picking, instead of the scene's.
+        place_s: Process time of placing, instead of the scene's.
+        causes: Causes of lost time other than the person (CSV); None: none.
+        people: Information on people in the logs (CSV): the tracker, signals of fields, both or none; None: as in the
+            scene. With signals, the safety function is that of the scene's fields.
+        plc_trace: The signals of the fields are in a PLC's trace instead of the robot's log (CSV), with one column per
+            tag ("wide") or rows of tag, time and value ("long"); None: as in the scene.
+        coupling: Share of joint tasks in which robot and operator wait, in cells with waits (CSV).
+        signals: False omits buttons and sensors from the logs of such cells.
+        task_list: The logs of such a cell are only starts and ends of tasks.
     """
 
     logs: Literal["csv", "mcap"] = "csv"
@@ -96,7 +95,7 @@ class SimulationOptions:
     task_list: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse values no cell can have, all at once."""
+        """Refuse impossible values, all in one error."""
         faults = [
             message
             for wrong, message in (

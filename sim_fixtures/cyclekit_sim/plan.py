@@ -1,6 +1,6 @@
-"""From a scene and a seed to simulated sessions: who does what, stepped in batches, laid on session time.
+"""From a scene and a seed to simulated sessions: draws executions, runs them in batches, sets session time.
 
-Writing them to disk is the business of `simulate`.
+`simulate` writes them to disk.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from cyclekit_sim.scenes import Scene
 from cyclekit_sim.session import Session
 from cyclekit_sim.walking import Nobody, RecordedTrack, Track, WalkedTrack
 
-_BATCH = 128  # executions stepped side by side
+_BATCH = 128  # executions simulated in parallel
 _CONTINUOUS = 60  # executions in one recording without pauses: about 110 minutes
 _PAUSE_S = (6.0, 9.0)
 
 
 @dataclass(frozen=True)
 class Work:
-    """What is to be simulated: the scene, its motion table, and the executions in order."""
+    """Content of a simulation: the scene, its motion table, and the executions in order."""
 
     scene: Scene
     seed: int
@@ -57,10 +57,10 @@ class Work:
 def prepare(
     scene: Scene, seed: int, options: SimulationOptions, *, executions: int, places: Sequence[str] | None = None
 ) -> Work:
-    """Draw every execution (or take `places` for each) and plan the moves they need.
+    """Draw every execution (or use `places` for each) and plan the moves they need.
 
     Raises:
-        SimulationError: A place is unknown, the sequence is none, or the recording cannot be read.
+        SimulationError: A place is unknown, the sequence is invalid, or the recording cannot be read.
     """
     if executions < 1:
         raise SimulationError(f"executions is {executions}: simulate at least one")
@@ -78,7 +78,7 @@ def prepare(
 
 
 def run_alone(work: Work, batch: Sequence[Execution], progress: Callable[[float], None] | None = None) -> list[Trace]:
-    """Run each execution by itself: everybody starts afresh."""
+    """Run each execution separately, with a fresh start of both agents."""
     return _run(work, [[execution] for execution in batch], progress)
 
 
@@ -124,7 +124,7 @@ def _run(work: Work, groups: list[list[Execution]], progress: Callable[[float], 
 
 
 def process_times(work: Work) -> tuple[float, float]:
-    """Return how long picking and placing take, s."""
+    """Return the process times of picking and placing, s."""
     options, scene = work.options, work.scene
     pick_s = scene.pick_s if options.pick_s is None else options.pick_s
     return pick_s, scene.place_s if options.place_s is None else options.place_s
@@ -137,14 +137,14 @@ def _track(work: Work, index: int) -> Track:
     if work.recording is not None:
         t_s, xyz_m = work.recording
         return RecordedTrack(t_s, xyz_m, float(rng.uniform(0.0, 2 * t_s[-1])))
-    # An operator who roams or visits has been at it for long when a fresh execution begins.
+    # An operator who roams or visits has been doing so for some time when a fresh execution starts.
     at_any_time = work.scene.operator == "visit" or (work.scene.continuous and work.domain == FRESH)
     skip_s = float(rng.uniform(60.0, 120.0)) if at_any_time else 0.0
     return WalkedTrack(operator_legs(work.scene, rng), skip_s=skip_s)
 
 
 def begins_of(scene: Scene, seed: int, options: SimulationOptions, traces: Sequence[Trace]) -> tuple[float, ...]:
-    """Return when each run begins, a pause after the one before, on whole control cycles."""
+    """Return the start of each run, a pause after the previous one, on whole control cycles."""
     cycle_s, begins, at = options.cycle_s, [0.0], 0.0
     for before, after in pairwise(traces):
         rng = stream(seed, scene, PAUSE, after.program.executions[0].index)

@@ -1,7 +1,7 @@
-"""The robot's program: places in visiting order -> a line of segments in nominal time.
+"""The robot's program: places in visiting order to segments in nominal time.
 
-A segment is a move (which the safety function stretches), a dwell (gripping or releasing), a wait (the box is not
-there yet) or an idle stay (at home between two executions). Running the line is the business of `engine`.
+A segment is a move (which the safety function stretches), a dwell (gripping or releasing), a wait (the box is not there
+yet) or an idle stay (at home between two executions). `engine` runs the segments.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Column = tuple[int, float, int, float, int, int, int, int]
 
 @dataclass(frozen=True)
 class Execution:
-    """One execution to run: its number, the places in visiting order, the wait on arrival at each, the idle after it.
+    """One execution to run: its number, places in visiting order, the wait on arrival at each, the idle stay after it.
 
     `wait_s` has one value per task (one fewer than `places`).
     """
@@ -37,19 +37,19 @@ class Execution:
 
 @dataclass(frozen=True)
 class Program:
-    """S segments in a row, and what is needed to read a robot state out of the motion table at any nominal time.
+    """S consecutive segments, and what is needed to read a robot state from the motion table at any nominal time.
 
     Attributes:
         kind: MOVE, DWELL, WAIT or IDLE (S,).
         length_s: Nominal length (S,).
         row: First row of the segment in the motion table (S,).
-        rows_per_s: Table rows per nominal second (S,); 0 where the robot stands.
+        rows_per_s: Table rows per nominal second (S,); 0 at standstill.
         task: Task number within the execution (S,).
         execution: Execution number (S,); -1 on an idle stay.
         closed_before: Gripper closed in the first half of the segment (S,).
         closed_after: Gripper closed in its second half (S,).
         goals: Name of the goal place per segment.
-        executions: The executions in it.
+        executions: The executions of the program.
     """
 
     kind: Ints
@@ -65,9 +65,9 @@ class Program:
 
 
 def compile_program(executions: Sequence[Execution], table: MotionTable, *, pick_s: float, place_s: float) -> Program:
-    """Lay the executions out as segments: move, wait, dwell, task by task.
+    """Return the executions as segments: move, wait, dwell, task by task.
 
-    The gripper says what a dwell is: an empty one picks, a full one places. Nothing happens at home.
+    The gripper decides what a dwell is: an empty one picks, a full one places. There is no process at home.
     """
     columns: list[Column] = []
     goals: list[str] = []
@@ -90,7 +90,7 @@ def compile_program(executions: Sequence[Execution], table: MotionTable, *, pick
 
 
 def program_of(columns: Sequence[Column], goals: Sequence[str], executions: Sequence[Execution]) -> Program:
-    """Return the program of these segments and the goal of each."""
+    """Return the program of these segments with their goals."""
     kind, length_s, row, per_s, task_no, index, before, after = zip(*columns, strict=True)
 
     def whole(values: Sequence[int]) -> Ints:

@@ -1,8 +1,7 @@
-"""A real recording of a person, read so that it can walk through the simulated cell.
+"""A real recording of a person, to be replayed in the simulated cell.
 
-Two layouts: a Motive CSV (the first rigid body in it, Y up, units by its header) and a plain CSV `t_s,x_m,y_m,z_m`
-with Z up. Lost frames are bridged in a straight line. This reader exists only for the simulator; the logs of a plant
-are read by the adapters.
+Two layouts: a Motive CSV (its first rigid body, Y up, units from its header) and a plain CSV `t_s,x_m,y_m,z_m` with Z
+up. Lost frames are interpolated linearly. This reader exists only for the simulator; adapters read plant logs.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ _CURE = "Give a Motive CSV with a rigid body, or a CSV with columns t_s,x_m,y_m,
 
 
 def read_recording(path: Path, options: SimulationOptions) -> tuple[Array, Array]:
-    """Return times (K,), s from 0, and positions (K, 3), m, base frame, as placed by the options.
+    """Return times (K,), s from 0, and positions (K, 3), m, in the base frame, placed as in the options.
 
     Raises:
-        SimulationError: The file is neither layout, or holds less than two frames with the person.
+        SimulationError: The file has neither layout, or fewer than two frames with the person.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as log:

@@ -14,7 +14,7 @@ def read_rule(path: Path) -> Rule:
     """Read a rule.
 
     Raises:
-        SimulationError: The file cannot be read or says what is no rule; the message names file and key.
+        SimulationError: The file cannot be read or holds no valid rule; the message names file and key.
     """
     try:
         return msgspec.toml.decode(path.read_bytes(), type=Rule, strict=True)

@@ -1,12 +1,12 @@
-"""A safety function as a rule of one's own, in place of the scene's: limits, each with its conditions, or the ISO law.
+"""A user-defined safety function that replaces the scene's: limits, each with its conditions, or the ISO law.
 
-A limit allows at most its scaling while all that it names holds; the lowest limit that applies counts. With hysteresis
-every boundary lies farther out until the limit has let go. The law is that of speed and separation monitoring (ISO/TS
-15066): the highest robot speed v at which the protective separation distance does not exceed the distance, where
+A limit caps the scaling while all its conditions hold; the lowest applicable limit counts. With hysteresis, every
+boundary is farther out until the limit is released. The law is that of speed and separation monitoring (ISO/TS 15066):
+the highest robot speed v at which the protective separation distance does not exceed the distance, where
 
     S_p = v_h (T_r + v / a) + v T_r + v^2 / (2 a) + C
 
-with the speed v_h of a person, the reaction time T_r, the deceleration a of the robot, and C with all that is constant.
+with the person's speed v_h, the reaction time T_r, the robot's deceleration a, and the constant C.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ Bools = NDArray[np.bool_]
 Points = tuple[tuple[float, float], ...]
 
 DISTANCES = ("tcp", "tcp-floor", "base", "link")
-"""Of the operator: to the TCP, to the TCP on the floor, to the base on the floor, to the nearest link of the arm."""
+"""Distances of the operator: to the TCP, to the TCP on the floor, to the base on the floor, to the nearest link."""
 _SLACK_M = 1e-6
 
 
 class Rectangle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A rectangle on the floor: from and to along its axes, m, turned about the base, degrees counterclockwise."""
+    """A rectangle on the floor: ranges along its axes, m, rotated about the base, degrees counterclockwise."""
 
     x_m: tuple[float, float]
     y_m: tuple[float, float]
     turned_deg: float = 0.0
 
     def holds(self, point_m: Array, margin_m: float) -> Bools:
-        """Return which points (B, 3) lie in it, its edges moved outwards."""
+        """Return a mask of points (B, 3) inside, with its edges moved outwards by `margin_m`."""
         along, across = point_m[:, 0], point_m[:, 1]
         if self.turned_deg:
             turn = np.deg2rad(self.turned_deg)
@@ -46,7 +46,7 @@ class Rectangle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return np.asarray(inside & (across >= self.y_m[0] - margin_m) & (across <= self.y_m[1] + margin_m))
 
     def corners(self, by_m: float = 0.0) -> Points:
-        """Return its corners, base frame, m, counterclockwise; its edges moved outwards by `by_m`."""
+        """Return its corners, base frame, m, counterclockwise, with its edges moved outwards by `by_m`."""
         turn = np.deg2rad(self.turned_deg)
         (left, right), (near, far) = ((low - by_m, high + by_m) for low, high in (self.x_m, self.y_m))
         frame = [(left, near), (right, near), (right, far), (left, far)]
@@ -56,14 +56,14 @@ class Rectangle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Limit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """At most `scaling` while all that is given here holds.
+    """A cap of the scaling while all its conditions hold.
 
     Attributes:
-        scaling: 0 to below 1.
-        present: Somebody is in the cell.
+        scaling: Cap, 0 to below 1.
+        present: A person is in the cell.
         distance: One of DISTANCES is at most `below_m`.
-        rectangle: The operator stands in it.
-        polygon_m: The operator stands in this polygon, corners x and y in order.
+        rectangle: The operator is in it.
+        polygon_m: The operator is in this polygon, corners x and y in order.
         robot_polygon_m: The TCP is above this polygon.
     """
 
@@ -76,10 +76,10 @@ class Limit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     robot_polygon_m: Points = ()
 
     def __post_init__(self) -> None:
-        """Refuse what says nothing or cannot be.
+        """Refuse a limit without conditions, or with impossible ones.
 
         Raises:
-            ValueError: It does.
+            ValueError: The limit is invalid.
         """
         if not 0 <= self.scaling < 1:
             raise ValueError(f"scaling is {self.scaling}: use 0 to below 1")
@@ -94,7 +94,7 @@ class Limit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("a limit without a condition: give present, distance, rectangle or a polygon")
 
     def applies(self, at: SafetyInputs, margin_m: float) -> Bools:
-        """Return where it applies (B,), its boundaries moved outwards."""
+        """Return a mask of where it applies (B,), with its boundaries moved outwards."""
         found = np.ones(len(at.person_m), np.bool_)
         if self.present:
             found &= at.person_m[:, 0] < ABSENT_M
@@ -103,13 +103,13 @@ class Limit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if self.rectangle is not None:
             found &= self.rectangle.holds(at.person_m, margin_m)
         for polygon, point_m in ((self.polygon_m, at.person_m), (self.robot_polygon_m, at.tcp_m)):
-            if polygon and found.any():  # polygons are dear: only where all else holds
+            if polygon and found.any():  # polygons are slow: only where all other conditions hold
                 found[found] = in_polygon(polygon, point_m[found], margin_m)
         return found
 
 
 class IsoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The continuous law of the module's docstring; the scaling is that speed over the programmed one, 0 to 1.
+    """The continuous law in the module's docstring; the scaling is that speed over the programmed one, 0 to 1.
 
     Attributes:
         distance: One of DISTANCES.
@@ -118,7 +118,7 @@ class IsoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         deceleration_m_s2: a of the robot.
         constant_m: C: intrusion distance, uncertainties of positions.
         programmed_m_s: The robot's programmed speed: scaling 1.
-        lowest: The scaling does not fall below this; 0 stops the robot.
+        lowest: Minimum scaling; 0 stops the robot.
     """
 
     distance: str = "tcp"
@@ -130,10 +130,10 @@ class IsoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lowest: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be.
+        """Refuse impossible parameters.
 
         Raises:
-            ValueError: It is.
+            ValueError: A parameter is invalid.
         """
         if self.distance not in DISTANCES:
             raise ValueError(f"distance is {self.distance!r}: use one of {', '.join(DISTANCES)}")
@@ -150,7 +150,7 @@ class IsoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.person_m_s * (self.reaction_s + v / a) + v * self.reaction_s + v**2 / (2 * a) + self.constant_m
 
     def allowed(self, at: SafetyInputs, margin_m: float) -> Array:
-        """Return the scaling that the law allows (B,), the distance shortened by `margin_m`."""
+        """Return the scaling that the law allows (B,), with the distance shortened by `margin_m`."""
         left_m = apart(self.distance, at) - margin_m - self.distance_m(0.0)
         a = self.deceleration_m_s2
         b = self.person_m_s + a * self.reaction_s
@@ -159,13 +159,13 @@ class IsoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What decides in place of the scene's safety function: the lowest of all limits and the law."""
+    """Safety function that replaces the scene's: the lowest of all limits and the law."""
 
     limits: tuple[Limit, ...] = ()
     law: IsoLaw | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a rule of nothing.
+        """Refuse an empty rule.
 
         Raises:
             ValueError: There is neither a limit nor a law.
@@ -179,7 +179,7 @@ class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return (*sorted({limit.scaling for limit in self.limits}), 1.0)
 
     def allowed(self, at: SafetyInputs, margin_m: float) -> Array:
-        """Return the scaling that the rule allows (B,), boundaries moved outwards by `margin_m`."""
+        """Return the scaling that the rule allows (B,), with boundaries moved outwards by `margin_m`."""
         found = np.ones(len(at.person_m)) if self.law is None else self.law.allowed(at, margin_m)
         for limit in self.limits:
             found = np.where(limit.applies(at, margin_m), np.minimum(found, limit.scaling), found)
@@ -187,7 +187,7 @@ class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def apart(distance: str, at: SafetyInputs) -> Array:
-    """Return a distance by its name (B,), m."""
+    """Return the distance of this name (B,), m."""
     if distance == "link":
         return _to_links(at.links_m(), at.person_m)
     way = at.person_m if distance == "base" else at.tcp_m - at.person_m
@@ -195,7 +195,7 @@ def apart(distance: str, at: SafetyInputs) -> Array:
 
 
 def in_polygon(corners: Points, point_m: Array, margin_m: float) -> Bools:
-    """Return which points (B, 3) lie in a polygon on the floor, or at most `margin_m` outside of it."""
+    """Return a mask of points (B, 3) inside a polygon on the floor, or at most `margin_m` outside of it."""
     edges = _edges(corners)
     low, high = edges.low_m - margin_m, edges.high_m + margin_m
     near = ((point_m[:, :2] >= low) & (point_m[:, :2] <= high)).all(axis=1)
@@ -208,7 +208,7 @@ def in_polygon(corners: Points, point_m: Array, margin_m: float) -> Bools:
 
 
 class _Edges:
-    """The edges of a polygon, side by side: (E, 1), m; and what it lies between, a little farther out."""
+    """Edges of a polygon, arrays (E, 1), m, and its bounding box with a small margin."""
 
     def __init__(self, corners: Points) -> None:
         pairs = list(pairwise((*corners, corners[0])))
@@ -217,14 +217,14 @@ class _Edges:
         self.low_m, self.high_m = np.min(corners, axis=0) - _SLACK_M, np.max(corners, axis=0) + _SLACK_M
 
     def around(self, point_m: Array) -> Bools:
-        """Return which points (B, 3) lie inside."""
+        """Return a mask of points (B, 3) inside."""
         (ax, ay), (bx, by), x, y = self._from, self._to, point_m[:, 0], point_m[:, 1]
         with np.errstate(divide="ignore", invalid="ignore"):
             crossed = ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
         return np.asarray(np.logical_xor.reduce(crossed, axis=0))
 
     def beside_m(self, point_m: Array) -> Array:
-        """Return how far points (B, 3) are from the nearest edge, m."""
+        """Return the distance of points (B, 3) from the nearest edge, m."""
         (ax, ay), (bx, by), x, y = self._from, self._to, point_m[:, 0], point_m[:, 1]
         part = np.clip(((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / self._square, 0.0, 1.0)
         return np.asarray(np.hypot(x - ax - part * (bx - ax), y - ay - part * (by - ay)).min(axis=0))
@@ -236,7 +236,7 @@ def _edges(corners: Points) -> _Edges:
 
 
 def _to_links(points_m: Array, person_m: Array) -> Array:
-    """Return the distance to the nearest of the lines between joints (B, J, 3)."""
+    """Return the distance to the nearest link between joints (B, J, 3)."""
     start, way = points_m[:, :-1], np.diff(points_m, axis=1)
     to_person = person_m[:, None] - start
     part = (to_person * way).sum(axis=2) / np.maximum((way**2).sum(axis=2), 1e-12)

@@ -1,8 +1,8 @@
-"""The safety function: where robot and person are -> the step of the speed scaling, and how s follows it in time.
+"""The safety function: positions of robot and person to a step of the speed scaling, and its response over time.
 
-Those of the scenes: a staircase over their distance, zones on the floor that look at the person alone, and the slower
-of both; `rules` has the ones that users write. Latency, hysteresis, hold time and ramps are added by `SpeedScaling`.
-Moving the robot is the business of `engine`.
+Safety functions of the scenes: a staircase over their distance, zones on the floor for the person alone, and the slower
+of both; `rules` has user-defined ones. `SpeedScaling` adds latency, hysteresis, hold time and ramps. `engine` moves the
+robot.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ Ints = NDArray[np.int64]
 
 
 ABSENT_M = 1e5
-"""A person farther off than this is nobody."""
+"""Distance, m, beyond which a person counts as absent."""
 
 
 class SafetyInputs(NamedTuple):
-    """What a safety function sees of B cells, base frame.
+    """Inputs of a safety function for B cells, base frame.
 
     Attributes:
         tcp_m, person_m: TCPs and persons, shape (B, 3), m.
@@ -39,19 +39,19 @@ class SafetyInputs(NamedTuple):
 
 
 class SafetyFunction(Protocol):
-    """Anything that turns positions into a scaling."""
+    """A function from positions to a scaling."""
 
     def allowed(self, at: SafetyInputs, margin_m: float) -> Array:
-        """Return the scaling (B,) that it allows, boundaries moved outwards by `margin_m`."""
+        """Return the scaling (B,) that it allows, with boundaries moved outwards by `margin_m`."""
 
 
 class _Steps:
-    """What safety functions of levels have in common."""
+    """Common part of safety functions with levels."""
 
     levels: tuple[float, ...]
 
     def step(self, tcp_m: Array, person_m: Array, margin_m: float) -> Ints:
-        """Return the step (B,), an index into levels, for TCPs (B, 3) and persons (B, 3), boundaries moved outwards."""
+        """Return the step (B,), an index into levels, for TCPs and persons (B, 3), with boundaries moved outwards."""
         raise NotImplementedError
 
     def allowed(self, at: SafetyInputs, margin_m: float) -> Array:
@@ -61,13 +61,13 @@ class _Steps:
 
 @dataclass(frozen=True)
 class DistanceStaircase(_Steps):
-    """s = levels[i] for a distance in (thresholds_m[i-1], thresholds_m[i]]; a threshold is of the slower step."""
+    """s = levels[i] for a distance in (thresholds_m[i-1], thresholds_m[i]]; a threshold belongs to the slower step."""
 
     levels: tuple[float, ...]
     thresholds_m: tuple[float, ...]
 
     def step(self, tcp_m: Array, person_m: Array, margin_m: float) -> Ints:
-        """Return the step by distance."""
+        """Return the step for the distance."""
         squares = (tcp_m - person_m) ** 2
         gamma = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2])
         return np.asarray(np.searchsorted(np.array(self.thresholds_m) + margin_m, gamma, side="left"))
@@ -75,7 +75,7 @@ class DistanceStaircase(_Steps):
 
 @dataclass(frozen=True)
 class FloorZone:
-    """A rectangle on the floor, base frame, metres; a person in it (border included) allows at most `step`."""
+    """A rectangle on the floor, base frame, m; a person in it (border included) allows at most `step`."""
 
     name: str
     x_m: tuple[float, float]
@@ -85,13 +85,13 @@ class FloorZone:
 
 @dataclass(frozen=True)
 class FloorZones(_Steps):
-    """s is that of the slowest zone the person stands in; where the robot is plays no part."""
+    """s is that of the slowest zone with the person in it, independent of the robot's position."""
 
     levels: tuple[float, ...]
     zones: tuple[FloorZone, ...]
 
     def step(self, tcp_m: Array, person_m: Array, margin_m: float) -> Ints:
-        """Return the step by the zones under the person's feet."""
+        """Return the step of the zones at the person's position."""
         del tcp_m
         result = np.full(len(person_m), len(self.levels) - 1)
         x, y = person_m[:, 0], person_m[:, 1]
@@ -104,7 +104,7 @@ class FloorZones(_Steps):
 
 @dataclass(frozen=True)
 class SlowestOf(_Steps):
-    """s is the slowest that any of several safety functions with the same levels allows."""
+    """s is the lowest that any of several safety functions with the same levels allows."""
 
     levels: tuple[float, ...]
     parts: tuple[DistanceStaircase | FloorZones, ...]
@@ -115,7 +115,7 @@ class SlowestOf(_Steps):
 
 
 class SpeedScaling:
-    """s of B cells over time: the safety function with its hysteresis, latency and ramps, one call per cycle."""
+    """s of B cells over time: the safety function with hysteresis, latency, hold time and ramps, one call per cycle."""
 
     def __init__(self, function: SafetyFunction, options: SimulationOptions) -> None:
         self._function = function
@@ -130,7 +130,7 @@ class SpeedScaling:
         self._s: Array | None = None
 
     def advance(self, at: SafetyInputs) -> Array:
-        """Return s (B,) of the cycle that begins now, with TCPs and persons as they are now."""
+        """Return s (B,) of the cycle that starts now, for the current positions of TCPs and persons."""
         allowed = self._function.allowed(at, 0.0)
         if self._margin_m > 0 and self._allowed is not None:
             allowed = np.clip(self._allowed, self._function.allowed(at, self._margin_m), allowed)

@@ -1,8 +1,8 @@
-"""The cells: places, stations, safety function, and how their robot and operator choose what to do next.
+"""The cells: places, stations, safety function, and the behaviour of robot and operator.
 
-All coordinates are in the robot base frame, metres; the robot stands on a pedestal, the floor is at z = -0.8 and a
-walking person's pelvis at z = 0.2. Geometry and dwell times are ours, tuned so that the cycle and its loss are
-plausible; levels and thresholds of the first two cells are those of the paper (arXiv 2512.17579).
+All coordinates are in the robot base frame, m; the robot is on a pedestal, the floor is at z = -0.8 and a walking
+person's pelvis at z = 0.2. Geometry and dwell times are ours, tuned so that cycle time and loss are plausible; levels
+and thresholds of the first two cells are those of the paper (arXiv 2512.17579).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ GOAL_SD_M, MIDDLE_SD_M = 0.05, 0.25
 
 @dataclass(frozen=True)
 class Station:
-    """A place where the operator works: position, shortest and longest dwell there."""
+    """A place where the operator works: position, minimum and maximum dwell."""
 
     xyz_m: Place
     dwell_s: tuple[float, float]
@@ -36,25 +36,25 @@ class Scene:
 
     Attributes:
         name: Its name on the command line.
-        places: Robot places by name, `home` and `conveyor` among them.
+        places: Robot places by name, including `home` and `conveyor`.
         stations: Operator places by name.
-        furniture: Tables and belts by name, nothing but looks: middle of the top and size of each.
-        safety: The safety function, which the logs do not tell.
+        furniture: Tables and belts by name, for display only: centre of the top and size of each.
+        safety: The safety function, which is not in the logs.
         picks: Conveyor-to-slot placements per execution.
         repeats_slots: True: each placement draws any slot; False: the slots are a permutation.
         pick_s, place_s: Process times of the gripper.
         wait_s: Mean wait for a box at the conveyor; 0: boxes are always there.
-        walk_m_s: Slowest and fastest walking speed.
-        operator: "deliver": boxes from `inbound` to each outbound station once, then rest. "roam": for ever from
-            station to station. "visit": away for a while, in by `door` to one to three stations, and out again, for
-            ever and whatever the robot does.
-        away_s: Shortest and mean time away of an operator who visits.
-        passing: Share of the visits in which somebody only walks by, in at `door` and out at `exit`.
-        fields: What watches the floor where the logs hold signals of people; its safety function is then theirs.
-        plc: A PLC's event log holds the signals; else the robot's digital inputs do.
-        tracked: A tracker logs the operator; else the signals do.
-        latency_s, ramp_down_per_s, ramp_up_per_s: Its response, where the options leave it at once.
-        continuous: One recording without pauses, the operator going on from execution to execution.
+        walk_m_s: Minimum and maximum walking speed.
+        operator: "deliver": boxes from `inbound` to each outbound station once, then rest. "roam": from station to
+            station without end. "visit": away for a while, in by `door` to one to three stations, and out again,
+            without end and independent of the robot.
+        away_s: Minimum and mean absence of an operator who visits.
+        passing: Share of visits in which a person only walks by, in at `door` and out at `exit`.
+        fields: Fields, for logs with signals of people; they then define the safety function.
+        plc: A PLC's event log holds the signals; otherwise the robot's digital inputs do.
+        tracked: A tracker logs the operator; otherwise the signals do.
+        latency_s, ramp_down_per_s, ramp_up_per_s: Response of the safety function, unless set in the options.
+        continuous: One recording without pauses; the operator continues from execution to execution.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Scene:
 
     @property
     def slots(self) -> tuple[str, ...]:
-        """The places where the robot puts boxes."""
+        """Places where the robot puts boxes."""
         return tuple(name for name in self.places if name not in ("home", "conveyor"))
 
 
@@ -92,7 +92,7 @@ _BOXES: Points = ((-1.0, 0.1), (1.0, 0.1), (1.0, 1.0), (-1.0, 1.0))
 
 
 def _thing(x: float, y: float, top_z: float, length: float, width: float) -> tuple[Place, Place]:
-    """A table or belt that stands on the floor: middle of its top, and its size."""
+    """Return a table or belt on the floor: centre of its top, and its size."""
     return (x, y, top_z), (length, width, round(top_z - FLOOR_Z_M, 3))
 
 
@@ -239,7 +239,7 @@ def _scanner_visits() -> Scene:
 
 
 def _three_fields() -> tuple[Field, ...]:
-    """Box-picking watched by a scanner: a warning field, and a protective field on either side."""
+    """Return fields of a scanner for box-picking: a warning field, and a protective field on either side."""
     return (
         Field("warning", 4, (-1.3, 2.6), (-2.3, 2.3), 0.5),
         Field("protective_left", 5, (-0.8, 1.4), (1.0, 2.1), 0.0, _LEFT, occupied=0),
@@ -248,7 +248,7 @@ def _three_fields() -> tuple[Field, ...]:
 
 
 def _scanner_fields() -> Scene:
-    """Habitual visits and passers-by; the protective field counts while the robot is at its left table."""
+    """Return a scene with visits and passers-by; the protective field counts while the robot is at its left table."""
     stations = {
         "door": _station(3.4, 1.6, (0.2, 0.6)),
         "exit": _station(3.3, -1.9, (0.2, 0.6)),
@@ -277,7 +277,7 @@ def _scanner_fields() -> Scene:
 
 
 def _light_curtain() -> Scene:
-    """A light curtain before each table and a mat in front, logged by a PLC; nobody walks by."""
+    """Return a scene with a light curtain at each table and a mat in front, logged by a PLC, without passers-by."""
     stations = {
         "door": _station(3.4, 1.6, (0.2, 0.6)),
         "left": _station(0.1, 1.15, (2.0, 5.0)),
@@ -308,6 +308,6 @@ def _light_curtain() -> Scene:
 TRACKED = (_box_picking(), _pick_and_package(), _laser_zones(), _scanner_visits())
 BUILT_IN: dict[str, Scene] = {scene.name: scene for scene in (*TRACKED, _scanner_fields(), _light_curtain())}
 SCENES: tuple[str, ...] = tuple(scene.name for scene in TRACKED)
-"""Those whose operator a tracker logs."""
+"""Scenes with a tracker."""
 FIELD_SCENES: tuple[str, ...] = tuple(name for name in BUILT_IN if name not in SCENES)
-"""Those without a tracker: signals alone tell of people."""
+"""Scenes without a tracker, where only signals show people."""

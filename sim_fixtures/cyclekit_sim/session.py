@@ -1,8 +1,7 @@
-"""One recording session: runs laid on one time line, and what robot and person did on it.
+"""One recording session: runs arranged in session time, with states of robot and person.
 
-Time here is session time: 0 at the first robot sample. Between two runs the robot's logger is off while the tracker
-goes on and sees the operator come back to where the next run finds them. In which clock, frame, unit and file this is
-written is the business of the writers.
+Session time is 0 at the first robot sample. Between two runs the robot's logger is off, while the tracker continues and
+sees the operator return to the start of the next run. The writers choose clock, frame, unit and file.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ class RobotStates:
         twist: TCP velocity, linear then angular (N, 6).
         scaling: s (N,).
         closed: Gripper closed, 0 or 1 (N,).
-        execution: Execution number; on an idle stay that of the execution before (N,).
+        execution: Execution number; on an idle stay that of the previous execution (N,).
         slider: The operator's speed slider (N,).
         paused: Whether the program is paused (N,).
         inputs: Digital inputs as a bit field (N,).
@@ -59,9 +58,9 @@ class RobotStates:
 
 @dataclass(frozen=True)
 class Session:
-    """Runs and when they begin (session time, whole control cycles).
+    """Runs and their starts (session time, whole control cycles).
 
-    `signals` are time, name and value of what is logged as events; None: the operator's presses.
+    `signals` holds time, name and value of the logged events; None: the operator's button presses.
     """
 
     index: int
@@ -77,18 +76,18 @@ class Session:
 
     @property
     def end_s(self) -> float:
-        """When the last run ended."""
+        """End of the last run, s."""
         return self.begins_s[-1] + self.traces[-1].duration_s
 
     @cached_property
     def robot(self) -> RobotStates:
-        """What the controller saw, cycle by cycle."""
+        """The controller's states, cycle by cycle."""
         parts = [robot_states(t, self.table, begin_s=b) for t, b in zip(self.traces, self.begins_s, strict=True)]
         names = RobotStates.__dataclass_fields__
         return RobotStates(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def person(self, t_s: Array) -> Array:
-        """Return where the person is (M, 3), base frame, at session times (M,); NaN: nobody."""
+        """Return the person's position (M, 3), base frame, at session times (M,); NaN: absent."""
         found = np.empty((len(t_s), 3))
         ends = [b + trace.duration_s for b, trace in zip(self.begins_s, self.traces, strict=True)]
         for i, (trace, begin) in enumerate(zip(self.traces, self.begins_s, strict=True)):

@@ -1,7 +1,7 @@
-"""The two calls that the simulator is for: plant logs with their ground truth, and fresh executions of one sequence.
+"""The two main calls of the simulator: plant logs with ground truth, and fresh executions of one sequence.
 
-Logs are written into a folder beside the wanted one and moved there when all is done: a killed simulation leaves
-nothing that looks like logs. Same seed, same bytes.
+Logs are written into a temporary folder next to `out` and moved there at the end, so a killed simulation leaves nothing
+that looks like logs. The same seed gives the same bytes.
 """
 
 from __future__ import annotations
@@ -66,18 +66,18 @@ def simulate(
 
     Args:
         scene: One of SCENES, FIELD_SCENES or COUPLED.
-        out: Folder to make. An earlier simulation there is replaced; any other content is refused.
-        executions: How many executions of the process.
-        seed: Same seed, same bytes; execution i is the same however many are simulated.
+        out: Folder to create. An earlier simulation there is replaced; any other content is refused.
+        executions: Number of executions.
+        seed: The same seed gives the same bytes; execution i does not depend on the number of executions.
         options: Log format, imperfections, dynamics.
-        progress: Called with the fraction done and what is being done.
+        progress: Called with the fraction done and a description.
 
     Returns:
         `out`.
 
     Raises:
         SimulationError: Unknown scene, unusable options, a folder with other content, or a robot that gets stuck.
-        OSError: The folder cannot be written; what was there stays.
+        OSError: The folder cannot be written; its previous content remains.
     """
     work = _prepare(scene, seed, options, executions)
     _refuse_foreign(out)
@@ -92,7 +92,7 @@ def simulate(
             out.replace(retired)
         partial.replace(out)
         shutil.rmtree(retired, ignore_errors=True)
-    except pl.exceptions.PolarsError as error:  # what polars makes of a full disk
+    except pl.exceptions.PolarsError as error:  # error of polars for a full disk
         raise OSError(errno.EIO, str(error).rpartition("error: ")[2], str(out)) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
@@ -107,9 +107,9 @@ def simulate_sequence(
     seed: int,
     options: SimulationOptions = _DEFAULT,
 ) -> pl.DataFrame:
-    """Run one place sequence again and again with a fresh operator each time, and write nothing.
+    """Run one place sequence repeatedly with a fresh operator each time, without writing logs.
 
-    The random streams are apart from those of `simulate`, whatever the seeds.
+    The random streams are independent of those of `simulate` for all seeds.
 
     Returns:
         One row per execution: execution, duration_s, nominal_s, safety_loss_s, dwell_s, wait_s.
@@ -135,7 +135,7 @@ def _scene(name: str) -> Scene:
 
 
 def set_up(name: str, options: SimulationOptions) -> tuple[Scene, SimulationOptions]:
-    """Return the scene with the safety function that the options ask for, and the options with what it leaves open."""
+    """Return the scene with the safety function of the options, and the options completed from the scene."""
     scene = _scene(name)
     people = options.people or ("tracker" if scene.tracked else "signals")
     if people in ("signals", "both"):
@@ -236,13 +236,13 @@ def _write_session(folder: Path, session: Session, work: Work | CoupledWork) -> 
 
 
 def _signal_logs(work: Work | CoupledWork) -> tuple[bool, bool]:
-    """Return whether there are logs of events, and digital inputs in the robot's log."""
+    """Return whether there are event logs, and digital inputs in the robot's log."""
     return work.signal_logs if isinstance(work, CoupledWork) else (True, work.options.causes is not None)
 
 
 def _facts(work: Work | CoupledWork) -> str:
     options = dataclasses.asdict(dataclasses.replace(work.options, rule=None))
-    del options["rule"]  # it is the safety function below
+    del options["rule"]  # stored as the safety function below
     if work.options.causes is None:
         del options["causes"]
     signals = work.options.people in ("signals", "both")

@@ -1,7 +1,8 @@
-"""Task lists of a cell where robot and operator wait for each other: starts and ends, no positions, truth beside them.
+"""Task lists of a cell with waits of robot and operator: starts and ends without positions, and the truth.
 
-The robot brings a part, the operator mounts it, the robot welds it; between these each has work of his own. The k-th
-mount waits for the k-th bring, the k-th weld for the k-th mount. Some tasks go on slower beside others.
+The robot brings a part, the operator mounts it, the robot welds it; between these, each agent has other tasks. The k-th
+mount waits for the k-th bring, the k-th weld for the k-th mount. Some tasks are slower or faster in parallel with
+others.
 """
 
 from __future__ import annotations
@@ -21,24 +22,24 @@ AGENTS = {"robot": "arm", "operator": "worker"}
 MEAN_S = {"bring": 6.0, "weld": 5.0, "polish": 4.0, "mount": 5.0, "inspect": 7.0, "pack": 4.0}
 WAITS = {"mount": "bring", "weld": "mount"}
 BESIDE = {("weld", "inspect"): 0.6, ("inspect", "weld"): 0.8, ("pack", "polish"): 1.3}
-"""Rate of the first task beside the second; 1 for all other pairs."""
+"""Rate of the first task while the second runs in parallel; 1 for all other pairs."""
 LAG_S = 0.2
 EPOCH_S = 1_700_000_000.0
 TIMES = 3
-"""How often each task is done in one execution."""
+"""Number of repetitions of each task in one execution."""
 
 
 @dataclass(frozen=True)
 class ListOptions:
-    """What is simulated.
+    """Options of the simulation.
 
     Attributes:
-        coupled: The operator and the robot wait for each other.
-        beside: Tasks go on slower or faster beside others.
+        coupled: Operator and robot wait for each other.
+        beside: Tasks are slower or faster in parallel with others.
         spread: Standard deviation of the logarithm of a duration.
-        drift: Part by which the operator becomes quicker from the first to the last execution; fresh executions are
-            at the pace of the last.
-        turns: Part by which a task takes longer each time it is done in one execution.
+        drift: Share by which the operator becomes faster from the first to the last execution; fresh executions have
+            the rate of the last one.
+        turns: Share by which a task takes longer with each repetition in one execution.
     """
 
     coupled: bool = True
@@ -78,7 +79,7 @@ def random_order(rng: np.random.Generator) -> Order:
 def one_cycle(
     order: Order, rng: np.random.Generator, options: ListOptions, passed: float = 1.0
 ) -> list[tuple[str, str, float, float]]:
-    """Return agent, task, start and end, s, of every task of one execution; `passed` is the part of the drift."""
+    """Return agent, task, start and end, s, of every task of one execution; `passed` is the share of the drift."""
     agents = {name: _Agent(tasks) for name, tasks in order.items()}
     done: list[tuple[str, str, float, float]] = []
     t = 0.0
@@ -119,7 +120,7 @@ def _until_next(agents: dict[str, _Agent], name: str, t: float, options: ListOpt
 
 
 def _starts(agents: dict[str, _Agent], name: str, options: ListOptions) -> float:
-    """Return when the next task of an agent starts, s; infinite while what it waits for has not ended."""
+    """Return the start of an agent's next task, s; infinite until its condition has ended."""
     agent = agents[name]
     task = agent.order[agent.at]
     ready = agent.ready_s
@@ -142,7 +143,7 @@ def simulate_task_lists(
 ) -> list[Order]:
     """Write `tasks.csv` and `truth/truth.json` into a folder; return the order of each execution.
 
-    `first` is the part of the drift that has passed before the first execution.
+    `first` is the share of the drift before the first execution.
     """
     wanted = options or ListOptions()
     rng = np.random.default_rng(seed)

@@ -1,7 +1,7 @@
-"""The tracker: the person as its log has them, in its own clock and frame, with noise and lost frames.
+"""The tracker: the person as logged, in the tracker's clock and frame, with noise and lost frames.
 
-It starts recording a few seconds before the robot's logger and sees the person all along. Its file format is the
-business of `write_motive` and `write_bag`.
+It starts recording a few seconds before the robot's logger and sees the person all the time. `write_csv` and
+`write_bag` write its file.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from cyclekit_sim.arm import Array
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.session import Session
 
-_LOST_S = 0.25  # mean length of a dropout
+_LOST_S = 0.25  # s, mean length of a dropout
 _TAIL_S = 1.0
 
 
@@ -25,8 +25,8 @@ class Frames:
 
     Attributes:
         t_s: Tracker clock, 0 at the start of the take (M,).
-        session_s: When that really was, session time (M,).
-        xyz_m: Person in the base frame as measured, NaN where nobody was seen (M, 3).
+        session_s: True time of each frame, session time (M,).
+        xyz_m: Measured position of the person in the base frame, NaN where not seen (M, 3).
         heading_rad: Direction of walking about the base's vertical (M,).
     """
 
@@ -37,12 +37,12 @@ class Frames:
 
 
 def lead_s(options: SimulationOptions) -> float:
-    """Return how long before the robot's first sample the take starts, by what cell.toml tells."""
+    """Return the time from the start of the take to the robot's first sample, s, according to cell.toml."""
     return 5.0 + float(np.ceil(max(0.0, options.clock_offset_s)))
 
 
 def tracker_time(session_s: Array, options: SimulationOptions) -> Array:
-    """Return the tracker's time at session times, imperfect as its clock is."""
+    """Return the tracker's time at session times, with the errors of its clock."""
     return np.asarray((session_s + lead_s(options)) * (1 + options.clock_drift) - options.clock_offset_s)
 
 
@@ -58,7 +58,7 @@ def record(session: Session, options: SimulationOptions, rng: np.random.Generato
 
 
 def in_tracker_frame(xyz_m: Array, options: SimulationOptions) -> Array:
-    """Turn base-frame positions (M, 3) into the tracker's frame, Z still up."""
+    """Return base-frame positions (M, 3) in the tracker's frame, Z up."""
     yaw = np.deg2rad(options.tracker_yaw_deg)
     c, s = np.cos(yaw), np.sin(yaw)
     apart = xyz_m - np.array(options.tracker_xyz_m)
@@ -66,7 +66,7 @@ def in_tracker_frame(xyz_m: Array, options: SimulationOptions) -> Array:
 
 
 def _lost(count: int, options: SimulationOptions, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return which frames are lost (M,): bursts of random length, the wanted fraction in all."""
+    """Return a mask of lost frames (M,): bursts of random length, with the requested fraction in total."""
     lost = np.zeros(count, dtype=bool)
     if options.dropout == 0:
         return lost

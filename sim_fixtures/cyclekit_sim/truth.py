@@ -1,8 +1,8 @@
-"""Ground truth: what really happened, beside the logs, in the clock of the robot's log and in the base frame.
+"""Ground truth of the logs, in the clock of the robot's log and in the base frame.
 
-Times add up exactly: duration = nominal motion + safety loss + dwell + wait, for a task as for an execution. A task is
-the move to its goal with the wait and dwell there, so tasks follow each other without holes. Where a simulation mixes
-causes, `lost_CAUSE_s` tell them apart, and `safety_loss_s` is all that the move lost to anything but slider and pause.
+Times add up exactly: duration = nominal motion + safety loss + dwell + wait, for tasks and executions. A task is the
+move to its goal with the wait and dwell there, so tasks follow each other without gaps. In a simulation with several
+causes, `lost_CAUSE_s` separates them, and `safety_loss_s` is the total loss of the move, except slider and pause.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SUMS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
 def task_rows(trace: Trace, clock_s: float) -> Iterator[dict[str, object]]:
-    """Yield a run's tasks in order; `clock_s` is what the log's clock shows when the run begins."""
+    """Yield a run's tasks in order; `clock_s` is the log's clock at the start of the run."""
     program = trace.program
     begins, lengths = trace.begins_s, trace.ends_s - trace.begins_s
     lost = {} if trace.why is None else lost_parts(trace.why, program.kind[trace.segment])
@@ -55,13 +55,13 @@ def task_rows(trace: Trace, clock_s: float) -> Iterator[dict[str, object]]:
 
 
 def task_table(session: Session, clock_s: float) -> pl.DataFrame:
-    """Return a session's tasks; `clock_s` is what the log's clock shows at session time 0."""
+    """Return a session's tasks; `clock_s` is the log's clock at session time 0."""
     runs = zip(session.traces, session.begins_s, strict=True)
     return pl.DataFrame([row for trace, begin in runs for row in task_rows(trace, clock_s + begin)])
 
 
 def execution_table(tasks: pl.DataFrame, session: str, executions: dict[int, Execution]) -> pl.DataFrame:
-    """Return one row per execution, summed from its tasks."""
+    """Return one row per execution, summed over its tasks."""
     return (
         tasks.group_by("execution", maintain_order=True)
         .agg(pl.col("start_s").first(), pl.col("end_s").last(), pl.col(_SUMS).sum())

@@ -1,7 +1,7 @@
-"""The operator as a track: where the person is at any time, and which task was begun when.
+"""The operator as a track: positions at any time, and the start of each task.
 
-A simulated operator walks from station to station on a curve through a random midpoint and dwells there; a recorded
-one replays a tracker log to and fro. Nobody reacts to the robot. Where the stations are is the business of `scenes`.
+A simulated operator walks from station to station on a curve through a random midpoint and dwells there; a recorded one
+replays a tracker log to and fro. Neither reacts to the robot. `scenes` defines the stations.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _WALK_ACCELERATION_M_S2 = 1.5
 
 @dataclass(frozen=True)
 class Press:
-    """The operator begins a task: when (s since the track's start), whither by name, and the very goal (3,), m."""
+    """Start of a task of the operator: time (s since the track's start), station, and exact goal (3,), m."""
 
     t_s: float
     goal: str
@@ -30,7 +30,7 @@ class Press:
 
 @dataclass(frozen=True)
 class Leg:
-    """A stretch of a track: knot times from 0 on (K,), s, and positions (K, 3), m; with the press that begins it."""
+    """Part of a track: knot times from 0 (K,), s, and positions (K, 3), m; with the press that starts it."""
 
     t_s: Array
     xyz_m: Array
@@ -41,10 +41,10 @@ class Track(Protocol):
     """A person in the cell."""
 
     def at(self, t_s: Array) -> Array:
-        """Return positions (M, 3), base frame, m, at times (M,), s since the track's start; NaN: nobody."""
+        """Return positions (M, 3), base frame, m, at times (M,), s since the track's start; NaN: absent."""
 
     def presses(self, until_s: float) -> list[Press]:
-        """Return the tasks begun up to `until_s`, in order."""
+        """Return the tasks started up to `until_s`, in order."""
 
 
 class Nobody:
@@ -61,9 +61,9 @@ class Nobody:
 
 
 class WalkedTrack:
-    """Legs one after the other, made as far as they are asked for; after the last leg the person stands still.
+    """Consecutive legs, generated as needed; after the last leg the person stands still.
 
-    `skip_s` cuts off the beginning: time 0 of the track is that far into the legs.
+    `skip_s` skips the beginning: time 0 of the track is at that time of the legs.
     """
 
     def __init__(self, legs: Iterator[Leg], *, skip_s: float = 0.0) -> None:
@@ -83,7 +83,7 @@ class WalkedTrack:
         return np.stack([np.interp(t_s, known_s, known_m[:, axis]) for axis in range(3)], axis=1)
 
     def presses(self, until_s: float) -> list[Press]:
-        """Return the tasks begun up to `until_s`, in order."""
+        """Return the tasks started up to `until_s`, in order."""
         self._grow(until_s + self._skip_s)
         begun = [Press(press.t_s - self._skip_s, press.goal, press.goal_m) for press in self._presses]
         return [press for press in begun if 0.0 <= press.t_s <= until_s]
@@ -101,7 +101,7 @@ class WalkedTrack:
 
     def _put(self, t_s: Array, xyz_m: Array) -> None:
         end = self._points + len(t_s)
-        if end > len(self._t_s):  # twice the room, so that an endless session costs no more a leg than a short one
+        if end > len(self._t_s):  # doubled, so that the cost per leg does not grow with the session
             room = max(2 * len(self._t_s), end)
             self._t_s = np.concatenate([self._t_s, np.empty(room - len(self._t_s))])
             self._xyz_m = np.concatenate([self._xyz_m, np.empty((room - len(self._xyz_m), 3))])
@@ -110,7 +110,7 @@ class WalkedTrack:
 
 
 class RecordedTrack:
-    """A recording (K,), (K, 3) replayed to and fro without end, entered at `phase_s`; all in the base frame."""
+    """A recording (K,), (K, 3) replayed to and fro without end, starting at `phase_s`; in the base frame."""
 
     def __init__(self, t_s: Array, xyz_m: Array, phase_s: float) -> None:
         self._t_s, self._xyz_m, self._phase_s = t_s - t_s[0], xyz_m, phase_s
@@ -123,7 +123,7 @@ class RecordedTrack:
         return np.stack([np.interp(folded, self._t_s, self._xyz_m[:, axis]) for axis in range(3)], axis=1)
 
     def presses(self, until_s: float) -> list[Press]:
-        """Return no task: a recording presses no button."""
+        """Return no task: a recording has no button presses."""
         del until_s
         return []
 
@@ -149,12 +149,12 @@ def stand(at_m: Array, length_s: float) -> Leg:
 
 
 def away(length_s: float) -> Leg:
-    """Return a stretch of `length_s` without anybody in the cell."""
+    """Return a leg of `length_s` without a person in the cell."""
     return Leg(np.array([0.0, length_s]), np.full((2, 3), np.nan))
 
 
 def _trapezoid(t: Array, top: float, rise_s: float, total_s: float) -> Array:
-    """Return the way gone (K,) at times (K,) when speed rises to `top`, holds and falls at one rate."""
+    """Return the distance covered (K,) at times (K,), for a speed that rises to `top`, holds and falls at one rate."""
     rising = 0.5 * top / rise_s * np.minimum(t, rise_s) ** 2
     cruising = top * np.clip(t - rise_s, 0.0, total_s - 2 * rise_s)
     falling_s = np.clip(t - (total_s - rise_s), 0.0, rise_s)

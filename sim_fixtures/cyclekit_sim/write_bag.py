@@ -1,9 +1,9 @@
-"""ROS 2 bag (mcap): what `ros2 bag record` writes in a cell with the UR ROS 2 driver and a people tracker.
+"""ROS 2 bag (mcap): the output of `ros2 bag record` in a cell with the UR ROS 2 driver and a people tracker.
 
-Joints by name and not in order, TCP pose, speed scaling in 0..100, a latched "program running", the people as poses in
-the base frame, and the operator's goal at each button press. Log times are the recorder's; the header stamps of the
-people are the tracker's, with its clock errors. Messages of one kind differ only in their numbers, so each kind is
-serialised once and its numbers are written into copies.
+It holds joints by name in another order, TCP pose, speed scaling in 0..100, a latched "program running", the people as
+poses in the base frame, and the operator's goal at each button press. Log times are the recorder's; the header stamps
+of the people are the tracker's, with its clock errors. Messages of one kind differ only in their numbers, so each kind
+is serialised once and the numbers are written into copies.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from cyclekit_sim.tracker import Frames, lead_s
 if TYPE_CHECKING:
     from rosbags.typesys.store import Msg
 
-BAG_EPOCH_S = 1_750_000_000.0  # what the recorder's clock shows at the first robot sample of a session
+BAG_EPOCH_S = 1_750_000_000.0  # s, recorder's clock at the first robot sample of a session
 _ORDER = (2, 1, 0, 3, 4, 5)  # joint_state_broadcaster sorts by name: elbow first
 _FRAME = "base"
-_MARK = 7.0e300  # sentinels that are found again in a serialised template
+_MARK = 7.0e300  # sentinel that can be found in a serialised template
 Bytes = NDArray[np.uint8]
 Message = tuple[int, str, bytes]
 _TYPES = {
@@ -43,7 +43,7 @@ _TYPES = {
 
 
 def write_bag(path: Path, session: Session, robot: RobotStates, frames: Frames, options: SimulationOptions) -> None:
-    """Write a session as one mcap file; `robot` is what its controller measured."""
+    """Write a session as one mcap file; `robot` holds the controller's measurements."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     messages = [*_robot(store, robot, options), *_people(store, frames, options), *_signals(store, session)]
     messages.sort(key=lambda message: message[:2])
@@ -109,7 +109,7 @@ def _signals(store: Typestore, session: Session) -> Iterator[Message]:
 
 
 def _fill(store: Typestore, topic: str, template: Msg, numbers: Array, stamps_ns: NDArray[np.int64]) -> Bytes:
-    """Return messages (N, L) bytes: the template with the numbers (N, D) in place of its sentinels, stamped."""
+    """Return messages (N, L) bytes: copies of the template with numbers (N, D) instead of its sentinels, and stamps."""
     raw = bytes(store.serialize_cdr(template, _TYPES[topic]))
     messages = np.repeat(np.frombuffer(raw, np.uint8)[None], len(numbers), axis=0)
     at = raw.find(np.float64(_MARK).tobytes())

@@ -1,8 +1,8 @@
 """CSV logs: UR `record.py`, OptiTrack Motive 1.23 and the operator's buttons.
 
 The robot CSV has one space between fields, CRLF line ends, one row per control cycle, SI units, uptime clock. The
-Motive CSV has its five header rows, Y up, rotation before position, empty cells where the body is lost. The button
-CSV has `time,signal,value`, in the tracker's clock.
+Motive CSV has its five header rows, Y up, rotation before position, empty cells where the body is lost. The button CSV
+has `time,signal,value`, in the tracker's clock.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.session import RobotStates, Session
 from cyclekit_sim.tracker import Frames, in_tracker_frame, tracker_time
 
-UPTIME_S = 152.512  # what the controller's clock shows at the first sample
+UPTIME_S = 152.512  # s, controller's clock at the first sample
 _GROUPS = ("actual_q", "actual_qd", "actual_TCP_pose", "actual_TCP_speed")
 _BODY = "Operator"
 _BODY_ID = "5F1C2A9E0B7D11EFA3C20242AC120002"
 
 
 def write_robot(path: Path, robot: RobotStates, options: SimulationOptions, *, inputs: bool = False) -> None:
-    """Write what the controller measured as UR's `record.py` does; `inputs`: with the digital inputs."""
+    """Write the controller's measurements as UR's `record.py` does; `inputs`: with the digital inputs."""
     count = len(robot.t_s)
     pose = np.concatenate([robot.tcp_m, robot.rotation_vector], axis=1)
     groups = zip(_GROUPS, (robot.q_rad, robot.qd_rad_s, pose, robot.twist), strict=True)
@@ -48,7 +48,7 @@ def write_robot(path: Path, robot: RobotStates, options: SimulationOptions, *, i
 
 
 def write_people(path: Path, frames: Frames, options: SimulationOptions, take: str) -> None:
-    """Write a take as Motive 1.23 exports it: one rigid body, Y up."""
+    """Write a take as exported by Motive 1.23: one rigid body, Y up."""
     place = in_tracker_frame(frames.xyz_m, options) * (1000.0 if options.millimetres else 1.0)
     half = 0.5 * (frames.heading_rad - np.deg2rad(options.tracker_yaw_deg))
     still = np.zeros(len(half))
@@ -81,7 +81,7 @@ def _motive_header(take: str, frames: int, options: SimulationOptions) -> str:
 
 
 def write_events(path: Path, session: Session, options: SimulationOptions) -> None:
-    """Write the button presses, tracker clock."""
+    """Write the button presses, in the tracker's clock."""
     events = session.events()
     times = tracker_time(np.array([t_s for t_s, _, _ in events], dtype=np.float64), options)
     columns = {
@@ -93,7 +93,7 @@ def write_events(path: Path, session: Session, options: SimulationOptions) -> No
 
 
 def write_plc(path: Path, session: Session, fields: Sequence[Field]) -> None:
-    """Write the signals that a PLC logs, each when it changes, the robot's clock."""
+    """Write the signals logged by a PLC at their changes, in the robot's clock."""
     times, names, values = events_of(session, fields)
     columns = {"time": np.array(times) + UPTIME_S, "signal": names, "value": values}
     pl.DataFrame(columns).write_csv(path, float_precision=4)

@@ -1,6 +1,6 @@
-"""A PLC's trace beside the robot's log: one column per tag, or rows of tag, time and value; on a clock of its own.
+"""A PLC's trace: one column per tag, or rows of tag, time and value, in the PLC's own clock.
 
-The robot's gripper output is wired to the PLC as well: both log it, which is how their clocks can be put together.
+The robot's gripper output is also wired to the PLC: both log it, so their clocks can be aligned.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from cyclekit_sim.fields import NAMES, Field
 from cyclekit_sim.session import Session
 
 PLC_S = 41.3
-"""What the PLC's clock shows at the first sample of the robot."""
+"""PLC's clock at the first robot sample, s."""
 SHARED = "robot_gripper"
-"""The tag of the robot's digital output 0."""
+"""Tag of the robot's digital output 0."""
 _DAY = datetime(2025, 6, 2, 8, 0, 0, tzinfo=UTC)
 
 
@@ -44,7 +44,7 @@ def write_trace(path: Path, session: Session, fields: Sequence[Field], form: Lit
 
 
 def trace_source(fields: Sequence[Field], form: Literal["wide", "long"]) -> list[str]:
-    """Return the lines of the cell file about the trace."""
+    """Return the lines of the cell file for the trace."""
     if form == "wide":
         tags = ", ".join(f'"{name}"' for name in (*(one.name for one in fields), *NAMES.values(), SHARED))
         how = f'time = "Time [ms]", time_unit = "ms", clock = "uptime", decimal = ",", delimiter = ";", tags = [{tags}]'

@@ -111,8 +111,7 @@ def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -
     """Return rows as `_in_memory` does, for more samples than fit in memory; training rows are in files of `folder`.
 
     Levels and groups that may be unknown are found in as many executions as fit in memory. Held-out executions are
-    limited
-    to a tenth of that, which already determines an error to 1 %.
+    limited to a tenth of that, which already determines an error to 1 %.
     """
     most = most_rows / 10 / rows_of(dataset)
     parts = (min(spec.test_fraction, most), min(spec.validation_fraction, most))

@@ -81,8 +81,7 @@ def with_commands(dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float]
 
     Returns:
         The rows; null where a ramp hides the command, or the log ends before the response. `frame` itself if the
-        dataset
-        has no response.
+        dataset has no response.
     """
     response = dataset.card.dynamics
     if not follows_late(response) or len(levels) < 2:

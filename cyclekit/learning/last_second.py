@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 PAST = ("robot_goal_age_s", "human_goal_age_s", "scaling", "human_still_s")
 """Additional inputs of a sample: age of each goal, s; present speed scaling; and time, s, for which the operator has
-been
-within `STILL_M` of his position, at most `STILL_S`, 0 if he is not seen."""
+been within `STILL_M` of his position, at most `STILL_S`, 0 if he is not seen."""
 STILL_M, STILL_S = 0.15, 10.0
 _SCALING = slice(14, 15)
 _ROBOT, _HUMAN, _GOALS = slice(0, 3), slice(3, 6), (slice(6, 9), slice(9, 12))
@@ -59,8 +58,7 @@ def window_features(windows: NDArray[np.floating]) -> Singles:
     """Return the features of windows for trees, shape (N, D); unknown inputs stay NaN.
 
     Features: the last sample; earlier positions relative to it; the distance of robot and operator in each sample, and
-    its
-    changes; the distances between positions and goals; the past scalings.
+    its changes; the distances between positions and goals; the past scalings.
 
     Args:
         windows: Inputs, shape (N, K, F), oldest sample first, or (N, F) for one sample each.

@@ -1,10 +1,8 @@
 """Datasets larger than memory: subsets of executions, and training rows in files.
 
 Levels, held-out errors and operator tracks need only a large part of the logs: executions are drawn at random until
-they
-have as many rows as fit in memory. Training reads all others: its rows are built from the Parquet files part by part
-and
-appended to plain files, which are memory-mapped and read block by block.
+they have as many rows as fit in memory. Training reads all others: its rows are built from the Parquet files part by
+part and appended to plain files, which are memory-mapped and read block by block.
 """
 
 from __future__ import annotations

@@ -62,20 +62,19 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
     """Train the network of `spec` on `dataset` and evaluate it on held-out executions.
 
     If the dataset has more samples than `memory_rows`, training rows are kept in temporary files and read in blocks,
-    and
-    levels are found in a subset of the executions.
+    and levels are found in a subset of the executions.
 
     Args:
         dataset: Dataset with a speed scaling, logged or inferred, and positions of robot and operator.
         spec: What to train.
-        rules: Also search a rule that explains the commanded level; if one is found, it replaces the network. Not for
-            a network that forecasts, or that learns the logged scaling on request. For the continuous law, the network
-            is a regressor.
+        rules: Also search a rule that explains the commanded level; if one is found, it replaces the network. Not for a
+            network that forecasts, or that learns the logged scaling on request. For the continuous law, the network is
+            a regressor.
         progress: Called after every epoch with the share done and the validation error.
 
     Returns:
-        The model with the weights of its best epoch. Its card holds `metrics` on the held-out executions, the
-        `split`, `levels` with their shares, `history`, `dropped` rows by reason, and the origin of the data.
+        The model with the weights of its best epoch. Its card holds `metrics` on the held-out executions, the `split`,
+        `levels` with their shares, `history`, `dropped` rows by reason, and the origin of the data.
 
     Raises:
         DatasetError: The dataset lacks what training needs; the message names it.

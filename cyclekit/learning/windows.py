@@ -139,8 +139,7 @@ def build_samples(
         levels: Levels of the speed scaling, ascending, to label the targets; rows in transition get none.
         rate_hz: Rate of `frame`.
         allow: Groups (see `GROUPS`) whose columns may be unknown (NaN in X). Rows in which the operator is hidden, or
-            his
-            log has ended, are dropped in any case, because he is not known to be absent.
+            his log has ended, are dropped in any case, because he is not known to be absent.
         history: Number of samples that a recurrent network sees, and rows between them. At the start of a stretch, its
             first sample replaces the earlier ones.
         past: Add the inputs of `last_second.PAST`; for a problem with goals.

@@ -49,8 +49,7 @@ GOAL_SIGNAL = "goal"
 _HUMAN = tuple(f"human_{axis}_m" for axis in "xyz")
 HEIGHT_M = 1.5
 """Maximum plausible height range of a person at work, m, over at least ENOUGH positions; if exceeded, the height axis
-is
-probably a floor axis."""
+is probably a floor axis."""
 ENOUGH = 100
 
 

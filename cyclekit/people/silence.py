@@ -1,10 +1,8 @@
 """Meaning of a tracker's silence: no person in view, or the tracker is not running.
 
 Some trackers write a row with empty cells while nobody is in view, others write nothing. A log of the latter starts
-when
-a person arrives and ends when he has left; before and after, nobody is present. Such a tracker is recognised by
-silences
-within its logs. Their positions also show where people enter and leave.
+when a person arrives and ends when he has left; before and after, nobody is present. Such a tracker is recognised by
+silences within its logs. Their positions also show where people enter and leave.
 """
 
 from __future__ import annotations

@@ -74,10 +74,8 @@ def at_times(track: PersonTrack, t_s: Vector, *, bridge_s: float, width_s: float
     """Return the track at times `t_s` (N,), shape (N, 3), m; NaN if no position is near enough.
 
     Positions are interpolated linearly if at most `bridge_s` apart (or two frames of the tracker, if that is longer),
-    and
-    averaged over `width_s` around each time, so that noise faster than the samples does not appear as motion. The
-    average
-    does not extend across a gap; near one it is shorter, symmetric to the time.
+    and averaged over `width_s` around each time, so that noise faster than the samples does not appear as motion. The
+    average does not extend across a gap; near one it is shorter, symmetric to the time.
     """
     limit = max(bridge_s, 2.0 * track.period_s)
     if not np.isfinite(limit) or len(t_s) == 0:
@@ -175,8 +173,7 @@ def without_jumps(track: PersonTrack) -> tuple[list[PersonTrack], int]:
     """Return the parts of a track between implausible jumps, and the number of implausible positions.
 
     A false detection is removed and the track continues; after a lasting jump (the tracker switched to another person)
-    a new
-    part starts, so that nothing is interpolated across it.
+    a new part starts, so that nothing is interpolated across it.
     """
     seen = np.flatnonzero(np.isfinite(track.xyz_m[:, :2]).all(axis=1))
     rows = seen
@@ -223,8 +220,7 @@ def gap_reasons(
 
     Returns:
         `seen`; `outside`: before the start or after the end of the log; `occluded`: within a track that continues
-        within
-        OCCLUDED_S; `absent`: none of these.
+        within OCCLUDED_S; `absent`: none of these.
     """
     seen, hidden = np.zeros(len(t_s), bool), np.zeros(len(t_s), bool)
     for track in tracks:

@@ -1,8 +1,7 @@
 """Common behaviour of the library's results: short repr, HTML table, polars frame, JSON values.
 
 A result is a frozen dataclass. Its class returns its text (`_said`) and the rows of its frame, unless that is one row
-of
-its scalar values (`_frame_rows`); `--json` prints `to_dict`.
+of its scalar values (`_frame_rows`); `--json` prints `to_dict`.
 """
 
 from __future__ import annotations

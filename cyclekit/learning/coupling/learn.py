@@ -156,9 +156,8 @@ def _parts(
     """Return the quantiles of own work, and the condition cards.
 
     If the agent always waits, own work never ends a dwell. It is then estimated as the shortest dwell if many dwells
-    are
-    as short; otherwise as the typical work time at other places (`usual_s`), or half of the shortest dwell if there is
-    none, but never more than the shortest dwell.
+    are as short; otherwise as the typical work time at other places (`usual_s`), or half of the shortest dwell if there
+    is none, but never more than the shortest dwell.
     """
     step = -(-len(found.left_s) // KEPT)
     since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])

@@ -50,8 +50,7 @@ class Passages:
         course, nth: Number of the execution, and of the passage within it from 0, shape (N,).
         own_s, left_s: When the agent was free to go or arrived, and when it went on, shape (N,).
         since_s: Time from the event of each condition to the departure, shape (N,), s; NaN = no event needed, -inf =
-            the
-            event came later.
+            the event came later.
     """
 
     gate: Gate

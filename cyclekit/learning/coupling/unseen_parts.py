@@ -1,8 +1,7 @@
 """Learns the arrival of parts that no signal reports from the robot's standstills.
 
 If the robot waited for a part, the part arrived at the end of the wait; otherwise it arrived before the robot. Each
-part
-arrives a gap after the previous one, provided there is room. So the gap is observed after each part that the robot
+part arrives a gap after the previous one, provided there is room. So the gap is observed after each part that the robot
 waited for: exactly, or left-censored by the robot's absence. Unobserved arrivals are sampled (particle filter); the
 likelihood of the other standstills gives the buffer size.
 """

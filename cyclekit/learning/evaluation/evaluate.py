@@ -160,8 +160,8 @@ def evaluate(
 
     Raises:
         DatasetError: No row of these executions can be used.
-        ModelError: The model is of another cell, or was trained on this dataset and its card does not name the
-            held-out executions.
+        ModelError: The model is of another cell, or was trained on this dataset and its card does not name the held-out
+            executions.
     """
     tell = progress or (lambda fraction, text: None)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)

@@ -133,8 +133,7 @@ def fit_thresholds(distance_m: Floats, scaling: Floats, levels: Sequence[float])
 
     Returns:
         Thresholds, shape (P - 1,), ascending, m: level i + 1 applies from threshold i on. Minus or plus infinity at an
-        end
-        where a level is never used.
+        end where a level is never used.
     """
     order = np.argsort(distance_m, kind="stable")
     ends = np.unique(np.linspace(0, order.size, min(_BINS, order.size) + 1).astype(np.int64))

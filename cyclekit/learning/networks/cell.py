@@ -1,9 +1,8 @@
 """The cell that a model was trained in, stored in its card, and the test whether a dataset is of the same cell.
 
 The learned function uses positions in the base frame of one robot; for another cell its predictions are wrong. A
-dataset
-is of the same cell if it contains a log that the model was trained on, in the same frame; it may have grown, or have
-been ingested again or at another rate. Without a common log, places and levels are compared.
+dataset is of the same cell if it contains a log that the model was trained on, in the same frame; it may have grown, or
+have been ingested again or at another rate. Without a common log, places and levels are compared.
 """
 
 from __future__ import annotations

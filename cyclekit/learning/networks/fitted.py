@@ -24,8 +24,7 @@ class Fitted:
         mean: Mean of every input, shape (F,), m; empty for trees.
         scale: 1/standard deviation of every input, shape (F,), 1/m; 0 for a constant input; empty for trees.
         temperature: Divisor of a classifier's logits that calibrates its probabilities on the validation part (Guo et
-            al.
-            2017); 1 for the others.
+            al. 2017); 1 for the others.
     """
 
     spec: ModelSpec

@@ -109,10 +109,8 @@ def one_fast_thread() -> Iterator[None]:
     """Limit torch to one thread: layers this small gain little from a second one.
 
     Threads synchronise after every layer; with another program on one of the cores, training took 40 times as long.
-    With
-    one thread, the result does not depend on the number of cores either. Numbers below 1e-38, frequent in the gradients
-    of
-    confident rows, are flushed to zero, because processors handle them many times more slowly.
+    With one thread, the result does not depend on the number of cores either. Numbers below 1e-38, frequent in the
+    gradients of confident rows, are flushed to zero, because processors handle them many times more slowly.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

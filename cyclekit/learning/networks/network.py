@@ -115,8 +115,7 @@ class Bounded(nn.Hardtanh):
     """Hardtanh into [0, 1] with a leak of 1 % beyond its bounds in training.
 
     Outside of its bounds a Hardtanh has no gradient. A network with batch normalisation can be pushed there for all
-    rows at
-    once, and would never return.
+    rows at once, and would never return.
     """
 
     def __init__(self) -> None:

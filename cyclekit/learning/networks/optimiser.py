@@ -20,8 +20,7 @@ _FASTER, _RISE = 2.0, (0.2, 0.1)
 with Muon. Chosen together on 1000 executions: 0.84e-4 after 3000 steps, 1.04e-4 with AdamW's own rate and rise."""
 MOST_NORM = 1.0
 """Maximum norm of a recurrent network's gradient (Pascanu et al. 2013), typically ten times its norm. A longer one,
-when
-batch normalisation was frozen at the highest rate, has pushed LSTM-1 out of its range for good."""
+when batch normalisation was frozen at the highest rate, has pushed LSTM-1 out of its range for good."""
 _MOMENTUM, _TIMES = 0.95, 5
 _A, _B, _C = 3.4445, -4.7750, 2.0315
 """Coefficients of the iteration that orthogonalises a matrix (Jordan et al. 2024)."""
@@ -31,8 +30,7 @@ class Muon(torch.optim.Optimizer):
     """Muon (Jordan et al. 2024) for square matrices of one size: the step is the orthogonalised momentum.
 
     torch's own processes the matrices one by one in bfloat16, which on a CPU took longer than the gradient. This one
-    stacks
-    them in single precision; for three of 64 x 64 a step took an eighth of the time.
+    stacks them in single precision; for three of 64 x 64 a step took an eighth of the time.
     """
 
     def __init__(self, params: Iterable[nn.Parameter], lr: float, weight_decay: float) -> None:

@@ -64,8 +64,7 @@ class TrainedModel(Result):
         weights: The weights, and the groups of inputs that may be unknown.
         card: Training card: split, seed, metrics, data fingerprint, versions, `scaling_without_operator`.
         history: Number of samples that the network sees, and rows between them at the rate of the samples; (1, 1) =
-            only
-            the present one.
+            only the present one.
         past: Whether `last_second.PAST` is an input too.
     """
 
@@ -103,12 +102,9 @@ class TrainedModel(Result):
 
         Args:
             X: Inputs, metres (of `last_second.PAST`: s), base frame; columns as in `inputs`. Shape (N, F), with a
-                history
-                (N, K, F), oldest sample first. All must be known except the groups in `weights.known`; if the logs
-                never
-                showed an absent operator, `card.scaling_without_operator` is None. If only the operator's height is
-                unknown,
-                that of the TCP is used.
+                history (N, K, F), oldest sample first. All must be known except the groups in `weights.known`; if the
+                logs never showed an absent operator, `card.scaling_without_operator` is None. If only the operator's
+                height is unknown, that of the TCP is used.
 
         Returns:
             Shape (N,), in [0, 1].

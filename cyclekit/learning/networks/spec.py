@@ -30,9 +30,9 @@ HISTORY, HISTORY_S = 6, 1.0
 HORIZON_S: Mapping[str, float] = {"now": 0.0, "ahead": 2.0, "average": 14.0}
 """Default horizon, s: that of the paper's figures."""
 MUON_ROWS = 100_000
-"""Number of training rows from which Muon is the default for `now` and `ahead`. Measured for `now`, MSE x 1e4: 3.4
-with AdamW and 2.2 with Muon on 700 000 rows, 3.3 and 2.1 on 140 000, but 5.5 and 7.4 on 28 000. For averages, which
-depend mostly on chance events of the operator, Muon is 1 % worse."""
+"""Number of training rows from which Muon is the default for `now` and `ahead`. Measured for `now`, MSE x 1e4: 3.4 with
+AdamW and 2.2 with Muon on 700 000 rows, 3.3 and 2.1 on 140 000, but 5.5 and 7.4 on 28 000. For averages, which depend
+mostly on chance events of the operator, Muon is 1 % worse."""
 FREEZE_NORM_AFTER: Mapping[str, float] = {"muon": 0.1, "adamw": 0.25}
 """Default of `freeze_norm_after` by optimiser."""
 
@@ -70,14 +70,12 @@ class ModelSpec:
         hidden: Widths of the hidden layers.
         norm: `batch` for batch normalisation inside the network, as in the paper; `none` for none.
         seed: Seed of the split, the initial weights and the order of the rows. Same data and seed give the same model
-            (on a
-            CPU).
+            (on a CPU).
         epochs: Passes over the training rows; None to choose by the number of rows (see `fitting`). The learning rate
             rises and falls once over all of them.
         patience: Number of epochs without a better validation error after which training stops; None = never, because
-            the
-            learning rate falls to the end and the last epochs gain most. The best epoch's weights are kept in either
-            case.
+            the learning rate falls to the end and the last epochs gain most. The best epoch's weights are kept in
+            either case.
         batch: Rows per step.
         learning_rate: Maximum learning rate of the run.
         test_fraction: Share of the executions held out for evaluation.
@@ -87,11 +85,10 @@ class ModelSpec:
         optimiser: `muon` for the square matrices and AdamW for the rest (Jordan et al. 2024), `adamw` for all, or
             `auto` for the one measured better for the problem and the number of rows (`MUON_ROWS`).
         features: `positions` as in the paper; `distance` adds ||x_r - x_h||; `past` adds `last_second.PAST` for a
-            network
-            with a history. `auto` is the distance for `now` and the past for trees, see `with_features`.
+            network with a history. `auto` is the distance for `now` and the past for trees, see `with_features`.
         target: Target of `now`. `commanded` is the level commanded by the safety system: its response (reaction time,
-            ramps) is removed, and applied again in simulated cycles. `logged` is the scaling at that instant, as in
-            the paper. `auto` is `commanded` for a network that predicts levels.
+            ramps) is removed, and applied again in simulated cycles. `logged` is the scaling at that instant, as in the
+            paper. `auto` is `commanded` for a network that predicts levels.
         balance: `classes` gives every level the same total weight in a classifier's loss; its probabilities then ignore
             how frequent a level is, so the default is `none`.
         history: Number of samples that a recurrent network sees, and rows between them; (1, 1) for the others. None for
@@ -100,12 +97,11 @@ class ModelSpec:
             deviations, relative to that of the scaling.
         weight_decay: Weight decay, as in AdamW; None to choose by the number of rows.
         freeze_norm_after: Share of the run after which batch normalisation keeps its statistics; 1 = never, as usual;
-            None for the default of the optimiser.
-            Statistics that change with every batch move the boundaries between levels, which limits the accuracy in the
-            end; with the default the error is less than half as large after the same time.
+            None for the default of the optimiser. Statistics that change with every batch move the boundaries between
+            levels, which limits the accuracy in the end; with the default the error is less than half as large after
+            the same time.
         centre: Shift the output of a network that predicts a value so that its mean error over the training rows is
-            zero;
-            the best epoch may be from the middle of the run, where every step changes the mean.
+            zero; the best epoch may be from the middle of the run, where every step changes the mean.
     """
 
     problem: str
@@ -235,8 +231,7 @@ class ModelSpec:
         """Return this with default inputs if none were given: the distance for `now`, else positions.
 
         Measured on new executions after training with few: the distance lowers the error for safety functions of the
-        distance,
-        of zones, and of both (docs/models.md).
+        distance, of zones, and of both (docs/models.md).
         """
         if self.features != "auto":
             return self

@@ -25,9 +25,8 @@ class Trees:
 
     Attributes:
         nodes: Shape (trees, nodes, 6): feature tested, threshold, next node if at most the threshold, next node if
-            above
-            (both the node itself for a leaf), 1 if an unknown feature goes to the first, and value of a leaf. The first
-            node of a tree is its root; following nodes have higher numbers.
+            above (both the node itself for a leaf), 1 if an unknown feature goes to the first, and value of a leaf. The
+            first node of a tree is its root; following nodes have higher numbers.
         known: Groups of inputs that may be unknown.
     """
 

@@ -42,11 +42,9 @@ class Weights:
         layers: Weight (inputs, outputs) and bias (outputs,) of every feed-forward layer.
         softmax_after: Index of the layer followed by a softmax; None for none.
         recurrent: Per LSTM layer the weight on its input (inputs, 4H), the weight on its state (H, 4H) and the bias
-            (4H,);
-            gates in the order input, forget, cell, output.
+            (4H,); gates in the order input, forget, cell, output.
         forecast: Weight (H, 3) and bias (3,) from the last state to the operator's future position, m, which replaces
-            the
-            present one as input of the layers. None if the layers get the last state itself.
+            the present one as input of the layers. None if the layers get the last state itself.
         known: Groups of inputs with an additional input, 1 = known, 0 = unknown, appended in this order.
         distance: Replacement, m, for the distance ||x_r - x_h|| of an absent operator; the distance is then the last
             input. None if the network sees positions only.

@@ -43,8 +43,7 @@ class Located(NamedTuple):
         places: The thresholds and edges.
         at_m: Positions, shape (P,), m.
         expected, seen: Covariance of `at_m`, from the spread of each change and from the differences between
-            executions,
-            shape (P, P), m2.
+            executions, shape (P, P), m2.
         executions: Number of executions with changes of each, shape (P,).
     """
 

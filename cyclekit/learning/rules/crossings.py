@@ -101,8 +101,7 @@ def _measured(along: Vector, rows: RuleRows, noise_m: float) -> LevelChanges:
     """Return the operator's value at a change of the level, if there is one between each row (N,) and the row before.
 
     The mean of both rows is biased if the operator passes at an angle, because a distance then falls and rises again.
-    One
-    more row on each side corrects it; at the ends of a stretch the plain mean is used.
+    One more row on each side corrects it; at the ends of a stretch the plain mean is used.
     """
     before, after = rows.before, np.full(len(rows), -1)
     has = np.flatnonzero(before >= 0)

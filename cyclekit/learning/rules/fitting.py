@@ -44,8 +44,7 @@ def fit_limits(
     """Return the limits that explain the commanded levels best.
 
     The slowest level is fitted first, the next one to the remaining rows. With hysteresis, the region that slows the
-    robot
-    is fitted to samples after faster ones, and the region to leave to samples after equally slow or slower ones.
+    robot is fitted to samples after faster ones, and the region to leave to samples after equally slow or slower ones.
 
     Args:
         rows: Samples with their commanded levels.

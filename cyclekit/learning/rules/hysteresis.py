@@ -33,8 +33,7 @@ def with_one_hysteresis(limits: tuple[LimitCard, ...], known: Collection[RulePla
     """Return a rule whose regions to leave are larger than those to enter by one margin, as far as intervals allow.
 
     Each pair of values is shifted to the weighted mean margin of all pairs. A pair whose own margin differs by more
-    than
-    its interval keeps it, as do pairs in `known`.
+    than its interval keeps it, as do pairs in `known`.
     """
     values = quantities(limits)
     places = [place for place in values if not place.until and place._replace(until=True) in values]

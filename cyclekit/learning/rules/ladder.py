@@ -33,8 +33,7 @@ NOISY_EXPLAINS = 0.9
 """With noise: minimum share of held-out samples whose level a rule must predict."""
 SAME, NOISE_M = 0.001, 0.003
 """Tolerance in explained share within which rules and networks count as equal, and the noise, m, above which it
-applies;
-below, the tolerance is what a rule may leave unexplained."""
+applies; below, the tolerance is what a rule may leave unexplained."""
 CHANCE = 2.0
 """Standard errors over executions that a difference in explained share must exceed."""
 LIKELY = 0.02
@@ -210,8 +209,8 @@ def _tried(search: _Search, fits: list[_Fit]) -> Iterator[_Fit]:
     """Yield the fits of one kind of rule after the other; `fits` collects them.
 
     Single conditions come before combinations, and fits without hysteresis before those with. A combination is fitted
-    only
-    if its distance alone explains much, and the rest only if combinations so far explain more than single conditions.
+    only if its distance alone explains much, and the rest only if combinations so far explain more than single
+    conditions.
     """
     judge = search.judge
     known = {*judge.apart_m, *([SIGNALS] if judge.positions.signals else [])}

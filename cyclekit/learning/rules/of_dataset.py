@@ -37,8 +37,7 @@ MOST_ROWS = 60_000
 LEAST_ROWS, LEAST_EXECUTIONS = 500, 3
 PARTS, EQUAL = 5, 0.002
 """Number of partial latencies tried with hysteresis, and the tolerance in explained share within which the middle one
-of
-the best is chosen."""
+of the best is chosen."""
 _BLOCK = 2048
 
 
@@ -96,8 +95,7 @@ def less_late(search: Callable[..., RuleSearch], latency_s: float, late: RuleSea
     """Return the rule found with part of the latency, or with all of it if no part gives a rule with hysteresis.
 
     The latency is estimated without hysteresis and so absorbs some of it: a hysteresis of 0.2 m looks like 0.1 to 0.2 s
-    of
-    latency of a walking person. The part is chosen that makes a rule with hysteresis explain most.
+    of latency of a walking person. The part is chosen that makes a rule with hysteresis explain most.
     """
     if not late.lags and not at_once.lags:
         return late

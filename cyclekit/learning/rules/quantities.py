@@ -100,8 +100,7 @@ def with_bounds(limits: tuple[LimitCard, ...], *, larger: bool, least_m: float =
     """Return a rule with each region as large, or as small, as the bounds of its values allow, within MOST_M.
 
     Each value moves by at least `least_m`, with hysteresis by at least BETWEEN_M: an operator so close to a threshold
-    may
-    have crossed it between two samples, and the level is then held for long.
+    may have crossed it between two samples, and the level is then held for long.
     """
     least = {limit.scaling: max(least_m, 0.0 if limit.until is None else BETWEEN_M) for limit in limits}
 
@@ -119,8 +118,7 @@ def without_doubtful(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
     """Return a rule without rectangles whose extent is uncertain because the intervals of opposite edges overlap.
 
     Applies only to levels that also have a distance: with slow ramps or noise, a strip next to the threshold explains a
-    few
-    more samples.
+    few more samples.
     """
     return tuple(
         structs.replace(limit, within=_sure(limit.within), until=None if limit.until is None else _sure(limit.until))

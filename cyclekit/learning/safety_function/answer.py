@@ -79,8 +79,7 @@ class SafetyFunction(Result):
         shapes: Outlines of that rule on the floor; empty without one.
         cell: Places and furniture, for the picture.
         path_m: If signals detect people, corners x, y (base frame, m) of cells of the robot's path, shape (C, 2),
-            PATH_M
-            wide.
+            PATH_M wide.
         path_speed: Speed in these cells while a signal alone is on, by name of the signal, shape (C,), 0 to 1.
     """
 

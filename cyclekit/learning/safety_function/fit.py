@@ -153,8 +153,7 @@ class Crossings:
         """Return the distance at which the level changes at speed zero; weights `times`, shape (N,), default 1.
 
         A latency or clock error shifts each crossing by that time multiplied by its speed, so a straight line over the
-        speed is
-        fitted, without crossings that deviate by more than three standard deviations.
+        speed is fitted, without crossings that deviate by more than three standard deviations.
         """
         counts = np.ones(len(self.metres)) if times is None else times
         near = counts > 0
@@ -211,8 +210,7 @@ def hysteresis(rows: ScalingSamples, levels: Sequence[float], distance: str) -> 
     """Return how much farther out the level rises than it falls, median over the thresholds, m.
 
     Thresholds are fitted to samples where the distance grows and where it shrinks. A latency has the same effect: it
-    adds
-    itself times twice the speed of approach. None if there are too few of either, or if a level is never used.
+    adds itself times twice the speed of approach. None if there are too few of either, or if a level is never used.
     """
     gamma = DISTANCES[distance](rows.robot_m, rows.human_m)
     step = np.diff(gamma, prepend=np.nan)

@@ -3,10 +3,9 @@
 A repetition ends when its work is done. Work is done at rate 1 on average, and at a separate rate next to each task of
 another agent: work = integral of the rate over time. The work of a task's repetitions is log-normal; rates and mean are
 maximum-a-posteriori estimates with a prior of rates around 1, because few overlaps carry little information. The
-density
-of the end time contains the rate at the end as a factor; without it, a task that overlaps more only because it lasted
-longer would seem slowed. Such coefficients are published for pairs of tasks (arXiv 2503.07238, one factor of the whole
-duration per pair); rates over time need no pair to overlap fully.
+density of the end time contains the rate at the end as a factor; without it, a task that overlaps more only because it
+lasted longer would seem slowed. Such coefficients are published for pairs of tasks (arXiv 2503.07238, one factor of the
+whole duration per pair); rates over time need no pair to overlap fully.
 """
 
 from __future__ import annotations
@@ -28,8 +27,7 @@ RATES_SPREAD = 0.7
 """Prior standard deviation of a log rate: between half and double with probability of about two thirds."""
 FACTOR_SPREAD = 0.1
 """Prior standard deviation of the log factors of the previous task and of the occurrence: the way to a task, and the
-slot
-of a part, change the work only slightly."""
+slot of a part, change the work only slightly."""
 _LEAST_SPREAD = 1e-3
 ALONE = ""
 

@@ -28,8 +28,7 @@ class RolledPlan:
         start_s, end_s: Start and end of each task, shape (cycles, tasks), s.
         usual_s: Mean logged duration of each task, shape (tasks,), s.
         decides: Last cause of each start, shape (cycles, tasks): -1 = the agent's previous task, -2 = its planned
-            start,
-            otherwise the number of another task.
+            start, otherwise the number of another task.
     """
 
     tasks: tuple[PlannedTask, ...]

@@ -36,15 +36,15 @@ leaves, because he finishes before his motion is visible."""
 LEAST_DECIDED = 5
 """Minimum number of departures that a condition must decide."""
 GAIN, GAIN_PER_DEPARTURE = 8.0, 0.05
-"""Minimum gain in log-likelihood: in total, and per departure."""
+"""Minimum gain in log-likelihood: the first value, plus the second per departure."""
 AS_GOOD, AS_GOOD_PART = 3.0, 0.1
 """Maximum difference in gain, absolute and relative, at which two conditions count as equally good; then the one whose
 event is nearest to the departures is chosen."""
 SAME = 0.7
 """Minimum overlap (share of departures) at which two gates count as one."""
 FOLLOWS = 0.8
-"""Maximum share of departures decided by own work that follow the event as closely as the others; above it, the event
-is a consequence of own work and no condition."""
+"""Maximum share of departures that own work decided and that follow the event as closely as those it decided; above it,
+the event is a consequence of own work."""
 PULSE_S = 1.0
 """Penalty, s, on the end of a button's pulse, so that the press is chosen as the event."""
 PAIRED = 0.9
@@ -338,7 +338,7 @@ def in_circles(robot: Sequence[Passages], operator: Sequence[Passages]) -> Itera
 
 
 def _meets(mine: Passages, a: Condition, his: Passages, b: Condition) -> bool:
-    """Return whether most of his passages need one of mine that in turn needs his event up to the same departure."""
+    """Return whether most of `his` passages wait for one of `mine` that waits for an event of the same passage."""
     needed = his.left_s - his.since_s[his.gate, b]
     at = {key: row for row, key in enumerate(zip(mine.course.tolist(), mine.left_s.round(6).tolist(), strict=True))}
     rows = [at.get(key, -1) for key in zip(his.course.tolist(), needed.round(6).tolist(), strict=True)]

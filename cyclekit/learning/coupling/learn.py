@@ -133,7 +133,7 @@ def _gate(
         return None
     by_file = any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in told)
     own_s, cards = _parts(courses, found, usual_s, together)
-    cards = [card for card in cards if by_file or card.decided >= LEAST_DECIDED]  # redundant next to the others
+    cards = [card for card in cards if by_file or card.decided >= LEAST_DECIDED]  # redundant given the others
     if gate.at == "approach" and not cards:
         return None
     return GateCard(

@@ -82,7 +82,7 @@ def _waits(course: ExecutionVisits, coupling: CouplingCard) -> Iterator[_Wait]:
 def _passages(
     course: ExecutionVisits, gate: GateCard, usual: dict[tuple[Agent, str], float]
 ) -> Iterator[tuple[int, float, float, int]]:
-    """Yield for each passage of a gate: number of the waiting visit, time ready, time of going on, count from 0."""
+    """Yield for each passage of a gate: number of the waiting visit, time ready, time of going on, passage number."""
     visits, nth = course.visits[gate.agent], 0
     for number, visit in enumerate(visits):
         if visit.place != gate.place:

@@ -1,4 +1,4 @@
-"""Evaluates a model on held-out executions next to baselines, and tests whether the cell has drifted.
+"""Evaluates a model on held-out executions against baselines, and tests whether the cell has drifted.
 
 `evaluate` is the entry point.
 """

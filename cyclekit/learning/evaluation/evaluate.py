@@ -1,4 +1,4 @@
-"""Errors of a model on held-out executions, next to baselines.
+"""Errors of a model on held-out executions, compared with baselines.
 
 A single figure says little, because the same error is excellent in one cell and poor in another. So the constant mean,
 the best staircase over the distance, and gradient boosting learn from the same executions and are evaluated on the same

@@ -67,7 +67,7 @@ def fit(
     Raises:
         ConfigError: Training diverged.
         CutOff: All outputs are clipped at the end. If the optimiser was chosen automatically, AdamW is tried first:
-            next to Muon the other weights take larger steps, and one of these may push all outputs out of range.
+            with Muon the other weights take larger steps, and one of these may push all outputs out of range.
     """
     standard = standardisation(rows.X)
     device = torch.device("cuda" if torch.cuda.is_available() and not rows.in_files else "cpu")

@@ -83,7 +83,7 @@ class Weights:
 
     def _fill(self, out: Singles, X: NDArray[np.floating[Any]]) -> None:
         """Write the outputs of the last layer for `X` into `out`, block by block."""
-        with np.errstate(over="ignore", invalid="ignore"):  # of too large weights; the caller checks the output
+        with np.errstate(over="ignore", invalid="ignore"):  # large weights may overflow; the caller checks
             for start in range(0, len(X), _BLOCK):
                 out[start : start + _BLOCK] = self._block(self._completed(X[start : start + _BLOCK]))
 

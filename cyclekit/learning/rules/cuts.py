@@ -125,7 +125,7 @@ def _cut(value: Vector, gain: Vector) -> Cut:
 def best_box(
     values: Sequence[Vector], slow: Bools, weight: Vector, start: Sequence[Edges] | None = None
 ) -> tuple[Edges, ...] | None:
-    """Return the interval of each value that contains the slow rows and no others; None if there is no such box.
+    """Return the interval of each value that best contains the slow rows and only these; None if there is no such box.
 
     Args:
         values: Shape (N,) each; rows with NaN are outside of any box.

@@ -41,9 +41,9 @@ LIKELY = 0.02
 GAINS = 0.005
 """Minimum gain in explained share of two conditions over one."""
 FAR_M, FAR_NOISE, FAR_PART = 0.05, 4.0, 0.005
-"""Noise causes errors only near edges: within FAR_M, or FAR_NOISE times the noise. A rule is rejected if its errors
-farther away exceed the share FAR_PART of the held-out samples. If no rule remains, those within one standard error over
-executions are accepted, because label errors of an inferred scaling are correlated."""
+"""Noise causes errors only near edges: within FAR_M, or FAR_NOISE times the noise if larger. A rule is rejected if its
+errors farther away exceed the share FAR_PART of the held-out samples. If no rule remains, those within one standard
+error over executions are accepted, because label errors of an inferred scaling are correlated."""
 TEST_PART = 0.2
 """Share of executions held out for the comparison."""
 LAGS = ", with hysteresis"

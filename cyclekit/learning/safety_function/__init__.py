@@ -2,7 +2,7 @@
 
 fit     finds the gamma(x_r, x_h) that explains the scaling (a distance or the place on the floor), with thresholds
 answer  the result of `cyclekit zones`
-picture draws it as SVG
+picture draws it
 """
 
 from cyclekit.learning.safety_function.answer import SafetyFunction, read_zones

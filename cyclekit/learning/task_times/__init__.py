@@ -3,7 +3,7 @@
 In: table TASKS of a dataset made of task lists, no positions. Out: a `TaskModelCard`, stored as `model.json`.
 
 runs     the logged executions, tasks by agent
-rates    the rate of a task next to each task of the other agent
+rates    the rate of a task during each task of the other agent
 starts   the conditions of a task's start
 learn    all of it, with errors on held-out orders
 saved    storage

@@ -1,6 +1,6 @@
-"""Estimates the rate of a task next to each task of the other agents.
+"""Estimates the rate of a task during each task of the other agents.
 
-A repetition ends when its work is done. Work is done at rate 1 on average, and at a separate rate next to each task of
+A repetition ends when its work is done. Work is done at rate 1 on average, and at a separate rate during each task of
 another agent: work = integral of the rate over time. The work of a task's repetitions is log-normal; rates and mean are
 maximum-a-posteriori estimates with a prior of rates around 1, because few overlaps carry little information. The
 density of the end time contains the rate at the end as a factor; without it, a task that overlaps more only because it

@@ -49,7 +49,7 @@ class RolledPlan:
 
     @property
     def wait_s(self) -> Floats:
-        """Time since the agent's previous task or the first start of all, shape (cycles, tasks), s."""
+        """Time from the end of the agent's previous task, or from the first start of all, shape (cycles, tasks), s."""
         ends = np.concatenate([self.end_s, self.start_s.min(axis=1)[:, None]], axis=1)
         return np.asarray(self.start_s - ends[:, self.before])
 
@@ -64,7 +64,7 @@ class _Plan:
         turn: Number of earlier occurrences of the same task.
         needs: Numbers of the other tasks that must have ended.
         not_before_s: Earliest start, s.
-        log_rate: Log rate of a task next to another, shape (tasks, tasks); `alone` without another.
+        log_rate: Log rate of a task during another, shape (tasks, tasks); `alone` without another.
     """
 
     cards: list[TaskTimesCard]

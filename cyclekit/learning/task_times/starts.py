@@ -31,7 +31,7 @@ DECIDED_S = 0.3
 REGULAR_S = 0.05
 """Resolution of lags, s."""
 GAIN_PER_START, GAIN = 0.1, 6.0
-"""Minimum gain: log ratio of the mean absolute deviation of the lags, per start, and in total."""
+"""Minimum gain in regularity (`_gain`): the first value per start, plus the second."""
 MOST = 3
 """Maximum number of conditions per task."""
 

@@ -77,7 +77,7 @@ def of_levels(seen: LevelCourses, levels: int) -> Chain:
 
 
 def fit(seen: LevelCourses, states: int, regions: int, levels: int, *, seed: int = 0) -> Chain:
-    """Return the maximum-likelihood chain, from the best of BEGUN random starts."""
+    """Return the chain fitted by EM, from the best of BEGUN random starts."""
     begun = [_random(seen, states, regions, levels, np.random.default_rng([seed, number])) for number in range(BEGUN)]
     tried = [_turned(seen, chain, FIRST_TURNS) for chain in begun]
     return _turned(seen, max(tried, key=lambda pair: pair[1])[0], TURNS)[0]

@@ -41,7 +41,7 @@ SUPPORTED_S = 1.0
 
 @dataclass(frozen=True)
 class Course:
-    """Log of one execution without people, T samples.
+    """Robot's log of one execution, T samples.
 
     Attributes:
         t_s: Session time, shape (T,), s.

@@ -88,7 +88,7 @@ def find_conditions(
     while any(open_to):
         number = max((n for n, found in enumerate(open_to) if found), key=lambda n: open_to[n][2])  # type: ignore[index]
         number = _natural(gates, open_to, number)
-        condition, since, _ = open_to[number]  # not None: it has the largest gain
+        condition, since, _ = open_to[number]  # type: ignore[misc]  # not None: it has the largest gain
         for other in _attach(gates, gates[number], condition, since):
             open_to[other] = _best(times, gates[other], allowed[other]) if len(gates[other].found) < MOST else None
     return gates
@@ -182,7 +182,7 @@ def _natural(gates: Sequence[Passages], open_to: Sequence[_Found | None], number
 
     A wait until someone leaves belongs to an approach gate; a wait for an arrival or a signal belongs to a leave gate.
     """
-    event = open_to[number][0].event  # not None: chosen by the caller
+    event = open_to[number][0].event  # type: ignore[index]  # not None: chosen by the caller
     at = "approach" if event.event == "leaves" else "leave"
     mine = gates[number]
     for other, (gate, found) in enumerate(zip(gates, open_to, strict=True)):

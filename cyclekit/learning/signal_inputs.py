@@ -47,8 +47,8 @@ def mixed(dataset: Dataset) -> list[Note]:
 def left_out(model: TrainingCard, dataset: Dataset) -> list[str]:
     """Return a sentence on executions that a model cannot use, as they have only positions, or only signals."""
     return [
-        f"operators of the {one.values['used']} executions whose logs hold {one.values['what']} of people; the model "
-        f"knows nothing of {one.values['other']}, which {one.values['left']} executions hold alone"
+        f"estimates use the operators of {one.values['used']} executions with {one.values['what']} of people; "
+        f"{one.values['left']} executions with {one.values['other']} only are left out"
         for one in mixed(as_learned_by(model, dataset))
     ]
 

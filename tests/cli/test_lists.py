@@ -145,7 +145,7 @@ def test_task_lists_go_from_logs_to_the_cycle_time_of_a_plan(cyclekit, tmp_path:
     assert cyclekit("inspect", model, "--json").document["card"]["executions"] == 20
     refused = cyclekit("zones", model, dataset)
     assert refused.code == 1
-    assert "It answers plans for robot and operator: cyclekit estimate" in refused.err
+    assert "Use it for plans of robot and operator: cyclekit estimate" in refused.err
     other = cyclekit("estimate", model, file, "--dataset", dataset, "--estimator", "history")
     assert other.code == 1
     assert "a model of task times has one way to an estimate" in other.err

@@ -88,8 +88,8 @@ def test_the_other_kind_is_chosen_by_name_and_a_model_keeps_to_its_own(partly_tr
     of_positions, of_signals = TrainingCard(), TrainingCard(operator_signals=partly_tracked.card.operator_signals)
     assert not by_signals(as_learned_by(of_positions, partly_tracked))
     assert by_signals(as_learned_by(of_signals, partly_tracked))
-    assert "operators of the 3 executions whose logs hold positions" in left_out(of_positions, partly_tracked)[0]
-    assert "of positions, which 3 executions hold alone" in left_out(of_signals, partly_tracked)[0]
+    assert "operators of 3 executions with positions of people" in left_out(of_positions, partly_tracked)[0]
+    assert "3 executions with positions only are left out" in left_out(of_signals, partly_tracked)[0]
 
 
 def test_a_kind_that_no_log_holds_is_refused(traced):
@@ -110,7 +110,7 @@ def test_a_model_of_the_rarer_kind_is_learned_judged_and_asked(partly_tracked, t
     order = TaskSequence("logged", partly_tracked.card.executions[0].places)
     (found,) = estimate_cycles(tmp_path / "m", partly_tracked, order, other_cell=True)
     assert found.executions == 3
-    assert any("3 executions whose logs hold positions" in text for text in found.warnings)
+    assert any("3 executions with positions of people" in text for text in found.warnings)
 
 
 def test_somebody_in_a_field_whom_the_tracker_does_not_see_is_there_and_hidden(tmp_path):

@@ -79,4 +79,4 @@ def test_without_a_rule_the_network_is_asked_on_the_path(by_network) -> None:
     zones = read_zones(network, Cell())
     assert set(zones.path_speed["stop"]) == {0.3}
     table, *_ = zones.plot().axes
-    assert "no rule explains the logs: the network was asked" in [one.get_text() for one in table.texts]
+    assert "no rule explains the logs: speeds by the network" in [one.get_text() for one in table.texts]

@@ -293,7 +293,7 @@ def _by_rule(model: TrainedModel, rows: Samples) -> list[ErrorRow]:
     if rule is None or not asks_signals(rule):
         return []
     error = RuleSafety(rule, model.card).predict(rows.X) - rows.scaling
-    return [ErrorRow("rule", float(np.mean(error**2)), "which field counts where; it answers in place of the network")]
+    return [ErrorRow("rule", float(np.mean(error**2)), "rule on signals, used in place of the network")]
 
 
 def _confusion(model: TrainedModel, rows: Samples) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:

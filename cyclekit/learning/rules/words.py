@@ -113,7 +113,7 @@ def _asked(region: RegionCard, *, away: bool) -> str:
 
 
 def _signal(signal: SignalCard) -> str:
-    after = f" (the speed answers after {signal.delay_s:.2f} s)" if signal.delay_s else ""
+    after = f" (delay {signal.delay_s:.2f} s)" if signal.delay_s else ""
     where = f" while the TCP is {place_of(signal)}" if signal.robot else ""
     return f"signal {signal.signal} is {signal.value}{where}{after}"
 

@@ -63,7 +63,7 @@ def _path_figure(zones: SafetyFunction) -> Drawing:
     from cyclekit.plots.zones import draw_path, draw_table
 
     rule, count = zones.commanded.rule, len(zones.path_speed)
-    rows = [("no rule explains the logs: the network was asked",)] if rule is None else field_rows(rule)
+    rows = [("no rule explains the logs: speeds by the network",)] if rule is None else field_rows(rule)
     high, wide, table_in = -(-count // ABREAST), min(count, ABREAST), 1.6 * LINE_IN * (len(rows) + 1)
     with plain_style():
         figure = Drawing(11.0, 4.6 * high + table_in + LINE_IN)

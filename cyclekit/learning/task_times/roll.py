@@ -123,7 +123,7 @@ def roll_plan(
     if np.isinf(end).any():
         stuck = tasks[int(np.isinf(end).any(axis=0).argmax())]
         msg = f"{where}: {stuck.shown} never starts: it waits for a task that waits for it"
-        raise EstimateError(msg, cure="Change the order, or what is told by 'after'.")
+        raise EstimateError(msg, cure="Change the order or the 'after' entries.")
     return RolledPlan(tuple(tasks), start, end, usual, _decides(plan, end))
 
 

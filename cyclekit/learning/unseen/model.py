@@ -189,9 +189,8 @@ def said(model: UnseenOperator) -> list[str]:
     places = len(model.unseen.regions_m)
     where = f"by {places} regions of the robot" if places > 1 else "wherever the robot is"
     return [
-        f"unseen operator for problem now, levels {levels}; {len(model.unseen.start)} states that no log names, "
-        f"{where}",
-        "the positions of people are unknown, and no network was trained: the logged speed alone says when the robot "
+        f"unseen operator for problem now, levels {levels}; {len(model.unseen.start)} hidden states, {where}",
+        "the positions of people are unknown, and no network was trained: the logged speed alone shows when the robot "
         "is slowed",
     ]
 

@@ -63,6 +63,6 @@ def test_a_signal_is_named_where_no_position_tells_the_level() -> None:
     assert found is not None
     assert found.family == "signal"
     assert sentences(found) == [
-        "speed 25 % when signal F1 is 1 (the speed answers after 0.12 s)",
+        "speed 25 % when signal F1 is 1 (delay 0.12 s)",
         "speed 100 % otherwise",
     ]

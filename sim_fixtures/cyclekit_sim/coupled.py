@@ -87,7 +87,7 @@ def coupled_work(name: str, seed: int, options: SimulationOptions, executions: i
     if executions < 1:
         raise SimulationError(f"executions is {executions}: simulate at least one")
     if options.logs != "csv" or options.causes or options.operator_log or not options.with_operator:
-        msg = f"{name}: robot and operator wait for each other: CSV logs, no operator log, no other causes"
+        msg = f"{name}: a scene with waits supports only CSV logs, without operator log and other causes"
         raise SimulationError(msg)
     orders = [random_order(cell, stream(seed, cell.scene, ROBOT, index)) for index in range(executions)]
     return CoupledWork(cell, seed, options, plan_all(cell, orders), tuple(orders))

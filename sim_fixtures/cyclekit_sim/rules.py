@@ -171,7 +171,7 @@ class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             ValueError: There is neither a limit nor a law.
         """
         if not self.limits and self.law is None:
-            raise ValueError("a rule of nothing: give [[limits]] or a [law]")
+            raise ValueError("an empty rule: give [[limits]] or a [law]")
 
     @property
     def levels(self) -> tuple[float, ...]:

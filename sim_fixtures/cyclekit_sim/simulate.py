@@ -161,7 +161,7 @@ def _prepare(scene: str, seed: int, options: SimulationOptions, executions: int)
             raise SimulationError(f"{scene} has no fields, so it cannot log their signals: use people = 'tracker'")
         return coupled_work(scene, seed, dataclasses.replace(options, people="tracker"), executions)
     if options.coupling != 1.0 or not options.signals or options.task_list:
-        raise SimulationError(f"{scene}: coupling, signals and task lists are of {', '.join(COUPLED)}")
+        raise SimulationError(f"{scene}: coupling, signals and task lists are only for {', '.join(COUPLED)}")
     cell, options = set_up(scene, options)
     return prepare(cell, seed, options, executions=executions)
 

@@ -118,7 +118,7 @@ def test_a_robot_stays_slow_for_the_hold_time() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "a rule of nothing"),
+        ("", "an empty rule"),
         ("[[limits]]\nscaling = 2\npresent = true", "scaling is 2.0"),
         ("[[limits]]\nscaling = 0.2", "a limit without a condition"),
         ("[[limits]]\nscaling = 0.2\nbelow_m = 1", "give both"),

@@ -1,8 +1,8 @@
-"""Checksums of files: which file of a folder is not what was written, told by BLAKE3.
+"""Checksums of files (BLAKE3), which detect files of a folder that changed since they were written.
 
-A file is hashed in pieces of `PIECE_BYTES`, so that who reads a part of a large one (a column of a table) checks that
-part. What was hashed once is not hashed again while the file has its size and time, under whatever name; only a file
-that has just been written is, since a change might not show in its time.
+A file is hashed in pieces of `PIECE_BYTES`, so that a reader of part of a large file (a column of a table) verifies
+only that part. Digests are cached by size and modification time of the file, whatever its name, except for files that
+have just been written, whose changes their time may not show.
 """
 
 from __future__ import annotations
@@ -27,36 +27,36 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 PIECE_BYTES = 1 << 18
-"""Smaller pieces would be hashed more slowly, and make the card long."""
+"""Bytes per piece; smaller pieces would hash more slowly and make the card long."""
 EARLIER_PIECE_BYTES = 16 << 20
-"""Of files listed without `piece_bytes`."""
+"""Bytes per piece of files listed without `piece_bytes`."""
 _STEP = 1 << 20
 _YOUNG_NS = 2_000_000_000
 _AT_ONCE, _TAKEN = 4, 64
-"""Threads, and pieces that one of them takes at a time."""
+"""Number of threads, and number of pieces per task of a thread."""
 _SEAL = ',\n "card_blake3": "{}"\n}}\n'
 _ENDS_AS_SEALED = re.compile(r',\n "[^"\n]*": "[0-9a-f]{64}"\n}\n\Z')
 
 _known: dict[tuple[int, ...], str] = {}
-"""Digest by device, number, size and time of a file, and piece."""
+"""Cached digests by device, inode, size and time of a file, piece size and piece number."""
 
 
 def digest_of(file: Path, given_up: threading.Event | None = None) -> str:
-    """Return the BLAKE3 of a whole file, 64 hexadecimal digits, as `b3sum` prints it.
+    """Return the BLAKE3 of a whole file, 64 hexadecimal digits, as printed by `b3sum`.
 
     Args:
-        file: What is hashed.
-        given_up: When it is set, the rest is left out.
+        file: The file.
+        given_up: Event that stops the hashing when set.
 
     Raises:
-        OSError: It cannot be read.
+        OSError: The file cannot be read.
     """
     with file.open("rb", buffering=0) as handle:
         return _digest_from(handle, None, memoryview(bytearray(_STEP)), given_up)
 
 
 def listed(folder: Path) -> dict[str, FileCard]:
-    """Return size and digests of every file of a folder, by its name in there.
+    """Return size and digests of every file of a folder, by its path in the folder.
 
     Raises:
         OSError: A file cannot be read.
@@ -72,7 +72,7 @@ def listed(folder: Path) -> dict[str, FileCard]:
 
 
 def changes(folder: Path, files: Mapping[str, FileCard]) -> dict[str, str]:
-    """Return what is not as it was listed: by name, what is wrong with it."""
+    """Return the files that changed since they were listed: by name, the problem."""
     wrong = {name: problem for name, entry in files.items() if (problem := _wrong_size(folder / name, entry))}
     same = {name: entry for name, entry in files.items() if name not in wrong}
     wanted = [(folder / name, _piece_bytes(entry), range(len(entry.blake3))) for name, entry in same.items()]
@@ -83,12 +83,12 @@ def changes(folder: Path, files: Mapping[str, FileCard]) -> dict[str, str]:
 
 
 def change(file: Path, entry: FileCard, spans: Iterable[tuple[int, int]] | None = None) -> str | None:
-    """Return what is wrong with one file, None if it is as it was listed.
+    """Return the problem of one file; None if it is as listed.
 
     Args:
-        file: What is about to be read.
-        entry: Its size and digests.
-        spans: Bytes that will be read, from and to before; None = all.
+        file: File about to be read.
+        entry: Its listed size and digests.
+        spans: Byte ranges [first, end) that will be read; None = all.
     """
     if (problem := _wrong_size(file, entry)) is not None:
         return problem
@@ -101,26 +101,26 @@ def change(file: Path, entry: FileCard, spans: Iterable[tuple[int, int]] | None 
 
 
 def sealed(text: str) -> str:
-    """Return an indented JSON object as text with the checksum of all that stands in it as its last entry."""
+    """Return an indented JSON object as text, with a checksum of its content as the last entry."""
     body = text.removesuffix("\n}\n")
     return body + _SEAL.format(blake3(body.encode()).hexdigest())
 
 
 def is_broken(text: str) -> bool:
-    """Tell whether a text that `sealed` wrote is another now; one without a checksum counts as whole."""
+    """Return whether a text written by `sealed` has changed; one without a checksum counts as unchanged."""
     body, mark, _ = text.rpartition(',\n "card_blake3"')
     if not mark:
-        return _ENDS_AS_SEALED.search(text) is not None  # the name of the checksum itself is another now
+        return _ENDS_AS_SEALED.search(text) is not None  # the name of the checksum itself was changed
     return sealed(f"{body}\n}}\n") != text
 
 
 @contextmanager
 def reading(file: Path, again: Path) -> Iterator[None]:
-    """Turn what polars and Arrow raise over a table that they cannot read into one message.
+    """Convert errors of polars and Arrow about an unreadable table into one message.
 
     Args:
         file: The table.
-        again: The dataset, to be made again.
+        again: The dataset to ingest again.
     """
     try:
         yield
@@ -133,7 +133,7 @@ def reading(file: Path, again: Path) -> Iterator[None]:
 
 
 def unreadable(file: Path, dataset: Path, why: str) -> DatasetError:
-    """Return the error that says which file of a dataset is not what it should be, and the cure."""
+    """Return the error that names a changed file of a dataset, with the cure."""
     return DatasetError(f"{file}: {why}", cure=f"Ingest the logs again: cyclekit ingest LOGS --out {dataset}")
 
 
@@ -154,9 +154,9 @@ def _count(size: int, piece_bytes: int) -> int:
 
 
 def _digests(wanted: Iterable[tuple[Path, int, Sequence[int]]]) -> list[list[str]]:
-    """Return the digests of pieces of files, each given with the size of its pieces and their numbers, ascending.
+    """Return the digests of pieces of files, each given with its piece size and the piece numbers, ascending.
 
-    "" is that of a piece that cannot be read.
+    A piece that cannot be read has digest "".
     """
     every = list(wanted)
     parts = [
@@ -188,7 +188,7 @@ def _of_part(part: tuple[int, Path, int, Sequence[int]]) -> list[str]:
 
 
 def _hashed_pieces(file: Path, piece: int, numbers: Iterable[int]) -> Iterator[str]:
-    """Yield the digests of pieces of a file, which is opened once."""
+    """Yield the digests of pieces of a file, with the file opened once."""
     with file.open("rb", buffering=0) as handle:
         view = memoryview(bytearray(min(piece, _STEP, os.fstat(handle.fileno()).st_size + 1)))
         for number in numbers:
@@ -197,12 +197,12 @@ def _hashed_pieces(file: Path, piece: int, numbers: Iterable[int]) -> Iterator[s
 
 
 def _digest_from(handle: FileIO, count: int | None, view: memoryview, given_up: threading.Event | None) -> str:
-    """Return the digest of the next bytes of a file, by way of a buffer; all that there are where no count is given."""
+    """Return the digest of the next `count` bytes of a file (None: of all), read through a buffer."""
     digest = blake3()
     while count is None or count > 0:
         read = handle.readinto(view if count is None else view[:count])
         if not read or (given_up is not None and given_up.is_set()):
-            break  # else who interrupts the reading of a large log would wait for the rest of this
+            break  # otherwise an interrupt would wait for the rest of a large log
         digest.update(view[:read])
         count = None if count is None else count - read
     return digest.hexdigest()

@@ -1,13 +1,13 @@
-"""The dataset: a folder of Parquet files with its provenance, opened here for reading.
+"""The dataset: a folder of Parquet files with its provenance, opened for reading.
 
     DATASET/dataset.json                                  schema version, provenance, executions, places, levels
     DATASET/recordings/<id>/{robot,people,events}.parquet native rate, SI, each log's own clock
-    DATASET/shared/<table>-<number>.parquet               the same of many short recordings; `index.json` says whose
-    DATASET/samples/<part>.parquet                        `rate_hz`, one clock, one base frame; of a session or several
+    DATASET/shared/<table>-<number>.parquet               the same of many short recordings; `index.json` locates each
+    DATASET/samples/<part>.parquet                        `rate_hz`, one clock, one base frame; of one or more sessions
     DATASET/tasks.parquet                                 one row per executed task
-    DATASET/quarantine.parquet                            every row that was set aside, with file, row and reason
+    DATASET/quarantine.parquet                            every row set aside, with file, row and reason
 
-A dataset is put in place as a whole (`atomic`). What goes into the tables is decided by `ingest`.
+A dataset is put in place as a whole (`atomic`). `ingest` decides the content of the tables.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ if TYPE_CHECKING:
     from cyclekit.plots.drawing import Drawing
 
 People = Literal["auto", "positions", "signals"]
-"""What tells of people."""
+"""Source of information on people."""
 CARD, TASKS, QUARANTINE = DATASET_CARD, "tasks.parquet", "quarantine.parquet"
 
 
 @dataclass(frozen=True)
 class Place:
-    """A named place of the cell: where the robot (or the operator) stops.
+    """A named place of the cell, where the robot (or the operator) stops.
 
     Attributes:
         xyz_m: Centre in the base frame, metres.
-        radius_m: Positions within it count as being there.
-        inferred: Found from the logs; False when the cell file names it.
-        label: How people are shown it, where the cell file says.
+        radius_m: Radius within which a position counts as at the place.
+        inferred: Whether it was found in the logs; False if the cell file names it.
+        label: Display name from the cell file; None without one.
     """
 
     name: str
@@ -62,22 +62,22 @@ class Place:
 
     @property
     def shown(self) -> str:
-        """How people are shown it: its label, else its name."""
+        """Display name: the label, else the name."""
         return self.label or self.name
 
 
 class Dataset:
-    """A dataset opened for reading; tables are read when asked for."""
+    """A dataset opened for reading; tables are read on demand."""
 
     def __init__(self, path: Path, card: DatasetCard, place: str | None = None) -> None:
-        """Use `Dataset.open`; this only keeps what it is given.
+        """Store the arguments; use `Dataset.open` instead.
 
         Args:
             path: Its folder on this machine.
-            card: What its `dataset.json` says.
-            place: Where it can be opened from any machine; the folder where nothing else is given.
+            card: Content of its `dataset.json`.
+            place: Path or URL by which any machine can open it; default: the folder.
 
-        `is_part` is true of what `only` returns; `people` is what `by_people` was told.
+        `is_part` is True for the result of `only`; `people` is the argument of `by_people`.
         """
         self.path = path
         self.card = card
@@ -88,11 +88,11 @@ class Dataset:
         self._recorded = RecordedTables(path, self._files, card.recordings)
 
     def __repr__(self) -> str:
-        """Return where it is and how much is in it."""
+        """Return its place and the number of executions."""
         return f"Dataset: {self.place}, {len(self.card.executions)} executions"
 
     def plot(self) -> Drawing:
-        """Return the time of each execution, split by its robot tasks, as a matplotlib figure."""
+        """Return a figure of the duration of each execution, split by its robot tasks (matplotlib)."""
         from cyclekit.plots.results import PARTS, executions_figure
 
         seconds = [pl.col(name).sum() for name, _, _ in PARTS]
@@ -118,11 +118,11 @@ class Dataset:
 
     @classmethod
     def of(cls, given: Dataset | Path | str) -> Dataset:
-        """Return a dataset that is open already as it is; one given by its folder or URL is opened."""
+        """Return an open dataset unchanged, and open one given by its folder or URL."""
         return given if isinstance(given, Dataset) else cls.open(given)
 
     def only(self, executions: Sequence[str]) -> Dataset:
-        """Return the dataset as if it held these executions alone: their samples, tasks and entries.
+        """Return a view of the dataset with these executions only: their samples, tasks and entries.
 
         Raises:
             UnknownName: An execution is not in the dataset.
@@ -133,10 +133,10 @@ class Dataset:
         return part
 
     def by_people(self, people: People) -> Dataset:
-        """Return the dataset as if it told of people by positions, or by signals, alone; auto: by what it has more of.
+        """Return a view of the dataset with people known only by positions or by signals; auto: the more frequent one.
 
         Raises:
-            DatasetError: No execution tells of them so.
+            DatasetError: No execution has that kind of information.
         """
         missing = {"positions": "people" not in self.positions, "signals": not self.card.operator_signals}
         if missing.get(people, False):
@@ -159,7 +159,7 @@ class Dataset:
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second."""
+        """Samples per second."""
         return self.card.rate_hz
 
     @property
@@ -169,7 +169,7 @@ class Dataset:
 
     @property
     def human_places(self) -> dict[str, Place]:
-        """Operator places by name (empty where neither the cell file nor events name any)."""
+        """Operator places by name (empty if neither the cell file nor events name any)."""
         return {name: self._place(name, one) for name, one in self.card.human_places.items()}
 
     def _place(self, name: str, card: PlaceCard) -> Place:
@@ -177,23 +177,23 @@ class Dataset:
         return Place(name, card.xyz_m, card.radius_m, card.inferred, None if label == name else label)
 
     def label(self, place: str) -> str:
-        """Return how people are shown a place of robot or operator: its label in the cell file, else its name."""
+        """Return the display name of a place of robot or operator: its label in the cell file, else its name."""
         settings = self.card.settings
         named = settings.places.get(place) or settings.human_places.get(place)
         return named.label if named is not None and named.label else place
 
     def task_label(self, task: str) -> str:
-        """Return how people are shown a task `start->goal`: by the labels of its places."""
+        """Return the display name of a task `start->goal`, made of the labels of its places."""
         return "->".join(self.label(place) for place in task.split("->"))
 
     @property
     def furniture(self) -> dict[str, Furniture]:
-        """What stands in the cell, by name, as the cell file says."""
+        """Objects in the cell, by name, from the cell file."""
         return dict(self.card.settings.furniture)
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """Staircase levels found in the logged scaling, ascending; empty when none could be found."""
+        """Staircase levels found in the logged scaling, ascending; empty if none were found."""
         return self.card.levels
 
     @property
@@ -202,14 +202,11 @@ class Dataset:
         return self.card.recordings
 
     def samples(self, executions: Sequence[str] | None = None, columns: Sequence[str] | None = None) -> pl.DataFrame:
-        """Return the 10 Hz samples, all or those of some executions, in order of execution and time.
+        """Return the samples at `rate_hz`, all or of some executions, ordered by execution and time.
 
         Args:
-            executions: Which; None = all.
-            columns: Which of table SAMPLES; None = all. Months of logs fit into memory when a few are asked for.
-
-        Raises:
-            UnknownName: An execution is not in the dataset.
+            executions: Names of executions; None = all.
+            columns: Columns of table SAMPLES; None = all. With few columns, months of logs fit into memory.
         """
         wanted = list(schema.SAMPLES if columns is None else columns)
         if executions is None and self.is_part:
@@ -227,7 +224,7 @@ class Dataset:
         return pl.concat([self._files.collected(scan, "samples") for scan in scans])
 
     def scan_samples(self) -> pl.LazyFrame:
-        """Return all samples unread, for those who need a few columns of many executions."""
+        """Return all samples as a lazy frame, for a few columns of many executions."""
         files = self._files.of_samples(None)
         if not files:
             return schema.empty(schema.SAMPLES).lazy()
@@ -235,7 +232,7 @@ class Dataset:
 
     @property
     def positions(self) -> tuple[str, ...]:
-        """Of whom places are known: `robot`, `people`."""
+        """Agents with known positions: `robot`, `people`."""
         tables = {table for record in self.recordings for table in record.tables}
         told = self.card.positions
         return tuple(told if told is not None else (whose for whose in ("robot", "people") if whose in tables))
@@ -246,16 +243,16 @@ class Dataset:
         return "task lists" in self._held_alone()
 
     def _held_alone(self) -> list[str]:
-        """Return what it was made of, where that has no positions; else nothing."""
+        """Return the kinds of logs it was made of if none has positions; else nothing."""
         names = {"task_list": "task lists", "safety": "overrides or distances"}
         held = [text for table, text in names.items() if any(table in record.tables for record in self.recordings)]
         return [] if self.positions or self.card.rows.samples else held
 
     def require_positions(self) -> None:
-        """Refuse a question about motion or places to a dataset that has neither.
+        """Raise an error if the dataset has no positions, for questions about motion or places.
 
         Raises:
-            DatasetError: It was made of task lists, overrides or distances alone.
+            DatasetError: It was made only of task lists, overrides or distances.
         """
         if held := self._held_alone():
             look = command_line("inspect", self.place)
@@ -275,42 +272,42 @@ class Dataset:
         return self._files.collected(self._tasks(list(schema.TASKS)), TASKS)
 
     def done_tasks(self) -> pl.DataFrame:
-        """Return which of the robot's tasks were done in which executions: execution, task, each pair once."""
+        """Return the pairs of execution and robot task that occurred, without repetition."""
         rows = self._tasks(["execution", "task", "start_place"]).filter(pl.col("start_place").is_not_null())
         return self._files.collected(rows.select("execution", "task").unique(maintain_order=True), TASKS)
 
     def quarantine(self) -> pl.DataFrame:
-        """Return every row that was set aside (table QUARANTINE), in order of recording."""
+        """Return every row that was set aside (table QUARANTINE), ordered by recording."""
         file = self._files.whole(QUARANTINE)
         self._files.check_memory([file], list(schema.QUARANTINE))
         rows = self._files.scan([file], schema.QUARANTINE, list(schema.QUARANTINE))
         return self._files.collected(rows, QUARANTINE)
 
     def recorded(self, recording: str, table: str) -> pl.DataFrame | None:
-        """Return one native-rate table (`robot`, `people` or `events`) of a recording, None if it has none."""
+        """Return one native-rate table (`robot`, `people` or `events`) of a recording; None if there is none."""
         return self._recorded.table(recording, table)
 
     def recorded_between(self, recording: str, table: str, first_s: float, last_s: float) -> pl.DataFrame | None:
-        """Return the rows of one native-rate table from `first_s` to `last_s` of the log's clock, None without it."""
+        """Return rows of one native-rate table from `first_s` to `last_s`, clock of the log; None if there is none."""
         return self._recorded.between(recording, table, first_s, last_s)
 
     def bits(self, recording: RecordingCard) -> dict[str, SignalChanges]:
-        """Return the values over time of a recording's digital inputs and outputs by name, in its own clock."""
+        """Return the values over time of a recording's digital inputs and outputs, by name, clock of the log."""
         return logged_bits(recording, self._recorded.stored)
 
     def times(self, recording: str, table: str) -> Iterator[pl.DataFrame]:
-        """Yield the times of one native-rate table (`t_s`), in parts: it may be larger than memory."""
+        """Yield the times (`t_s`) of one native-rate table in parts, as it may be larger than memory."""
         return self._recorded.times(recording, table)
 
     def native_robot(self, execution: str, columns: Sequence[str] | None = None) -> pl.DataFrame | None:
         """Return the native-rate robot rows of one execution, `t_s` in session time; None without a robot log.
 
-        `columns`: no others are read.
+        `columns`: columns to read; None = all.
         """
         return self._recorded.robot_of(self._execution(execution), columns)
 
     def find_execution(self, name: str) -> str:
-        """Return the execution called `name`; a plain number counts executions from 1.
+        """Return the name of the execution `name`; a plain number counts executions from 1.
 
         Raises:
             UnknownName: There is none.
@@ -321,10 +318,10 @@ class Dataset:
         return self._execution(name).execution
 
     def verify(self) -> int:
-        """Check every file of the dataset, and return how many there are.
+        """Verify every file of the dataset, and return the number of files.
 
         Raises:
-            DatasetError: One is missing or damaged, or the dataset keeps no checksums.
+            DatasetError: A file is missing or damaged, or the dataset holds no checksums.
         """
         cure = f"Ingest the logs again: cyclekit ingest LOGS --out {self.path}"
         if self._files.listed is None:
@@ -336,14 +333,14 @@ class Dataset:
         return len(self._files.listed) + 1
 
     def damaged(self) -> dict[str, str]:
-        """Return which files are not as they were written, and what is wrong with each.
+        """Return the files that changed since they were written, with the problem of each.
 
-        None where the dataset keeps no checksums.
+        Empty if the dataset holds no checksums.
         """
         return self._files.damaged()
 
     def _rows_of(self, executions: Sequence[str]) -> int:
-        """Return how many samples executions have at most."""
+        """Return the maximum number of samples of executions."""
         entries = [self._execution(name) for name in executions]
         return int(sum(one.end_s - one.start_s for one in entries) * self.rate_hz) + 2 * len(entries)
 
@@ -355,7 +352,7 @@ class Dataset:
         return self._files.scan(files, schema.SAMPLES, columns, added=schema.ADDED_TO_SAMPLES)
 
     def _mine(self, rows: pl.LazyFrame) -> pl.LazyFrame:
-        """Return the rows of the executions that the dataset holds, if it is only a part of what is on the disk."""
+        """Return the rows of the dataset's executions, if it is only a part of the stored ones."""
         return rows.filter(pl.col("execution").is_in(self.executions["execution"].to_list())) if self.is_part else rows
 
     @cached_property

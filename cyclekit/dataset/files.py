@@ -1,7 +1,7 @@
-"""The files of a dataset, checked before they are read: they are what was written, or one message says which is not.
+"""The files of a dataset, verified before they are read: a changed file gives one message with its name.
 
-A dataset whose card lists its files (`files`: size and BLAKE3) is read only as listed; an older one as it lies there.
-What the tables mean is the business of `dataset`.
+Of a dataset whose card lists its files (`files`: size and BLAKE3) only listed files are read; of an older one, all that
+exist. `dataset` defines the meaning of the tables.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
 
 
 _VALUE_BYTES = 8
-"""Of a decoded number; a flag has less, a text more."""
+"""Bytes per decoded number; a flag needs less, a text more."""
 _COPIES = 2
-"""A table is unpacked and decoded, or sorted: for a while it is there twice."""
+"""Number of copies of a table in memory while it is decoded or sorted."""
 _SMALL_BYTES = 1 << 18
-"""In files of less, what is packed is not looked at: that takes longer than to read them."""
+"""Total file size, bytes, below which the unpacked size is not looked up: that takes longer than reading."""
 _TAIL_BYTES = 8
-"""At the end of a Parquet file: the length of its footer, and the mark of the format."""
+"""Bytes at the end of a Parquet file: the length of its footer, and the magic number."""
 PARTLY_BYTES = 16 << 20
-"""Smaller tables are checked as a whole: Arrow, which looks up what bytes will be read, takes longer to import."""
+"""Table size, bytes, below which the whole file is verified: importing Arrow for partial reads takes longer."""
 SMALL_TABLE_BYTES = 1 << 20
-"""Smaller tables are read as a whole, whichever column is wanted (`table_layout`)."""
+"""Table size, bytes, below which the whole file is read for any column (`table_layout`)."""
 _CURE = (
     "Ingest fewer logs into one dataset, a month of them say, or work on a machine with more memory; train, estimate "
     "and evaluate hold fewer executions at a time where CYCLEKIT_MEMORY_ROWS is set to less than 10000000 samples."
@@ -49,28 +49,28 @@ class DatasetFiles:
     """The Parquet files of one dataset."""
 
     def __init__(self, path: Path, listed: Mapping[str, FileCard] | None) -> None:
-        """Keep where they are and what the card says of them; None = nothing."""
+        """Store the folder and the list of files in the card; None = no list."""
         self._path, self._listed = path, listed
 
     @property
     def listed(self) -> Mapping[str, FileCard] | None:
-        """Size and digests of each file by name, None where the dataset keeps none."""
+        """Size and digests of each file by name; None if the dataset holds none."""
         return self._listed
 
     def damaged(self) -> dict[str, str]:
-        """Return what is not as it was written, by name; nothing where no checksums were kept."""
+        """Return the changed files, with the problem of each, by name; empty without checksums."""
         return changes(self._path, self._listed or {})
 
     def has(self, name: str) -> bool:
-        """Tell whether the dataset has a file; one that is listed and has gone counts."""
+        """Return whether the dataset has a file; a listed file that is missing counts."""
         file = self._file(name)
         return file.is_file() if self._listed is None else name in self._listed
 
     def of_samples(self, parts: AbstractSet[str] | None) -> list[Path]:
-        """Return the files of samples by their names without the ending, None = all, in order of name.
+        """Return the sample files with these names (without suffix), None = all, ordered by name.
 
         Raises:
-            DatasetError: One of them is missing or damaged.
+            DatasetError: A file is missing or damaged.
         """
         if self._listed is None:
             names = [f"samples/{file.name}" for file in sample_files(self._path)]
@@ -80,7 +80,7 @@ class DatasetFiles:
         return [self.whole(name) for name in names if parts is None or stems[name] in parts]
 
     def whole(self, name: str) -> Path:
-        """Return a file of which all will be read.
+        """Return a file that will be read completely.
 
         Raises:
             DatasetError: It is missing or damaged.
@@ -95,16 +95,16 @@ class DatasetFiles:
         *,
         added: Mapping[str, str | None] | None = None,
     ) -> pl.LazyFrame:
-        """Return some columns of tables, unread.
+        """Return columns of tables as a lazy frame.
 
         Args:
-            files: Tables of the same columns, checked before.
-            columns: Which type each column has.
-            wanted: Which of them.
+            files: Tables with the same columns, verified before.
+            columns: Type of each column.
+            wanted: Columns to return.
             added: Columns that tables of earlier versions lack, and their value there.
 
         Raises:
-            DatasetError: It is no table, or lacks a column, or one has another type.
+            DatasetError: A file is no table, or a column is missing or has another type.
         """
         rows = pl.scan_parquet(list(files), glob=False)
         with reading(files[0], self._path):
@@ -118,23 +118,23 @@ class DatasetFiles:
         return rows.select(wanted)
 
     def check_rows(self, name: str, most: int, what: str) -> None:
-        """Refuse a table that holds more rows than the card states.
+        """Refuse a table with more rows than the card states.
 
         Raises:
-            DatasetError: It does, or is no file.
+            DatasetError: It has more, or is no file.
         """
         check_rows([self._file(name)], most, what)
 
     def check_memory(self, files: Sequence[Path], wanted: Sequence[str], most: int | None = None) -> None:
-        """Refuse to read more than memory takes: without it, the process would be aborted.
+        """Refuse to read more than fits into memory; otherwise the process would be killed.
 
         Args:
-            files: Tables, checked before.
-            wanted: Which of their columns.
-            most: Rows that will be kept of them; None = all.
+            files: Tables, verified before.
+            wanted: Columns to read.
+            most: Maximum number of rows to keep; None = all.
 
         Raises:
-            DatasetError: They need more memory than there is, or are no tables.
+            DatasetError: They need more memory than is free, or are no tables.
         """
         free = free_bytes()
         if free is None or not files:
@@ -158,9 +158,9 @@ class DatasetFiles:
             )
 
     def between(self, name: str, first_s: float, last_s: float, columns: Sequence[str] | None = None) -> pl.LazyFrame:
-        """Return the rows of a native-rate table from `first_s` to `last_s` of the log's clock, unread.
+        """Return rows of a native-rate table from `first_s` to `last_s`, clock of the log, as a lazy frame.
 
-        Of a large file only the pieces are checked that will be read: `t_s` and `columns`, None = all.
+        Of a large file only the pieces to be read are verified: `t_s` and `columns`, None = all.
 
         Raises:
             DatasetError: The file is missing or damaged there.
@@ -177,7 +177,7 @@ class DatasetFiles:
         return rows if columns is None else rows.select(list(dict.fromkeys(["t_s", *columns])))
 
     def of_columns(self, name: str, columns: Sequence[str]) -> Path:
-        """Return a file of which only some columns will be read, by Arrow, which reads nothing else of a large one.
+        """Return a file of which only some columns will be read, by Arrow, which reads nothing else of a large file.
 
         Raises:
             DatasetError: It is missing or damaged there.
@@ -192,12 +192,12 @@ class DatasetFiles:
         return self._checked(name, within)
 
     def _size(self, name: str) -> int:
-        """Return the size of a file as the card says it; 0 where it does not."""
+        """Return the size of a file according to the card; 0 if unknown."""
         card = (self._listed or {}).get(name)
         return 0 if card is None else card.size
 
     def _with_footer(self, name: str) -> Path:
-        """Return a Parquet file, its end checked, where it is written which bytes are what."""
+        """Return a Parquet file with its footer verified, which locates the columns."""
         end = self._size(name)
         file = self._checked(name, [(end - _TAIL_BYTES, end)])
         with reading(file, self._path), file.open("rb") as handle:
@@ -206,12 +206,12 @@ class DatasetFiles:
         return self._checked(name, [(max(end - _TAIL_BYTES - length, 0), end)])
 
     def shared(self, recording: str, table: str, count: int) -> pl.LazyFrame | None:
-        """Return a native-rate table that lies in a file which recordings share, unread; None where it does not.
+        """Return a native-rate table in a file shared by recordings, as a lazy frame; None if it is not in one.
 
         Args:
-            recording: Its id.
+            recording: Id of the recording.
             table: Name of the table.
-            count: How many rows the card says that there are.
+            count: Number of rows according to the card.
 
         Raises:
             DatasetError: The file or the index is missing or damaged, or the number of rows differs from the card.
@@ -225,7 +225,7 @@ class DatasetFiles:
             return pl.scan_parquet(file, glob=False).slice(rows.first, rows.count).drop(RECORDING)
 
     def collected(self, rows: pl.LazyFrame, name: str) -> pl.DataFrame:
-        """Read what was scanned; every text in it is one line, whoever wrote the table.
+        """Collect a lazy frame; line breaks in its texts are replaced, as the table may come from anywhere.
 
         Raises:
             DatasetError: It cannot be read.
@@ -234,10 +234,10 @@ class DatasetFiles:
             return in_one_line(rows.collect())
 
     def _file(self, name: str) -> Path:
-        """Return where a file lies.
+        """Return the path of a file.
 
         Raises:
-            OutsideFolder: The name comes from the card and leads out of the dataset.
+            OutsideFolder: The name, which comes from the card, leads out of the dataset.
         """
         return inside(self._path, *name.split("/"))
 

@@ -1,7 +1,7 @@
-"""How many rows the tables of a dataset hold, looked up in the ends of their files before any row is read.
+"""Row counts of the tables of a dataset, read from the footers of their files before any row is read.
 
-A file of megabytes can hold more rows than memory takes. The card of the dataset says how many there are to be; a table
-with more of them is not the one that was written.
+A file of megabytes can hold more rows than fit into memory. The card of the dataset states the number of rows; a table
+with more rows is not the one that was written.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _CURE = "Ingest the logs again."
 
 
 def check_tables(path: Path, card: DatasetCard) -> None:
-    """Refuse a dataset whose shared tables hold more rows than its card states, or are not files.
+    """Refuse a dataset whose shared tables hold more rows than its card states, or are not regular files.
 
     Args:
-        path: Folder of the dataset. What is missing in it, or is no table, is left to whoever reads it.
+        path: Folder of the dataset. Missing files and files that are no tables are left to the reader.
         card: Its card.
 
     Raises:
@@ -42,7 +42,7 @@ def check_tables(path: Path, card: DatasetCard) -> None:
 
 
 def sample_files(path: Path) -> list[Path]:
-    """Return the tables of samples of the dataset at `path`, in order of name; none where there is no such folder.
+    """Return the sample tables of the dataset at `path`, ordered by name; none if there is no such folder.
 
     Raises:
         DatasetError: The folder cannot be listed.
@@ -52,16 +52,16 @@ def sample_files(path: Path) -> list[Path]:
         return sorted(file for file in folder.iterdir() if file.suffix == ".parquet")
     except (FileNotFoundError, NotADirectoryError):
         return []
-    except OSError as error:  # `glob` would find nothing, and say nothing
+    except OSError as error:  # `glob` would find nothing, without an error
         cause = f"{folder}: cannot be listed ({error.strerror})"
         raise DatasetError(cause, cure="Check the permissions of the folder.") from error
 
 
 def check_rows(files: Sequence[Path], most: int, what: str) -> None:
-    """Refuse tables that together hold more than `most` rows, or are no files; what is missing or no table passes.
+    """Refuse tables that together hold more than `most` rows, or are no regular files; missing or invalid ones pass.
 
     Raises:
-        DatasetError: They do, or are none.
+        DatasetError: They do, or a table is no regular file.
     """
     files = [file for file in files if os.path.lexists(file)]
     for file in files:

@@ -1,10 +1,10 @@
-"""Whether a command may write where it was told to: never over an input, never over what is not its own.
+"""Check of output paths: a command never overwrites an input, or a file that cyclekit did not write.
 
-One rule for every command that writes. An output is refused when it is an input, lies in an input that is a folder, or
-is a folder that holds an input; links are resolved, and a second name of the same file (a hard link, other letters on a
-disk that takes them for the same) counts as the file. An output that exists is replaced only if cyclekit wrote it as
-that kind of thing, told by what stands in it; an empty file or folder holds nothing to lose. What is no regular file (a
-device, a pipe) is written into (`atomic.replaced`), so there is nothing to lose either.
+One rule for every command that writes. An output is refused if it is an input, lies in an input folder, or is a folder
+that holds an input. Links are resolved, and another name of the same file (a hard link, another case on a
+case-insensitive disk) counts as the file. An existing output is replaced only if cyclekit wrote it as that kind of
+thing, which its content shows; an empty file or folder may always be replaced. A device or a pipe is written into
+(`atomic.replaced`), so nothing is lost.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
     Place = Path | str
 
 _ENDS_BYTES = 1 << 16
-"""So much of both ends of a file is looked at: all marks stand there."""
+"""Bytes read from both ends of a file, which contain all marks."""
 _COLUMNS = "|".join([*schema.ROBOT, *schema.PEOPLE, *schema.EVENTS, *schema.SKELETONS])
 
 
 @dataclass(frozen=True)
 class _Kind:
-    """A kind of thing that cyclekit writes: its name in messages, and how it is told from what others wrote.
+    """A kind of output: its name in messages, and how it is recognised as written by cyclekit.
 
     Attributes:
-        mark: What stands in one of its ends, if it is a file.
-        holds: What lies in it, if it is a folder; "" = any folder will do, since only single things in it are replaced.
+        mark: Pattern in one of the ends of a file.
+        holds: Name of a file in a folder; "" = any folder will do, since only single files in it are replaced.
     """
 
     name: str
@@ -91,17 +91,17 @@ def check_output(
     option: str = "--out",
     endings: Sequence[str] = (),
 ) -> None:
-    """Refuse before the work to write where something would be lost, or where nothing can be written.
+    """Refuse, before any work, an output that would overwrite something or cannot be written.
 
     Args:
-        out: The file or folder to be written, a path or a URL; None = nothing is written.
-        kind: What it will be.
-        inputs: What the command reads: files, folders and URLs; None is left out.
-        option: How `out` was given.
-        endings: Endings that are known, as `.json`; empty where any will do.
+        out: Output file or folder, a path or a URL; None = no output.
+        kind: Kind of the output.
+        inputs: Files, folders and URLs that the command reads; None is ignored.
+        option: Option that gave `out`.
+        endings: Allowed suffixes, such as `.json`; empty = any.
 
     Raises:
-        ConfigError: The ending is not known.
+        ConfigError: The suffix is not allowed.
         CyclekitError: Nothing can be written there.
         OutputError: It is an input, lies in one, holds one, or is not cyclekit's to replace.
     """
@@ -125,17 +125,17 @@ def check_output(
 
 
 def _real(place: Place) -> Path | str:
-    """Return a path of this machine without links, or the URL as it is."""
+    """Return a local path with links resolved, or a URL without query."""
     if is_url(place):
         path = of_file_url(str(place))
         if path is None:
             return str(place).partition("?")[0].rstrip("/")
         place = path
-    return Path(os.path.realpath(place))  # of a link that leads to itself too: `resolve` raises there
+    return Path(os.path.realpath(place))  # `resolve` would raise for a link to itself
 
 
 def _collides(out: Path | str, given: Path | str, *, folder: bool) -> str | None:
-    """Return how an output meets an input, None if it does not."""
+    """Return how an output conflicts with an input; None if it does not."""
     if isinstance(out, str) or isinstance(given, str):
         if type(out) is not type(given):
             return None
@@ -153,19 +153,19 @@ def _collides(out: Path | str, given: Path | str, *, folder: bool) -> str | None
 
 
 def _same(one: Path, other: Path) -> bool:
-    """Tell whether two paths are one file, under whatever names."""
+    """Return whether two paths are the same file."""
     if one == other:
         return True
     try:
         return one.samefile(other)
-    except (OSError, ValueError):  # one of them is not there
+    except (OSError, ValueError):  # one of them does not exist
         return False
 
 
 def _is_replaceable(out: Path, kind: _Kind) -> bool:
     try:
         mode = out.stat().st_mode
-    except (OSError, ValueError):  # nothing there; whether it can be written shows when it is
+    except (OSError, ValueError):  # it does not exist; whether it can be written shows later
         return True
     if stat.S_ISDIR(mode):
         return kind.is_folder and (not kind.holds or (out / kind.holds).is_file() or not any(out.iterdir()))
@@ -178,7 +178,7 @@ def _is_replaceable(out: Path, kind: _Kind) -> bool:
 
 
 def _ends(file: Path) -> bytes:
-    """Return both ends of a file; what cannot be read is nobody's we know."""
+    """Return both ends of a file; an unreadable file counts as not written by cyclekit."""
     try:
         with file.open("rb") as handle:
             first = handle.read(_ENDS_BYTES)

@@ -1,4 +1,4 @@
-"""Lost time by cause over all executions of a dataset, and how often the robot stopped and changed its speed."""
+"""Lost time by cause over all executions of a dataset, and rates of stops and of speed changes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CAUSE_NAMES: Mapping[str, str] = {
     "stop": "protective stop",
     "unknown": "unknown cause",
 }
-"""What each of LOST_CAUSES is called."""
+"""Display names of LOST_CAUSES."""
 COLUMNS = (
     *("execution", "scaling", "step", "lost_to", "robot_moving"),
     *("robot_x_m", "robot_y_m", "robot_z_m", "human_x_m", "human_y_m", "human_z_m"),
@@ -33,7 +33,7 @@ _HALTED = 0.02
 
 @dataclass(frozen=True)
 class PersonLoss:
-    """What people cost at one level: seconds, and between which distances robot to operator (5 to 95 %), m."""
+    """Time lost to people at one level, s, and the 5 and 95 % quantiles of the distance of robot and operator, m."""
 
     level: float
     lost_s: float
@@ -46,11 +46,11 @@ class LostTime:
     """Lost time of a dataset.
 
     Attributes:
-        seconds: By cause, s.
-        duration_s: How long the executions last together.
-        stops_per_hour: How often the robot came to a standstill midway, by cause.
-        changes_per_hour: How often its speed scaling went to another level.
-        person: What people cost, by level.
+        seconds: Lost time by cause, s.
+        duration_s: Total duration of the executions.
+        stops_per_hour: Number of standstills midway per hour, by cause.
+        changes_per_hour: Number of level changes of the speed scaling per hour.
+        person: Time lost to people, by level.
     """
 
     seconds: Mapping[str, float]
@@ -60,21 +60,21 @@ class LostTime:
     person: tuple[PersonLoss, ...]
 
     def share(self, cause: str) -> float:
-        """Return which part of the executions a cause took."""
+        """Return the share of the executions' time lost to a cause."""
         return self.seconds[cause] / self.duration_s if self.duration_s > 0.0 else 0.0
 
 
 def lost_time(
     tasks: pl.DataFrame, samples: pl.DataFrame, levels: Sequence[float], rate_hz: float, duration_s: float
 ) -> LostTime | None:
-    """Return the lost time of a dataset; None where nothing of it is known.
+    """Return the lost time of a dataset; None if unknown.
 
     Args:
         tasks: Table TASKS of the robot.
-        samples: Table SAMPLES, at least COLUMNS.
-        levels: Of the scaling, ascending.
-        rate_hz: Of the samples.
-        duration_s: Of all executions.
+        samples: Table SAMPLES, with at least COLUMNS.
+        levels: Levels of the scaling, ascending.
+        rate_hz: Rate of the samples.
+        duration_s: Total duration of all executions.
     """
     if duration_s <= 0.0 or not tasks["lost_person_s"].count() + tasks["lost_wait_s"].count():
         return None

@@ -1,4 +1,4 @@
-"""The card of a dataset, opened: found, of this version, as it was written, and its tables no larger than it says."""
+"""Opening of a dataset's card: version, seal and content are checked, and the sizes of the tables against it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def opened_card(path: Path) -> DatasetCard:
-    """Return the card of the dataset in a folder, checked.
+    """Return the verified card of the dataset in a folder.
 
     Raises:
         DatasetError: There is no dataset, it is damaged, or it is of another schema version.
@@ -51,7 +51,7 @@ def opened_card(path: Path) -> DatasetCard:
 
 
 def _no_dataset(path: Path) -> DatasetError:
-    """Return the error for a place that holds no dataset, with what it is instead."""
+    """Return the error for a place without a dataset; it names what the place is."""
     found = what_is(path)
     if found == "nothing":
         make = command_line("ingest", "LOGS", "--out", path)
@@ -73,11 +73,11 @@ def _version(values: Mapping[str, object]) -> object:
 
 
 def _card_of(path: Path) -> bytes:
-    """Return the card of the dataset at `path`, as it lies there; looks again if it is just being replaced.
+    """Return the content of the card of the dataset at `path`; tries again if it is just being replaced.
 
     Raises:
-        DatasetError: There is none.
-        BadCard: It is too large for one.
+        DatasetError: There is no dataset.
+        BadCard: The file is too large for a card.
         OSError: It cannot be read.
     """
     for _ in range(3):

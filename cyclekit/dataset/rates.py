@@ -1,7 +1,7 @@
-"""How fast a log was written: the usual step, the rate on average, and the samples that it lost.
+"""The rate of a log: its median step, its mean rate, and the number of lost samples.
 
-Rows over duration are no rate where several people share a table, nor where the log was silent for a while. So steps
-are those from one row of a person to the next one of the same person, and silences are left out of them.
+Rows per duration is not the rate if several people share a table, or if the log had gaps. So steps are computed per
+person, and gaps are left out.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ if TYPE_CHECKING:
 
 
 GAP_PERIODS, GAP_S = 5.0, 0.25
-"""A silence is a gap when it is longer than both: five usual steps, and a quarter of a second."""
+"""Minimum length of a gap: the larger of this many median steps and this time, s."""
 ONE_INSTANT_S = 1e-6
-"""Nothing in a cell is sampled faster: stamps nearer than this to each other are of one instant."""
+"""Minimum step, s; closer time stamps count as one instant, since nothing in a cell is sampled faster."""
 EVEN, MOSTLY = 0.2, 0.8
-"""Samples can be counted as lost where this many of the steps are whole multiples of the usual one, to within EVEN."""
+"""Tolerance, as a share of the median step, and minimum share of steps that are whole multiples of it, to count lost
+samples."""
 
 
 class Rate(NamedTuple):
@@ -28,8 +29,8 @@ class Rate(NamedTuple):
 
     Attributes:
         step_s: Median step.
-        mean_hz: Steps a second, gaps left out.
-        lost: Samples missing between rows, gaps left out; None where steps are of any length.
+        mean_hz: Steps per second, without gaps.
+        lost: Number of samples missing between rows, without gaps; None if steps vary too much.
     """
 
     step_s: float
@@ -38,15 +39,15 @@ class Rate(NamedTuple):
 
 
 class Rates:
-    """Takes in a table part after part, in the order of the log."""
+    """Computes the rate of a table from its parts, in the order of the log."""
 
     def __init__(self) -> None:
         self._own, self._all = _Steps(), _Steps()
         self._last_s = np.nan
-        self._last: pl.DataFrame | None = None  # the last row of each person in the part before
+        self._last: pl.DataFrame | None = None  # last row of each person in the previous part
 
     def add(self, frame: pl.DataFrame) -> None:
-        """Take in a part: columns `t_s` and, of people, `person`."""
+        """Add a part: columns `t_s` and, for people, `person`."""
         if not frame.height:
             return
         times = frame["t_s"].to_numpy()
@@ -63,15 +64,15 @@ class Rates:
         self._last = rows.group_by("person").last().select("t_s", "person")
 
     def found(self) -> Rate | None:
-        """Return the rate; None below two instants.
+        """Return the rate; None with fewer than two instants.
 
-        Where ids of people do not last they have no steps of their own, and the instants of the table count.
+        If ids of people change too often to give steps, the steps of the whole table are used.
         """
         return (self._own if self._own.count >= 0.5 * self._all.count else self._all).rate()
 
 
 class _Steps:
-    """Steps of one kind, counted."""
+    """Statistics of one kind of steps."""
 
     def __init__(self) -> None:
         self.count, self._sum_s = 0, 0.0
@@ -79,7 +80,7 @@ class _Steps:
         self._step_s: float | None = None
 
     def add(self, steps: Vector) -> None:
-        steps = steps[steps >= ONE_INSTANT_S]  # NaN and steps back are none
+        steps = steps[steps >= ONE_INSTANT_S]  # drops NaN and negative steps, too
         if not len(steps):
             return
         usual = float(np.sort(steps)[(len(steps) - 1) // 2]) if self._step_s is None else self._step_s

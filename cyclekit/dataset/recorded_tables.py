@@ -1,4 +1,4 @@
-"""Tables at the native rate of each recording: in a file of their own, or in one that short recordings share."""
+"""Tables at the native rate of each recording: in files of its own, or in files shared by short recordings."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ if TYPE_CHECKING:
     from cyclekit.storage.parquet import StoredTable
 
 _NEAR_S = 1e-3
-"""Rows so far outside of a span are read too, since its ends in a log's own clock are rounded."""
+"""Margin at both ends of a time span, s, because its ends in the log's clock are rounded."""
 
 
 class RecordedTables:
-    """The tables of the recordings of a dataset, read when asked for."""
+    """The tables of a dataset's recordings, read on demand."""
 
     def __init__(self, path: Path, files: DatasetFiles, recordings: Sequence[RecordingCard]) -> None:
-        """Keep what it is given.
+        """Store the arguments.
 
         Args:
             path: Folder of the dataset.
             files: Its files.
-            recordings: What its card says of them.
+            recordings: Cards of its recordings.
         """
         self._path, self._files, self._recordings = path, files, recordings
 
     def table(self, recording: str, table: str) -> pl.DataFrame | None:
-        """Return one table (`robot`, `people` or `events`) of a recording, None if it has none."""
+        """Return one table (`robot`, `people` or `events`) of a recording; None if there is none."""
         if (shared := self._shared(recording, table)) is not None:
             return self._files.collected(shared, _recorded(recording, table))
         if (name := self._native(recording, table)) is None:
@@ -49,7 +49,7 @@ class RecordedTables:
         return self._files.collected(rows, name)
 
     def between(self, recording: str, table: str, first_s: float, last_s: float) -> pl.DataFrame | None:
-        """Return the rows of one table from `first_s` to `last_s` of the log's clock, None without it."""
+        """Return rows of one table from `first_s` to `last_s`, clock of the log; None if there is none."""
         if (shared := self._shared(recording, table)) is not None:
             within = shared.filter(pl.col("t_s").is_between(first_s, last_s))
             return self._files.collected(within, _recorded(recording, table))
@@ -58,7 +58,7 @@ class RecordedTables:
         return self._files.collected(self._files.between(name, first_s, last_s), name)
 
     def times(self, recording: str, table: str) -> Iterator[pl.DataFrame]:
-        """Yield the times of one table (`t_s`), in parts: it may be larger than memory."""
+        """Yield the times (`t_s`) of one table in parts, as it may be larger than memory."""
         from cyclekit.storage.parquet import StoredTable  # whoever reads a log needs no Arrow to begin
 
         if (shared := self._shared(recording, table)) is not None:
@@ -71,7 +71,7 @@ class RecordedTables:
                 yield pl.DataFrame({"t_s": stored.column("t_s", begin, end)})
 
     def stored(self, recording: str, columns: Sequence[str]) -> StoredTable:
-        """Open the robot table of a recording, to be read by ranges of rows; other columns must not be read."""
+        """Open the robot table of a recording for reading by ranges of rows; only `columns` may be read."""
         from cyclekit.dataset.shared_tables import SharedTable
         from cyclekit.storage.parquet import StoredTable
 
@@ -85,24 +85,24 @@ class RecordedTables:
     def robot_of(self, entry: ExecutionCard, columns: Sequence[str] | None = None) -> pl.DataFrame | None:
         """Return the robot's rows of one execution, `t_s` in session time; None without a robot log.
 
-        `columns`: no others are read.
+        `columns`: columns to read; None = all.
         """
         for record in self._recordings:
             if record.session == entry.session and "robot" in record.tables:
                 shared, name = self._shared(record.id, "robot"), _recorded(record.id, "robot")
                 if shared is None:
-                    self._native(record.id, "robot")  # has its rows counted; a lost one is named below
+                    self._native(record.id, "robot")  # checks its row count; a missing file is reported below
                 rate, offset_s = record.clock.rate, record.clock.offset_s
                 first, last = ((at_s - offset_s) / rate for at_s in (entry.start_s, entry.end_s))
                 inside = pl.col("t_s").is_between(entry.start_s, entry.end_s)
-                if shared is None:  # rows of no other time are unpacked
+                if shared is None:  # decode only rows near the span
                     shared = self._files.between(name, first - _NEAR_S, last + _NEAR_S, columns)
                 rows = shared.with_columns(t_s=pl.col("t_s") * rate + offset_s).filter(inside)
                 return self._files.collected(rows if columns is None else rows.select(columns), name)
         return None
 
     def _shared(self, recording: str, table: str) -> pl.LazyFrame | None:
-        """Return a native-rate table, unread, that lies in a file which recordings share; None if it does not."""
+        """Return a native-rate table in a file shared by recordings, as a lazy frame; None if it is not in one."""
         counts = self._row_counts.get(recording, {})
         return self._files.shared(recording, table, counts[table]) if table in counts else None
 
@@ -111,7 +111,7 @@ class RecordedTables:
         return {entry.id: {str(name): rows for name, rows in entry.rows.items()} for entry in self._recordings}
 
     def _native(self, recording: str, table: str) -> str | None:
-        """Return the name of a native-rate table that holds no more rows than the card says; None if there is none."""
+        """Return the name of a native-rate table, its row count checked against the card; None if there is none."""
         name = _recorded(recording, table)
         if not self._files.has(name):
             return None

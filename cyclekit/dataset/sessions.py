@@ -1,7 +1,6 @@
-"""A session: recordings that share a time.
+"""Sessions: groups of recordings on one time axis.
 
-Only the data that pass between `ingest`, `derive` and `activity`; which logs belong together is decided here, folder by
-folder.
+Holds the data passed between `ingest`, `derive` and `activity`, and decides which logs belong together.
 """
 
 from __future__ import annotations
@@ -24,20 +23,20 @@ if TYPE_CHECKING:
     _Key = tuple[str, int, tuple[str, ...]]
 
 WITHOUT_PLACES = {"task_list", "safety"}
-"""Tables that hold no positions."""
+"""Tables without positions."""
 _OVERLAP_S = 1.0
-"""Two logs of one robot, one after the other, have no longer time in common."""
+"""Maximum overlap of consecutive logs of one robot, s."""
 
 
 @dataclass(frozen=True)
 class LogGroup:
-    """Logs that share a time, before their clocks are known.
+    """Logs on one time axis, before their clocks are aligned.
 
     Attributes:
-        name: Of the session that they become.
-        logs: The clock's master first.
-        reference: Recorded with nobody in the cell.
-        nobody_logged: A tracker's log lies beside them that has a header and no rows.
+        name: Name of their session.
+        logs: The logs; the first has the reference clock.
+        reference: Whether it was recorded without an operator in the cell.
+        nobody_logged: Whether a tracker log with a header but no rows belongs to it.
     """
 
     name: str
@@ -48,14 +47,15 @@ class LogGroup:
 
 @dataclass(frozen=True)
 class Session:
-    """Recordings that share a time.
+    """Recordings on one time axis.
 
     Attributes:
-        recordings: The clock's master first.
-        reference: Recorded with nobody in the cell.
-        runs: Numbers of its runs in the list of all runs.
+        name: Name of the session.
+        recordings: The recordings; the first has the reference clock.
+        reference: Whether it was recorded without an operator in the cell.
+        runs: Indices of its runs in the list of all runs.
         span_s: First and last time of all recordings, session seconds.
-        nobody_logged: A tracker's log lies beside them that has a header and no rows.
+        nobody_logged: Whether a tracker log with a header but no rows belongs to it.
     """
 
     name: str
@@ -73,18 +73,17 @@ def group_sessions(
     numbered: bool = False,
     shares: Callable[[LogCard], bool] = lambda log: False,
 ) -> list[LogGroup]:
-    """Group logs that share a time: all of them if there is one robot log, else folder by folder.
+    """Group logs on one time axis: all of them if there is one robot log, else folder by folder.
 
-    Of folders that hold robot logs alone and folders that hold others alone (`robot/a.csv`, `tracker/a.csv`), logs of
-    the same name are grouped, where only one robot log can be meant; else those of the same time, where their clocks
-    count since 1970 and no two robots run at once. A log that several robot logs share is in the session of each at
-    whose time it was recorded.
+    If some folders hold only robot logs and others only other logs (`robot/a.csv`, `tracker/a.csv`), logs of the same
+    name are grouped if the match is unique; else those of the same time, if their clocks count since 1970 and no two
+    robots run at once. A log shared by several robot logs belongs to the session of each that overlaps it in time.
 
     Args:
-        logs: As they were read.
-        is_reference: Tells by the path of a log whether it was recorded with nobody in the cell.
-        numbered: Name sessions by number, not by the folder or log that they come from.
-        shares: Tells of a log that is no robot's whether several robot logs may share it.
+        logs: The logs that were read.
+        is_reference: Function of a log's path: whether it was recorded without an operator in the cell.
+        numbered: Name sessions by number instead of by folder or log.
+        shares: Function of a non-robot log: whether several robot logs may share it.
     """
     robots, others = _divided(logs)
     if len(robots) == 1 and len({log.tables for log in others}) == len(others):
@@ -106,11 +105,11 @@ def group_sessions(
 
 
 def with_empty(sessions: Sequence[LogGroup], paths: Sequence[str]) -> list[LogGroup]:
-    """Return the sessions, those marked beside whose robot log a tracker's log without rows lies.
+    """Return the sessions, with those marked whose robot log has an empty tracker log.
 
     Args:
-        sessions: All of them.
-        paths: Of these logs. They have no time, so their folders and names tell.
+        sessions: All sessions.
+        paths: Paths of the empty tracker logs, which are matched by folder and name as they have no times.
     """
     folders = {str(Path(path).parent.as_posix()) for path in paths}
     names = {key for path in paths for key in _keys_of(Path(path).stem, str(Path(path).parent.as_posix()))}
@@ -127,7 +126,7 @@ def with_empty(sessions: Sequence[LogGroup], paths: Sequence[str]) -> list[LogGr
 
 
 def unpaired(sessions: Sequence[LogGroup]) -> list[Note]:
-    """Return what to say where robot logs without people lie beside logs without a robot; nothing if all is well."""
+    """Return notes if there are both robot logs without people and logs without a robot; else nothing."""
     tables = [(session, {table for log in session.logs for table in log.tables}) for session in sessions]
     robots = [
         session for session, kinds in tables if "robot" in kinds and "people" not in kinds and not session.reference
@@ -140,7 +139,7 @@ def unpaired(sessions: Sequence[LogGroup]) -> list[Note]:
 
 
 def _by_name(groups: list[list[LogCard]]) -> list[list[LogCard]]:
-    """Put logs that are alone to the one robot log of the same name in a folder that differs by one part."""
+    """Add each unmatched log to the only robot log of the same name in a folder whose path differs in one part."""
     robots: dict[_Key, list[int]] = {}
     for number, group in enumerate(groups):
         if all("robot" in log.tables for log in group):
@@ -158,7 +157,7 @@ def _by_name(groups: list[list[LogCard]]) -> list[list[LogCard]]:
 
 
 def _by_time(groups: list[list[LogCard]], shares: Callable[[LogCard], bool]) -> list[list[LogCard]]:
-    """Put logs in epoch time that are alone to the robot logs of the same time that have no others."""
+    """Add unmatched logs in epoch time to robot logs without others that overlap them in time."""
     robots = [group for group in groups if len(group) == 1 and "robot" in group[0].tables]
     masters = [group[0] for group in robots if group[0].clock.kind == "epoch" and "people" not in group[0].tables]
     left = []
@@ -176,7 +175,7 @@ def _by_time(groups: list[list[LogCard]], shares: Callable[[LogCard], bool]) -> 
 
 
 def _clear(robots: Sequence[LogCard], others: Sequence[LogCard]) -> bool:
-    """Tell whether the time says beside which robot the people of some logs were: no two robots run at once."""
+    """Return whether time alone assigns the people of some logs to a robot: no two robots run at once."""
     if not any("people" in log.tables for log in others):
         return True
     if any(robot.clock.kind != "epoch" for robot in robots):
@@ -186,7 +185,7 @@ def _clear(robots: Sequence[LogCard], others: Sequence[LogCard]) -> bool:
 
 
 def _keys(log: LogCard) -> list[_Key]:
-    """Return the name of a log with its folders, each in turn left out."""
+    """Return keys of a log: its name and folders, with each folder omitted in turn."""
     path = Path(log.shown)
     return _keys_of(path.parent.name if len(log.sources) > 1 else path.stem, _folder(log))
 
@@ -197,7 +196,7 @@ def _keys_of(name: str, folder: str) -> list[_Key]:
 
 
 def _divided(logs: Sequence[LogCard]) -> tuple[list[LogCard], list[LogCard]]:
-    """Return the robots' logs and the others."""
+    """Return the robot logs and the other logs."""
     robots = [log for log in logs if "robot" in log.tables]
     return robots, [log for log in logs if "robot" not in log.tables]
 
@@ -231,14 +230,14 @@ def _in_folder(
 
 
 def _meet(robot: LogCard, log: LogCard) -> bool:
-    """Tell whether two logs may be of one time; those of other clocks than the computers' may always be."""
+    """Return whether two logs may overlap in time; logs without epoch clocks always may."""
     if robot.clock.kind != "epoch" or log.clock.kind != "epoch":
         return True
     return log.first_s <= robot.last_s and robot.first_s <= log.last_s
 
 
 def _at_one_time(logs: list[LogCard]) -> list[list[LogCard]]:
-    """Put task lists and safety logs in epoch time together that were recorded at the same time; others stay alone."""
+    """Group task lists and safety logs that overlap in epoch time; others stay alone."""
     groups: list[list[LogCard]] = []
     until_s = float("-inf")
     for log in sorted(filter(_has_own_time, logs), key=lambda log: log.first_s):

@@ -1,7 +1,7 @@
-"""Where the tables of short recordings lie that share files: which rows of which file are whose.
+"""Index of the files shared by short recordings: which rows of which file belong to which recording.
 
-A file takes more time than the rows of a short log, and there may be ten thousand of them. A recording that is not in
-the index has files of its own, `recordings/<id>/<table>.parquet`.
+A file costs more time than the rows of a short log, and there may be ten thousand of them. A recording that is not in
+the index has its own files, `recordings/<id>/<table>.parquet`.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 FOLDER = "shared"
 INDEX = f"{FOLDER}/index.json"
 RECORDING = "recording"
-"""The column of a shared file that says whose a row is, before those of the table."""
+"""Column of a shared file with the id of the recording; it comes before those of the table."""
 
 
 class SharedRows(msgspec.Struct, frozen=True, array_like=True):
-    """Rows of a file.
+    """A range of rows in a shared file.
 
     Attributes:
-        file: Its name in the dataset.
-        first: The first of the rows.
-        count: How many there are.
+        file: Path of the file in the dataset.
+        first: First row.
+        count: Number of rows.
     """
 
     file: Annotated[str, msgspec.Meta(pattern=rf"^{FOLDER}/[a-z_0-9-]+\.parquet$", max_length=80)]
@@ -35,21 +35,21 @@ class SharedRows(msgspec.Struct, frozen=True, array_like=True):
 
     @property
     def end(self) -> int:
-        """The row behind the last one."""
+        """One past the last row."""
         return self.first + self.count
 
 
 Index = dict[str, dict[str, SharedRows]]
-"""Rows by recording and table."""
+"""Row ranges by recording and table."""
 
 
 def shared_rows(dataset: Path, recording: str, table: str) -> SharedRows | None:
-    """Return where a table of a recording lies, None where it does not share a file.
+    """Return the rows of a table of a recording; None if it is not in a shared file.
 
-    An index that cannot be read counts as none, so that what it speaks of is missing.
+    An unreadable index counts as missing, so that its tables are missing, too.
 
     Args:
-        dataset: Its folder.
+        dataset: Folder of the dataset.
         recording: Id of the recording.
         table: Name of the table.
     """

@@ -1,6 +1,6 @@
-"""The rows of one recording in a file that many short ones share, read as a table of its own is.
+"""Rows of one recording in a file shared by many short ones, read like a table with its own file.
 
-A few such files are kept decoded: who goes through the recordings in order reads each file once.
+A few such files stay decoded in memory: reading the recordings in order reads each file once.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ def shared_frame(dataset: Path, rows: SharedRows) -> pl.DataFrame:
     """Return the rows of one recording, with the columns of its table.
 
     Args:
-        dataset: Its folder.
-        rows: Where they lie.
+        dataset: Folder of the dataset.
+        rows: Location of the rows.
     """
     return _whole(*_version(dataset / rows.file))[rows.first : rows.end]
 
@@ -53,15 +53,15 @@ def _numbers(file: Path, written_ns: int, size: int, column: str) -> NDArray[np.
 
 
 class SharedTable(StoredTable):
-    """As `StoredTable`, of the rows of one recording."""
+    """The rows of one recording as a `StoredTable`."""
 
     def __init__(self, dataset: Path, rows: SharedRows, columns: Sequence[str]) -> None:
-        """Look at the rows.
+        """Locate the rows.
 
         Args:
             dataset: Folder of the dataset.
-            rows: Where they lie in it.
-            columns: The columns that will be read, all of numbers.
+            rows: Location of the rows.
+            columns: Columns that will be read, all numeric.
         """
         self._version, self._where = _version(dataset / rows.file), rows
         self._columns, self.columns = list(columns), tuple(columns)
@@ -77,7 +77,7 @@ class SharedTable(StoredTable):
         return {name: _numbers(*self._version, name)[begin:after] for name in names}
 
     def whole_numbers(self, number: int, column: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return a column of whole numbers, all 64 bits of them, and which are known, shape (N,)."""
+        """Return a column of whole numbers at full 64-bit precision, and which are known, shape (N,)."""
         values = self._column(column)
         return values.fill_null(0).cast(pl.Int64).to_numpy(), values.is_not_null().to_numpy()
 

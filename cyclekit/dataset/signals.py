@@ -1,7 +1,6 @@
-"""When a signal of a recording changes: an output or the register of a robot log, a named event of any other.
+"""Change times of a recording's signals: outputs and the register of a robot log, named events of other logs.
 
-Robot logs are read part by part, since they may be larger than memory; events are few. What is aligned by these times
-is the business of `align`.
+Robot logs are read in parts, since they may be larger than memory; events are few. `alignment` uses these times.
 """
 
 from __future__ import annotations
@@ -30,49 +29,49 @@ _BITS = {"digital_in_bits": INPUT, "digital_out_bits": OUTPUT}
 _ON = {"1", "1.0", "true", "on", "high", "ein"}
 _OFF = {"0", "0.0", "false", "off", "low", "aus"}
 _SAMPLED_S = 0.1
-"""A change between rows that lie nearer than this is in the middle of them, else at the later one."""
+"""Maximum time between two rows, s, for which a change counts at their middle; else at the later row."""
 MOST_CHANGES = 100_000
-"""A signal that changes more often in one recording counts or measures, and says nothing of a program's steps."""
+"""Maximum number of changes of a signal per recording; more frequent ones are counters or measurements."""
 
 
 class SignalChanges(NamedTuple):
-    """When a signal took which value, s, ascending; shape (M,) each."""
+    """Change times of a signal, s, ascending, and the value from each on; shape (M,) each."""
 
     t_s: Vector
     value: NDArray[np.str_]
 
     def at(self, t_s: Vector) -> NDArray[np.str_]:
-        """Return the value at some times, shape (N,); empty before the first one."""
+        """Return the values at some times, shape (N,); empty before the first change."""
         return np.append("", self.value)[np.searchsorted(self.t_s, t_s, side="right")]
 
     def to(self, value: str) -> Vector:
-        """Return when it changed to a value, shape (K,), s; what it was at first is no change."""
+        """Return the times of changes to a value, shape (K,), s; the initial value is not a change."""
         return np.asarray(self.t_s[1:][(self.value[1:] == value) & (self.value[:-1] != value)])
 
 
 def state_of(value: str) -> str:
-    """Return a value with the words of on and off as 1 and 0, as digital inputs have them; any other as it is."""
+    """Return 1 or 0 for words of on and off, as digital inputs have them; any other value unchanged."""
     word = value.lower()
     return "1" if word in _ON else "0" if word in _OFF else value
 
 
 MOST_VALUES = 8
-"""A signal of more values than this measures or names something."""
+"""Maximum number of values of an event; signals with more are measurements or names."""
 
 
 def event_times(entry: LogCard, signal: str, read: Read, stored: Stored, where: str = "sync") -> Vector:
-    """Return when a signal of a recording changes, its own clock, shape (N,), s; on/off signals when they rise.
+    """Return the change times of a signal, clock of the log, shape (N,), s; for on/off signals, the rising edges.
 
     Args:
         entry: The recording.
         signal: `digital-output 3`, `register`, the name of an event; or `register=100` or `name=value` for changes to
-            that value alone.
-        read: Returns a native table of a recording (id, table), None if it has none.
+            that value only.
+        read: Returns a native table of a recording (id, table), None if there is none.
         stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
-        where: What of the cell file asks for it.
+        where: Part of the cell file that names the signal, for messages.
 
     Raises:
-        ConfigError: There is no such signal in it.
+        ConfigError: The recording has no such signal.
     """
     name, _, value = signal.partition("=")
     if "robot" in entry.tables and name.startswith(OUTPUT):
@@ -90,14 +89,14 @@ def event_times(entry: LogCard, signal: str, read: Read, stored: Stored, where: 
 
 
 def every_change(entry: LogCard, read: Read, stored: Stored) -> dict[str, Vector]:
-    """Return when each signal of a recording changes, either way, its own clock, shape (N,), ascending, s.
+    """Return the change times of each signal of a recording, both edges, clock of the log, shape (N,), ascending, s.
 
-    Those are its digital outputs, each bit by itself, its register and its events; not those that never change or
-    more than MOST_CHANGES times.
+    Signals are its digital outputs (bit by bit), its register and its events; those that never change, or more than
+    MOST_CHANGES times, are left out.
 
     Args:
         entry: The recording.
-        read: Returns a native table of a recording (id, table), None if it has none.
+        read: Returns a native table of a recording (id, table), None if there is none.
         stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
     """
     found: dict[str, Vector] = {}
@@ -116,16 +115,16 @@ def every_change(entry: LogCard, read: Read, stored: Stored) -> dict[str, Vector
 
 
 def values_of(entry: LogCard, read: Read, stored: Stored) -> dict[str, SignalChanges]:
-    """Return the values over time of the inputs, outputs and events of a recording, its own clock.
+    """Return the values over time of inputs, outputs and events of a recording, clock of the log.
 
     Args:
         entry: The recording.
-        read: Returns a native table of a recording (id, table), None if it has none.
+        read: Returns a native table of a recording (id, table), None if there is none.
         stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
 
     Returns:
-        By name: each bit that changes, the register, and events of up to MOST_VALUES values, words of on and off as 1
-        and 0; not those that change more than MOST_CHANGES times.
+        By name: each bit that changes, the register, and events with at most MOST_VALUES values, with words of on and
+        off as 1 and 0. Signals that change more than MOST_CHANGES times are left out.
     """
     found = logged_bits(entry, stored, (*_BITS, REGISTER))
     events = read(entry.id, "events") if "events" in entry.tables else None
@@ -139,7 +138,7 @@ def values_of(entry: LogCard, read: Read, stored: Stored) -> dict[str, SignalCha
 
 
 def logged_bits(entry: LogCard, stored: Stored, columns: Sequence[str] = tuple(_BITS)) -> dict[str, SignalChanges]:
-    """Return the values over time of inputs and outputs, and of the register if asked for; see `values_of`."""
+    """Return the values over time of inputs and outputs, and of the register if requested; see `values_of`."""
     found: dict[str, SignalChanges] = {}
     first_s = stored(entry.id, ["t_s"]).column("t_s", 0, 1) if entry.rows.get("robot") else np.empty(0)
     for column, (_, at, old, new) in _columns(entry, columns, stored):
@@ -156,10 +155,10 @@ def logged_bits(entry: LogCard, stored: Stored, columns: Sequence[str] = tuple(_
 
 
 def held_bits(entry: LogCard, stored: Stored, names: Collection[str]) -> dict[str, SignalChanges]:
-    """Return those of some inputs and outputs that a recording logs and that never change in it, with their value.
+    """Return those of the named inputs and outputs that are logged but never change, with their value.
 
-    `logged_bits` leaves them out: most bits of a controller never change, and only who looks at several recordings
-    knows that a bit changes in another one.
+    `logged_bits` leaves them out: most bits of a controller never change, and only a comparison of recordings shows
+    that a bit changes in another one.
     """
     found: dict[str, SignalChanges] = {}
     columns = [column for column, prefix in _BITS.items() if any(name.startswith(prefix) for name in names)]
@@ -174,7 +173,7 @@ def held_bits(entry: LogCard, stored: Stored, names: Collection[str]) -> dict[st
 
 
 def _first(table: StoredTable, column: str) -> int:
-    """Return the first known value of a column of whole numbers, of which some are known."""
+    """Return the first known value of a column of whole numbers with at least one known value."""
     of_each = (table.whole_numbers(number, column) for number in range(len(table.groups)))
     return next(int(values[known][0]) for values, known in of_each if known.any())
 
@@ -182,7 +181,7 @@ def _first(table: StoredTable, column: str) -> int:
 def _columns(
     entry: LogCard, columns: Sequence[str], stored: Stored
 ) -> Iterator[tuple[str, tuple[Vector, Vector, Ints, Ints]]]:
-    """Yield the changes of those whole numbers of a robot log that it holds, and that change seldom enough."""
+    """Yield the changes of those columns of a robot log that are known and change at most MOST_CHANGES times."""
     if not entry.rows.get("robot"):
         return
     known = stored(entry.id, ["t_s"]).names
@@ -193,11 +192,11 @@ def _columns(
 
 
 def switches(entry: LogCard, read: Read) -> dict[str, tuple[Vector, Bools]]:
-    """Return the events of a recording that have two states: when each is told, its own clock, s, and whether it is on.
+    """Return the two-valued events of a recording: time of each entry, clock of the log, s, and whether it is on.
 
     Args:
         entry: The recording.
-        read: Returns a native table of a recording (id, table), None if it has none.
+        read: Returns a native table of a recording (id, table), None if there is none.
     """
     events = read(entry.id, "events") if "events" in entry.tables else None
     found = {}
@@ -209,7 +208,7 @@ def switches(entry: LogCard, read: Read) -> dict[str, tuple[Vector, Bools]]:
 
 
 def _few(table: StoredTable, column: str) -> tuple[Vector, Vector, Ints, Ints] | None:
-    """Return the changes of a column, None if there are more than MOST_CHANGES."""
+    """Return the changes of a column; None if there are more than MOST_CHANGES."""
     kept, many = [], 0
     for changes in _changes(table, column):
         many += len(changes[0])
@@ -234,9 +233,9 @@ def _whole(where: str, value: str) -> int:
 
 
 def _of_robot(table: StoredTable, column: str, *, bit: int | None = None, wanted: int | None = None) -> Vector:
-    """Return when whole numbers of a robot log change, or one bit of them; where they are 0 and 1, when they rise.
+    """Return the change times of whole numbers in a robot log, or of one bit of them; of 0 and 1, the rising edges.
 
-    With `wanted`, when they change to that.
+    With `wanted`, only changes to that value.
     """
     befores, ats, values = [np.empty(0)], [np.empty(0)], [np.empty(0, np.int64)]
     seen = set[int]()
@@ -256,9 +255,9 @@ def _changes(table: StoredTable, column: str, bit: int | None = None) -> Iterato
     """Yield, part by part, the changes of whole numbers: times of the rows before and after, values before and after.
 
     Args:
-        table: With its times.
-        column: Of whole numbers; rows in which it is unknown are passed over.
-        bit: Look at this bit alone.
+        table: A table that includes the times.
+        column: Column of whole numbers; rows in which it is unknown are skipped.
+        bit: Use only this bit; None = the whole number.
     """
     last_t, last = np.empty(0), np.empty(0, np.int64)
     for number, (begin, end) in enumerate(table.groups):
@@ -271,13 +270,13 @@ def _changes(table: StoredTable, column: str, bit: int | None = None) -> Iterato
 
 
 def _between(before: Vector, at: Vector) -> Vector:
-    """Return when a signal changed that was still the old one at `before` and the new one at `at`."""
+    """Return the time of a change between the last row with the old value and the first one with the new value."""
     step = at - before
     return np.asarray(np.where(step <= _SAMPLED_S, at - step / 2, at))
 
 
 def _of_events(times: Vector, values: pl.Series, wanted: str | None) -> Vector:
-    """Return when the values of an event change, its first one too; of an on/off signal, when it rises."""
+    """Return the change times of an event, including its first value; for an on/off event, the rising edges."""
     if len(values) == 0:
         return np.empty(0)
     changed = (values != values.shift(1)).fill_null(value=True)

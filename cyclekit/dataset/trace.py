@@ -1,7 +1,7 @@
-"""Where a sample comes from: the lines (rows, messages, frames) of the logs that it was made of.
+"""Origin of a sample: the lines (rows, messages, frames) of the logs from which it was made.
 
-A sample stands on a row of the robot's log; its operator is the mean of the tracker's rows around it. Every row of a
-recording knows its place in its file, so a number that looks wrong can be looked up where it was written.
+A sample is at a row of the robot's log; its operator position is the mean of the tracker's rows around it. Every row of
+a recording stores its position in its file, so a suspicious number can be looked up in the log.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import RecordingCard
 
 AROUND_S = 0.2
-"""Rows of people and events this near to a sample are shown."""
+"""Maximum time, s, from a sample to the rows of people and events shown with it."""
 _SHOWN = 12
 _LONGEST_LINE = 2000
 _GZIP = b"\x1f\x8b"
@@ -33,17 +33,17 @@ _GZIP = b"\x1f\x8b"
 
 @dataclass(frozen=True)
 class Origin:
-    """One row of a recording that a sample was made of, or that stands beside it.
+    """One row of a recording, which a sample was made from or which is close to it in time.
 
     Attributes:
         table: robot, people or events.
         recording: Id of the recording.
         file: The log, relative to the folder of logs.
-        row_is, source_row: Where in it: line (from 1), row, message or frame (from 0).
+        row_is, source_row: Position in the file: line (from 1), row, message or frame (from 0).
         t_s: Session time of the row, seconds.
-        values: What is known in it.
-        text: The line itself, where the folder of logs was given and it is a text; None otherwise.
-        among: What is counted, where a log has several kinds of messages: their topics.
+        values: Known values of the row.
+        text: The line itself, if the folder of logs was given and the log is a text; else None.
+        among: Topics of the counted messages, if a log has several kinds of messages.
     """
 
     table: str
@@ -59,7 +59,7 @@ class Origin:
 
 @dataclass(frozen=True, repr=False)
 class Trace(Result):
-    """A sample and its origins; as a frame one row per row of a log, seconds of the session."""
+    """A sample and its origins; as a frame, one row per log row, times in session seconds."""
 
     execution: str
     sample: dict[str, object]
@@ -80,7 +80,7 @@ class Trace(Result):
 def trace(
     dataset: Dataset | str | Path, execution: str, at_s: float = 0.001, *, logs: str | Path | None = None
 ) -> Trace:
-    """Say which lines of which logs the sample nearest to a time was made of.
+    """Return the log lines from which the sample nearest to a time was made.
 
     Args:
         dataset: A dataset, its folder or its URL.
@@ -121,7 +121,7 @@ def _of_recording(dataset: Dataset, record: RecordingCard, at_s: float, logs: Pa
         rows = dataset.recorded_between(record.id, table, own_s - AROUND_S / rate, own_s + AROUND_S / rate)
         if rows is None:
             continue
-        if table == "robot":  # the row that the sample stands on
+        if table == "robot":  # the row of the sample
             rows = rows.filter(pl.col("t_s") <= own_s + 1e-6).tail(1)
         for row in _nearest(rows, own_s).iter_rows(named=True):
             t_s, line = row.pop("t_s"), row.pop("source_row")
@@ -139,14 +139,14 @@ def _nearest(rows: pl.DataFrame, own_s: float) -> pl.DataFrame:
 
 
 def _file(logs: Path, shown: str) -> Path:
-    """Return the log in the folder of logs, which may have been given as the log itself."""
+    """Return the log in the folder of logs, or `logs` itself if it is that log."""
     if logs.is_file() and logs.name == Path(shown).name:
         return logs
-    return inside(logs, *shown.split("/"), follow_links=True)  # the links of one's own logs, not the names of a card
+    return inside(logs, *shown.split("/"), follow_links=True)  # links in the user's own folder may lead out of it
 
 
 def _line(file: Path, number: int | None) -> str | None:
-    """Return one line of a text, counted from 1; None where it cannot be read, or is packed otherwise than by gzip."""
+    """Return one line of a text, counted from 1; None if it cannot be read, or is compressed other than by gzip."""
     if number is None or not file.is_file():
         return None
     with file.open("rb") as log:

@@ -1,8 +1,8 @@
-"""People whose height no log tells: floor tracks, laser scanners and pedestrian tables know x and y only.
+"""People of unknown height: floor tracks, laser scanners and pedestrian tables log only x and y.
 
-Such a person is taken to be as high as the TCP is at that instant, whenever the two are set in relation. Their distance
-is then the one in the plane; any fixed height would add a difference that nobody measured, which changes with the
-height of the TCP. In tables the height stays unknown.
+Wherever such a person's position is compared with the TCP, it gets the height of the TCP at that instant. Their
+distance is then the one in the plane; a fixed height would add an unmeasured difference that changes with the height of
+the TCP. In tables the height stays unknown.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ Points = TypeVar("Points", bound="NDArray[np.floating[Any]]")
 
 _ROBOT, _HUMAN = slice(0, 3), slice(3, 6)
 HUMAN_Z_IN_PLANE = pl.col("human_z_m").fill_null(pl.col("robot_z_m"))
-"""Column human_z_m of SAMPLES, with the height of the TCP where it is unknown."""
+"""Column human_z_m of SAMPLES, with the height of the TCP if unknown."""
 
 
 def is_flat(human_m: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
-    """Tell of positions, shape (..., 3), where somebody is seen whose height is unknown, shape (...)."""
+    """Return which positions, shape (..., 3), are known except for their height, shape (...)."""
     return np.asarray(np.isnan(human_m[..., 2]) & np.isfinite(human_m[..., 0]) & np.isfinite(human_m[..., 1]))
 
 
 def in_plane(robot_m: NDArray[np.floating[Any]], human_m: Points) -> Points:
-    """Return operator positions, shape (..., 3), m, with unknown heights replaced by those of the TCP beside them.
+    """Return operator positions, shape (..., 3), m, with unknown heights replaced by that of the TCP.
 
     Args:
         robot_m: The TCP, shape (..., 3), m.
-        human_m: The operator, shape (..., 3), m; z is NaN where his height is unknown. It is not changed.
+        human_m: The operator, shape (..., 3), m; z is NaN if his height is unknown. The array is not changed.
     """
     flat = is_flat(human_m)
     if not flat.any():
@@ -43,7 +43,7 @@ def in_plane(robot_m: NDArray[np.floating[Any]], human_m: Points) -> Points:
 
 
 def inputs_in_plane(X: Points) -> Points:
-    """Return inputs of a network, shape (..., F) of x_r, x_h and others, with unknown heights replaced likewise."""
+    """Return inputs of a network, shape (..., F) of x_r, x_h and others, with unknown heights replaced by the TCP's."""
     human_m = X[..., _HUMAN]
     placed = in_plane(X[..., _ROBOT], human_m)
     if placed is human_m:
@@ -54,7 +54,7 @@ def inputs_in_plane(X: Points) -> Points:
 
 
 def said_of_height(samples: pl.DataFrame) -> list[str]:
-    """Say in how many samples the height of the operator is unknown; nothing where it is always known.
+    """Return a sentence on the share of samples in which the operator's height is unknown; nothing if always known.
 
     Args:
         samples: Columns human_x_m and human_z_m of SAMPLES.

@@ -1,9 +1,8 @@
-"""The cards: everything that cyclekit keeps as JSON beside its tables, as typed values with units and limits.
+"""The cards: everything that cyclekit stores as JSON with its tables, as typed values with units and limits.
 
-In goes the text of `dataset.json`, `model.json`, a kept recording or `cell.json`; out comes a frozen card, or one
-sentence that says which value is wrong and what was expected. A card may come from anywhere, so whoever opens one
-checks it here before any of it is used. Keys that are not known are passed over: another version may have written them.
-What the values are used for is the business of the rooms above; this one knows none of them.
+In: the text of `dataset.json`, `model.json`, a stored recording or `cell.json`. Out: an immutable card, or one sentence
+that names the wrong value and what was expected. A card may come from anywhere, so it is checked when it is opened.
+Unknown keys are ignored, as another version may have written them. The rooms above define the use of the values.
 """
 
 from cyclekit.dataset.cards.coupling import ConditionCard as ConditionCard

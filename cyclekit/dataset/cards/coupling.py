@@ -1,9 +1,9 @@
-"""Who waits for whom in a cell: what each departure of robot and operator waits for, learned from logs or told.
+"""Wait conditions of a cell: what robot and operator wait for before departure, learned or given by the cell file.
 
-An agent *visits* places: it arrives, works, and leaves for its next one. Of the robot a visit is the dwell at a place;
-of the operator the standstill at one of his. A *gate* is where an agent may not go on before its conditions hold: on
-leaving a place, or short of the place it goes to. It goes on at the latest of its own work's end and each condition's
-event plus that condition's lag.
+An agent *visits* places: it arrives, works, and leaves for the next one. A visit of the robot is the dwell at a place;
+one of the operator a standstill at one of his places. A *gate* is a point where an agent may not go on before its
+conditions hold: when leaving a place, or before the place it goes to. It goes on at the latest of the end of its own
+work and, for each condition, the event plus the lag of that condition.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from cyclekit.dataset.cards.quantities import Card, Count, Fraction, Name, Secon
 
 Agent = Literal["robot", "operator"]
 Quantiles = Annotated[tuple[Seconds, ...], Meta(min_length=1, max_length=1001)]
-"""A distribution: its quantiles at evenly spaced levels from 0 to 1, s, not descending; one value = always that."""
+"""A distribution: its quantiles at evenly spaced levels from 0 to 1, s, ascending; one value = constant."""
 Turn = Annotated[int, Meta(ge=0, le=100)]
 
 
 class Turns(NamedTuple):
-    """Which passages of a gate an event belongs to, where one of both comes more often than the other.
+    """Mapping from passages of a gate to events, if one of them occurs more often than the other.
 
-    A robot that brings a part to a fixture and takes it from there again comes twice for each press of the button:
-    every 2nd passage needs one, the first of them that number 1.
+    A robot that brings a part to a fixture and later takes it away comes twice for each press of the button: every 2nd
+    passage needs an event, starting with passage 1.
 
     Attributes:
-        every, first: Passages number first, first + every, ... need an event; the others need none.
-        event_every, event_first: Of the events, those of these numbers.
+        every, first: Passages first, first + every, ... need an event; the others need none.
+        event_every, event_first: Events event_first, event_first + event_every, ... are counted.
     """
 
     every: int = 1
@@ -43,22 +43,23 @@ class Turns(NamedTuple):
 
 
 class ConditionCard(Card, frozen=True, kw_only=True):
-    """An event that must have come.
+    """An event that must have occurred.
 
     Attributes:
-        agent: Whose event; `signal` = a signal that neither of them gives, such as a part that comes.
-        place: Where: a place of the robot, one of the operator, or the name of the signal.
-        event: `arrives` at it, `leaves` it, or the signal is `set` or `cleared`; a part without a signal `arrives`.
-        back: The k-th passage of the gate (from 0, in one execution) needs the (k - back)-th such event; a negative
-            number, or one that never comes in the plan, needs nothing.
-        turns: Of passages and events these are counted.
-        needed: Part of the passages that need the event at all; the others go on without it.
-        together: Conditions of the same number are needed in the same passages: the k-th of one gate needs its event if
-            the k-th of the other does. 0 = needed by itself.
-        lag_s: From the event to going on, if nothing else decides.
-        held: Part of the logged passages that came after the event.
-        decided: Logged passages that it decided: everything else was there earlier.
-        signal: The event was read from this signal, which the agent gives there; None = from positions.
+        agent: Agent of the event; `signal` = a signal that neither agent sets, such as the arrival of a part.
+        place: A place of the robot or of the operator, or the name of the signal.
+        event: `arrives` at the place, `leaves` it, or the signal is `set` or `cleared`; a part without a signal
+            `arrives`.
+        back: The k-th passage of the gate (from 0, per execution) needs the (k - back)-th event; nothing is needed if
+            that number is negative or the event is not in the plan.
+        turns: Passages and events that are counted.
+        needed: Share of the passages that need the event; the others go on without it.
+        together: Group: conditions of one group are needed in the same passages, that is, the k-th passage of one gate
+            needs its event if the k-th of the other does. 0 = independent.
+        lag_s: Time from the event to departure, if nothing else decides.
+        held: Share of the logged passages that came after the event.
+        decided: Number of logged passages decided by the event: everything else had occurred before.
+        signal: Signal from which the event was read, set by the agent at the place; None = from positions.
     """
 
     agent: Literal["robot", "operator", "signal"]
@@ -75,18 +76,18 @@ class ConditionCard(Card, frozen=True, kw_only=True):
 
 
 class GateCard(Card, frozen=True, kw_only=True):
-    """Where an agent may have to wait.
+    """A point where an agent may have to wait.
 
     Attributes:
-        agent: Who waits.
-        at: `leave`: it may not leave `place`; `approach`: it may not go on to `place`. An operator who may not approach
-            waits where he is; a robot at `phase` of its motion, or where it starts from if that is 0.
+        agent: The agent that waits.
+        at: `leave`: it may not leave `place`; `approach`: it may not go on to `place`. An operator waits where he is; a
+            robot at `phase` of its motion, or at its start if that is 0.
         place: See `at`.
-        phase: Part of the nominal motion before the standstill, of a robot's `approach`.
-        own_s: Of a `leave` gate: from the arrival to the end of the agent's own work.
-        conditions: All must hold. None is a gate too: the agent's own work alone.
-        told: By the cell file.
-        passages: Logged passages.
+        phase: Share of the nominal motion before the standstill, for `approach` of a robot.
+        own_s: For a `leave` gate: time from arrival to the end of the agent's own work.
+        conditions: Conditions, which must all hold. Without any, the gate only has the agent's own work.
+        told: Whether it is from the cell file.
+        passages: Number of logged passages.
     """
 
     agent: Agent
@@ -100,15 +101,15 @@ class GateCard(Card, frozen=True, kw_only=True):
 
 
 class SourceCard(Card, frozen=True, kw_only=True):
-    """A signal that neither agent gives, such as parts that come on a conveyor.
+    """A signal that neither agent sets, such as the arrival of parts on a conveyor.
 
     Attributes:
-        signal: Its name.
-        gap_s: From one `set` to the next, as long as there is room.
-        first_s: From the start of the execution to the first.
-        buffer: So many may wait; the next then comes after one is taken.
-        taken_by: The robot's place at which one is taken.
-        inferred: No signal tells of it: it was learned from the standstills of the robot there.
+        signal: Name of the signal.
+        gap_s: Time from one `set` to the next, while there is room.
+        first_s: Time from the start of the execution to the first one.
+        buffer: Number of parts that may wait; the next one then comes after one is taken.
+        taken_by: Place of the robot where a part is taken.
+        inferred: Whether it was learned from standstills of the robot there, without a signal.
     """
 
     signal: Name
@@ -120,12 +121,12 @@ class SourceCard(Card, frozen=True, kw_only=True):
 
 
 class CouplingCard(Card, frozen=True, kw_only=True):
-    """Who waits for whom. Nobody, where no gate has a condition: operators are then tracks that do not react.
+    """Learned wait conditions of robot and operator. Without any, operator tracks do not react to the robot.
 
     Attributes:
-        gates: Of both agents, those with conditions and those of the agents' own work.
-        sources: Of parts.
-        executions: It was learned from.
+        gates: Gates of both agents, with conditions or only with the agents' own work.
+        sources: Sources of parts.
+        executions: Number of executions behind them.
     """
 
     gates: tuple[GateCard, ...] = ()
@@ -134,5 +135,5 @@ class CouplingCard(Card, frozen=True, kw_only=True):
 
     @property
     def coupled(self) -> bool:
-        """Whether anybody waits for anybody or anything."""
+        """Whether any agent waits for anything."""
         return any(gate.conditions for gate in self.gates)

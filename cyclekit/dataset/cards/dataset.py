@@ -1,4 +1,4 @@
-"""`dataset.json`: what a dataset says of itself, beside its tables."""
+"""`dataset.json`: the card of a dataset, stored with its tables."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class ExecutionCard(Card, frozen=True, kw_only=True):
 
     Attributes:
         execution: Its name.
-        session: The session it is part of.
-        part: The file of its samples, without the ending; None = it has the name of the session.
+        session: Name of its session.
+        part: Name of its sample file, without the suffix; None = the name of the session.
         start_s, end_s: Session time.
-        complete: The log shows all of it.
-        reference: Recorded without an operator, as the cell file says.
-        places: Where the robot stopped, in order.
-        logged_as: Its name in a task list; None where there is none.
+        complete: Whether the log shows all of it.
+        reference: Whether it was recorded without an operator, according to the cell file.
+        places: Places where the robot stopped, in order.
+        logged_as: Its name in a task list; None without one.
     """
 
     execution: Name
@@ -56,7 +56,7 @@ class ExecutionCard(Card, frozen=True, kw_only=True):
         """Refuse an execution that ends before it begins.
 
         Raises:
-            ValueError: It does.
+            ValueError: It ends before it begins.
         """
         if self.end_s < self.start_s:
             msg = "end_s must not be before start_s"
@@ -68,8 +68,8 @@ class PlaceCard(Card, frozen=True, kw_only=True):
 
     Attributes:
         xyz_m: Its centre, robot base frame.
-        radius_m: Positions within it count as being there.
-        inferred: Found in the logs; False where the cell file names it.
+        radius_m: Radius within which a position counts as at the place.
+        inferred: Whether it was found in the logs; False if the cell file names it.
     """
 
     xyz_m: Point
@@ -78,22 +78,22 @@ class PlaceCard(Card, frozen=True, kw_only=True):
 
 
 class UnreadCard(Card, frozen=True, kw_only=True):
-    """A file that was found and not used."""
+    """A file that was found but not used."""
 
     path: str
     reason: str
 
 
 class DynamicsCard(Card, frozen=True, kw_only=True):
-    """The safety function in time, as far as the logs show it; None = not visible.
+    """Response of the safety function over time, as seen in the logs; None = not visible.
 
     Attributes:
-        latency_s: From crossing a threshold to the beginning of the change of speed.
-        ramp_down_per_s, ramp_up_per_s: Change of the scaling per second; None also where it jumps.
-        hysteresis_m: How much farther away than where it slowed the robot speeds up again.
-        changes: Changes of level that were seen.
-        spread_m: Median deviation of the places at which levels change, at that latency.
-        hold_s: How much later than it slows down the robot speeds up again; None: not later.
+        latency_s: Time from crossing a threshold to the start of the speed change.
+        ramp_down_per_s, ramp_up_per_s: Rate of change of the scaling, 1/s; None also if it jumps.
+        hysteresis_m: Difference between the distances at which the robot speeds up and slows down.
+        changes: Number of level changes seen.
+        spread_m: Median deviation of the distances at which levels change, at that latency.
+        hold_s: Delay of speeding up relative to slowing down; None: no difference.
         ramp_down_se_per_s, ramp_up_se_per_s: Standard errors of the rates.
     """
 
@@ -109,16 +109,16 @@ class DynamicsCard(Card, frozen=True, kw_only=True):
 
 
 class OperatorSignalCard(Card, frozen=True, kw_only=True):
-    """A signal that tells of people: the field of a scanner, a light curtain, a door.
+    """A signal of people: the field of a scanner, a light curtain, a door.
 
     Attributes:
-        name: What it is called; bit k of column `human_signals` is that of entry k.
+        name: Display name; bit k of column `human_signals` belongs to entry k.
         signal: The signal in the logs: `digital-input 3`, or the name of an event.
-        recording: Id of the recording that holds it; None: in several sessions each has a recording of its own.
-        occupied: Its value, as text, while somebody is there.
-        delay_s: From its change to the beginning of the change of speed.
-        explained: Share of the time lost to speed scaling that it explains together with those before it.
-        told: The cell file names it; False where it was found in the logs.
+        recording: Id of its recording; None: each session has its own recording of it.
+        occupied: Value, as text, while a person is present.
+        delay_s: Time from its change to the start of the speed change.
+        explained: Share of the time lost to speed scaling that is explained by it and the signals before it.
+        told: Whether the cell file names it; False if it was found in the logs.
     """
 
     name: Name
@@ -131,16 +131,16 @@ class OperatorSignalCard(Card, frozen=True, kw_only=True):
 
 
 class RowCounts(Card, frozen=True, kw_only=True):
-    """Rows of the tables that all recordings share."""
+    """Row counts of the tables shared by all recordings."""
 
     samples: Count
     tasks: Count
 
 
 class FileCard(Card, frozen=True, kw_only=True):
-    """A file of the dataset as it was written: its size in bytes, and the BLAKE3 of each piece (`checksums`).
+    """A file of the dataset when it was written: its size in bytes, and the BLAKE3 of each piece (`checksums`).
 
-    `piece_bytes`: of how many bytes each is, if there are several; None in those of an earlier version.
+    `piece_bytes`: bytes per piece if there are several pieces; None in cards of earlier versions.
     """
 
     size: Count
@@ -149,31 +149,32 @@ class FileCard(Card, frozen=True, kw_only=True):
 
 
 class DatasetCard(Card, frozen=True, kw_only=True):
-    """A dataset.
+    """The card of a dataset.
 
     Attributes:
-        schema_version: Of its tables and of this card.
-        cyclekit_version: Which made it.
-        name: Of the cell.
-        fingerprint: Changes when the logs, the cell file, the options or cyclekit do.
-        pseudonymised: Neither the names that trackers give nor the time of day were kept.
-        skeletons: Every joint of every person was kept.
-        settings: The cell file.
-        rate_hz: Of the samples.
+        schema_version: Version of its tables and of this card.
+        cyclekit_version: Version that made it.
+        name: Name of the cell.
+        fingerprint: Changes with the logs, the cell file, the options or cyclekit.
+        pseudonymised: Whether names from trackers and the time of day were left out.
+        skeletons: Whether every joint of every person was kept.
+        settings: Content of the cell file.
+        rate_hz: Rate of the samples.
         recordings: The logs.
-        not_read: Files that were found and not used.
-        executions: In the order of sessions and time.
-        places, human_places: Of the robot and the operator, by name.
-        positions: Of whom places are known: robot, people; None = an earlier version did not say.
-        levels: Of the speed scaling, ascending; empty where none were found.
-        scaling_origin: `logged`, `inferred`, both joined by "and"; None without a scaling.
-        dynamics: The safety function in time.
-        operator_signals: Signals that tell of people, in the order of the bits of `human_signals`.
-        rows: Of the shared tables.
-        coupling: Who waits for whom; None where too few executions show both agents, or an earlier version made it.
-        warnings: What a person must know before trusting it.
-        files: Every other file of the dataset, by its path in there; None in those of an earlier version.
-        card_blake3: Seals this card; None likewise.
+        not_read: Files that were found but not used.
+        executions: The executions, ordered by session and time.
+        places, human_places: Places of the robot and of the operator, by name.
+        positions: Agents with known positions: robot, people; None = an earlier version did not store it.
+        levels: Levels of the speed scaling, ascending; empty if none were found.
+        scaling_origin: `logged`, `inferred`, or both joined by "and"; None without a scaling.
+        dynamics: Response of the safety function over time.
+        operator_signals: Signals of people, in the order of the bits of `human_signals`.
+        rows: Row counts of the shared tables.
+        coupling: Wait conditions of robot and operator; None if too few executions show both agents, or an earlier
+            version made the dataset.
+        warnings: Limits of the dataset that a user must know.
+        files: Every other file of the dataset, by its path in it; None in cards of earlier versions.
+        card_blake3: Checksum of this card; None in cards of earlier versions.
     """
 
     schema_version: int
@@ -201,10 +202,10 @@ class DatasetCard(Card, frozen=True, kw_only=True):
     card_blake3: Digest | None = None
 
     def __post_init__(self) -> None:
-        """Refuse levels that are not ascending, and names that stand for two things.
+        """Refuse levels that are not ascending, and repeated names.
 
         Raises:
-            ValueError: There are some.
+            ValueError: Levels are not ascending, or a name is repeated.
         """
         ascending(self.levels)
         for what, names in (
@@ -217,10 +218,10 @@ class DatasetCard(Card, frozen=True, kw_only=True):
 
 
 def dataset_card(values: Mapping[str, object]) -> DatasetCard:
-    """Return the JSON values of a dataset's card as that card; warnings may be sentences, as in an earlier version.
+    """Return JSON values as the card of a dataset; warnings may be sentences, as in earlier versions.
 
     Raises:
-        BadCard: A value is missing or not of its kind.
+        BadCard: A value is missing or invalid.
     """
     values = {**values, "warnings": from_sentences(values.get("warnings", []))}
     if isinstance(recordings := values.get("recordings"), list):

@@ -1,4 +1,4 @@
-"""`cell.json`: what was done for a cell of a fleet, stage by stage, and its figures for the page of the fleet."""
+"""`cell.json`: the stages done for a cell of a fleet, and its figures for the page of the fleet."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction
 
 
 class StageCard(Card, frozen=True, kw_only=True):
-    """What came of a stage, why, and when (ISO 8601)."""
+    """Result of a stage, its reason, and its time (ISO 8601)."""
 
     state: Literal["done", "unchanged", "failed", "skipped"]
     text: str
@@ -19,7 +19,7 @@ class StageCard(Card, frozen=True, kw_only=True):
 
 
 class MonthCard(Card, frozen=True, kw_only=True):
-    """Mean cycle time and part of it lost to safety in the complete executions of one month (its first day)."""
+    """Mean cycle time and share lost to safety in the complete executions of one month (given by its first day)."""
 
     month: date
     executions: Count
@@ -31,18 +31,18 @@ class FiguresCard(Card, frozen=True, kw_only=True):
     """Figures of a cell for the page of the fleet; None = unknown.
 
     Attributes:
-        executions: Complete executions; None without a report.
+        executions: Number of complete executions; None without a report.
         cycle_s: Their mean duration.
-        lost_s: Time lost to safety in an execution, mean over those in which it is known.
-        lost_share: The same as part of the duration.
+        lost_s: Time lost to safety per execution, mean over those in which it is known.
+        lost_share: The same as a share of the duration.
         newest: Day of the newest log.
-        set_aside_share: Part of all rows read that were set aside.
-        safety_changed: Whether the safety function is another one since last month.
-        habits_changed: Whether the operator's habits are.
-        shifts: What has changed, the clearest first.
-        drift: Why nothing can be said of it; empty where something can.
-        model_doubt: Why the error of the model is large; empty where it is not, or there is no model.
-        months: The same month by month, where the days of the logs are known; the oldest first.
+        set_aside_share: Share of all rows read that were set aside.
+        safety_changed: Whether the safety function has changed since last month.
+        habits_changed: Whether the operator's habits have changed.
+        shifts: The changes, the most significant first.
+        drift: Why changes are unknown; empty if they are known.
+        model_doubt: Why the error of the model is large; empty if it is not, or there is no model.
+        months: The figures by month, the oldest first, if the days of the logs are known.
     """
 
     executions: Count | None = None
@@ -60,17 +60,17 @@ class FiguresCard(Card, frozen=True, kw_only=True):
 
 
 class CellLedger(Card, frozen=True, kw_only=True):
-    """A cell of a fleet; its file begins with the stages, by which it is known before it is replaced (`guard`).
+    """A cell of a fleet; its file begins with the stages, by which `guard` recognises it before it is replaced.
 
     Attributes:
-        stages: What came of each stage.
+        stages: Result of each stage.
         days: Day of the logs of each session.
         not_read: The first logs that could not be read, and why.
-        not_read_more: How many others could not.
-        figures: For the page of the fleet.
-        reported: Changes when the report must be written again; None without one.
-        marks: Of other stages: changes when the stage must be done again.
-        cell: Its name.
+        not_read_more: Number of other logs that could not be read.
+        figures: Figures for the page of the fleet.
+        reported: Key that changes when the report must be written again; None without one.
+        marks: Keys of other stages that change when the stage must be repeated.
+        cell: Name of the cell.
     """
 
     stages: dict[str, StageCard] = field(default_factory=dict)
@@ -84,6 +84,6 @@ class CellLedger(Card, frozen=True, kw_only=True):
 
     @property
     def unread(self) -> str:
-        """The logs that could not be read, and why; empty where all could."""
+        """The logs that could not be read, and why; empty if all were read."""
         more = f" and {self.not_read_more} more" if self.not_read_more else ""
         return "; ".join(self.not_read) + more

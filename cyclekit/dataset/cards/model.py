@@ -25,17 +25,17 @@ from cyclekit.dataset.cards.read import checked, plain
 from cyclekit.dataset.cards.rule import RuleCard
 
 Width = Annotated[int, Meta(ge=1, le=4096)]
-"""Numbers that go into a layer, or come out of it."""
+"""Number of inputs or outputs of a layer."""
 Layer = tuple[Width, Width]
 """Inputs and outputs of a layer."""
 Deviation = Annotated[float, Meta(ge=-1e15, le=1e15)]
-"""A mean deviation of estimated scalings, or of their squares."""
+"""Mean error of estimated scalings, or mean of squared errors."""
 Samples = Annotated[int, Meta(ge=1, le=1000)]
-"""Samples that a network sees, or rows between two of them."""
+"""Number of samples in the input of a network, or of rows between two of them."""
 
 
 class SplitCard(Card, frozen=True, kw_only=True):
-    """Names of the executions that served for learning, for choosing the epoch, and for judging."""
+    """Names of the executions used for training, for choosing the epoch, and for evaluation."""
 
     train: tuple[str, ...] = ()
     validation: tuple[str, ...] = ()
@@ -43,16 +43,16 @@ class SplitCard(Card, frozen=True, kw_only=True):
 
 
 class MetricsCard(Card, frozen=True, kw_only=True):
-    """Errors on executions that were held out.
+    """Errors on held-out executions.
 
     Attributes:
-        rows: Samples judged.
+        rows: Number of samples evaluated.
         mse_mean: Mean squared error of the best estimate.
-        mse_argmax: The same of the likeliest level; None where there are no levels to name.
+        mse_argmax: Mean squared error of the most probable level; None without levels.
         mae: Mean absolute error of the best estimate.
         bias: Mean of predicted - true.
-        accuracy: Part of the samples whose level is named rightly; None where there is none.
-        calibration_error: Of a classifier's probabilities; None for the others.
+        accuracy: Share of the samples with the correct level; None without levels.
+        calibration_error: Calibration error of a classifier's probabilities; None for other networks.
         mse_constant: Mean squared error of always predicting the mean of these samples; None = not measured.
     """
 
@@ -67,14 +67,14 @@ class MetricsCard(Card, frozen=True, kw_only=True):
 
 
 class LevelShare(Card, frozen=True, kw_only=True):
-    """A level of the speed scaling, and the part of the samples on it."""
+    """A level of the speed scaling, and the share of samples at it."""
 
     value: Scaling
     share: Fraction
 
 
 class EpochCard(Card, frozen=True, kw_only=True):
-    """One pass over the samples learned from: mean loss, and error on the validation part."""
+    """One pass over the training samples: mean loss, and error on the validation samples."""
 
     epoch: Count
     loss: float
@@ -82,14 +82,14 @@ class EpochCard(Card, frozen=True, kw_only=True):
 
 
 class StandardisationCard(Card, frozen=True, kw_only=True):
-    """Mean of each input, m, and what its deviation from that is multiplied by, 1/m."""
+    """Mean of each input, m, and the factor on deviations from it, 1/m."""
 
     mean_m: tuple[float, ...]
     scale_1_m: tuple[float, ...]
 
 
 class RowsCard(Card, frozen=True, kw_only=True):
-    """Samples that served for learning, for choosing the epoch, and for judging."""
+    """Numbers of samples used for training, for choosing the epoch, and for evaluation."""
 
     train: Count
     validation: Count
@@ -97,7 +97,7 @@ class RowsCard(Card, frozen=True, kw_only=True):
 
 
 class SpecCard(Card, frozen=True, kw_only=True):
-    """What was to be trained; see `cyclekit.learning.networks.spec.ModelSpec`."""
+    """Training settings; see `cyclekit.learning.networks.spec.ModelSpec`."""
 
     problem: str
     network: str
@@ -124,13 +124,13 @@ class SpecCard(Card, frozen=True, kw_only=True):
 
 
 class CellCard(Card, frozen=True, kw_only=True):
-    """The cell that a model was learned in; see `cyclekit.learning.networks.cell.cell_of`.
+    """The cell that a model was trained on; see `cyclekit.learning.networks.cell.cell_of`.
 
     Attributes:
-        name: Of the cell.
+        name: Name of the cell.
         places: By name: x, y, z and radius, m, and whether it was found in the logs.
-        levels: Of the speed scaling, ascending.
-        logs: By the checksum of each log where its frame stands: x, y, z, m, and the rotation by rows; None = unknown.
+        levels: Levels of the speed scaling, ascending.
+        logs: Pose of each log's frame, by checksum of the log: x, y, z, m, and the rotation by rows; None = unknown.
     """
 
     name: str = ""
@@ -142,25 +142,25 @@ class CellCard(Card, frozen=True, kw_only=True):
 
 
 class TrainingCard(Card, frozen=True, kw_only=True):
-    """How a model came about. A model need not say all of it; None = it does not.
+    """How a model was trained. Values may be missing (None).
 
     Attributes:
         cyclekit: Version that trained it.
-        cell: Where it was learned.
+        cell: The cell it was trained on.
         dataset, dataset_sha256: Name of the dataset, and the fingerprint of its card.
-        metrics: On the executions held out.
-        levels: Levels, with their shares in the executions learned from.
-        temperature: By which a classifier's outputs are divided.
+        metrics: Errors on held-out executions.
+        levels: Levels, with their shares in the training executions.
+        temperature: Divisor of a classifier's outputs.
         may_be_unknown: Groups of inputs that may be unknown.
-        scaling_without_operator: The scaling while nobody is there; None also where the logs never show it.
-        mean_scaling: Of the samples learned from.
-        dropped: Samples that could not be used, by reason.
+        scaling_without_operator: The scaling without an operator; None also if the logs never show it.
+        mean_scaling: Mean scaling of the training samples.
+        dropped: Number of unusable samples, by reason.
         inputs: Names of the inputs.
-        warnings: What a person must know before trusting it.
-        rule: The rule that answers in place of the network; None = the network answers.
-        coupling: Who waits for whom; None = it was not looked for.
-        operator_signals: Signals that it was learned from in place of the operator's position, in the order of the bits
-            of `human_signals`; empty where the position was known.
+        warnings: Limits of the model that a user must know.
+        rule: The rule used instead of the network; None = the network is used.
+        coupling: Wait conditions of robot and operator; None = not searched.
+        operator_signals: Signals it was trained on instead of the operator's position, in the order of the bits of
+            `human_signals`; empty if the position was known.
     """
 
     cyclekit: str | None = None
@@ -194,31 +194,31 @@ class TrainingCard(Card, frozen=True, kw_only=True):
 
     @property
     def held_out(self) -> tuple[str, ...]:
-        """Names of the executions that served for judging; none where the card does not say."""
+        """Names of the executions used for evaluation; empty if unknown."""
         return self.split.test if self.split is not None else ()
 
     def to_dict(self) -> dict[str, object]:
-        """Return JSON values for people: with sentences in place of the codes of warnings."""
+        """Return JSON values for display: with sentences instead of the codes of warnings."""
         return {**plain(self, nulls=True), "warnings": texts(self.warnings)}
 
 
 class ModelCard(Card, frozen=True, kw_only=True):
-    """A model. How its parts must fit each other is checked by `cyclekit.learning.networks.tensors`.
+    """A model. `cyclekit.learning.networks.tensors` checks that its parts fit each other.
 
     Attributes:
-        problem, network: What it predicts, and how it is built.
-        horizon_s: How far ahead the target lies or reaches; 0 for problem `now`.
-        levels: Of the speed scaling, ascending; empty for a network that knows none.
-        history: Samples that the network sees, and rows between them.
-        past: Whether it also sees how long the goals have held, and the scaling so far.
-        layers: Feed-forward layers, in order; none where there are trees.
+        problem, network: What it predicts, and its architecture.
+        horizon_s: Horizon of the target; 0 for problem `now`.
+        levels: Levels of the speed scaling, ascending; empty for a network without levels.
+        history: Number of samples in the input, and rows between them.
+        past: Whether the input also has the time since the goals changed, and the past scaling.
+        layers: Feed-forward layers, in order; empty for trees.
         trees: Number of trees, and of nodes in each; None without trees.
         recurrent: LSTM layers: inputs and width.
         forecast: Layer that forecasts the operator's position; None without one.
         known: Groups of inputs that may be unknown.
-        distance: Mean distance of operator and TCP, m, where it is an input; else None.
-        weights_sha256: Of the weights file.
-        card: How the model came about.
+        distance: Mean distance of operator and TCP, m, if it is an input; else None.
+        weights_sha256: Checksum of the weights file.
+        card: How the model was trained.
     """
 
     format: Literal["cyclekit-model"]
@@ -243,16 +243,16 @@ class ModelCard(Card, frozen=True, kw_only=True):
         """Refuse levels that are not ascending.
 
         Raises:
-            ValueError: They are not.
+            ValueError: They are not ascending.
         """
         ascending(self.levels)
 
 
 def model_card(values: Mapping[str, object]) -> ModelCard:
-    """Return the JSON values of a model's card as that card; warnings may be sentences, as in an earlier version.
+    """Return JSON values as the card of a model; warnings may be sentences, as in earlier versions.
 
     Raises:
-        BadCard: A value is missing or not of its kind.
+        BadCard: A value is missing or invalid.
     """
     if isinstance(card := values.get("card"), dict) and "warnings" in card:
         values = {**values, "card": {**card, "warnings": from_sentences(card["warnings"])}}

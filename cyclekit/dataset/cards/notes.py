@@ -1,7 +1,7 @@
-"""What a person must know before trusting something: a code with values, and the one table of sentences.
+"""Notes: warnings for the user, each a code with values, and the one table of their sentences.
 
-Whoever finds something out makes a `Note`; the sentence is made where it is shown. So no sentence is ever searched for
-words, and it can be put better without changing what cyclekit does.
+Code that finds a limit makes a `Note`; the sentence is made when it is shown. So no code searches sentences for words,
+and sentences can be improved without changing behaviour.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
 Value = str | int | float
-"""What a note may hold."""
+"""Type of a value in a note."""
 
 TEXT = "text"
-"""Code of a sentence in a dataset or model of an earlier version, which kept sentences alone."""
+"""Code of a sentence in a dataset or model of an earlier version, which stored only sentences."""
 READ = "read"
-"""Code of a sentence that an adapter, or the check of what it read, said about its log."""
+"""Code of a sentence about a log, from its adapter or from the check of its rows."""
 
 
 class Note(Card, frozen=True, kw_only=False):
-    """Something that a person must know.
+    """A warning for the user.
 
     Attributes:
-        code: What it is, one of `SENTENCES`.
-        values: What the sentence needs, by name.
+        code: Key in `SENTENCES`.
+        values: Values in the sentence, by name.
     """
 
     code: str
@@ -43,7 +43,7 @@ class Note(Card, frozen=True, kw_only=False):
             try:
                 return sentence(self.values) if callable(sentence) else _FORMAT.vformat(sentence, (), self.values)
             except (KeyError, ValueError, TypeError):
-                pass  # values of another version: shown as they are
+                pass  # values of another version: shown without a sentence
         return f"{self.code} ({', '.join(f'{name} {value}' for name, value in self.values.items())})"
 
 
@@ -58,20 +58,20 @@ def texts(notes: Iterable[Note]) -> list[str]:
 
 
 def changed(one: Note, said: Callable[[str], str], number: Callable[[float], Value]) -> Note:
-    """Return a note with other texts, and other numbers, in place of its own."""
+    """Return a note with its texts and numbers mapped by functions."""
     values = {name: said(value) if isinstance(value, str) else number(value) for name, value in one.values.items()}
     return Note(one.code, values)
 
 
 def from_sentences(values: object) -> object:
-    """Return a list of notes as JSON has them, with those that an earlier version wrote as mere sentences."""
+    """Return notes in JSON form, with the sentences of earlier versions converted to notes."""
     if not isinstance(values, list):
         return values
     return [{"code": TEXT, "values": {"text": one}} if isinstance(one, str) else one for one in values]
 
 
 class _Format(string.Formatter):
-    """Formats values; a text stays as it is where a number was expected: it was taken out of the note."""
+    """Formatter of values; a text stays unchanged in place of a number, as pseudonymising removes numbers."""
 
     def format_field(self, value: object, format_spec: str) -> str:
         return str(value) if isinstance(value, str) else str(format(value, format_spec))
@@ -263,4 +263,4 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "and set them in cell.toml if you know them"
     ),
 }
-"""The sentence of each code; a function where it is made of parts."""
+"""Sentence of each code; a function if it has variable parts."""

@@ -1,6 +1,6 @@
-"""The kinds of values that stand in cards, with their units and limits.
+"""Types of the values in cards, with units and limits.
 
-JSON has no NaN and no infinity, so every number here is finite. The limits are far outside of anything real; they keep
+JSON has no NaN and no infinity, so every number is finite. The limits are far outside of real values; they keep
 arithmetic with the numbers of a damaged or forged card from overflowing.
 """
 
@@ -12,9 +12,9 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 Seconds = Annotated[float, Meta(ge=-1e19, le=1e19)]
-"""A time or a difference of times, s; a clock that counts nanoseconds and was read as seconds still fits."""
+"""A time or a difference of times, s; the limit allows nanoseconds that were read as seconds."""
 Duration = Annotated[float, Meta(ge=0.0, le=1e19)]
-"""A length of time, s."""
+"""A duration, s."""
 Metres = Annotated[float, Meta(ge=-1e15, le=1e15)]
 """A coordinate, m."""
 Length = Annotated[float, Meta(ge=0.0, le=1e15)]
@@ -24,15 +24,15 @@ Hertz = Annotated[float, Meta(gt=0.0, le=1e6)]
 Scaling = Annotated[float, Meta(ge=-0.5, le=1.5)]
 """A speed scaling: fraction of the programmed speed. Logged values may lie a little outside of 0 to 1."""
 Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
-"""A part of a whole."""
+"""A share of a whole."""
 Count = Annotated[int, Meta(ge=0, le=2**53)]
-"""A number of things."""
+"""A number of items."""
 Positive = Annotated[int, Meta(ge=1, le=2**31)]
-"""A number of things of which there is at least one."""
+"""A number of items, at least one."""
 Digest = Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
 """A BLAKE3 or SHA-256 checksum, hexadecimal."""
 Name = Annotated[str, Meta(min_length=1)]
-"""A text that names something."""
+"""A name, not empty."""
 
 Point = tuple[Metres, Metres, Metres]
 """x, y, z, m."""
@@ -41,11 +41,11 @@ Rotation = tuple[Point, Point, Point]
 
 
 class Card(Struct, frozen=True, kw_only=True):
-    """What all cards have in common: they are never changed, and keys that they do not know are passed over."""
+    """Base of all cards: immutable, and unknown keys are ignored."""
 
 
 def ascending(values: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the values if each is larger than the one before it.
+    """Return the values if they are strictly ascending.
 
     Raises:
         ValueError: They are not.

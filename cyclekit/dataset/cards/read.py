@@ -1,4 +1,4 @@
-"""The one way from the text of a card to checked values and back, and the one translator of what is wrong with it."""
+"""Conversion of a card from text to checked values and back, with one translation of errors."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 Typed = TypeVar("Typed")
 
 MAX_BYTES = 256 << 20
-"""No card is larger: that of ten thousand recordings has some 20 MB."""
+"""Maximum size of a card, bytes: that of ten thousand recordings has some 20 MB."""
 
 
 class BadCard(Exception):
-    """Why a file is no such card; whoever opens it tells it as an error of its own, with the file and the cure."""
+    """Why a file is no valid card; the caller raises its own error, with the file and the cure."""
 
 
 def read_json(file: Path, *, most_bytes: int = MAX_BYTES) -> dict[str, object]:
@@ -31,13 +31,13 @@ def read_json(file: Path, *, most_bytes: int = MAX_BYTES) -> dict[str, object]:
 
     Raises:
         OSError: It cannot be read, or is no regular file.
-        BadCard: It holds something else.
+        BadCard: It holds no JSON object.
     """
     return parse_json(read_content(file, most_bytes=most_bytes))
 
 
 def read_content(file: Path, *, most_bytes: int = MAX_BYTES) -> bytes:
-    """Return what stands in a file.
+    """Return the content of a file.
 
     Raises:
         OSError: It cannot be read, or is no regular file.
@@ -52,7 +52,7 @@ def parse_json(content: bytes) -> dict[str, object]:
     """Return the JSON object in a text.
 
     Raises:
-        BadCard: It is something else.
+        BadCard: The text is no JSON object.
     """
     try:
         found = msgspec.json.decode(content)
@@ -68,10 +68,10 @@ def parse_json(content: bytes) -> dict[str, object]:
 
 
 def checked(values: Mapping[str, object], kind: type[Typed]) -> Typed:
-    """Return JSON values as a card, or as what is part of one.
+    """Return JSON values as a card, or as part of one.
 
     Raises:
-        BadCard: A value is missing or not of its kind; the message says which, and what was expected.
+        BadCard: A value is missing or invalid; the message names it, and what was expected.
     """
     try:
         return msgspec.convert(values, kind)
@@ -83,8 +83,8 @@ def plain(card: Card, *, nulls: bool = False) -> dict[str, Any]:
     """Return a card as JSON values.
 
     Args:
-        card: What is written.
-        nulls: Write null for what is not known; else it is left out.
+        card: The card.
+        nulls: Write null for unknown values; else they are left out.
     """
     if nulls:
         return cast("dict[str, Any]", msgspec.to_builtins(card))
@@ -115,6 +115,6 @@ def _value(value: Any) -> Any:  # noqa: ANN401 - any value of a card
 
 
 def _plain(error: Exception) -> str:
-    """Return what msgspec found wrong in our words, the place first: `executions[3].end_s: expected a number`."""
+    """Return an error of msgspec in plain words, the place first: `executions[3].end_s: expected a number`."""
     where, said = in_words(error)
     return f"{where}: {said}" if where else said

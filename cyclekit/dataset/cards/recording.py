@@ -1,4 +1,4 @@
-"""What a dataset says of one log: where it came from, how its clock and frame lie, what was kept and set aside."""
+"""Cards of logs: provenance, clock, frame, and the rows kept and set aside."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cyclekit.dataset.cards.notes import Note, texts
 from cyclekit.dataset.cards.quantities import Card, Count, Digest, Duration, Name, Point, Rotation, Seconds
 
 Table = Literal["robot", "people", "events", "task_list", "safety", "skeletons", "stamps"]
-"""Tables that a log may give."""
+"""Tables that a log may have."""
 ClockMethod = Literal[
     "own",
     "same-log",
@@ -23,17 +23,17 @@ ClockMethod = Literal[
     "coarse",
     "assumed-common-start",
 ]
-"""How it was found how a clock relates to the clock of its session."""
+"""Method by which a log's clock was aligned with that of its session."""
 
 
 class SourceFile(Card, frozen=True, kw_only=True):
     """A file of a log.
 
     Attributes:
-        path: Relative to the folder that was ingested, `/` between its parts.
-        blake3: None where no checksums were asked for, or an earlier version kept `sha256`.
-        sha256: Of an earlier version.
-        size: Bytes.
+        path: Path relative to the ingested folder, with `/` as separator.
+        blake3: Checksum; None if none was requested, or an earlier version stored `sha256`.
+        sha256: Checksum from an earlier version.
+        size: Size in bytes.
     """
 
     path: str
@@ -43,28 +43,28 @@ class SourceFile(Card, frozen=True, kw_only=True):
 
     @property
     def checksum(self) -> str | None:
-        """Of its bytes, by whichever function; None where none was made."""
+        """Checksum of its content, by either function; None if there is none."""
         return self.blake3 or self.sha256
 
 
 class LogClock(Card, frozen=True, kw_only=True):
-    """The clock of a log by itself: seconds since 1970, since a device was started, or since the recording began."""
+    """The clock of a log itself: seconds since 1970, since a device was started, or since the recording began."""
 
     kind: Literal["epoch", "uptime", "relative"]
 
 
 class ClockCard(LogClock, frozen=True, kw_only=True):
-    """How the clock of a log lies in the time of its session: t_session = rate * t_log + offset_s.
+    """Alignment of a log's clock with its session: t_session = rate * t_log + offset_s.
 
     Attributes:
-        residual_s: What the fit leaves unexplained, typically; None where nothing was left to check it by.
-        events: Pairs of events, or windows of motion, that the fit rests on.
-        events_rejected: Events that found no partner or contradicted the others.
+        residual_s: Typical residual of the fit; None if no data was left to check it.
+        events: Number of event pairs, or of windows of motion, used in the fit.
+        events_rejected: Number of events without a partner, or in conflict with the others.
         correlation: Peak of the correlation, -1 to 1.
         second_best: Height of the second peak over that of the first; near 1 the fit is ambiguous.
-        second_best_s: How far the second peak lies from the first.
+        second_best_s: Distance of the second peak from the first.
         same_as: Id of the recording whose clock this log shares.
-        warnings: What a person must know before trusting it.
+        warnings: Limits of the alignment that a user must know.
     """
 
     method: ClockMethod
@@ -81,12 +81,12 @@ class ClockCard(LogClock, frozen=True, kw_only=True):
 
 
 class FrameCard(Card, frozen=True, kw_only=True):
-    """How the frame of a log lies in the robot base frame: p_base = rotation @ p + xyz_m, after turning up to z.
+    """Pose of a log's frame in the robot base frame: p_base = rotation @ p + xyz_m, after turning up to z.
 
     Attributes:
-        method: `robot base`: positions are in it already; `assumed base frame`: nothing says where the frame lies.
+        method: `robot base`: positions are already in it; `assumed base frame`: the pose is unknown.
         up: Axis of the log that points up; None for logs without people.
-        xyz_m, rotation: As the cell file says; None with the other methods.
+        xyz_m, rotation: Pose from the cell file; None with the other methods.
     """
 
     method: Literal["robot base", "assumed base frame", "cell-file"]
@@ -95,10 +95,10 @@ class FrameCard(Card, frozen=True, kw_only=True):
     rotation: Rotation | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a frame without its place.
+        """Refuse a frame from the cell file without its pose.
 
         Raises:
-            ValueError: The cell file gave the frame, and it is not there.
+            ValueError: The pose is missing.
         """
         if self.method == "cell-file" and (self.xyz_m is None or self.rotation is None):
             msg = 'method "cell-file" needs xyz_m and rotation'
@@ -106,22 +106,22 @@ class FrameCard(Card, frozen=True, kw_only=True):
 
 
 class SetAside(Card, frozen=True, kw_only=True):
-    """Rows that were set aside for one reason."""
+    """Rows set aside for one reason."""
 
     reason: str
     count: Count
 
 
 class OperatorCard(Card, frozen=True, kw_only=True):
-    """How well a log sees the operator: samples by what was seen.
+    """How well a log sees the operator: numbers of samples.
 
     Attributes:
-        not_believed: Positions that were dropped as implausible: faster than a person moves.
-        seen: Samples at which somebody was seen.
-        occluded: ... hidden for longer than is bridged.
-        absent: ... no operator was there.
-        outside: ... the log was not running.
-        warnings: What a person must know before trusting it.
+        not_believed: Positions dropped as implausible: faster than a person moves.
+        seen: Samples with an operator seen.
+        occluded: Samples with the operator hidden for longer than is bridged.
+        absent: Samples without an operator.
+        outside: Samples outside of the time of the log.
+        warnings: Limits that a user must know.
     """
 
     not_believed: Count = 0
@@ -133,26 +133,28 @@ class OperatorCard(Card, frozen=True, kw_only=True):
 
 
 class LogCard(Card, frozen=True, kw_only=True):
-    """A log as it was read, before it was put into a session.
+    """A log as it was read, before it becomes part of a session.
 
     Attributes:
-        id: Names the recording and its folder.
-        tables: Which tables it has.
-        sources: Its files; one, or all of a folder that is one log.
-        adapter, adapter_package, adapter_version: Who read it.
-        positions: It holds places of the robot or of people; None = an earlier version did not say.
+        id: Name of the recording and its folder.
+        tables: Its tables.
+        sources: Its files; one, or all files of a folder that is one log.
+        adapter, adapter_package, adapter_version: The adapter that read it.
+        clock: Its clock.
+        frame: Pose of its frame.
+        positions: Whether it holds positions of the robot or of people; None = an earlier version did not store it.
         up: Axis that points up in the frame of its people.
-        joint_names: Of the joints q0, q1, ...
-        rows: Rows kept, by table.
-        rows_are: What `source_row` counts.
-        rows_read: Rows of the log.
-        rows_set_aside: Rows that were not kept, by reason.
+        joint_names: Names of the joints q0, q1, ...
+        rows: Number of rows kept, by table.
+        rows_are: Unit of `source_row`.
+        rows_read: Number of rows of the log.
+        rows_set_aside: Rows set aside, by reason.
         first_s, last_s: Time of the first and last row, clock of the log.
         duration_s: last_s - first_s.
-        rate_hz: Rows a second; None where the log has a single time.
-        warnings: What a person must know before trusting what was read.
-        facts: What else the adapter found out, as texts.
-        key: Changes when the log, its adapter or its options do; empty where the dataset is pseudonymised.
+        rate_hz: Rows per second; None if all rows have one time.
+        warnings: Limits of the log that a user must know.
+        facts: Other findings of the adapter, as texts.
+        key: Changes with the log, its adapter or its options; empty if the dataset is pseudonymised.
     """
 
     id: Name
@@ -180,7 +182,7 @@ class LogCard(Card, frozen=True, kw_only=True):
 
     @property
     def shown(self) -> str:
-        """The path of its first file, by which messages name it."""
+        """Path of its first file, which names the log in messages."""
         return self.sources[0].path
 
 
@@ -188,10 +190,10 @@ class RecordingCard(LogCard, frozen=True, kw_only=True):
     """A log in the dataset.
 
     Attributes:
-        session: Name of the session it belongs to.
-        clock: How it lies in the time of the session.
+        session: Name of its session.
+        clock: Alignment of its clock with the session.
         operator: How well it sees the operator; None for logs without people.
-        listed: What a person must know of the tasks of a task list beside those of the robot.
+        listed: Warnings about tasks of a task list, relative to those in the robot's log.
     """
 
     session: Name
@@ -207,7 +209,7 @@ class RecordingCard(LogCard, frozen=True, kw_only=True):
 
     @property
     def said(self) -> list[str]:
-        """All that a person must know of it, one sentence each."""
+        """All warnings about the log, one sentence each."""
         clock = [f"clock: {'; '.join(texts(self.clock.warnings))}"] if self.clock.warnings else []
         operator = [f"operator: {text}" for text in texts(self.operator.warnings if self.operator else ())]
         return [*texts(self.warnings), *clock, *operator, *(f"task list: {text}" for text in texts(self.listed))]

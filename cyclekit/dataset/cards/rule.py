@@ -2,8 +2,8 @@
 
 A rule is a list of limits. Each allows at most its level of the speed scaling while the operator is in its region:
 anywhere in the cell, nearer than a distance, within a rectangle or polygon on the floor, or in any of these; or while a
-signal has a value. A region may hold only while the TCP is in a rectangle of its own. The slowest limit holds; where
-none does, the speed is the fastest level.
+signal has a value. A region may be restricted to times with the TCP in a rectangle. The slowest active limit holds;
+without any, the speed is the fastest level.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction, M
 
 _TO = "distance (TCP to operator( on the floor)?|robot base to operator on the floor|nearest link to operator)"
 DistanceName = Annotated[str, Meta(pattern=f"^{_TO}$")]
-"""By what the operator is near; `cyclekit.learning.rules.distances` measures them."""
+"""Names of distances to the operator; `cyclekit.learning.rules.distances` computes them."""
 Angle = Annotated[float, Meta(ge=-7.0, le=7.0)]
 """An angle, rad."""
 Rate = Annotated[float, Meta(gt=0.0, le=1e6)]
-"""A change of the scaling per second."""
+"""A rate of change of the scaling, 1/s."""
 
 
 class MetresCard(Card, frozen=True, kw_only=True):
-    """A length or coordinate with its 95 % confidence interval, m; a bound that nobody knows is None."""
+    """A length or coordinate with its 95 % confidence interval, m; an unknown bound is None."""
 
     value: Metres
     low: Metres | None = None
@@ -32,18 +32,18 @@ class MetresCard(Card, frozen=True, kw_only=True):
 
 
 class NearerCard(Card, frozen=True, kw_only=True):
-    """The operator is nearer than this by that distance."""
+    """The operator is nearer than `metres`, by the named distance."""
 
     distance: DistanceName
     metres: MetresCard
 
 
 class RectangleCard(Card, frozen=True, kw_only=True):
-    """The operator stands in a rectangle on the floor, base frame.
+    """The operator is in a rectangle on the floor, base frame.
 
     Attributes:
-        angle_rad: By which the rectangle is turned about the robot's base, counterclockwise.
-        along, across: Its edges in that turned frame: from, to; None where the operator was never seen to cross it.
+        angle_rad: Rotation of the rectangle about the robot's base, counterclockwise.
+        along, across: Its edges in the rotated frame: from, to; None if the operator was never seen to cross it.
     """
 
     angle_rad: Angle = 0.0
@@ -52,14 +52,14 @@ class RectangleCard(Card, frozen=True, kw_only=True):
 
 
 class SideCard(Card, frozen=True, kw_only=True):
-    """A side of a polygon: its outward normal, counterclockwise from x, and how far the side lies along that."""
+    """A side of a polygon: angle of its outward normal, counterclockwise from x, and its distance along the normal."""
 
     angle_rad: Angle
     metres: MetresCard
 
 
 class PolygonCard(Card, frozen=True, kw_only=True):
-    """The operator stands in a convex polygon on the floor, base frame: within all its sides, ascending by angle.
+    """The operator is in a convex polygon on the floor, base frame: within all its sides, ascending by angle.
 
     Sides that the operator was never seen to cross are left out.
     """
@@ -68,13 +68,13 @@ class PolygonCard(Card, frozen=True, kw_only=True):
 
 
 class SignalCard(Card, frozen=True, kw_only=True):
-    """A signal has this value.
+    """A signal has a value.
 
     Attributes:
-        signal: Its name.
+        signal: Name of the signal.
         value: The value, as text.
-        delay_s: The commanded level answers this much later than that of the rule's latency.
-        robot: It counts only while the TCP is in this rectangle on the floor; None: wherever the TCP is.
+        delay_s: Delay of the commanded level in addition to the rule's latency.
+        robot: Rectangle on the floor; the signal counts only while the TCP is in it; None: always.
     """
 
     signal: str
@@ -84,13 +84,14 @@ class SignalCard(Card, frozen=True, kw_only=True):
 
 
 class RegionCard(Card, frozen=True, kw_only=True):
-    """When a limit holds: any of these is so.
+    """When a limit is active: if any of these holds.
 
     Attributes:
-        anywhere: Somebody is present.
-        nearer, rectangles, polygons: Where the operator is.
-        signals: What a signal says.
-        robot: The rest holds only while the TCP is in this rectangle on the floor; alone, whenever it is.
+        anywhere: An operator is present.
+        nearer, rectangles, polygons: The operator is in a region.
+        signals: A signal has a value.
+        robot: The others count only while the TCP is in this rectangle on the floor; alone, it holds whenever the TCP
+            is.
     """
 
     anywhere: bool = False
@@ -102,9 +103,9 @@ class RegionCard(Card, frozen=True, kw_only=True):
 
 
 class LimitCard(Card, frozen=True, kw_only=True):
-    """The speed is at most this level from when the operator enters `within` until he has left `until`.
+    """The speed is at most this level from when the operator enters `within` until he leaves `until`.
 
-    `until` is None where both are the same: there is no hysteresis.
+    `until` is None without hysteresis: both regions are the same.
     """
 
     scaling: Scaling
@@ -119,10 +120,10 @@ class LawCard(Card, frozen=True, kw_only=True):
     a), square = v_p^2 / (2 a), with the programmed speed v_p and the deceleration a.
 
     Attributes:
-        distance: Which distance.
+        distance: The distance in the law.
         stop, linear, square: The three lengths.
-        lowest: The scaling does not fall below it; 0 also where the logs do not show it.
-        latency_s, ramp_down_per_s, ramp_up_per_s: The response through which the law was seen; None: at once.
+        lowest: Minimum of the scaling; 0 also if the logs do not show it.
+        latency_s, ramp_down_per_s, ramp_up_per_s: Response with which the law was fitted; None: no ramp.
     """
 
     distance: DistanceName
@@ -138,7 +139,7 @@ class LawCard(Card, frozen=True, kw_only=True):
         """Refuse a scaling that would fall with distance.
 
         Raises:
-            ValueError: It would.
+            ValueError: `linear` or `square` is negative.
         """
         if min(self.linear.value, self.square.value) < 0.0:
             msg = "linear and square must not be negative"
@@ -146,7 +147,7 @@ class LawCard(Card, frozen=True, kw_only=True):
 
 
 class PoseCard(Card, frozen=True, kw_only=True):
-    """Where the arm is at one position of the TCP: its joints from the base on, base frame, m."""
+    """The arm at one position of the TCP: its joints from the base on, base frame, m."""
 
     tcp_m: Point
     joints_m: Annotated[tuple[Point, ...], Meta(min_length=1, max_length=16)]
@@ -156,17 +157,17 @@ class RuleCard(Card, frozen=True, kw_only=True):
     """The simplest rule that explains the commanded level.
 
     Attributes:
-        family: Which kind of rule, one of `rules.families.FAMILIES`.
-        hysteresis: Speed comes back farther out than it was taken.
-        levels: Of the speed scaling, ascending.
-        limits: The slowest first; a level that never holds by itself has none. Empty where there is a law.
-        law: The continuous law, in place of limits; `levels` are then the ends of its scaling.
-        latency_s: By which the commanded level was taken to answer to the positions.
-        explained: Part of the held-out samples whose commanded level the rule names.
-        network: The same of the network; None = not asked.
-        others: The same of the other kinds of rule that were fitted, in the order they were tried.
-        rows, executions: What it was fitted to, with those held out for the choice.
-        poses: Of the arm, over all logged positions of the TCP, for a rule on the nearest link; else empty.
+        family: Kind of rule, one of `rules.families.FAMILIES`.
+        hysteresis: Whether speed is restored farther out than it is reduced.
+        levels: Levels of the speed scaling, ascending.
+        limits: Limits, the slowest first; a level without a region of its own has none. Empty for a law.
+        law: The continuous law, instead of limits; `levels` are then the ends of its scaling.
+        latency_s: Assumed delay of the commanded level after the positions.
+        explained: Share of held-out samples whose commanded level the rule predicts.
+        network: The same share for the network; None = not evaluated.
+        others: The same share for other kinds of rule that were fitted, in the order of fitting.
+        rows, executions: Numbers of samples and executions in the fit, including those held out to choose the rule.
+        poses: Poses of the arm over all logged TCP positions, for a rule on the nearest link; else empty.
     """
 
     family: str
@@ -183,10 +184,10 @@ class RuleCard(Card, frozen=True, kw_only=True):
     poses: Annotated[tuple[PoseCard, ...], Meta(max_length=4096)] = ()
 
     def __post_init__(self) -> None:
-        """Refuse levels and limits that are not ascending, and a rule of neither limits nor a law.
+        """Refuse levels and limits that are not ascending, and a rule without exactly one of limits and law.
 
         Raises:
-            ValueError: They are not, or it is one.
+            ValueError: They are not ascending, or the rule has both or neither of limits and law.
         """
         if bool(self.limits) == (self.law is not None):
             msg = "a rule needs either limits or a law"

@@ -1,4 +1,4 @@
-"""A model of task times as data: rates beside other tasks, what each start waits for, and errors on held-out orders."""
+"""A model of task times as data: rates during other tasks, wait conditions, and errors on held-out orders."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
 
 Rate = Annotated[float, Meta(gt=0.0, le=1e3)]
-"""Work done per second: 1 is about the mean, half of it is half as fast."""
+"""Work done per second, relative to the mean: 1 is about the mean, 0.5 half as fast."""
 Lag = Annotated[float, Meta(ge=-1e6, le=1e6)]
-"""Time from the moment a task may start to its start, s; a little below 0 by rounding of the log."""
+"""Time from when a task may start to its start, s; slightly negative values come from rounding in the log."""
 Error = Annotated[float, Meta(ge=-1e3, le=1e3)]
-"""An error as part of something."""
+"""A relative error."""
 FORMAT = "cyclekit-task-times"
-"""How the file says that it is one."""
+"""Format name in the file."""
 PAST = 10_000
-"""Repetitions kept of a task; of more, so many spread over all."""
+"""Maximum number of repetitions stored per task; of more, an even selection."""
 
 
 class NeedCard(Card, frozen=True, kw_only=True):
-    """What must have ended before a task starts.
+    """A task that must end before another one starts.
 
     Attributes:
-        agent, task: Whose task.
+        agent, task: The needed task.
         back: The k-th start of the waiting task needs the (k - back)-th end of this one.
-        held: Part of the logged starts that came after it.
-        decided: Logged starts that it decided: everything else was there earlier.
+        held: Share of the logged starts that came after it.
+        decided: Number of logged starts decided by it: everything else had occurred before.
     """
 
     agent: Name
@@ -46,15 +46,15 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
     """One task of one agent.
 
     Attributes:
-        agent, task: Its names in the logs.
+        agent, task: Their names in the logs.
         usual_s: Mean logged duration.
-        work_s: Of each logged repetition, s at rate 1, the task before it and the turn being as usual.
-        rates: By the other agent's task beside it, `agent: task`; "" = alone.
-        after: Factor of the work by the agent's own task before it; "" = it is the first.
-        needs: What it waits for beside the agent's own task before it and its planned start.
-        planned: It waits for its planned start.
-        turns: Factor of the work the first, second ... time of the task in one execution.
-        lags_s: From when it might start to its start, in each repetition.
+        work_s: Work of each logged repetition, s at rate 1, with the mean effects of the previous task and the turn.
+        rates: Rate by concurrent task of the other agent, `agent: task`; "" = alone.
+        after: Factor on the work by the agent's previous task; "" = it is the first.
+        needs: Tasks it waits for, in addition to the agent's previous task and its planned start.
+        planned: Whether it waits for its planned start.
+        turns: Factor on the work at the first, second ... occurrence in one execution.
+        lags_s: Time from when it might start to its start, in each repetition.
     """
 
     agent: Name
@@ -70,20 +70,20 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
 
     @property
     def waits_for(self) -> list[str]:
-        """What its start waits for, as words."""
+        """What its start waits for, in words."""
         turns = ["", " of the turn before"]
         needs = [f"{need.agent}: {need.task}{turns[min(need.back, 1)]}" for need in self.needs]
         return ["the agent's own task before it", *(["its planned start"] if self.planned else []), *needs]
 
 
 class PaceCard(Card, frozen=True, kw_only=True):
-    """How the pace of an agent changes from execution to execution.
+    """Trend of an agent's pace over executions.
 
     Attributes:
-        law: `linear` in the number of the execution, or `learning`: in its logarithm.
-        change: Of the logarithm of durations from the first to the last execution.
+        law: `linear` in the number of the execution, or `learning`: linear in its logarithm.
+        change: Change of the logarithm of durations from the first to the last execution.
         first, last: Numbers of these executions.
-        chance: Probability of such a trend where there is none.
+        chance: Probability of such a trend by chance.
     """
 
     law: Literal["linear", "learning"]
@@ -93,16 +93,16 @@ class PaceCard(Card, frozen=True, kw_only=True):
     chance: Fraction = 0.0
 
     def passed(self, number: Ints | int) -> Vector:
-        """Return which part of the change has happened at an execution."""
+        """Return the share of the change that has happened at an execution."""
         done, whole = np.maximum(np.asarray(number, dtype=float) - self.first, 0.0), max(self.last - self.first, 1)
         return np.asarray(np.log1p(done) / np.log1p(whole) if self.law == "learning" else done / whole)
 
     def factor(self, number: Ints | int) -> Vector:
-        """Return durations at an execution as part of those at the last one."""
+        """Return durations at an execution relative to those at the last one."""
         return np.asarray(np.exp(self.change * (self.passed(number) - 1.0)))
 
     def said(self, agent: str) -> str:
-        """Return it as a sentence."""
+        """Return the trend as a sentence."""
         part = abs(float(np.expm1(self.change)))
         how = "quicker" if self.change < 0 else "slower"
         count = self.last - self.first + 1
@@ -110,16 +110,17 @@ class PaceCard(Card, frozen=True, kw_only=True):
 
 
 class HeldOutCard(Card, frozen=True, kw_only=True):
-    """Errors on executions whose order of tasks the model had not seen.
+    """Errors on executions whose order of tasks was held out.
 
     Attributes:
-        orders: Different orders.
+        orders: Number of different orders.
         bias: Mean of estimate / true - 1 over the orders.
-        within: Standard error of that.
-        order_error: Standard deviation of it over orders, without the chance of few executions each.
-        learning_error: Standard error that finite logs leave in an estimate, as part of it: from models that lack one
-            part of the executions each (jackknife), widened as Student's t for so few of them.
-        deviations: Of each execution from its estimate, in standard deviations of the estimated single cycles.
+        within: Standard error of the bias.
+        order_error: Standard deviation of estimate / true - 1 over orders, without the chance of few executions each.
+        learning_error: Relative standard error of an estimate due to finite logs: from models that each lack one part
+            of the executions (jackknife), widened as Student's t for the few parts.
+        deviations: Deviation of each execution from its estimate, in standard deviations of the estimated single
+            cycles.
     """
 
     orders: Count
@@ -131,14 +132,14 @@ class HeldOutCard(Card, frozen=True, kw_only=True):
 
 
 class TaskModelCard(Card, frozen=True, kw_only=True):
-    """What task lists tell of cycle times.
+    """Cycle-time model learned from task lists.
 
     Attributes:
         agents: `robot` or `operator` by the agent's name in the logs.
-        tasks: Of all agents.
-        pace: Of agents whose pace drifts; `work_s` is at the pace of the last execution.
-        executions: It was learned from.
-        held_out: None where too few orders were logged to judge by.
+        tasks: Tasks of all agents.
+        pace: Trends of agents whose pace changes; `work_s` is at the pace of the last execution.
+        executions: Number of training executions.
+        held_out: Errors on held-out orders; None if too few orders were logged.
     """
 
     format: Literal["cyclekit-task-times"] = "cyclekit-task-times"

@@ -1,4 +1,4 @@
-"""An unseen operator as data: states that no log names, and the speed that each of them leaves the robot."""
+"""Model of an unseen operator as data: hidden states, and the distribution of speed levels in each."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ Shares = Annotated[tuple[Fraction, ...], Meta(min_length=1, max_length=64)]
 States = Annotated[tuple[Shares, ...], Meta(min_length=1, max_length=64)]
 """Probabilities by state."""
 LogLikelihood = Annotated[float, Meta(ge=-1e6, le=1e6)]
-"""Logarithm of a probability, per minute of log."""
+"""Log-likelihood per minute of log."""
 
 
 class UnseenOperatorCard(Card, frozen=True, kw_only=True):
-    """What the speed scaling alone says of people: a hidden chain of H states, R regions of the robot, P levels.
+    """Hidden Markov model of people from the speed scaling alone: H states, R regions of the robot, P levels.
 
     Attributes:
-        step_s: Time between two steps of the chain.
-        regions_m: Centres of the regions of the TCP, base frame; one: levels do not depend on where the robot is.
+        step_s: Time step of the chain.
+        regions_m: Centres of the regions of the TCP, base frame; one: levels do not depend on the robot's position.
         start: Probability of each state at the beginning of an execution.
-        follows: Probability of each state a step after another, by that other state.
+        follows: Transition probabilities per step, by current state.
         shares: Probability of each level, by state and region.
-        seen_s: How long each state was met in each region, by state.
-        with_place, without_place: Log-likelihood of held-out executions per minute, with levels that depend on where
-            the robot is, and with levels that do not; None = there were too few executions to compare.
-        executions: Executions it was learned from.
+        seen_s: Time in each region, by state.
+        with_place, without_place: Log-likelihood of held-out executions per minute, with levels that depend on the
+            robot's position, and with levels that do not; None = too few executions to compare.
+        executions: Number of training executions.
     """
 
     step_s: Duration
@@ -46,7 +46,7 @@ class UnseenOperatorCard(Card, frozen=True, kw_only=True):
         """Refuse tables whose sizes do not fit each other.
 
         Raises:
-            ValueError: They do not.
+            ValueError: They do not fit.
         """
         states, regions = len(self.start), len(self.regions_m)
         tables = (self.follows, self.shares, self.seen_s)
@@ -60,11 +60,11 @@ class UnseenOperatorCard(Card, frozen=True, kw_only=True):
 
 
 FORMAT: Literal["cyclekit-unseen-operator"] = "cyclekit-unseen-operator"
-"""How the file of such a model says that it is one."""
+"""Format name in the file of such a model."""
 
 
 class UnseenModelCard(Card, frozen=True, kw_only=True):
-    """A model of an unseen operator: levels of the speed scaling, ascending, the chain, and how it came about."""
+    """A model of an unseen operator: levels of the speed scaling, ascending, the chain, and how it was trained."""
 
     format: Literal["cyclekit-unseen-operator"]
     levels: Annotated[tuple[Scaling, ...], Meta(min_length=2, max_length=64)]
@@ -72,10 +72,10 @@ class UnseenModelCard(Card, frozen=True, kw_only=True):
     card: TrainingCard
 
     def __post_init__(self) -> None:
-        """Refuse levels that are not ascending, or are not those of the chain.
+        """Refuse levels that are not ascending, or whose number differs from that of the chain.
 
         Raises:
-            ValueError: They are not.
+            ValueError: They are not ascending, or their number differs.
         """
         if len(ascending(self.levels)) != len(self.unseen.shares[0][0]):
             msg = "the chain has another number of levels"

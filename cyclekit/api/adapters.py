@@ -1,4 +1,4 @@
-"""`list_adapters`: which formats can be read, and from which package."""
+"""`list_adapters`: the formats that can be read, and the package of each."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class AdapterList(Result):
     """The log formats that can be read; as a frame one row per adapter.
 
     Attributes:
-        adapters: Of each: name, package, version, and what it reads.
+        adapters: Name, package, version and description of each adapter.
         left_out: Adapters that could not be used, with the reason.
     """
 

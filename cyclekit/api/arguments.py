@@ -1,4 +1,4 @@
-"""Arguments of public functions are checked by their annotations, and a wrong one is named."""
+"""Type checks of the arguments of public functions, by their annotations."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ R = TypeVar("R")
 
 Place = str | Path
 Progress = Callable[[float, str], None]
-"""Told the fraction done, 0 to 1, and what is being done."""
+"""Called with the fraction done, 0 to 1, and a text."""
 
 
 def checked(function: Callable[P, R], home: str | None = None, name: str | None = None) -> Callable[P, R]:
-    """Return a function whose arguments are checked when it is called.
+    """Return a function whose arguments are checked in each call.
 
     Args:
-        function: A function of this package, or of a room that has the public signature.
-        home: The module in which it is public, if that is not its own.
-        name: Its name there.
+        function: A function of this package, or of a room below, with the public signature.
+        home: Module in which it is public, if different from its own.
+        name: Public name, if different from its own.
 
     Raises:
         WrongType: An argument is not of the annotated type.
@@ -56,7 +56,7 @@ def _check(function: str, name: str, value: object, kind: Any) -> None:  # noqa:
 
 
 def fits(value: object, kind: Any) -> bool:  # noqa: ANN401
-    """Tell whether a value has an annotated type, including items of sequences."""
+    """Return whether a value has an annotated type, including items of sequences."""
     origin = get_origin(kind)
     if origin in (Union, UnionType):
         return any(fits(value, one) for one in get_args(kind))

@@ -1,4 +1,4 @@
-"""`calibrate_tracker`: the pose of the tracker, from points that robot and tracker both touched."""
+"""`calibrate_tracker`: the pose of the tracker, from points touched by both robot and tracker."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from cyclekit.text.plain_json import json_text
 
 _KINDS: dict[str, Kind] = {".csv": "estimates-csv", ".xlsx": "workbook"}
 QUANTILES = (0.05, 0.5, 0.95)
-"""Of single cycles, where no others are asked for."""
+"""Default quantile levels of single cycles."""
 
 
 @checked
@@ -50,7 +50,7 @@ def estimate_cycles(
     engine: Engine = LOCAL,
     progress: Progress | None = None,
 ) -> CycleEstimates:
-    """Estimate the expected cycle time of each sequence: those of the same work together, shortest first.
+    """Estimate the expected cycle time of each sequence, grouped by work, shortest first.
 
     Args:
         model: A model, its folder or its URL; one of task times answers plans for robot and operator.
@@ -58,10 +58,10 @@ def estimate_cycles(
         sequences: Sequences, or the sequence file.
         out: Also write the result here, `.json`, `.csv` or `.xlsx`.
         gantt: Also draw a time chart here, `.svg`, `.png` or `.pdf`.
-        estimator: `rollout`, `average`, `history` or `nominal`; None: the one that suits the model.
+        estimator: `rollout`, `average`, `history` or `nominal`; None: the default for the model.
         quantiles: Quantiles of single cycles, each in (0, 1).
         takt_s: Takt time, s; adds the share of cycles within it.
-        seed: Of the resampling for the intervals.
+        seed: Seed of the resampling for the intervals.
         extrapolate: Answer even if most of the cycle is outside logged positions; the number is marked.
         validate: Validate on logged executions, and correct the bias.
         check: An earlier validation (`CycleEstimates.check`).

@@ -61,7 +61,7 @@ def evaluate_task_times(
 
     Args:
         model: A model of task times, its folder or its URL.
-        dataset: Of task lists.
+        dataset: A dataset of task lists.
         trained_on: Dataset of the training, if `dataset` is newer; `drift` then says whether the pace has changed.
         progress: Called with the fraction done.
 
@@ -95,11 +95,11 @@ class ModelComparison(Result, Mapping[str, Evaluation]):
         return iter(self.evaluations)
 
     def __len__(self) -> int:
-        """Return how many models there are."""
+        """Return the number of models."""
         return len(self.evaluations)
 
     def to_dict(self) -> dict[str, object]:
-        """Return everything as plain JSON values; of one model its evaluation alone."""
+        """Return everything as plain JSON values; for a single model, its evaluation."""
         if not self.together:
             return next(iter(self.evaluations.values())).to_dict()
         return {"models": {Path(place).name: one.to_dict() for place, one in self.evaluations.items()}}
@@ -134,11 +134,11 @@ def evaluate_models(
         trained_on: Dataset of the training.
         boosting: Also fit gradient boosting.
         other_cell: Accept models of another cell.
-        engine: Where, and how many at the same time.
+        engine: Where models are evaluated, and how many at the same time.
         progress: Called with the fraction done and a text.
 
     Raises:
-        CyclekitError: As of `evaluate_model`.
+        CyclekitError: As in `evaluate_model`.
     """
     models = models_in(str(model))
     tell = progress or (lambda _fraction, _text: None)

@@ -1,4 +1,4 @@
-"""`gate_takt`: whether enough cycles are within the takt, as one verdict."""
+"""`gate_takt`: whether enough cycles are within the takt time, as one verdict."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from cyclekit.text.results import Result
 
 @dataclass(frozen=True, repr=False)
 class GateVerdict(Result):
-    """Whether enough cycles of each sequence are within the takt; as a frame one row per sequence.
+    """Whether enough cycles of each sequence are within the takt time; as a frame one row per sequence.
 
     Attributes:
         takt_s: The takt time, s.
-        confidence: Share of the cycles that must be within the takt.
+        confidence: Required share of cycles within the takt time.
         sure: Whether the lower end of the 95 % interval must reach that share, too.
-        estimates: Of the sequences that were judged.
+        estimates: Estimates of the sequences that were judged.
     """
 
     takt_s: float
@@ -34,12 +34,12 @@ class GateVerdict(Result):
 
     @property
     def worst(self) -> CycleEstimate:
-        """The sequence of which the least part of the cycles is within the takt."""
+        """The sequence with the smallest share of cycles within the takt time."""
         return min(self.estimates, key=self._reached)
 
     @property
     def passed(self) -> bool:
-        """Whether every sequence has enough cycles within the takt."""
+        """Whether every sequence has enough cycles within the takt time."""
         return self._reached(self.worst) >= self.confidence
 
     def _reached(self, one: CycleEstimate) -> float:
@@ -76,7 +76,7 @@ class GateVerdict(Result):
 
 
 def _share(one: CycleEstimate) -> tuple[float, float, float]:
-    """Return which part of the cycles is within the takt, with a 95 % interval."""
+    """Return the share of cycles within the takt time, with a 95 % interval."""
     return one.takt_probability or (0.0, 0.0, 1.0)
 
 
@@ -96,17 +96,17 @@ def gate_takt(
     other_cell: bool = False,
     progress: Progress | None = None,
 ) -> GateVerdict:
-    """Judge whether enough cycles are within the takt: of every sequence, or of one.
+    """Judge whether enough cycles of every sequence, or of one, are within the takt time.
 
     Args:
-        model: As of `estimate_cycles`; so are `dataset`, `sequences`, `seed`, `extrapolate`, `validate`, `other_cell`.
+        model: As in `estimate_cycles`; so are `dataset`, `sequences`, `seed`, `extrapolate`, `validate`, `other_cell`.
         dataset: The logs.
         sequences: Sequences, or the sequence file.
         takt_s: Takt time, s.
-        confidence: Share of the cycles that must be within it, in (0, 1).
+        confidence: Required share of cycles within it, in (0, 1).
         sure: The lower end of the 95 % interval of that share must reach it, too.
         sequence: Judge only the sequence of this name.
-        seed: Of the resampling.
+        seed: Seed of the resampling.
         extrapolate: Answer even if most of the cycle is outside logged positions.
         validate: Validate on logged executions, and correct the bias.
         other_cell: Accept a model of another cell.

@@ -1,4 +1,4 @@
-"""Arguments, opened: paths are read, open objects are taken as they are."""
+"""Arguments of public functions: paths are opened, open objects are used as they are."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Changes = Place | Change | Sequence[Change]
 def model_of(given: SafetyModel | Place) -> SafetyModel:
     """Return a safety function: the rule of a trained model if it has one, else its network.
 
-    A model of a robot log alone is a safety function of states.
+    A model trained on a robot log without people is a safety function of states.
     """
     if isinstance(given, str | Path) and holds_unseen(given):
         return load_unseen(given)
@@ -109,5 +109,5 @@ def place_of(given: object) -> Path | str | None:
 
 
 def path_of(given: Place | None) -> Path | None:
-    """Return a path as one; None stays None."""
+    """Return a path as a `Path`; None stays None."""
     return None if given is None else Path(given)

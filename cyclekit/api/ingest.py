@@ -1,4 +1,4 @@
-"""`ingest_logs`: logs of any supported kind, in any mix, to one dataset."""
+"""`ingest_logs`: logs of any mix of supported formats to one dataset."""
 
 from __future__ import annotations
 

@@ -31,10 +31,10 @@ class StartedProject(Result):
     Attributes:
         file: The project file.
         project: Its content.
-        logs: Of each log found: its name, and the adapter that reads it.
+        logs: Name of each log found, and the adapter that reads it.
         not_read: Files that no adapter reads, with the reason.
         written: Every file that was written.
-        unsure: How many lines of the cell file are guesses, marked `# ?`.
+        unsure: Number of guessed lines in the cell file, marked `# ?`.
     """
 
     file: Path
@@ -63,13 +63,13 @@ def start_project(
         logs: Folder of logs.
         folder: Folder of the project file, and later of the dataset, the model and the results.
         name: Title of the report; empty: the name of the folder.
-        takt: Takt time, as `105s`.
+        takt: Takt time, such as `105s`.
         follow_links: Follow links that lead out of the folder of logs.
 
     Raises:
         LogError: The path does not exist, or nothing there can be read.
         OutputError: There is a project file already.
-        ConfigError: The takt is no duration, or the cell file beside the logs cannot be followed.
+        ConfigError: The takt time is no duration, or the cell file of the logs is invalid.
     """
     home, root = Path(folder), Path(logs)
     file = home / PROJECT_FILE
@@ -98,7 +98,7 @@ def start_project(
 
 
 def _roots(root: Path, home: Path) -> list[Path]:
-    """Return what holds the logs: the folder, or those in it where the dataset would be made in the same folder.
+    """Return the folders of logs: the given one, or its subfolders if the dataset would be in the same folder.
 
     Raises:
         LogError: There is no such folder, or the project would lie among the logs.
@@ -138,7 +138,7 @@ def _cell(roots: list[Path], home: Path) -> Cell:
 def _looked_at(
     roots: list[Path], home: Path, *, follow_links: bool
 ) -> tuple[tuple[tuple[str, str], ...], tuple[tuple[str, str], ...], str | None, int]:
-    """Return the logs with their adapters, what is not read, and a cell file where none is there yet.
+    """Return the logs with their adapters, the files not read, a new cell file if there is none, and its guesses.
 
     Raises:
         LogError: Nothing can be read.
@@ -163,7 +163,7 @@ def _looked_at(
 
 
 def _shown(path: Path, home: Path) -> str:
-    """Return a path as it is written into the project file: from its folder where it lies in it."""
+    """Return a path as written in the project file: relative to its folder if it lies in it."""
     try:
         return path.resolve().relative_to(home.resolve()).as_posix()
     except ValueError:
@@ -186,9 +186,9 @@ def first_sequences(dataset: Dataset, project: Project) -> Path | None:
 
 
 def first_sequence(dataset: Dataset) -> tuple[TaskSequence, int, int]:
-    """Return the order of tasks logged most often, how often, and the number of complete executions.
+    """Return the order of tasks logged most often, its count, and the number of complete executions.
 
-    Task lists alone give a plan for both agents.
+    For a dataset of task lists alone the order is a plan for both agents.
 
     Raises:
         DatasetError: No complete execution was logged.
@@ -208,7 +208,7 @@ def first_sequence(dataset: Dataset) -> tuple[TaskSequence, int, int]:
 
 
 def _listed(dataset: Dataset) -> list[tuple[tuple[str, str], ...]]:
-    """Return the tasks (agent, task) of each execution of a task list, each agent's in the order of their starts."""
+    """Return the tasks (agent, task) of each execution of a task list, ordered by start for each agent."""
     rows = dataset.every_task().drop_nulls("agent_name").sort("execution", "agent_name", "start_s")
     grouped = rows.group_by("execution", maintain_order=True).agg(pl.struct("agent_name", "task").alias("tasks"))
     return [tuple((one["agent_name"], one["task"]) for one in tasks) for tasks in grouped["tasks"].to_list()]

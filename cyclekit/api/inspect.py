@@ -25,11 +25,11 @@ from cyclekit.text.results import Result
 
 @dataclass(frozen=True, repr=False)
 class CellDraft(Result):
-    """The cell file that fits some logs; as a frame its lines, and which are guesses.
+    """The cell file for some logs; as a frame, its lines and which are guesses.
 
     Attributes:
         cell: Its text (TOML).
-        unsure: How many of its lines are guesses, marked `# ?`.
+        unsure: Number of guessed lines, marked `# ?`.
         out: Where it was written; None if not written.
     """
 
@@ -62,15 +62,15 @@ def inspect_logs(
 
     Args:
         path: A file, a folder, or the URL of a dataset or model.
-        cell: Cell file with settings for reading the logs; default: the one beside them.
+        cell: Cell file with settings for reading the logs; default: the one in their folder.
         sequences: For a dataset: say what to log next to estimate these.
         follow_links: Follow links that lead out of a folder of logs.
         verify: Also check that every file of a dataset is unchanged.
-        progress: Called with the fraction done and what is being read.
+        progress: Called with the fraction done and the file being read.
 
     Raises:
         LogError: The path does not exist, or nothing there can be read.
-        ConfigError: The cell file cannot be followed.
+        ConfigError: The cell file is invalid.
         DatasetError: The dataset is of another schema version, or one of its files was changed.
         ModelError: The model is of another schema version, or damaged.
     """
@@ -80,7 +80,7 @@ def inspect_logs(
         return found
     try:
         plan = plan_recordings(path, sequences) if found.tasks else None
-    except DatasetError:  # no task of the robot is known whole
+    except DatasetError:  # no complete task of the robot is known
         plan = None
     return replace(found, verified=count, to_log=plan)
 
@@ -92,10 +92,10 @@ def plan_recordings(dataset: Dataset | Place, sequences: Sequences = (), *, with
     Args:
         dataset: The logs so far: a dataset, its folder or its URL.
         sequences: The sequences to estimate, or the sequence file; default: the logged tasks.
-        within: Wanted half width of the 95 % interval of the mean cycle time, as a share of the mean.
+        within: Requested half-width of the 95 % interval of the mean cycle time, as a share of the mean.
 
     Raises:
-        DatasetError: It holds no robot tasks.
+        DatasetError: The dataset holds no robot tasks.
         ConfigError: `within` is not between 0 and 1, or the sequence file cannot be read.
     """
     if not 0.0 < within < 1.0:

@@ -30,14 +30,14 @@ class ScalingLevels(Result):
     """The levels of the speed scaling; as a frame one row per level, ascending.
 
     Attributes:
-        method: How they were found.
-        levels: Ascending; rounded if within their error.
-        means: Mean of the samples on each; empty if unknown.
-        share: Share of the samples on each.
+        method: Method by which they were found.
+        levels: The levels, ascending; rounded if within their error.
+        means: Mean of the samples on each level; empty if unknown.
+        share: Share of the samples on each level.
         noise: Standard deviation of a sample on a level; None if unknown.
         is_staircase: Whether the scaling is a staircase at all.
-        picture: The picture; None if not drawn.
-        warnings: What limits the answer, one sentence each.
+        picture: File of the picture; None if not drawn.
+        warnings: Limits of the answer, one sentence each.
     """
 
     method: str
@@ -64,12 +64,12 @@ class ScalingLevels(Result):
 
 @checked
 def find_levels(dataset: Dataset | Place, *, method: str = "plateau", picture: Place | None = None) -> ScalingLevels:
-    """Find the levels of the speed scaling: how many, at which values. Levels that the cell file fixes are counted.
+    """Find the number and values of the levels of the speed scaling; levels fixed in the cell file are used as given.
 
     Args:
         dataset: A dataset, its folder or its URL.
         method: Name of the method in `scaling.levels.FINDERS`; `plateau` uses the order in time.
-        picture: Also draw them: a .svg, .png or .pdf file.
+        picture: Also draw the levels: a .svg, .png or .pdf file.
 
     Raises:
         UnknownName: There is no such method.
@@ -85,7 +85,7 @@ def find_levels(dataset: Dataset | Place, *, method: str = "plateau", picture: P
     found = find_staircase(values, run=run, method=method, levels=fixed_levels(opened), rate_hz=rate_hz)
     other = second_opinion(values, found) if method == "plateau" else None
     if file is not None:
-        from cyclekit.plots.levels import draw_levels  # here, as matplotlib takes long to import
+        from cyclekit.plots.levels import draw_levels  # local, as importing matplotlib takes long
 
         draw_levels(file, values, found, rate_hz=rate_hz)
     means = () if found.means is None else tuple(map(float, found.means))
@@ -97,7 +97,7 @@ def find_levels(dataset: Dataset | Place, *, method: str = "plateau", picture: P
 def _in_time(dataset: Dataset) -> tuple[Floats, Ints, float]:
     """Return the scaling of all samples and their stretches, shape (N,) each, and their rate.
 
-    Of a dataset without positions it is the override that a safety system logged, at that log's own rate.
+    For a dataset without positions it is the override logged by a safety system, at that log's rate.
     """
     logs = [] if dataset.positions else [dataset.recorded(one.id, "safety") for one in dataset.recordings]
     overrides = [rows for log in logs if log is not None and (rows := override_rows(log)) is not None]

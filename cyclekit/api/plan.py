@@ -45,10 +45,10 @@ def plan_order(
             the tasks of both agents.
         out: Also write the order here, as a sequence file (`.toml`), or all of it as a workbook (`.xlsx`; not for a
             model of task times).
-        seed: Of the search and the resampling.
-        validate: As of `estimate_cycles`.
-        check: As of `estimate_cycles`.
-        other_cell: As of `estimate_cycles`.
+        seed: Seed of the search and the resampling.
+        validate: As in `estimate_cycles`.
+        check: As in `estimate_cycles`.
+        other_cell: As in `estimate_cycles`.
         progress: Called with the fraction done and a text.
 
     Raises:

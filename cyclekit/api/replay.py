@@ -33,8 +33,8 @@ def write_replay(
         dataset: A dataset, its folder or its URL.
         execution: Name, or number counted from 1; or several of them.
         out: The .rrd file; an existing one is replaced when the new one is complete.
-        model: Model of problem `now` whose prediction and zones, by its rule if it has one, are shown beside the log.
-        at: What plays first: `slowdown` (the costliest), `error` (the model's worst), or a time in s.
+        model: Model of problem `now`: its prediction and zones, by its rule if it has one, are shown with the log.
+        at: Start of the playback: `slowdown` (the largest), `error` (the model's largest), or a time in s.
         other_cell: Accept a model of another cell.
         progress: Called with the fraction done and a text.
 

@@ -1,4 +1,4 @@
-"""`write_report`: the page for the customer, with everything it needs computed."""
+"""`write_report`: the page for the customer, with all results computed for it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 Format = Literal["html", "json", "csv", "md", "xlsx"]
 ORDER = "order found"
-"""How the order that was found is named among the sequences."""
+"""Name of the order found, among the sequences."""
 _WRITTEN_AS: dict[Format, Kind] = {
     "html": "page",
     "md": "words",
@@ -69,13 +69,13 @@ class Looks(TypedDict, total=False):
 
 
 class _Looks(Looks, total=False):
-    """The same with the title, which a fleet and a project give apart."""
+    """`Looks` with the title, which a fleet and a project set separately."""
 
     cell_name: str | None
 
 
 class _Page(TypedDict, total=False):
-    """What a page shows beside the logs, by the names of `compose_report`."""
+    """Content of a page besides the logs, by the argument names of `compose_report`."""
 
     estimates: CycleEstimates | tuple[()]
     evaluation: Evaluation | None
@@ -86,7 +86,7 @@ class _Page(TypedDict, total=False):
 
 
 class _TaskPage(TypedDict, total=False):
-    """What the page of task lists shows beside the logs, by the names of `report_tasks`."""
+    """Content of a page of task lists besides the logs, by the argument names of `report_tasks`."""
 
     estimates: CycleEstimates | None
     planned: TaskOrderPlan | None
@@ -94,7 +94,7 @@ class _TaskPage(TypedDict, total=False):
 
 
 class _Given(TypedDict):
-    """How a model is asked, by the names of `estimate_cycles`."""
+    """Options of a model's estimates, by the argument names of `estimate_cycles`."""
 
     validate: bool
     other_cell: bool
@@ -123,15 +123,15 @@ def write_report(
     evaluation: Evaluation | None = None,
     progress: Progress | None = None,
 ) -> ReportFacts:
-    """Write one self-contained file: cycle times, where the time goes, why, what would help, and how reliable that is.
+    """Write one self-contained file: cycle times, where the time goes, causes, possible gains, and reliability.
 
     Args:
         dataset: The logs: a dataset, its folder or its URL.
         out: The file; an existing one is replaced when the new one is complete.
         model: Trained model; without it the page covers only the logs. A model of task times gives another page.
         sequences: The sequences to estimate, or the sequence file.
-        what_if: Changes of the sequences, or files of changes (`CHANGES.toml`). Or earlier results:
-            `FILE.json` of `what_if`, `LABEL=FILE.json` of `estimate_cycles`.
+        what_if: Changes of the sequences, or files of changes (`CHANGES.toml`). Or earlier results: `FILE.json` of
+            `what_if`, `LABEL=FILE.json` of `estimate_cycles`.
         jobs: Work whose fastest order is searched; it is estimated and changed like the sequences.
         takt_s: Takt time to compare the cycles with, s.
         baseline: Name of the sequence to compare the others with; default: the order logged most.
@@ -183,7 +183,7 @@ def write_report(
         if printed is not None:
             write_pdf(file, printed)
         return replace(facts, pdf=printed)
-    trained = None if model is None else trained_of(model)  # type: ignore[arg-type]  # none of task times
+    trained = None if model is None else trained_of(model)  # type: ignore[arg-type]  # task times returned above
     if trained is not None:
         asked = _Asked(trained, data, validate, extrapolate, other_cell, tell)
         asked.takt_s = takt_s
@@ -207,7 +207,7 @@ def _of_tasks(
     jobs: Jobs | Place | None,
     takt_s: float | None,
 ) -> _TaskPage:
-    """Return what the report of a model of task times shows, by the names of `report_tasks`."""
+    """Return the content of the report of a model of task times, by the argument names of `report_tasks`."""
     wanted = [] if sequences is None else sequences_of(sequences)
     planned = None if jobs is None else cast("TaskOrderPlan", plan_order(model, data, jobs))
     asked = [*wanted, *([TaskSequence.of_plan(ORDER, planned.tasks)] if planned else [])]
@@ -221,7 +221,7 @@ def _of_tasks(
 def _as_workbook(
     data: Dataset, model: object, file: Path, found: CycleEstimates | None, write: Callable[[Path], ReportFacts]
 ) -> ReportFacts:
-    """Write the numbers of the page as a workbook, and return the facts of the page, which `write` writes, about it."""
+    """Write the numbers of the page as a workbook; return the facts of the page (from `write`) for this file."""
     with Scratch() as scratch:
         facts = write(scratch.path / "report.json")
     write_workbook(file, sheets_of_estimates(found, data, model) if found else sheets_of_logs(data))
@@ -229,7 +229,7 @@ def _as_workbook(
 
 
 class _Asked:
-    """What the parts of one page are asked with."""
+    """Common inputs of the parts of one page."""
 
     def __init__(
         self, model: TrainedModel, data: Dataset, validate: bool, extrapolate: bool, other_cell: bool, tell: Progress
@@ -248,10 +248,10 @@ class _Asked:
         estimates: CycleEstimates | None,
         evaluation: Evaluation | None,
     ) -> _Page:
-        """Return what the page shows beside the logs, by the names of `compose_report`.
+        """Return the content of the page besides the logs, by the argument names of `compose_report`.
 
         Raises:
-            CyclekitError: Something that was asked for cannot be computed.
+            CyclekitError: A requested part cannot be computed.
         """
         planned = None if jobs is None else self._planned(jobs)
         wanted = _with_order([] if sequences is None else sequences_of(sequences), planned)
@@ -266,7 +266,7 @@ class _Asked:
         if evaluation is None:
             try:
                 evaluation = self._evaluated()
-            except CyclekitError as error:  # nobody asked for it
+            except CyclekitError as error:  # the evaluation was not requested
                 missing.append(f"The model could not be judged: {error.seen}.")
         return {
             "estimates": estimates or (),
@@ -279,7 +279,7 @@ class _Asked:
 
     def _planned(self, jobs: Jobs | Place) -> OrderPlan:
         found = plan_order(self.model, self.data, jobs_of(jobs), progress=_part(self.tell, 0.0, 0.1), **self.given)
-        return cast("OrderPlan", found)  # of places, as the jobs are
+        return cast("OrderPlan", found)  # the jobs are places
 
     def _estimated(self, wanted: list[TaskSequence]) -> CycleEstimates:
         tell = _part(self.tell, 0.1, 0.2)
@@ -303,10 +303,10 @@ class _Asked:
 
 
 def _tried(what_if: Sequence[Place | Change | Tried]) -> tuple[list[Change], list[Tried]]:
-    """Return the changes that are to be tried, and what was tried before.
+    """Return the changes to estimate, and earlier results.
 
     Raises:
-        ConfigError: A place is neither a file of changes nor answers.
+        ConfigError: A file is neither a file of changes nor one of results.
     """
     changes = [each for each in what_if if isinstance(each, Change)]
     tried = [each for each in what_if if isinstance(each, Tried)]
@@ -325,12 +325,12 @@ def _tried(what_if: Sequence[Place | Change | Tried]) -> tuple[list[Change], lis
 
 
 def _part(tell: Progress, begin: float, end: float) -> Callable[[float, str], None]:
-    """Return a progress that fills a part of another."""
+    """Return a progress function that covers a part of another."""
     return lambda fraction, text: tell(begin + (end - begin) * min(fraction, 1.0), text)
 
 
 def _with_order(sequences: list[TaskSequence], planned: OrderPlan | None) -> list[TaskSequence]:
-    """Return the sequences and the order found, unless it is one of them: it is estimated, and changed, as they are."""
+    """Return the sequences with the order found, unless it is one of them."""
     if planned is None or any(each.places == planned.places and each.operator is None for each in sequences):
         return sequences
     names = {each.name for each in sequences}

@@ -16,7 +16,7 @@ from cyclekit.text.results import Result
 
 @dataclass(frozen=True, repr=False)
 class SimulatedLogs(Result):
-    """Logs of a simulated cell, the truth in `logs`/truth; as a frame one row per file, its size in bytes."""
+    """Logs of a simulated cell, with the ground truth in `logs`/truth; as a frame one row per file, size in bytes."""
 
     logs: Path
     scene: str
@@ -41,20 +41,20 @@ def simulate_logs(
     settings: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> SimulatedLogs:
-    """Simulate a cell and log it in vendor formats; same seed, same bytes.
+    """Simulate a cell and log it in vendor formats; the same seed gives the same bytes.
 
     Args:
-        scene: Which cell: box-picking, pick-and-package, laser-zones, scanner-visits; scanner-fields, light-curtain;
+        scene: The cell: box-picking, pick-and-package, laser-zones, scanner-visits; scanner-fields, light-curtain;
             shared-fixture, handover, fed-line.
         out: Folder for the logs.
         executions: Number of executions.
-        seed: Of all random draws.
+        seed: Seed of all random draws.
         settings: Fields of `cyclekit_sim.SimulationOptions`, such as `delta_m` (tracker noise) or `robot_rate_hz`;
             `causes`: True for all causes of lost time other than the operator; `rule` may be the path of a rule file.
         progress: Called with the fraction done and a text.
 
     Raises:
-        MissingExtra: What the simulator needs is not installed.
+        MissingExtra: A package of the simulator is not installed.
         CyclekitError: The simulator refuses the settings, or the logs cannot be written.
         OutputError: The folder holds something other than a simulation.
     """

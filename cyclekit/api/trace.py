@@ -1,4 +1,4 @@
-"""`trace_sample`: the lines of the logs that a sample was made of."""
+"""`trace_sample`: the log lines from which a sample was made."""
 
 from __future__ import annotations
 

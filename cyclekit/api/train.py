@@ -36,13 +36,13 @@ def train_model(
     engine: Engine = LOCAL,
     progress: Progress | None = None,
 ) -> TrainedModel | UnseenOperator:
-    """Learn from a dataset when the robot slows down.
+    """Train a model of when the robot slows down.
 
     Args:
         dataset: A dataset with speed scaling, logged or inferred, and positions of robot and operator. If no log shows
             people, the model is one of an unseen operator: it gives estimates, but knows no positions of people.
-        spec: What to train; None: `ModelSpec.of()`.
-        rules: For problem `now`, also search the simplest rule that explains the commanded level; if there is one,
+        spec: Training settings; None: `ModelSpec.of()`.
+        rules: For problem `now`, also search the simplest rule that explains the commanded level; if one is found,
             estimates use it instead of the network.
         people: Information on people: positions, signals, or the kind that more executions have.
         out: Also write it there: a folder or a URL.
@@ -80,17 +80,17 @@ def train_seeds(
     """Train one model per seed and write each to `out`/seed-N; return them by that place, in the order of the seeds.
 
     Args:
-        dataset: As of `train_model`.
-        seeds: Of the splits and the trainings.
-        out: A folder or a URL for all of them.
-        spec: What to train; its seed is ignored.
-        rules: As of `train_model`.
-        people: As of `train_model`.
-        engine: Where, and how many at the same time.
+        dataset: As in `train_model`.
+        seeds: Seeds of the splits and the trainings.
+        out: A folder or a URL for all models.
+        spec: Training settings; its seed is ignored.
+        rules: As in `train_model`.
+        people: As in `train_model`.
+        engine: Where models are trained, and how many at the same time.
         progress: Called with the fraction done.
 
     Raises:
-        CyclekitError: As of `train_model`.
+        CyclekitError: As in `train_model`.
     """
     wanted = spec or ModelSpec.of()
     todo = [
@@ -104,12 +104,12 @@ def train_seeds(
 def train_task_times(
     dataset: Dataset | Place, *, out: Place | None = None, seed: int = 0, progress: Progress | None = None
 ) -> TaskTimesModel:
-    """Learn from task lists how long tasks take during each other, and what each waits for.
+    """Train a model of task times: durations during other tasks, and what each task waits for.
 
     Args:
         dataset: A dataset of task lists of both agents; positions are not needed.
         out: Also write it there: a folder or a URL.
-        seed: Of the random draws.
+        seed: Seed of the random draws.
         progress: Called with the fraction done.
 
     Raises:
@@ -130,7 +130,7 @@ def _place(dataset: Dataset | Place) -> str:
 
 
 def _learns_unseen(each: Training) -> bool:
-    """Return whether no network is trained; of a dataset that cannot be opened the training itself will tell."""
+    """Return whether no network is trained; if the dataset cannot be opened, the training reports it."""
     try:
         return learns_unseen(Dataset.open(each.dataset), each.spec)
     except CyclekitError:
@@ -138,7 +138,7 @@ def _learns_unseen(each: Training) -> bool:
 
 
 def _put(todo: Sequence[Training], engine: Engine, progress: Progress | None) -> list[TrainedModel | UnseenOperator]:
-    """Train every model and put it in its place; all that can be refused is refused before the first."""
+    """Train every model and write it to its place; all refusals come before the first training."""
     for each in todo:
         check_output(each.out, "model", [each.dataset])
         check_model_output(each.out)

@@ -34,7 +34,7 @@ def what_if(
     other_cell: bool = False,
     progress: Progress | None = None,
 ) -> WhatIfAnswers:
-    """Estimate every sequence as it is and under every change. No safety proof.
+    """Estimate every sequence in the unchanged cell and under every change. No safety proof.
 
     Args:
         model: A model of problem `now` or of task times, its folder or its URL.
@@ -42,7 +42,7 @@ def what_if(
         sequences: Sequences, or the sequence file.
         changes: Changes, each applied separately, or the file of changes.
         out: Also write the result here, `.json`.
-        seed: As of `estimate_cycles`; so are `extrapolate`, `validate`, `check` and `other_cell`.
+        seed: As in `estimate_cycles`; so are `extrapolate`, `validate`, `check` and `other_cell`.
         extrapolate: Answer even if most of the cycle is outside logged positions.
         validate: Validate on logged executions; the bias corrects results of the learned safety function.
         check: An earlier validation.
@@ -53,8 +53,8 @@ def what_if(
         The answers. A change that cannot be answered from these logs is in `refused`, with the reason.
 
     Raises:
-        EstimateError: A sequence as it is, or none of the changes, can be answered.
-        ModelError: As of `estimate_cycles`.
+        EstimateError: A sequence cannot be estimated in the unchanged cell, or no change can be answered.
+        ModelError: As in `estimate_cycles`.
         UnknownName: A place does not exist.
     """
     file = path_of(out)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     Sheets = dict[str, Rows]
 
 _MOST_LOGS = 1000
-"""So many logs are named one by one."""
+"""Maximum number of logs listed one by one."""
 _SPLIT = ("expected_s", "nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
@@ -70,7 +70,7 @@ def sheets_of_plan(found: OrderPlan, dataset: Dataset, model: object) -> Sheets:
 
 
 def sheets_of_logs(dataset: Dataset) -> Sheets:
-    """Return the sheets of the logs alone: every execution, the tasks found, all times in seconds."""
+    """Return the sheets of the logs only: all executions and tasks, times in seconds."""
     return {
         "answer": _of_frame(dataset.executions),
         "tasks": _of_frame(dataset.every_task()),
@@ -84,7 +84,7 @@ def _of_frame(frame: pl.DataFrame) -> Rows:
 
 
 def _tasks(found: CycleEstimates, dataset: Dataset) -> Rows:
-    """Return one row per task of each sequence, in order; of a plan for both agents who does it, and when."""
+    """Return one row per task of each sequence, in order; for a plan of both agents, with agent and times."""
     if any(one.plan for one in found):
         names = ("agent", "task", "start_s", "end_s", "wait_s")
         rows = [[one.name, *(getattr(task, name) for name in names)] for one in found for task in one.plan]
@@ -98,7 +98,7 @@ def _tasks(found: CycleEstimates, dataset: Dataset) -> Rows:
 
 
 def _levels(dataset: Dataset, model: object) -> Rows:
-    """Return the levels with their share of the samples on a level; below, the rule of the model in words."""
+    """Return the levels with their share of the samples on a level, followed by the rule of the model in words."""
     rows: Rows = [["level", "share of samples"]]
     if dataset.levels:
         steps = dataset.samples(columns=["step"])["step"].drop_nulls()

@@ -72,7 +72,7 @@ def cost_of_safety_function(
         sequences: Sequences, or the sequence file.
         found: The rule from `read_safety_function` (`SafetyFunction.commanded`); default: it is read.
         separation: Also compare the thresholds with the protective separation distance computed from this.
-        seed: As of `estimate_cycles`; so are `extrapolate` and `other_cell`.
+        seed: As in `estimate_cycles`; so are `extrapolate` and `other_cell`.
         extrapolate: Answer even if most of the cycle is outside logged positions.
         other_cell: Accept a model of another cell.
         progress: Called with the fraction done and a text.
@@ -80,7 +80,7 @@ def cost_of_safety_function(
     Raises:
         ModelError: No rule explains the logs, or its distance is not known in an estimate.
         ConfigError: The separation distance does not fit the rule.
-        EstimateError: As of `estimate_cycles`.
+        EstimateError: As in `estimate_cycles`.
     """
     asked, logs = trained_of(model), Dataset.of(dataset)
     refuse_without_levels(asked, logs)

@@ -129,7 +129,7 @@ def plan(
     The arguments are described at `cyclekit.plan_order`. Orders that need a task never logged are left out.
 
     Raises:
-        ModelError: The model does not predict the present scaling; or as `estimate`.
+        ModelError: The model does not predict the present scaling; or as in `estimate`.
         UnknownName: A place does not exist.
         EstimateError: Every allowed order needs a task that was never logged, or there is no operator track.
     """

@@ -121,7 +121,7 @@ def greedy_order(scorer: Scorer) -> Order:
     """Return the order in which each next visit minimises the time so far relative to nominal time.
 
     Raises:
-        EstimateError: As `first_order`.
+        EstimateError: As in `first_order`.
     """
     nominal, unfinished = scorer.nominal_s, Scorer.of_unfinished(scorer)
 
@@ -137,7 +137,7 @@ def random_order(jobs: Jobs, rng: np.random.Generator) -> Order:
     """Return an allowed order; each next visit is drawn from the allowed ones.
 
     Raises:
-        EstimateError: As `first_order`.
+        EstimateError: As in `first_order`.
     """
 
     def drawn(_: Order, options: list[str]) -> Iterator[str]:

@@ -97,16 +97,16 @@ def what_if(
     other_cell: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> list[WhatIf]:
-    """Estimate every sequence without change and under every change.
+    """Estimate every sequence in the unchanged cell and under every change.
 
     The arguments are described at `cyclekit.what_if`. `refused` is called with each change that these logs cannot
     answer and the reason; the others are answered. Without it the error of the first such change is raised.
 
     Raises:
         UnknownName: A place does not exist; the message names the change.
-        ModelError: As `estimate`.
-        EstimateError: As `estimate` without change; or a change cannot be answered, such as an operator who cannot come
-            as often as requested.
+        ModelError: As in `estimate`.
+        EstimateError: As in `estimate`, for the unchanged cell; or a change cannot be answered, such as an operator who
+            cannot come as often as requested.
     """
     tell = progress or (lambda fraction, text: None)
     names = [sequence.name for sequence in sequences]

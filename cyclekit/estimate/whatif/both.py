@@ -28,7 +28,7 @@ def what_if_tasks(
     seed: int = 0,
     refused: Callable[[Change, EstimateError], None],
 ) -> list[WhatIf]:
-    """Estimate every plan without change and under every change.
+    """Estimate every plan in the unchanged cell and under every change.
 
     Args:
         model: Task times learned from task lists.
@@ -38,7 +38,7 @@ def what_if_tasks(
         refused: Called with each change that has no answer, and the reason.
 
     Raises:
-        EstimateError: A plan without change has no answer.
+        EstimateError: A plan in the unchanged cell has no answer.
     """
     before = _estimates(model, sequences, seed)
     answers = []

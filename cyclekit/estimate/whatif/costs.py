@@ -140,8 +140,8 @@ def costs_of(
 
     Raises:
         ConfigError: The separation distance does not fit the rule.
-        EstimateError: As `estimate`.
-        ModelError: As `estimate`.
+        EstimateError: As in `estimate`.
+        ModelError: As in `estimate`.
         UnknownName: A place does not exist.
     """
     if separation is not None:

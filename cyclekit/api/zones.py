@@ -36,7 +36,7 @@ def read_safety_function(
         model: A model of problem `now` with levels, its folder or its URL.
         dataset: Logs with positions and scaling.
         out: Also draw it here, `.svg`, `.png` or `.pdf`.
-        seed: Of the resampling for the intervals.
+        seed: Seed of the resampling for the intervals.
         other_cell: Accept a model of another cell.
 
     Raises:

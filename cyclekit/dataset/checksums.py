@@ -124,7 +124,7 @@ def reading(file: Path, again: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (pl.exceptions.PolarsError, OSError) as error:  # Arrow's own is a ValueError or an OSError
+    except (pl.exceptions.PolarsError, OSError) as error:  # Arrow raises a ValueError or an OSError
         raise unreadable(file, again, str(error).strip().partition("\n")[0]) from error
     except ValueError as error:
         if type(error).__module__ != "pyarrow.lib":

@@ -217,8 +217,8 @@ class Dataset:
             return schema.empty(schema.SAMPLES).select(wanted)
         self._files.check_memory(files, wanted, None if executions is None else self._rows_of(executions))
         if executions is None:
-            return self._files.collected(self._scan(files, wanted), "samples")  # many at a time
-        mine = pl.col("execution").is_in(list(executions))  # of a file, only what is wanted comes into memory
+            return self._files.collected(self._scan(files, wanted), "samples")  # reads many files at once
+        mine = pl.col("execution").is_in(list(executions))  # filtered per file, to save memory
         needed = list(dict.fromkeys(["execution", *wanted]))
         scans = [self._scan([file], needed).filter(mine).select(wanted) for file in files]
         return pl.concat([self._files.collected(scan, "samples") for scan in scans])

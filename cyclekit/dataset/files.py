@@ -144,7 +144,7 @@ class DatasetFiles:
             needed = rows * len(wanted) * _VALUE_BYTES
             if sum(file.stat().st_size for file in files) > _SMALL_BYTES:
                 from cyclekit.storage.parquet_layout import (
-                    unpacked_bytes,  # whoever reads a log needs no Arrow to begin
+                    unpacked_bytes,  # local: reading logs does not need Arrow
                 )
 
                 needed = max(needed, sum(unpacked_bytes(file, wanted) for file in files))
@@ -168,7 +168,7 @@ class DatasetFiles:
         near = pl.col("t_s").is_between(first_s, last_s)
         if self._size(name) < PARTLY_BYTES:
             return pl.scan_parquet(self.whole(name), glob=False).filter(near)
-        from cyclekit.storage.parquet_layout import spans  # whoever reads a log needs no Arrow to begin
+        from cyclekit.storage.parquet_layout import spans  # local: reading logs does not need Arrow
 
         file, wanted = self._with_footer(name), None if columns is None else {"t_s", *columns}
         with reading(file, self._path):

@@ -182,7 +182,7 @@ def _ends(file: Path) -> bytes:
     try:
         with file.open("rb") as handle:
             first = handle.read(_ENDS_BYTES)
-            if first.startswith(b"PK"):  # a workbook: its properties are packed
+            if first.startswith(b"PK"):  # a workbook: its properties are in a ZIP archive
                 with zipfile.ZipFile(handle) as packed:
                     return packed.open("docProps/core.xml").read(_ENDS_BYTES)
             handle.seek(max(len(first), file.stat().st_size - _ENDS_BYTES))

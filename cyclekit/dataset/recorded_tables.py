@@ -1,4 +1,4 @@
-"""Tables at the native rate of each recording: in files of its own, or in files shared by short recordings."""
+"""Tables at the native rate of each recording: in its own files, or in files shared by short recordings."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class RecordedTables:
 
     def times(self, recording: str, table: str) -> Iterator[pl.DataFrame]:
         """Yield the times (`t_s`) of one table in parts, as it may be larger than memory."""
-        from cyclekit.storage.parquet import StoredTable  # whoever reads a log needs no Arrow to begin
+        from cyclekit.storage.parquet import StoredTable  # local: reading logs does not need Arrow
 
         if (shared := self._shared(recording, table)) is not None:
             yield self._files.collected(shared.select("t_s"), _recorded(recording, table))

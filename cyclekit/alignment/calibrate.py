@@ -1,8 +1,8 @@
-"""Points touched by robot and tracker -> where the tracker stands, as the `frame` of its source in the cell file.
+"""Points touched by robot and tracker -> pose of the tracker, as the `frame` of its source in the cell file.
 
 Move the robot's tool to four or more places well apart, put the tracker's marker there, and write both positions into
 a table: `log_x_m, log_y_m, log_z_m, base_x_m, base_y_m, base_z_m` (or `…_mm`), one row per place, optionally with its
-name in `point`. The fit itself is the business of `frames`.
+name in `point`. The fit is in `frames`.
 """
 
 from __future__ import annotations
@@ -29,12 +29,13 @@ UNITS = {"m": 1.0, "mm": 0.001}
 
 @dataclass(frozen=True, repr=False)
 class Calibration(Result):
-    """A fitted frame and the points that it rests on.
+    """A fitted frame and its points.
 
     Attributes:
+        path: The file of the points.
         points: Name of each point, in order of the file.
-        fit: Frame, residual of each point and rms, metres.
-        up: Axis that points up in the tracker.
+        fit: Frame, residual of each point and rms, m.
+        up: Axis that points up in the tracker's frame.
     """
 
     path: Path
@@ -63,7 +64,7 @@ class Calibration(Result):
         }
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per point: how far it is off, metres."""
+        """Return one row per point with its residual, m."""
         return pl.DataFrame({"point": list(self.points), "residual_m": self.fit.residual_m.tolist()})
 
     def _said(self) -> list[str]:
@@ -72,16 +73,16 @@ class Calibration(Result):
 
 @one_thread()
 def calibrate(points: Path | str, *, up: Literal["y", "z"] = "z") -> Calibration:
-    """Fit where a tracker stands from points that robot and tracker both touched.
+    """Fit the pose of a tracker to points that robot and tracker both touched.
 
     Args:
-        points: CSV with a header: `log_x_m`, `log_y_m`, `log_z_m` in the tracker's own axes, `base_x_m`, `base_y_m`,
-            `base_z_m` in the robot base frame; `_mm` instead of `_m` says millimetres. Comma, semicolon or tab.
-        up: Axis that points up in the tracker ("y" for Motive as it comes).
+        points: CSV with a header: `log_x_m`, `log_y_m`, `log_z_m` in the tracker's axes, `base_x_m`, `base_y_m`,
+            `base_z_m` in the robot base frame; `_mm` instead of `_m` for millimetres. Comma, semicolon or tab.
+        up: Axis that points up in the tracker's frame ("y" by default in Motive).
 
     Raises:
         LogError: The file cannot be read; MissingColumns, DamagedLog: it is not such a table.
-        ConfigError: The points do not tell a frame: too few, on one line, in different units, mirrored.
+        ConfigError: The points do not determine a frame: too few, on one line, in different units, mirrored.
     """
     path = Path(points)
     table = _read(path)
@@ -92,7 +93,7 @@ def calibrate(points: Path | str, *, up: Literal["y", "z"] = "z") -> Calibration
 
 
 def frame_line(frame: Frame) -> str:
-    """Return a frame as it is written in cell.toml: metres to a tenth of a millimetre, angles exactly enough."""
+    """Return a frame as a line of cell.toml: position to 0.1 mm, yaw to 0.0001 deg or rotation to 8 decimals."""
     xyz = ", ".join(f"{value:.4f}" for value in frame.xyz_m)
     rotation = np.array(frame.rotation)
     if abs(rotation[2, 2] - 1) < 1e-9:

@@ -1,7 +1,7 @@
-"""One base frame: turn positions of a log's own frame into the robot base frame.
+"""One base frame: transform positions from a log's frame to the robot base frame.
 
-Trackers stand somewhere in the cell and some count y upwards. Where a tracker stands is said by the cell file, and can
-be fitted from points that robot and tracker both touched. Reading such points is the business of `calibrate`.
+The cell file gives the pose of a tracker, and its up axis if that is y. The pose can be fitted to points that robot and
+tracker both touched; `calibrate` reads such points.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats
 
 LEAST_SPREAD_M = 0.05
-"""Points that lie nearer to one line than this do not tell how the frame is turned about it."""
+"""Minimum spread of points off a line, m; with less, the rotation about that line is unknown."""
 MILLIMETRES = 1000.0
 SCALE_SLACK = 0.2
 
 
 @dataclass(frozen=True)
 class FrameFit:
-    """Where a tracker's frame stands, and how well the points agree.
+    """Pose of a tracker's frame, and the residuals of the points.
 
     Attributes:
-        frame: The rigid transform: p_base = rotation @ p + xyz_m, after turning up to z.
-        residual_m: Distance of each point from where the fit puts it, shape (N,).
-        rms_m: Their root mean square.
-        scale: Size of the base's figure over the tracker's; 1 but for noise where both are in metres.
-        warnings: What a person must know before trusting it.
+        frame: The rigid transform p_base = rotation @ p + xyz_m, after rotation of the up axis to z.
+        residual_m: Distance of each point from its fitted position, shape (N,), m.
+        rms_m: Root mean square of the residuals, m.
+        scale: Ratio of the points' spread in the base frame to that in the tracker's; 1 except for noise.
+        warnings: Doubts about the fit.
     """
 
     frame: Frame
@@ -43,7 +43,7 @@ class FrameFit:
 
 
 def stood_up(points_m: Floats, up: Literal["y", "z"]) -> Floats:
-    """Return points (N, 3) of a log whose `up` points upwards with z up: y up is turned by +90 deg about x."""
+    """Return points (N, 3) with z up; y up is rotated by +90 deg about x."""
     if up == "z":
         return points_m
     return np.column_stack([points_m[:, 0], -points_m[:, 2], points_m[:, 1]])
@@ -53,13 +53,13 @@ def to_base(points_m: Floats, frame: Frame | None, *, up: Literal["y", "z"] = "z
     """Return positions in the robot base frame.
 
     Args:
-        points_m: Positions in the log's frame, shape (N, 3), metres; NaN stays NaN.
-        frame: Where the log's frame stands; None leaves it where it is.
-        up: Axis that points up in the log. For "y" (OptiTrack's convention) the frame is first turned by +90 deg
+        points_m: Positions in the log's frame, shape (N, 3), m; NaN stays NaN.
+        frame: Pose of the log's frame; None: positions are only rotated to z up.
+        up: Axis that points up in the log. For "y" (OptiTrack's convention), positions are first rotated by +90 deg
             about x, so that (x, y, z) becomes (x, -z, y): right-handed and z up.
 
     Returns:
-        Positions, shape (N, 3), metres.
+        Positions, shape (N, 3), m.
 
     Raises:
         ShapeError: `points_m` is not (N, 3).
@@ -73,21 +73,21 @@ def to_base(points_m: Floats, frame: Frame | None, *, up: Literal["y", "z"] = "z
     rotation = np.asarray(frame.rotation)
     placed: Floats = turned @ rotation.T + np.asarray(frame.xyz_m)
     flat = np.isnan(turned[:, 2]) & np.isfinite(turned[:, :2]).all(axis=1)
-    if flat.any() and np.abs(rotation[:2, 2]).max() < 1e-6:  # a planar tracker's height is unknown, its floor is not
+    if flat.any() and np.abs(rotation[:2, 2]).max() < 1e-6:  # planar tracker: only the height is unknown
         placed[flat, :2] = turned[flat, :2] @ rotation[:2, :2].T + np.asarray(frame.xyz_m)[:2]
     return placed
 
 
 def fit_frame(log_m: Floats, base_m: Floats, *, up: Literal["y", "z"] = "z") -> FrameFit:
-    """Return where a log's frame stands, from points known in both, by least squares (Kabsch; Umeyama without scale).
+    """Return the pose of a log's frame from points known in both, by least squares (Kabsch; Umeyama without scale).
 
     Args:
-        log_m: The points in the log's frame, shape (N, 3), N >= 3, metres, in its own axes.
-        base_m: The same points in the robot base frame, shape (N, 3), metres.
+        log_m: The points in the log's frame and axes, shape (N, 3), N >= 3, m.
+        base_m: The same points in the robot base frame, shape (N, 3), m.
         up: Axis that points up in the log, as for `to_base`.
 
     Raises:
-        ShapeError: The arrays are not (N, 3) alike, or hold values that are not finite.
+        ShapeError: The arrays are not both (N, 3), or contain values that are not finite.
         ConfigError: Fewer than three points, all near one line, in different units, or mirrored.
     """
     if log_m.shape != base_m.shape or log_m.ndim != 2 or log_m.shape[1] != 3:
@@ -115,11 +115,11 @@ def fit_frame(log_m: Floats, base_m: Floats, *, up: Literal["y", "z"] = "z") -> 
 
 
 def _turn(a: Floats, b: Floats) -> tuple[Floats, bool]:
-    """Return the rotation that turns centred points `a` best onto `b`, and whether a mirror would do better."""
+    """Return the best rotation of centred points `a` onto `b`, and whether a reflection would fit better."""
     u, weight, vt = np.linalg.svd(a.T @ b)
     mirrored = bool(np.linalg.det(vt.T @ u.T) < 0)
     turn = vt.T @ np.diag([1.0, 1.0, -1.0 if mirrored else 1.0]) @ u.T
-    return turn, mirrored and bool(weight[2] > 0.01 * weight[0])  # points in one plane look alike in a mirror
+    return turn, mirrored and bool(weight[2] > 0.01 * weight[0])  # planar points equal their reflection
 
 
 def _scale(a: Floats, b: Floats) -> float:
@@ -172,7 +172,7 @@ def _doubts(a: Floats, b: Floats, rms: float, scale: float) -> list[str]:
 
 
 def _without_worst(a: Floats, b: Floats) -> tuple[float, int]:
-    """Return the least rms that leaving out one point gives, and which one that is; four must be left."""
+    """Return the minimum rms with one point left out, m, and the index of that point; at least four remain."""
     best, worst = np.inf, 0
     for row in range(len(a) if 5 <= len(a) <= 100 else 0):
         here, there = np.delete(a, row, axis=0), np.delete(b, row, axis=0)

@@ -1,10 +1,9 @@
-"""Which clock each recording of a session gets: what the cell file asks for, found in the logs themselves.
+"""Choose and fit the clock of each recording of a session.
 
-The robot log's clock is the session's. Another log is placed by what its source says (an offset, events, the motion of
-a body on the flange, another source's clock, a start by the calendar), else by epoch time, else by the stamps of both
-clocks that a log may hold (its device's and its host's), else by a common start. What was asked for and cannot be done
-is refused, never replaced by something weaker. How a line is fitted to events, motion or stamps is the business of
-`clock`.
+The robot log's clock is that of the session. Another log is aligned as its source in the cell file requests (an offset,
+events, the motion of a body on the flange, another source's clock, a start date), else by epoch time, else by the
+stamps of device and host in the log, else by a common start. A request that cannot be met is an error, never replaced
+by a weaker method. The fits are in `clocks`.
 """
 
 from __future__ import annotations
@@ -45,17 +44,17 @@ if TYPE_CHECKING:
 
 
 FINE_S = 0.01
-"""Clocks are aligned by robot rows this far apart: twice as dense as the grid that speeds are compared on."""
+"""Period of the robot rows used to align clocks, s: half the period of the grid for speeds."""
 _TCP = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
 START_GOOD_TO_S = 1.0
 LATE_S = 0.1
-"""Stamps that typically lie further above the line under their delays are worth a word."""
+"""Median delay of stamps above which a note is added, s."""
 RESTART_S = 1.0
-"""A device's clock that steps back by more than this began anew."""
+"""Minimum backward step of a device's clock for a restart, s."""
 
 
 class _Tables(NamedTuple):
-    """The ways to the tables of the recordings."""
+    """Access to the tables of the recordings."""
 
     read: Read
     stored: Stored
@@ -69,18 +68,18 @@ def place_in_time(
     *,
     coarse_step_s: float | None = None,
 ) -> tuple[RecordingCard, ...]:
-    """Return the recordings of a session with their clocks: method, offset, rate and how good it is.
+    """Return the recordings of a session with their clocks: method, offset, rate and quality.
 
     Args:
-        session: Its first log is the clock's master.
-        sources: What the cell file says about each recording, by id.
+        session: The session; the clock of its first log is the session's.
+        sources: Section of the cell file for each recording, by id.
         read: Returns a native table of a recording (id, table), None if it has none.
-        stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
-        coarse_step_s: Where nothing says how a clock relates, align on the operator being near while the robot slows,
-            in whole steps of this length; None = do not.
+        stored: Opens the robot table of a recording (id, columns) for reading by row ranges.
+        coarse_step_s: If nothing else relates a clock, align it on the operator being near while the robot slows, in
+            whole steps of this length; None = do not.
 
     Raises:
-        ConfigError: What the cell file asks for cannot be followed with these logs.
+        ConfigError: The logs do not allow the method that the cell file requests.
     """
     master, tables = session.logs[0], _Tables(read, stored)
     borrowers: dict[str, LogCard] = {}
@@ -102,7 +101,7 @@ def place_in_time(
 
 
 def _placed(log: LogCard, session: str, fit: ClockFit) -> RecordingCard:
-    """Return a log with its place in time."""
+    """Return a log with its clock in the session."""
     read = {name: getattr(log, name) for name in LogCard.__struct_fields__ if name != "clock"}
     return RecordingCard(**read, session=session, clock=fit.card(log.clock.kind))
 
@@ -153,7 +152,7 @@ def _warned(code: str, fit: ClockFit) -> ClockFit:
 def _lender(
     log: LogCard, session: LogGroup, sources: Mapping[str, Source | None], borrowers: Collection[str]
 ) -> LogCard:
-    """Return the log of the session whose clock a log shares: the cell file names it, and it may borrow too."""
+    """Return the log of the session whose clock a log shares by the cell file; chains are followed."""
     lender, passed = log, [log.id]
     while lender.id in borrowers:
         source = sources[lender.id]
@@ -184,9 +183,9 @@ def _by_motion(log: LogCard, robot: LogCard, source: Source, tables: _Tables) ->
 
 
 def _thinned(table: StoredTable) -> tuple[Vector, Points]:
-    """Return times, shape (N,), and the other columns, (N, K), of rows about FINE_S apart, in order of time.
+    """Return times (N,) and the other columns (N, K) of rows about FINE_S apart, in order of time.
 
-    A controller logs more of them than a clock needs, and hours of all would not fit into memory.
+    A clock fit needs fewer rows than a controller logs, and hours of all rows would not fit into memory.
     """
     parts = []
     for begin, end in table.groups:
@@ -201,11 +200,11 @@ def _thinned(table: StoredTable) -> tuple[Vector, Points]:
 
 
 def flange(people: pl.DataFrame, source: Source) -> pl.DataFrame:
-    """Return the rows of the body that rides on the robot's flange.
+    """Return the rows of the body on the robot's flange.
 
     Raises:
         UnknownName: The log has no body of that name.
-        ConfigError: It holds several, and none is named.
+        ConfigError: The log has several bodies, and none is named.
     """
     names = people["person"].unique().to_list()
     if source.sees_as is not None:
@@ -219,7 +218,7 @@ def flange(people: pl.DataFrame, source: Source) -> pl.DataFrame:
 
 
 def _by_stamps(entry: LogCard, master: LogCard, read: Read) -> ClockFit | None:
-    """Return the line from one log's clock to the other's over the epoch time of their hosts; None without one."""
+    """Return the line from one log's clock to the other's through the epoch time of their hosts; None without one."""
     mine, theirs = _to_epoch(entry, read), _to_epoch(master, read)
     if mine is None or theirs is None:
         return None
@@ -239,7 +238,7 @@ def _by_stamps(entry: LogCard, master: LogCard, read: Read) -> ClockFit | None:
 
 
 def _to_epoch(entry: LogCard, read: Read) -> ClockFit | None:
-    """Return the line from a log's clock to epoch time; None if nothing tells it."""
+    """Return the line from a log's clock to epoch time; None if unknown."""
     if entry.clock.kind == "epoch":
         return ClockFit("epoch", 0.0)
     stamps = _stamps_of(entry, read)
@@ -253,12 +252,12 @@ def _stamps_of(entry: LogCard, read: Read) -> pl.DataFrame | None:
 
 
 def _is_lost(entry: LogCard, read: Read) -> bool:
-    """Tell whether a log has stamps and nothing follows them."""
+    """Return whether a log has stamps to which no line fits."""
     return entry.clock.kind != "epoch" and "stamps" in entry.tables and _to_epoch(entry, read) is None
 
 
 def _restarts(stamps: pl.DataFrame | None) -> bool:
-    """Tell whether the device's clock began anew: then each part of the log has a line of its own."""
+    """Return whether the device's clock restarted: each part of the log would need a separate line."""
     return stamps is not None and bool((np.diff(stamps["t_s"].to_numpy()) < -RESTART_S).any())
 
 
@@ -294,7 +293,7 @@ def _coarse(entry: LogCard, master: LogCard, source: Source | None, tables: _Tab
 
 
 def _nearest_rows(t_s: Vector, values: Points, at: Vector, step_s: float) -> Points:
-    """Return the last row before each time, NaN where it is older than a sample and a quarter second."""
+    """Return the last row at or before each time; NaN if it is older than `step_s` + 0.25 s."""
     row = np.clip(np.searchsorted(t_s, at + 1e-9, side="right") - 1, 0, len(t_s) - 1)
     out = np.array(values[row], float)
     out[np.abs(at - t_s[row]) > step_s + 0.25] = np.nan

@@ -1,5 +1,5 @@
-"""One function mapped over many items: in this process, in worker processes, or on a Ray cluster.
+"""Map a function over items: in this process, in worker processes, or on a Ray cluster.
 
-In: a function, items, an engine's name. Out: the results in order; a lost worker's items are done again. Linear algebra
-on one thread is here, too. Every room above may use it.
+In: a function, items, an engine's name. Out: the results; items of a lost worker are repeated. Also limits linear
+algebra to one thread. Used by every folder above.
 """

@@ -1,13 +1,13 @@
-"""Where work is done: on the cores of this machine, or on a Ray cluster. This room owns the choice.
+"""Engines that run work on the cores of this machine, or on a Ray cluster.
 
-Everything else maps a function over items and knows nothing of processes:
+Other modules map a function over items, without knowledge of processes:
 
     for done in engine.map(read_one, logs):
         entry = done.get()
 
-`local` needs nothing installed; with one job the work is done here, without a process of its own. `ray` hands the same
-function to Ray core tasks. In both a task that loses its worker (killed, out of memory) is done again, so that a task
-must not mind being done twice: it gets paths, puts its output in place by a rename, and returns a row, never a table.
+`local` needs no extra package; with one job, the work is done in this process. `ray` passes the same function to Ray
+core tasks. In both, a task that loses its worker (killed, out of memory) is repeated, so tasks must be idempotent: a
+task gets paths, puts its output in place by a rename, and returns a row, never a table.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Engine:
-    """Which engine does the work, and how much of it.
+    """Engine and number of parallel jobs.
 
     Attributes:
         name: `local` or `ray`.
-        jobs: Items worked on at the same time. None = one (`local`), all that the cluster has cores for (`ray`).
-        address: Of a running Ray cluster, `auto` (found on this machine) or `HOST:PORT`; None = one of its own on this
-            machine, which ends with the process.
+        jobs: Maximum number of items at the same time. None = one (`local`), one per core of the cluster (`ray`).
+        address: Address of a running Ray cluster, `auto` (found on this machine) or `HOST:PORT`; None = a new one on
+            this machine, which ends with the process.
     """
 
     name: Literal["local", "ray"] = "local"
@@ -41,10 +41,10 @@ class Engine:
     address: str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself.
+        """Check the settings.
 
         Raises:
-            ConfigError: No such engine, no job, or an address for an engine that has none.
+            ConfigError: Unknown engine, less than one job, or an address for an engine other than Ray.
         """
         if self.name not in ("local", "ray") or (self.jobs is not None and self.jobs < 1):
             raise ConfigError(
@@ -54,13 +54,13 @@ class Engine:
             raise ConfigError(f"a Ray address {self.address!r} for engine {self.name!r}", cure="Add --engine ray.")
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Done[Item, Result]]:
-        """Do `function` for every item; yield what comes of each as it comes, in any order.
+        """Call `function` for every item; yield the results as they complete, in any order.
 
-        Where workers do it, function, items and results cross to them by pickle, and each worker has one thread. What
-        a function raises is in its `Done`; the others go on.
+        With workers, function, items and results are pickled, and each worker has one thread. An exception is returned
+        in its `Done`; the other items continue.
 
         Raises:
-            MissingExtra: Engine `ray`, and Ray is not installed.
+            MissingExtra: The engine is `ray`, but Ray is not installed.
             EngineError: The cluster cannot be reached.
         """
         if self.name == "ray":
@@ -74,19 +74,19 @@ class Engine:
         return map_in_processes(function, items, min(self.jobs or 1, len(items)))
 
     def stays_here(self, count: int) -> bool:
-        """Return whether `map` works on `count` items in this process, where they can share memory."""
+        """Return whether `map` processes `count` items in this process, where they can share memory."""
         return self.name == "local" and ((self.jobs or 1) == 1 or count <= 1)
 
 
 LOCAL = Engine()
-"""One item after the other, in this process."""
+"""Engine that processes one item after the other in this process."""
 
 
 def _map_here(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Done[Item, Result]]:
     for number, item in enumerate(items):
         try:
             result = function(item)
-        except Exception as error:  # of any kind: the items after it are still done
+        except Exception as error:  # any error: the items after it are still processed
             yield Done(number, item, None, error)
         else:
             yield Done(number, item, result)

@@ -1,8 +1,8 @@
-"""Linear algebra on one thread, so that a number does not depend on how many cores are free.
+"""Linear algebra on one thread, so that results do not depend on the number of cores.
 
-A product of matrices that two threads share is summed in another order than by one, and differs in its last digits.
-What is stored or compared is computed inside of this, so that it is the same in this process, in a worker process and
-on a cluster, on one core and on many. In products as small as ours more threads only wait for each other besides.
+A matrix product on two threads is summed in another order than on one, and differs in the last digits. Results that are
+stored or compared are computed on one thread, so that they are equal in this process, in a worker process and on a
+cluster. Besides, for small products, more threads are slower.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 _lock = threading.Lock()
 _inside: list[Any] = []
-"""One entry per caller that is inside; the first of them holds the limits, of the process and not of a thread."""
+"""One entry per active caller; the limits of the first one apply to the whole process."""
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Keep numpy's linear algebra to one thread, for the whole process, until the last caller has left.
+    """Limit numpy's linear algebra to one thread, for the whole process, until the last caller has left.
 
-    Also a decorator: `@one_thread()`. scikit-learn brings libraries of its own: limit those where it is imported.
+    Also a decorator: `@one_thread()`. scikit-learn has separate libraries: limit those where it is imported.
     """
     with _lock:
         _inside.append(_inside[0] if _inside else _libraries().limit(limits=1, user_api="blas"))
@@ -42,5 +42,5 @@ def one_thread() -> Iterator[None]:
 
 @cache
 def _libraries() -> ThreadpoolController:
-    """Return the libraries that are loaded; looking for them takes milliseconds."""
+    """Return the controller of the loaded libraries; cached, as the search takes milliseconds."""
     return ThreadpoolController()

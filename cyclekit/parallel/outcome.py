@@ -1,4 +1,4 @@
-"""What a worker does with its items, in processes and in a cluster alike: one after the other, each failure caught."""
+"""Processing of items in a worker, for processes and cluster: one after the other, with errors caught."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 RETRIES = 3
-"""Number of retries of a task whose worker died; after that the task itself is taken as the cause."""
+"""Maximum number of retries of a task whose worker died; after that, the task is considered the cause."""
 _MOST_AT_ONCE = 32
-"""Items handed to a worker at once where there are thousands."""
+"""Maximum number of items sent to a worker at once."""
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,10 @@ class Done(Generic[Item, Result]):
     """The result of one item.
 
     Attributes:
-        number: Which item, from 0.
+        number: Index of the item.
         item: The item.
-        result: What the function returned; None where it failed.
-        error: What it raised, or `EngineError` where its worker died again and again; None where it did not fail.
+        result: Return value of the function; None after an error.
+        error: Exception of the function, or `EngineError` if its worker died repeatedly; None without an error.
     """
 
     number: int
@@ -40,34 +40,34 @@ class Done(Generic[Item, Result]):
     error: Exception | None = None
 
     def get(self) -> Result:
-        """Return the result, or raise what the function raised."""
+        """Return the result, or raise the error."""
         if self.error is not None:
             raise self.error
         return self.result  # type: ignore[return-value]  # None only where the function returns that
 
 
 def in_chunks(count: int, workers: int) -> list[list[int]]:
-    """Return the numbers 0 ... count - 1 in the parts that are handed to a worker at once.
+    """Return the indices 0 ... count - 1 in the chunks that are sent to a worker at once.
 
-    One at a time, unless there are so many that the messages would cost more than an even load saves.
+    Chunks have one item, unless there are many items and messages would cost more than an even load saves.
     """
     size = max(1, min(_MOST_AT_ONCE, count // (8 * workers)))
     return [list(range(first, min(first + size, count))) for first in range(0, count, size)]
 
 
 ONE_THREAD = dict.fromkeys(("POLARS_MAX_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Environment of a worker: as many workers as cores are busy already. Read when the libraries are imported."""
+"""Environment of a worker: one thread, as there is one worker per core. Read when the libraries are imported."""
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores available to this process."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def packed(function: Callable[[Any], Any]) -> bytes:
-    """Return a function as bytes, so that its module is imported when the worker is ready for that and not before."""
+    """Return a pickled function, so that its module is imported only when the worker is set up."""
     return pickle.dumps(function)
 
 
@@ -80,13 +80,13 @@ def outcomes(function: bytes, items: Sequence[Any]) -> Iterator[Outcome]:
             yield None, _portable(error)
 
 
-@lru_cache(maxsize=1)  # what it is bound to may be large, and items are many
+@lru_cache(maxsize=1)  # its arguments may be large, and there are many items
 def _unpacked(function: bytes) -> Callable[[Any], Any]:
     return pickle.loads(function)  # type: ignore[no-any-return]
 
 
 def _portable(error: Exception) -> Exception:
-    """Return the error as it can cross to another process, with the lines where it arose as a note."""
+    """Return the error in a form that can be pickled, with its traceback as a note."""
     told = "".join(traceback.format_exception(error))
     try:
         again = pickle.loads(pickle.dumps(error))

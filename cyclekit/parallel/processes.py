@@ -1,7 +1,7 @@
-"""Engine `local`: worker processes of this machine, each at the end of a pipe.
+"""Engine `local`: worker processes on this machine, each with a pipe.
 
-A pool of the standard library gives everything up when one of its processes dies. Here each worker has a pipe of its
-own, so that it is known which item a dead one was at: a new worker takes its place, and the item is done again.
+A process pool of the standard library fails as a whole when one of its processes dies. With one pipe per worker, the
+item of a dead worker is known: a new worker replaces it, and the item is repeated.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def map_in_processes(function: Callable[[Any], Any], items: Sequence[Any], jobs: int) -> Iterator[Done[Any, Any]]:
-    """Do `Engine.map` with `jobs` processes."""
+    """Run `Engine.map` in `jobs` processes."""
     waiting = deque(in_chunks(len(items), jobs))
     lost = Counter[int]()
     crew = [_Worker(packed(function)) for _ in range(min(jobs, len(waiting)))]
@@ -42,7 +42,7 @@ def map_in_processes(function: Callable[[Any], Any], items: Sequence[Any], jobs:
                 waiting.extendleft([[other] for other in reversed(rest)])
                 lost[number] += 1
                 if lost[number] <= RETRIES:
-                    waiting.append([number])  # after the others: what kills workers shall not hold them up
+                    waiting.append([number])  # last: an item that kills workers must not delay the others
                 else:
                     yield Done(number, items[number], None, gave_up(worker.process.exitcode))
     finally:
@@ -51,14 +51,14 @@ def map_in_processes(function: Callable[[Any], Any], items: Sequence[Any], jobs:
 
 
 def gave_up(exit_code: int | None) -> EngineError:
-    """Return the error of an item whose worker died each time."""
+    """Return the error for an item whose worker died each time."""
     how = "" if exit_code is None else f" (exit code {exit_code})"
     seen = f"the process that worked on it died {RETRIES + 1} times{how}"
     return EngineError(seen, cure="Often memory is too small: give fewer --jobs, or use a machine with more memory.")
 
 
 class _Worker:
-    """A process, the pipe to it, and the numbers of the items that it has been given and not answered."""
+    """A process, the pipe to it, and the indices of its unfinished items."""
 
     def __init__(self, function: bytes) -> None:
         context = get_context("spawn")
@@ -71,18 +71,18 @@ class _Worker:
 
     def give(self, numbers: list[int], items: Sequence[Any]) -> None:
         self.at.extend(numbers)
-        with suppress(OSError):  # it has died; its end of the pipe will say so
+        with suppress(OSError):  # the worker died; `outcome` will detect that
             self.pipe.send([items[number] for number in numbers])
 
     def outcome(self) -> tuple[Any, Exception | None] | None:
-        """Return result and error of its next item, None if it has died."""
+        """Return result and error of the next item; None if the worker has died."""
         try:
             return self.pipe.recv()  # type: ignore[no-any-return]
         except (EOFError, OSError):
             return None
 
     def end(self) -> list[int]:
-        """Terminate the process; return the items that it had not done."""
+        """Terminate the process; return the indices of its unfinished items."""
         self.process.terminate()
         self.process.join()
         self.pipe.close()
@@ -96,8 +96,8 @@ def _with_news(workers: Sequence[_Worker]) -> list[_Worker]:
 
 
 def _serve(pipe: Connection, function: bytes) -> None:
-    """Work on the items that come through the pipe, one by one, until its other end closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interruption is the parent's to handle, who ends its workers
+    """Process the items from the pipe, one by one, until its other end closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles interrupts and ends its workers
     _end_with_parent()
     with suppress(EOFError, OSError):
         while True:
@@ -106,7 +106,7 @@ def _serve(pipe: Connection, function: bytes) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent was killed; else it would go on writing files."""
+    """End this worker when its parent is killed; else it would continue to write files."""
     parent = parent_process()
 
     def watch() -> None:
@@ -119,7 +119,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Let a process that is started meanwhile find ONE_THREAD in its environment."""
+    """Set ONE_THREAD in the environment of processes started within the block."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     try:

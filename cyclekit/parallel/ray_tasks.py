@@ -1,7 +1,7 @@
-"""Engine `ray`: the same map as Ray core tasks, on a cluster that runs or on one of our own on this machine.
+"""Engine `ray`: the same map as Ray core tasks, on a running cluster or on a new one on this machine.
 
-Ray is imported here only, when it is asked for. It does again what a lost worker or machine was at (`max_retries`).
-Workers import cyclekit themselves: it must be installed on every machine, in the same version.
+Ray is imported only in this module, and only when requested. It repeats the tasks of a lost worker or machine
+(`max_retries`). Workers import cyclekit: it must be installed on every machine, in the same version.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
 _AHEAD = 2
-"""Parts that wait at the cluster for each that is worked on: a worker that is done finds the next one there."""
+"""Number of chunks at the cluster per worker, so that a worker finds the next one when it is done."""
 _REACH_S = 5.0
 
 
 def map_in_cluster(
     function: Callable[[Any], Any], items: Sequence[Any], jobs: int | None, address: str | None
 ) -> Iterator[Done[Any, Any]]:
-    """Do `Engine.map` on Ray."""
+    """Run `Engine.map` on Ray."""
     if not items:
         return
     ray = _connected(jobs, address)
     workers = min(jobs or len(items), max(int(ray.cluster_resources().get("CPU", 1)), 1))
-    ahead = workers if jobs else _AHEAD * workers  # jobs is a promise not to use more
+    ahead = workers if jobs else _AHEAD * workers  # never more than `jobs`
     task = ray.remote(num_cpus=1, max_retries=RETRIES)(_task)
     told = (packed(function), str(Path.cwd()), version("cyclekit"))
     waiting = in_chunks(len(items), workers)[::-1]
@@ -49,7 +49,7 @@ def map_in_cluster(
             try:
                 done = ray.get(ready[0])
             except ray.exceptions.RayError as error:
-                if len(chunk) > 1:  # one of them kills workers: each for itself
+                if len(chunk) > 1:  # one of them kills workers: retry each alone
                     waiting.extend([number] for number in chunk)
                 else:
                     yield Done(chunk[0], items[chunk[0]], None, _gave_up(error))
@@ -62,10 +62,10 @@ def map_in_cluster(
 
 
 def _task(items: Sequence[Any], function: bytes, folder: str, theirs: str) -> list[tuple[Any, Exception | None]]:
-    """Do a part of the items in a worker of Ray; its environment is set before anything heavy is imported."""
+    """Process a chunk of items in a Ray worker, after setting its environment and before heavy imports."""
     os.environ.update(ONE_THREAD)
     with suppress(OSError):
-        os.chdir(folder)  # where there is none of that name, paths must be absolute
+        os.chdir(folder)  # on a machine without it, paths must be absolute
     if (ours := version("cyclekit")) != theirs:
         seen = f"{socket.gethostname()} has cyclekit {ours} installed, but the work was sent by cyclekit {theirs}"
         return [(None, EngineError(seen, cure="Install the same version on every machine.")) for _ in items]
@@ -73,9 +73,9 @@ def _task(items: Sequence[Any], function: bytes, folder: str, theirs: str) -> li
 
 
 def _connected(jobs: int | None, address: str | None) -> Any:  # noqa: ANN401 - the module of a package without types
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # before the import: it reports usage otherwise
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # before the import, else Ray reports usage
     if address not in (None, "auto") and (Path.home() / ".ray" / "auth_token").is_file():
-        os.environ.setdefault("RAY_AUTH_MODE", "token")  # as Ray does for a cluster that it has found by itself
+        os.environ.setdefault("RAY_AUTH_MODE", "token")  # as Ray does for a cluster found automatically
     need("--engine ray", "ray")
     import ray
 
@@ -94,7 +94,7 @@ def _connected(jobs: int | None, address: str | None) -> Any:  # noqa: ANN401 - 
 
 
 def _reach(address: str) -> None:
-    """Refuse at once an address without a listener; Ray itself would try for minutes.
+    """Raise an error at once for an address without a listener; Ray would retry for minutes.
 
     Raises:
         EngineError: No process listens there, or it is not an address.

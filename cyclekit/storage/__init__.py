@@ -1,5 +1,5 @@
-"""Files: written whole or not at all, read by parts, checked, locked, fetched from and published to a URL.
+"""Files: written atomically, read in parts, checked, locked, fetched from and published to a URL.
 
-In: tables, bytes, paths. Out: Parquet and other files in place. What the tables mean is nobody's business here; every
-room above may use it.
+In: tables, bytes, paths. Out: Parquet and other files in place. Independent of the meaning of the tables. Used by every
+folder above.
 """

@@ -1,7 +1,7 @@
-"""The next item of an iterator made while the present one is worked on.
+"""Prefetch the next item of an iterator in another thread while the current one is processed.
 
-Reading a log and judging its rows would take turns on one core otherwise: polars and numpy let other threads run while
-they compute. One thread and one item ahead; what the items mean is the caller's business.
+Reading and processing of a log then run in parallel, as polars and numpy release the GIL while they compute. One
+thread, one item ahead.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ Item = TypeVar("Item")
 
 
 def ahead(items: Iterator[Item]) -> Iterator[Item]:
-    """Yield the items, in order, each made in another thread while the one before it is worked on.
+    """Yield the items in order, each prefetched in another thread while the one before it is processed.
 
-    All of the iterator runs in that one thread, its end included, since a file or a database may be bound to the
-    thread that opened it. Its errors are raised here, at the item that they came in place of.
+    The whole iterator, including its end, runs in that thread, since a file or database may be bound to the thread that
+    opened it. Its errors are raised to the caller at the item they replace.
     """
     with ThreadPoolExecutor(1, "ahead") as worker:
         try:
-            coming = worker.submit(next, items, worker)  # the worker itself stands for "no more items"
+            coming = worker.submit(next, items, worker)  # the worker is the sentinel for "no more items"
             while (item := coming.result()) is not worker:
                 coming = worker.submit(next, items, worker)
                 yield item  # type: ignore[misc]

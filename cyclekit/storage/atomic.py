@@ -1,8 +1,8 @@
-"""Files and folders replaced as a whole: a reader finds the old one or the new one. One writer at a time.
+"""Atomic replacement of files and folders: a reader finds the old one or the new one. One writer at a time.
 
-A file or folder is built under a temporary name beside its place, flushed to the disk, and renamed. The next writer
-removes what a killed process left there. The lock is the operating system's: it ends with the process that holds it,
-so a lock file left behind never blocks.
+A file or folder is built under a temporary name next to its path, flushed to disk, and renamed. The next writer removes
+leftovers of killed processes. The lock is the operating system's: it ends with the process that holds it, so a lock
+file left behind never blocks.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 COMPLETE = ".complete"
 _MANY = 64
 _CURE = "Check the folder, its permissions and the free space."
-_NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)  # as file systems say it
+_NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)  # without locks
 
 
 def write_parquet(frame: pl.DataFrame, file: Path) -> None:
-    """Write one table (zstd), to be put in place by `built` or `replaced`; same frame, same bytes.
+    """Write one table (zstd) to a temporary path of `built` or `replaced`; equal frames give equal bytes.
 
     Raises:
         OSError: The file cannot be written.
@@ -42,15 +42,15 @@ def write_parquet(frame: pl.DataFrame, file: Path) -> None:
     with file.open("wb") as handle:
         try:
             frame.write_parquet(handle, compression="zstd", statistics=True)
-        except pl.exceptions.PolarsError as error:  # polars says "out of specification" of a full disk
+        except pl.exceptions.PolarsError as error:  # polars reports "out of specification" for a full disk
             raise OSError(errno.EIO, str(error).rpartition("error: ")[2], str(file)) from error
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a text file: the old one or the new one.
+    """Write a text file atomically.
 
     Raises:
-        CyclekitError: The target cannot be written; the old file is untouched.
+        CyclekitError: The target cannot be written; the old file is unchanged.
     """
     with replaced(file) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as handle:
         handle.write(text)
@@ -58,14 +58,13 @@ def write_text(file: Path, text: str) -> None:
 
 @contextmanager
 def replaced(file: Path) -> Iterator[Path]:
-    """Yield the temporary name of a file to write; on success it replaces `file`, on failure nothing changes.
+    """Yield a temporary path to write; on success the file replaces `file`, on failure nothing changes.
 
-    A link stays a link: the file that it points to is replaced. A device or a pipe is written into when the content
-    is complete.
+    A link remains: its target is replaced. To a device or pipe, the content is written when it is complete.
 
     Raises:
         BusyPlace: Another process has been writing there for several seconds.
-        CyclekitError: The place cannot be written.
+        CyclekitError: The path cannot be written.
     """
     if file.exists() and not file.is_file():
         with _told(file), _poured(file) as temporary:
@@ -87,7 +86,7 @@ def replaced(file: Path) -> Iterator[Path]:
 
 @contextmanager
 def _poured(place: Path) -> Iterator[Path]:
-    """Yield the temporary name of a file whose content is then written to a device or a pipe."""
+    """Yield a temporary path to write; its content is then copied to a device or pipe."""
     if place.is_dir():
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(place))
     with tempfile.TemporaryDirectory(prefix="cyclekit-", ignore_cleanup_errors=True) as folder:
@@ -99,14 +98,14 @@ def _poured(place: Path) -> Iterator[Path]:
 
 @contextmanager
 def staged(path: Path) -> Iterator[Path]:
-    """Yield an empty folder to build in; on success it replaces `path`, on failure nothing changes.
+    """Yield an empty folder to fill; on success it replaces `path`, on failure nothing changes.
 
     Raises:
         BusyPlace: Another process is writing there.
-        CyclekitError: The place cannot be written.
+        CyclekitError: The path cannot be written.
     """
     with _told(path):
-        path = resolved(path)  # "." has no name to put a folder beside, and a link shall stay a link
+        path = resolved(path)  # "." has no name for temporary folders, and links must be kept
     with _told(path), locked(path):
         settle(path)
         with built(path) as staging:
@@ -115,10 +114,10 @@ def staged(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def built(path: Path) -> Iterator[Path]:
-    """Do as `staged`; the caller holds the lock of `path` and has called `settle`.
+    """Same as `staged`, for a caller that holds the lock of `path` and has called `settle`.
 
-    The swap is two renames. A process killed between them leaves the new folder complete under its staging name, and
-    `recover` finishes the work at the next opening.
+    The swap takes two renames. A process killed between them leaves the complete new folder under its temporary name,
+    and `recover` finishes the swap when the folder is next opened.
     """
     with _told(path):
         path = resolved(path)
@@ -142,7 +141,7 @@ def built(path: Path) -> Iterator[Path]:
 def recover(path: Path) -> None:
     """Finish the swap of a process killed between its two renames.
 
-    For readers: it acts only if nothing is at `path`, so it cannot disturb a running writer.
+    For readers: it acts only if `path` does not exist, so it cannot disturb a running writer.
     """
     with suppress(OSError):
         path = resolved(path)
@@ -154,7 +153,7 @@ def recover(path: Path) -> None:
 
 
 def settle(path: Path) -> None:
-    """Finish or undo what killed processes left beside `path`; the caller holds its lock."""
+    """Finish or undo the swaps of killed processes at `path`; the caller holds its lock."""
     path = resolved(path)
     recover(path)
     for folder in _leftovers(path, "new"):
@@ -167,17 +166,17 @@ def settle(path: Path) -> None:
 
 
 def unsettled(path: Path) -> bool:
-    """Tell whether a killed process (or one at work) has left something beside `path`."""
+    """Return whether temporary folders of a killed or running process exist next to `path`."""
     return any(_leftovers(resolved(path), kind) for kind in ("new", "old"))
 
 
 @contextmanager
 def locked(path: Path, *, wait_s: float = 0.2) -> Iterator[None]:
-    """Be the only writer at `path`, across processes; without a lock on file systems that have none.
+    """Lock `path` against other writers, across processes; no lock on file systems that do not support it.
 
     Raises:
-        BusyPlace: Another process is writing there, and still is after `wait_s`.
-        CyclekitError: Nothing can be written beside `path`.
+        BusyPlace: Another process still holds the lock after `wait_s`.
+        CyclekitError: The folder of `path` cannot be written.
     """
     with _told(path):
         path = resolved(path)
@@ -194,14 +193,14 @@ def locked(path: Path, *, wait_s: float = 0.2) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(OSError):  # while it is ours; on Windows it is open, and the end of the lock removes it
+        with suppress(OSError):  # before release; on Windows, the open file is removed by the release
             lock.unlink(missing_ok=True)
         held.release()
 
 
 def _sign(descriptor: int) -> None:
-    """Write the process number into the lock file, after the first byte: Windows locks that one against reading."""
-    with suppress(OSError):  # a full disk: who we are stays unsaid
+    """Write the process ID into the lock file after the first byte, which Windows locks against reading."""
+    with suppress(OSError):  # full disk: no process ID
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f" {os.getpid()}\n".encode())
 
@@ -225,7 +224,7 @@ def _told(path: Path) -> Iterator[None]:
 
 
 def beside(path: Path, kind: str) -> Path:
-    """Return the hidden name of a kind of file of ours beside `path`; a long name is shortened."""
+    """Return the path of a hidden file of ours next to `path`; a long name is shortened."""
     return path.with_name(f".{shortened(path.name)}.{kind}")
 
 
@@ -256,7 +255,7 @@ def _to_disk(file: Path) -> None:
 
 
 def _all_to_disk(folder: Path) -> None:
-    """Flush every file of a folder to the disk; many files by one call of the system."""
+    """Flush every file of a folder to disk; many files by one system call."""
     files = [file for file in folder.rglob("*") if file.is_file()]
     if len(files) > _MANY and hasattr(os, "sync"):
         os.sync()
@@ -268,7 +267,7 @@ def _all_to_disk(folder: Path) -> None:
 def _swap(staging: Path, path: Path) -> None:
     if path.exists():
         path.rename(_beside(path, "old"))
-    with suppress(FileNotFoundError):  # a reader has seen the gap and closed it
+    with suppress(FileNotFoundError):  # a reader has already finished the swap
         _patiently(lambda: staging.rename(path))
     with suppress(OSError):
         (path / COMPLETE).unlink(missing_ok=True)
@@ -276,7 +275,7 @@ def _swap(staging: Path, path: Path) -> None:
 
 
 def _undo(staging: Path, path: Path) -> None:
-    """Bring the old folder back where the new one could not be renamed."""
+    """Restore the old folder if the new one could not be renamed."""
     if not path.exists():
         for old in _leftovers(path, "old"):
             old.rename(path)
@@ -284,7 +283,7 @@ def _undo(staging: Path, path: Path) -> None:
 
 
 def _patiently(do: Callable[[], object]) -> None:
-    """Try again for a second: on Windows a file that anybody has open cannot be renamed."""
+    """Retry for a second: on Windows, an open file cannot be renamed."""
     for _ in range(20 if os.name == "nt" else 0):
         try:
             do()

@@ -1,6 +1,6 @@
-"""Calls made in another thread, in their order, one waiting at most: writing what was computed while more is.
+"""Run calls in order in a background thread, one at a time: results are written while more are computed.
 
-What the calls do is the caller's business; an error of one is raised at the next, or at the end.
+An error of a call is raised at the next call, or at the end.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ if TYPE_CHECKING:
 
 
 class Behind:
-    """Makes calls in a thread of its own, which is begun with the first of them. End it, or the thread stays."""
+    """Runs calls in a background thread, started with the first call and stopped by `end`."""
 
     def __init__(self) -> None:
         self._worker: ThreadPoolExecutor | None = None
         self._call: Future[None] | None = None
 
     def begin(self, call: Callable[[], None]) -> None:
-        """Begin a call as soon as the one before it is made; what that one raised is raised here."""
+        """Start a call as soon as the one before is done; raise the error of that one, if any."""
         self._wait()
         self._worker = self._worker or ThreadPoolExecutor(1, "behind")
         self._call = self._worker.submit(call)
 
     def end(self) -> None:
-        """Wait for the last call; what it raised is raised here."""
+        """Wait for the last call, raise its error, if any, and stop the thread."""
         try:
             self._wait()
         finally:

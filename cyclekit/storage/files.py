@@ -1,7 +1,7 @@
-"""What a file must be like before it is opened or made: one that ends, with a name that fits.
+"""Checks before a file is opened or created: a regular file, with a name that is not too long.
 
-A named pipe waits for a writer for ever, and a device may never end. Whoever reads a file that it did not write itself,
-or makes a name out of other names, asks here first.
+A named pipe waits for a writer forever, and a device may never end. Use these checks before reading a file from
+elsewhere, or composing a file name.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ _KINDS = {
     stat.S_IFDIR: "a folder",
 }
 _MOST_BYTES = 200
-"""File systems take names of 255 bytes; this leaves room for what is put before and behind one."""
+"""Maximum length of a name, bytes: file systems allow 255; the rest is for prefix and suffix."""
 
 
 def regular(file: Path) -> Path:
     """Return `file` if it is a regular file, or a link to one.
 
     Raises:
-        OSError: It is something else, or is not there.
+        OSError: It is something else, or does not exist.
     """
     mode = file.stat().st_mode
     if not stat.S_ISREG(mode):
@@ -36,16 +36,16 @@ def regular(file: Path) -> Path:
 
 
 def resolved(path: Path) -> Path:
-    """Return a path without links; a link that leads back to itself stays, and fails where it is opened.
+    """Return a path with links resolved; a link to itself stays, and fails when it is opened.
 
     Raises:
-        OSError: The path is relative, and the working directory is gone.
+        OSError: The path is relative, and the working directory does not exist.
     """
     return Path(os.path.realpath(path))
 
 
 def shortened(name: str) -> str:
-    """Return a name with room for an ending; a long one is cut, and a hash of the whole keeps it apart from others."""
+    """Return a name with room for a suffix; a long one is cut and made unique by a hash of the whole."""
     whole = name.encode("utf-8", "surrogateescape")
     if len(whole) <= _MOST_BYTES:
         return name

@@ -1,7 +1,7 @@
-"""A name that comes from data becomes a path here and nowhere else: it stays in its folder, or it is refused.
+"""Convert names from data to paths: a path stays in its folder, or the name is rejected.
 
-Data are a dataset's card, a manifest at a URL, a fleet file, a template: whoever wrote them may be anybody. What is
-refused is refused on every system, so that what one machine writes another one can read.
+Names come from a dataset's card, a manifest at a URL, a fleet file or a template, and must not be trusted. The rules
+are the same on every operating system, so that files written on one can be read on another.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from cyclekit.errors import OutsideFolder
 from cyclekit.storage.files import shortened
 
 MAX_BYTES = 255
-"""The longest name that the usual file systems take, in UTF-8."""
+"""Maximum length of a file name in the usual file systems, bytes in UTF-8."""
 _DRIVE = re.compile(r"[A-Za-z]:")
 _DEVICE = re.compile(r"(con|prn|aux|nul|con(in|out)\$|(com|lpt)[0-9¹²³])[ ]*(\..*)?", re.IGNORECASE | re.DOTALL)
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
@@ -22,15 +22,15 @@ _UNFIT = re.compile('[\x00-\x1f\x7f-\x9f\ud800-\udfff/\\\\:*?"<>|]')
 
 
 def inside(folder: Path, *names: str, follow_links: bool = False) -> Path:
-    """Return the path of something in a folder, by the names of the folders on the way and its own.
+    """Return the path of a file or folder within a folder.
 
     Args:
-        folder: Where it must lie.
-        names: One name of a file or folder each; what has `/` in it must be split first.
-        follow_links: Links in the folder may lead out of it; else that is refused.
+        folder: The folder.
+        names: Names of the subfolders and of the file; a name with `/` must be split first.
+        follow_links: Whether links in the folder may lead out of it.
 
     Raises:
-        OutsideFolder: A name would lead out of the folder, or is none that every system takes for a file.
+        OutsideFolder: The path would be outside the folder, or a name is not valid on every system.
     """
     for name in names:
         if (why := unfit(name)) is not None:
@@ -42,7 +42,7 @@ def inside(folder: Path, *names: str, follow_links: bool = False) -> Path:
 
 
 def unfit(name: object) -> str | None:
-    """Return why something cannot be the name of one file or folder on every system; None if it can."""
+    """Return why something is not a valid name of a file or folder on every system; None if it is valid."""
     if not isinstance(name, str) or not name:
         return "it is not a name"
     if name in (".", ".."):
@@ -61,16 +61,16 @@ def unfit(name: object) -> str | None:
 
 
 def fitting(name: str) -> str:
-    """Return a name as alike as can be that every system takes for one file or folder, with room for an ending.
+    """Return a similar name that is valid on every system, with room for a suffix.
 
-    Two names may become one; who needs them apart numbers them.
+    Two names may become equal; the caller must number them if needed.
     """
     plain = _UNFIT.sub("_", name).rstrip(". ")
     return shortened(f"_{plain}" if not plain or _DEVICE.fullmatch(plain) else plain)
 
 
 def leads_out(path: Path, folder: Path) -> bool:
-    """Tell whether a path below a folder is elsewhere, since a link on the way leads out."""
+    """Return whether a path below a folder leads out of it through a link."""
     below = [path, *path.parents]
     if not any(step.is_symlink() for step in below[: len(path.parts) - len(folder.parts)]):
         return False
@@ -78,7 +78,7 @@ def leads_out(path: Path, folder: Path) -> bool:
 
 
 def real(path: Path) -> str:
-    """Return a path without its links; of links in circles, and of one that cannot be read, the path itself."""
+    """Return a path with links resolved; circular or unreadable links are kept."""
     try:
         return os.path.realpath(path)
     except OSError:

@@ -1,6 +1,6 @@
-"""How much memory this process may use: that of the machine, or less under a limit.
+"""Memory available to this process: that of the machine, or less under a limit.
 
-A library that gets no memory aborts the process, without a message. Who is about to read much asks here first.
+A library that gets no memory aborts the process without a message. Check here before reading large data.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _CGROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_
 
 
 def free_bytes() -> int | None:
-    """Return how many bytes this process may take at most, beyond those it has under a limit; None = unknown."""
+    """Return the maximum memory of this process, bytes (under a `ulimit`, what is left of it); None = unknown."""
     known = [count for count in (_machine(), _container(), _process()) if count is not None]
     return min(known, default=None)
 
@@ -49,13 +49,13 @@ def _windows() -> int | None:
 
 def _container() -> int | None:
     for file in _CGROUPS:
-        with suppress(OSError, ValueError):  # there is none, or it says "max"
+        with suppress(OSError, ValueError):  # no file, or "max"
             return int(Path(file).read_text(encoding="ascii"))
     return None
 
 
 def _process() -> int | None:
-    """Return what is left of the limit on the addresses of this process (`ulimit -v`)."""
+    """Return what is left of the limit on the address space of this process (`ulimit -v`), bytes."""
     try:
         import resource
     except ImportError:  # Windows

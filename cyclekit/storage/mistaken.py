@@ -1,4 +1,4 @@
-"""What was given in place of something else, so that an error can say what it is and which command takes it."""
+"""Identify a path given by mistake, so that an error can name what it is and the command that takes it."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _TAKEN_BY = {
     "visit": ("a jobs file", ("plan", "MODEL", "{}", "--dataset", "DATASET")),
     "cell": ("a fleet file", ("fleet", "all", "{}")),
 }
-"""Of TOML files by a key that only they have: what they are, and the words of the command that takes one."""
+"""Kinds of TOML files by a key unique to each: description, and arguments of the command that takes one."""
 _CELL_FILE = ("a cell file", ("ingest", "LOGS", "--cell", "{}", "--out", "DATASET"))
 
 
 def what_is(path: Path) -> str:
-    """Return what is at a path, in a few words: `a dataset`, `a model`, `a folder of models`, `a TOML file`, ..."""
+    """Return a short description of what is at a path: `a dataset`, `a model`, `a folder of models`, ..."""
     if path.is_dir():
         if (path / DATASET_CARD).is_file():
             return "a dataset"
@@ -35,7 +35,7 @@ def what_is(path: Path) -> str:
 
 
 def toml_for(path: Path) -> tuple[str, str]:
-    """Return what a TOML file is, and the command that takes it."""
+    """Return the kind of a TOML file, and the command that takes it."""
     try:
         keys = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError):

@@ -1,7 +1,7 @@
-"""Output places, checked before the work: one that cannot be written is refused in the first second.
+"""Check output paths before the work starts, so that a path that cannot be written fails at once.
 
-The place is tried by a file without a name, since rights that are written down (of a network drive, of a read-only file
-system, on Windows) do not say whether one can write. What is written there later is `atomic`'s business.
+The check writes an unnamed temporary file, since permission bits are not reliable (network drives, read-only file
+systems, Windows). The output is later written by `atomic`.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ _CURE = "Check the folder, its permissions and the free space."
 
 
 def check_writable(place: Path | str | None, kinds: Sequence[str] = ()) -> None:
-    """Refuse a file that could not be written, whether it exists already or not; its folders are made later.
+    """Raise an error if a file cannot be written, whether or not it exists; its folders are created later.
 
     Args:
-        place: The file, by path or URL; None = no file is wanted.
-        kinds: Endings that are known, as `.json`; empty where any will do.
+        place: The file, as path or URL; None = no file.
+        kinds: Supported suffixes, such as `.json`; empty = any.
 
     Raises:
-        ConfigError: The ending is none of `kinds`.
-        CyclekitError: A folder has that name, or no file can be written there.
+        ConfigError: The suffix is not one of `kinds`.
+        CyclekitError: It is a folder, or cannot be written.
     """
     if place is None:
         return
@@ -44,13 +44,13 @@ def check_writable(place: Path | str | None, kinds: Sequence[str] = ()) -> None:
 
 
 def check_writable_folder(place: Path | str) -> None:
-    """Refuse a folder that could not be made, or in whose place nothing could be put.
+    """Raise an error if a folder cannot be created or replaced.
 
     Args:
-        place: The folder, by path or URL.
+        place: The folder, as path or URL.
 
     Raises:
-        CyclekitError: A file has that name, or nothing can be written there.
+        CyclekitError: It is a file, or cannot be written.
     """
     if is_url(place):
         reach(str(place))
@@ -62,7 +62,7 @@ def check_writable_folder(place: Path | str) -> None:
 
 
 def _try(path: Path, folder: Path) -> None:
-    """Write into the nearest folder that exists."""
+    """Write a temporary file into the nearest existing folder."""
     try:
         while not folder.exists():
             folder = folder.parent

@@ -1,7 +1,7 @@
-"""Parquet tables larger than memory: written piece by piece, read by ranges of rows.
+"""Parquet tables larger than memory: written in pieces, read by row ranges.
 
-Same rows in the same pieces, same bytes. Row groups are large enough for a fast scan and small enough that a few of
-them need little memory. Numbers are split by bytes before they are compressed: measured values become a fifth smaller.
+Equal rows in equal pieces give equal bytes. Row groups are large enough for a fast scan and small enough that a few of
+them need little memory. Numbers are byte-split before compression, which makes measured values a fifth smaller.
 """
 
 from __future__ import annotations
@@ -38,13 +38,14 @@ if TYPE_CHECKING:
 
 GROUP_ROWS = 1 << 17
 SMALL_ROWS = 1 << 14
-"""A table of fewer rows is packed by LZ4: zstd makes it a tenth smaller, and takes almost twice as long to begin."""
+"""Maximum number of rows of a table compressed by LZ4: zstd makes it a tenth smaller, but takes almost twice as long to
+start."""
 _KEPT_BYTES = 64 << 20
-_LEVEL = 1  # of zstd: higher ones take longer and save a hundredth
+_LEVEL = 1  # of zstd: higher levels take longer and save one percent
 
 
 class TableWriter:
-    """One Parquet file in the making. Close it, or leave its `with` block, to have it whole.
+    """Writer of one Parquet file; it is complete after `close` or the end of the `with` block.
 
     Raises:
         OSError: The file cannot be written.
@@ -56,10 +57,10 @@ class TableWriter:
         """Open a table.
 
         Args:
-            file: Where; its folder is made.
-            columns: Its columns, in order.
-            more: Columns of numbers behind them (joints).
-            made_by: Who has written it, if the file shall say so.
+            file: Path of the file; its folder is created.
+            columns: Columns in order.
+            more: Columns of numbers after them (joints).
+            made_by: Name of the writer for the metadata, if any.
         """
         self.rows, self._pieces, self._waiting, self._path = 0, list[pl.DataFrame](), 0, file
         self._types = tuple((name, column.dtype) for name, column in columns.items())
@@ -77,11 +78,11 @@ class TableWriter:
             self._put(GROUP_ROWS)
 
     def held(self) -> pl.DataFrame | None:
-        """Return all rows if none is on the disk yet, else None; the table must not be used afterwards."""
+        """Return all rows if none has been written to disk, else None; do not use the writer afterwards."""
         return None if self._file is not None or not self._pieces else pl.concat(self._pieces)
 
     def close(self) -> None:
-        """Write the remaining rows; `atomic.built` flushes the file to the disk."""
+        """Write the remaining rows; `atomic.built` flushes the file to disk."""
         try:
             if self._waiting or self.rows == 0:
                 self._put(self._waiting)
@@ -96,11 +97,11 @@ class TableWriter:
             raise
 
     def abandon(self) -> None:
-        """Stop: the file holds a part of the table, and the caller removes it."""
+        """Stop writing; the file is incomplete, and the caller removes it."""
         with suppress(Exception):
             self._behind.end()
         if self._parquet is not None:
-            self._parquet.is_open = False  # else it would try to end the file when it is collected, and complain
+            self._parquet.is_open = False  # else its finalizer would try to complete the file, and fail
         if self._file is not None:
             with suppress(Exception):
                 self._file.close()
@@ -143,7 +144,7 @@ class TableWriter:
 
 @lru_cache(maxsize=64)  # thousands of small tables have the same columns
 def _layout_of(types: tuple[tuple[str, pl.DataType], ...]) -> tuple[pl.DataFrame, pa.Schema, list[str], list[str]]:
-    """Return a table without rows, its layout in Arrow's words, and its columns of texts and of numbers."""
+    """Return an empty table, its Arrow schema, its text columns and its columns of floating-point numbers."""
     empty = pl.DataFrame(schema=dict(types))
     texts = [name for name, dtype in types if dtype == pl.String()]
     numbers = [name for name, dtype in types if dtype.is_float()]
@@ -156,22 +157,22 @@ def _as_os_error(file: Path) -> Iterator[None]:
         yield
     except pa.ArrowException as error:
         raise OSError(errno.EIO, str(error), str(file)) from error
-    except OSError as error:  # from below Parquet, without saying which file
+    except OSError as error:  # from the file system, without file name
         raise OSError(error.errno, error.strerror or str(error), str(file)) from error
 
 
 class StoredTable:
-    """Numbers of a Parquet table, read by ranges of rows; what was read last stays decoded, up to a limit (`keeping`).
+    """Numbers of a Parquet table, read by row ranges, with a cache of decoded columns (`keeping`).
 
-    The file is open only while it is read: a dataset has thousands of them.
+    The file is open only during reads, as a dataset has thousands of files.
     """
 
     def __init__(self, file: Path, columns: Sequence[str]) -> None:
-        """Look at the table.
+        """Read the layout of the table.
 
         Args:
             file: The Parquet file.
-            columns: The columns that will be read, all of numbers.
+            columns: Columns to read, all of numbers.
         """
         self._file, self._key, self._columns = file, str(file), list(columns)
         self.columns = tuple(columns)
@@ -186,15 +187,15 @@ class StoredTable:
         return layout_of(self._key, self._written_ns, self._bytes)
 
     def unknown(self, column: str) -> int:
-        """Return how many rows have no value in a column, as far as the file says; all where it does not."""
+        """Return the number of rows without a value in a column, by the file's statistics; without these, all rows."""
         return self._unknown[column]
 
     def read(self, first: int, end: int) -> Columns:
-        """Return rows `first` to before `end` as float64, NaN = unknown; not to be written to."""
+        """Return rows `first` to `end` - 1 as float64, NaN = unknown; read-only."""
         return self._rows(self._columns, first, end)
 
     def column(self, name: str, first: int, end: int) -> NDArray[np.float64]:
-        """Return one column of these rows, shape (N,), as `read` does, without decoding the others."""
+        """Return one column of rows `first` to `end` - 1, shape (N,), as `read`, without decoding the others."""
         return self._rows([name], first, end)[name]
 
     def _rows(self, names: Sequence[str], first: int, end: int) -> Columns:
@@ -210,7 +211,7 @@ class StoredTable:
         return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in names}
 
     def whole_numbers(self, number: int, column: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return a column of whole numbers in one row group, all 64 bits of them, and which are known, shape (N,)."""
+        """Return an integer column of one row group with all 64 bits, and the mask of known values, shape (N,) each."""
         if (whole := self._layout().whole) is not None:
             begin, end = self.groups[number]
             values = whole[column][begin:end]
@@ -220,7 +221,7 @@ class StoredTable:
         return values.fill_null(0).cast(pl.Int64).to_numpy(), values.is_not_null().to_numpy()
 
     def states(self, column: str) -> Iterator[tuple[int, int, str]]:
-        """Yield each stretch of equal texts in a column of texts: first and last row, and the text; not the unknown."""
+        """Yield first row, last row and text of each sequence of equal texts in a text column, without unknown ones."""
         pending: tuple[int, int, str] | None = None
         for first, last, text in self._stretches(column):
             if pending is not None and pending[2] == text:
@@ -233,14 +234,14 @@ class StoredTable:
             yield pending
 
     def _stretches(self, column: str) -> Iterator[tuple[int, int, str | None]]:
-        """Yield stretches of equal texts in one piece of the table each; the texts themselves are looked at once."""
+        """Yield sequences of equal texts within each chunk of the table, from the codes of dictionary encoding."""
         begin = 0
         with pq.ParquetFile(self._file, read_dictionary=[column]) as parquet:
             for number in range(len(self.groups)):
                 table = parquet.read_row_group(number, columns=[column], use_threads=False)
                 for piece in table.column(0).chunks:
                     texts = piece.dictionary.to_pylist()
-                    coded = pl.DataFrame(pa.table({"code": piece.indices}))  # a Series of it would import half of Arrow
+                    coded = pl.DataFrame(pa.table({"code": piece.indices}))  # a Series would import half of Arrow
                     index = coded["code"].fill_null(-1).to_numpy()
                     edges = np.flatnonzero(np.diff(index, prepend=index[:1] - 1, append=index[-1:] - 1))
                     for first, end in pairwise(edges.tolist()):
@@ -256,7 +257,7 @@ class StoredTable:
             if frame is None:
                 with pq.ParquetFile(self._file) as parquet:
                     table = parquet.read_row_group(number, columns=missing)
-                frame = pl.DataFrame(table)  # not by Arrow's own way to numpy, which imports pandas where there is one
+                frame = pl.DataFrame(table)  # not Arrow's conversion to numpy, which imports pandas if installed
             else:
                 frame = frame[slice(*self.groups[number])]
             for name in missing:
@@ -266,7 +267,7 @@ class StoredTable:
 
 
 class _Decoded:
-    """The columns that were decoded last, up to a limit; the latest stays however large it is. For several threads."""
+    """Thread-safe cache of decoded columns, up to a limit; the latest column stays, however large."""
 
     def __init__(self) -> None:
         self.most_bytes = _KEPT_BYTES
@@ -310,7 +311,7 @@ def keeping(most_bytes: int) -> Iterator[None]:
 
 
 def forget() -> None:
-    """Free the memory of the columns that were decoded last."""
+    """Clear the cache of decoded columns and free its memory."""
     _decoded.clear()
     pa.default_memory_pool().release_unused()  # else Arrow keeps it for the next table
 
@@ -320,15 +321,15 @@ def _floats(values: pl.Series) -> NDArray[np.float64]:
 
 
 def parts_of(file: Path) -> Iterator[pl.DataFrame]:
-    """Yield a Parquet table in parts; it may be larger than memory."""
+    """Yield a Parquet table by row groups; it may be larger than memory."""
     with pq.ParquetFile(file) as parquet:
         for group in range(parquet.metadata.num_row_groups):
             yield pl.DataFrame(parquet.read_row_group(group, use_threads=False))
 
 
 def shift_times(file: Path, shift_s: float, *, column: str = "t_s") -> None:
-    """Subtract `shift_s` from the times in a column of a table that is not in place yet."""
-    import pyarrow.compute as pc  # takes as long to import as a small log to read, and is needed only here
+    """Subtract `shift_s` from the times in a column of a table that is still under construction."""
+    import pyarrow.compute as pc  # its import takes as long as reading a small log
 
     table = pq.ParquetFile(file)
     about, part = table.schema_arrow, file.with_suffix(".part")

@@ -1,4 +1,4 @@
-"""What a Parquet table is made of, looked up once for all that read it; a small table is read along with it."""
+"""Layout of a Parquet table, cached for all readers; the numbers of a small table are read along with it."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 SMALL_BYTES, SMALL_VALUES = 1 << 19, 1 << 20
-"""Of a small table: a minute of robot rows has some 400,000 and 150,000. A file of few bytes may hold many values."""
+"""Maximum size and number of values of a small table: a minute of robot rows has some 400,000 bytes and 150,000 values.
+A file of few bytes may contain many values."""
 
 
 class TableLayout(NamedTuple):
-    """What a table is made of.
+    """Layout of a table.
 
     Attributes:
-        names: Of its columns.
-        starts: Where its row groups begin, and where the last one ends.
-        unknown: The unknown rows of each column.
-        whole: All columns of numbers of a small table: to read a part of it takes as long.
+        names: Names of its columns.
+        starts: First row of each row group, and the end of the last one.
+        unknown: Number of unknown rows of each column.
+        whole: All columns of numbers of a small table, as reading a part takes as long; else None.
     """
 
     names: tuple[str, ...]
@@ -34,13 +35,13 @@ class TableLayout(NamedTuple):
     whole: pl.DataFrame | None
 
 
-@lru_cache(maxsize=8)  # whoever opens a table opens it several times, for other columns
+@lru_cache(maxsize=8)  # a table is usually opened several times, for other columns
 def layout_of(file: str, _written_ns: int, size: int) -> TableLayout:
-    """Return what a table is made of.
+    """Return the layout of a table.
 
     Args:
         file: The Parquet file.
-        _written_ns: When it was last written: a file that was written again is another one.
+        _written_ns: Time of its last change, as part of the cache key.
         size: Its size in bytes.
     """
     with pq.ParquetFile(file) as parquet:
@@ -71,16 +72,16 @@ def spans(
     least: float = -inf,
     most: float = inf,
 ) -> list[tuple[int, int]]:
-    """Return the bytes, from and to before, in which columns lie, in the row groups that may hold some values.
+    """Return the byte ranges (begin, end) of columns in the row groups that may contain values of a range.
 
-    Where the file does not say what a row group holds, it may.
+    A row group without statistics may contain them.
 
     Args:
         file: The Parquet file.
-        columns: Which; None = all.
-        column: The column of the values; None = all row groups.
-        least: The smallest of the values.
-        most: The largest.
+        columns: Columns whose bytes are returned; None = all.
+        column: Column of the values; None = all row groups.
+        least: Minimum of the range.
+        most: Maximum of the range.
     """
     with pq.ParquetFile(file) as parquet:
         about, place = parquet.metadata, -1 if column is None else parquet.schema_arrow.get_field_index(column)
@@ -98,7 +99,7 @@ def spans(
 
 
 def unpacked_bytes(file: Path, columns: Container[str]) -> int:
-    """Return how many bytes some columns of a Parquet table have when they are unpacked, not yet decoded."""
+    """Return the size of some columns of a Parquet table after decompression, before decoding, in bytes."""
     with pq.ParquetFile(file) as parquet:
         about = parquet.metadata
     groups = (about.row_group(number) for number in range(about.num_row_groups))

@@ -1,7 +1,7 @@
-"""Folders for the time of one piece of work, removed by the next run where the process was killed.
+"""Temporary folders; those of killed processes are removed by the next run.
 
-A folder is `cyclekit-XXXX` in the system's temporary folder. Its process holds the lock of a file in it. The lock is
-the operating system's and ends with the process, however that dies. So what can be locked has been left behind.
+A folder is `cyclekit-XXXX` in the system's temporary folder. Its process holds the operating system's lock on a file in
+it, which ends with the process. So a folder that can be locked is a leftover.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 _PREFIX, _LOCK = "cyclekit-", ".lock"
 _YOUNG_S, _OLD_S = 10.0, 86400.0
-"""Until when a folder may be about to be locked, and from when on one without a lock file is left from a version that
-made none."""
+"""Age, s, up to which a folder may not be locked yet; age above which a folder without a lock file is a leftover."""
 
 
 class Scratch:
@@ -33,19 +32,19 @@ class Scratch:
         path: The folder.
 
     Raises:
-        OSError: It cannot be made.
+        OSError: It cannot be created.
     """
 
     def __init__(self) -> None:
-        """Make the folder, and remove those of processes that are gone."""
+        """Create the folder, and remove those of dead processes."""
         sweep()
         self.path = Path(tempfile.mkdtemp(prefix=_PREFIX))
         self._lock = (self.path / _LOCK).open("w", encoding="utf-8")
-        with suppress(OSError):  # a file system without locks: nobody else can lock it either
+        with suppress(OSError):  # a file system without locks: no other process can lock it either
             lock_descriptor(self._lock.fileno(), blocking=False)
 
     def remove(self) -> None:
-        """Remove the folder with all that is in it."""
+        """Remove the folder with its content."""
         self._lock.close()  # first: Windows removes no open file
         shutil.rmtree(self.path, ignore_errors=True)
 
@@ -59,7 +58,7 @@ class Scratch:
 
 
 def sweep() -> None:
-    """Remove the folders of processes that are gone."""
+    """Remove the folders of dead processes."""
     with suppress(OSError):
         for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
             with suppress(OSError):
@@ -79,5 +78,5 @@ def _is_left(folder: Path) -> bool:
     with (folder / _LOCK).open("r+", encoding="utf-8") as handle:
         try:
             return lock_descriptor(handle.fileno(), blocking=False)
-        except OSError:  # a file system without locks: nothing can be said
+        except OSError:  # a file system without locks: unknown
             return False

@@ -1,4 +1,4 @@
-"""Tables as an Excel workbook, put in place as a whole; no text in it is ever a formula, a link or a number."""
+"""Write tables as an Excel workbook, atomically; texts never become formulas, links or numbers."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
     Rows = Sequence[Sequence[object]]
 
 MARK = "written by cyclekit"
-"""Stands in the workbook's properties, by which it is known before it is replaced (`guard`)."""
+"""Comment in the workbook's properties, by which `guard` recognises it before it is replaced."""
 LONGEST = 32_767
-"""No cell of Excel holds a longer text."""
+"""Maximum length of a text in a cell of Excel, characters."""
 
 
 def write_workbook(file: Path, sheets: Mapping[str, Rows]) -> None:
-    """Write a workbook: the old one or the new one.
+    """Write a workbook atomically.
 
     Args:
         file: The workbook, `.xlsx`.
-        sheets: Rows by the name of the sheet, the first row its heads. Texts stay texts; what is no finite number is
-            an empty cell.
+        sheets: Rows by name of the sheet; the first row is the header. Texts stay texts; numbers that are not finite
+            give empty cells.
 
     Raises:
         MissingExtra: XlsxWriter is not installed.
-        CyclekitError: The file cannot be written; the old one is untouched.
+        CyclekitError: The file cannot be written; the old one is unchanged.
     """
     try:
         from xlsxwriter import Workbook

@@ -1,8 +1,8 @@
-"""One clock per session: how each log's time maps to session time, and how well that is known.
+"""One clock per session: the map from each log's time to session time, and its uncertainty.
 
-Session time is the robot log's time, counted from its first row: t_session = rate * t_log + offset. What the logs or
-the cell file say decides; where nothing does, the recordings are taken to start together, and that is said aloud.
-Here are the mappings alone, on arrays; `recording_clocks` chooses which one a log gets.
+Session time is the robot log's time, counted from its first row: t_session = rate * t_log + offset. The map comes from
+the logs or the cell file; if neither gives it, a common start of the recordings is assumed, with a warning. This folder
+contains the fits, on arrays; `recording_clocks` chooses the one for each log.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The coarse alignment, made on request only: operator near against robot slow.
+"""Coarse alignment of clocks, on request only: operator near against robot slow.
 
-It looks for the lag at which the robot is slow while somebody is near, and so takes the reaction delay for part of the
-clocks' offset: what is left of the delay afterwards is noise. It is good for finding a lost offset of seconds, never
-for delays, and is therefore rounded to whole samples.
+It finds the lag at which the robot is slow while the operator is near. The reaction time thus becomes part of the clock
+offset and cannot be measured afterwards. The method finds a lost offset of seconds, never delays, so the result is
+rounded to whole samples.
 """
 
 from __future__ import annotations
@@ -22,25 +22,27 @@ if TYPE_CHECKING:
 
 
 FAR_M = 4.0
-"""Beyond this a person is far, no matter how far."""
+"""Maximum distance of a person, m; larger ones count as this."""
 REACH_S = 120.0
-"""Offsets up to this are looked for."""
+"""Maximum offset, s."""
 LEAST_SHARE = 0.6
 TOO_WEAK = 0.2
 AMBIGUOUS = 0.9
 
 
 def coarse_fit(people: Sequence[Points], tcp_m: Points, scaling: Vector, *, step_s: float) -> ClockFit | None:
-    """Return the shift in whole samples at which the robot is slow while somebody is near.
+    """Return the shift in whole samples at which the robot is slow while a person is near.
 
     Args:
-        people: Position per sample since the log began, one array (N, 3) per person, base frame; NaN = not seen.
-        tcp_m: TCP per sample since the robot's log began, shape (M, 3), metres.
+        people: Position per sample since the start of the log, one array (N, 3) per person, base frame, m; NaN = not
+            seen.
+        tcp_m: TCP per sample since the start of the robot log, shape (M, 3), m.
         scaling: Speed scaling per sample, shape (M,); NaN = unknown.
-        step_s: Length of a sample.
+        step_s: Sampling period, s.
 
     Returns:
-        The fit, from the time since this log's first row to that since the robot's; None where nothing shows.
+        The fit, from time since the first row of the log to time since the first row of the robot log; None if there
+        is no correlation.
     """
     slow = 1.0 - scaling
     reach = round(REACH_S / step_s)
@@ -72,7 +74,7 @@ def coarse_fit(people: Sequence[Points], tcp_m: Points, scaling: Vector, *, step
 
 
 def _agreement(people: Sequence[Points], tcp_m: Points, slow: Vector, lag: int, least: float) -> float:
-    """Pearson's correlation of "near" with "slow" when sample i of the people is sample i + lag of the robot."""
+    """Return Pearson's correlation of "near" with "slow" if sample i of the people is sample i + lag of the robot."""
     near = np.full(len(tcp_m), np.inf)
     for track in people:
         begin, end = max(0, lag), min(len(tcp_m), len(track) + lag)

@@ -1,6 +1,6 @@
-"""What a clock fit is, and the simple fits: a shared log, the cell file, epoch time, a common start, two stamps a row.
+"""The clock fit, and the simple methods: shared log, cell file, epoch time, common start, two stamps per row.
 
-A fit carries how it was found and how well: a report can then refuse a weak one.
+A fit includes its method and its quality, so that a report can reject a weak one.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 ASSUMED: Final = "assumed-common-start"
-"""Nothing says how the clocks relate: the recordings are taken to start together."""
+"""Method for unrelated clocks: a common start of the recordings is assumed."""
 Method = ClockMethod
 
 
 @dataclass(frozen=True)
 class ClockStart:
-    """What is known of one log's clock: its kind and the time of its first row, seconds."""
+    """Kind of one log's clock, and the time of its first row, s."""
 
     kind: ClockKind
     first_s: float
@@ -34,18 +34,18 @@ class ClockStart:
 
 @dataclass(frozen=True)
 class ClockFit:
-    """t_other = rate * t_log + offset_s, and how that was found.
+    """Clock fit t_other = rate * t_log + offset_s, with its method and quality.
 
     Attributes:
-        method: How; see docs/clocks.md.
-        offset_s, rate: The line; of a fit made for a session t_other is session time, else the other log's time.
-        warnings: What a person must know before trusting it.
-        residual_s: What the fit leaves unexplained, typically, seconds; None where nothing was left to check it by.
-        events: Event pairs (or windows of motion) that the fit rests on.
-        events_rejected: Events of the log that found no partner, or contradicted the others.
+        method: Method; see docs/clocks.md.
+        offset_s, rate: The line; t_other is session time for a fit made for a session, else the other log's time.
+        warnings: Doubts about the fit.
+        residual_s: Typical residual, s; None if there are no data to check it.
+        events: Number of event pairs (or windows of motion) in the fit.
+        events_rejected: Number of events of the log without a match, or in contradiction to the others.
         correlation: Peak of the correlation, -1 to 1.
-        second_best: Height of the second peak over that of the first; near 1 the fit is ambiguous.
-        second_best_s: How far the second peak lies from the first, seconds.
+        second_best: Height of the second peak divided by that of the first; near 1, the fit is ambiguous.
+        second_best_s: Distance of the second peak from the first, s.
         same_as: Recording whose clock this log shares.
     """
 
@@ -62,11 +62,11 @@ class ClockFit:
     same_as: str | None = None
 
     def since(self, start_s: float) -> ClockFit:
-        """Return the fit onto the time that counts from `start_s` of the other log."""
+        """Return the fit to the other log's time counted from `start_s`."""
         return replace(self, offset_s=self.offset_s - start_s)
 
     def card(self, kind: ClockKind) -> ClockCard:
-        """Return the card of a log whose clock is of that kind."""
+        """Return the clock card of a log whose clock is of that kind."""
         return ClockCard(kind=kind, **vars(self))
 
     @classmethod
@@ -76,13 +76,13 @@ class ClockFit:
 
 
 def fit_clock(log: ClockStart, master: ClockStart, source: Source | None, *, same_log: bool = False) -> ClockFit:
-    """Map the time of `log` to the time of its session, whose clock is `master`'s, without looking into the logs.
+    """Map the time of `log` to the time of its session, whose clock is `master`'s, without reading the logs.
 
     Args:
-        log: The log to be placed.
-        master: The session's robot log (or the only log there is).
-        source: What the cell file says about `log`.
-        same_log: `log` and `master` are tables of one file, so they share a clock by construction.
+        log: The log to align.
+        master: The session's robot log (or the only log).
+        source: Section of the cell file for `log`.
+        same_log: Whether `log` and `master` are tables of one file, so that they share a clock.
     """
     if same_log:
         return ClockFit("same-log", -master.first_s)
@@ -94,26 +94,26 @@ def fit_clock(log: ClockStart, master: ClockStart, source: Source | None, *, sam
 
 
 SHORT_S = 20.0
-"""Minimum span of a log, s, for a rate to be fitted."""
+"""Minimum span of a log to fit a rate, s."""
 _SAME_S = 1e-9
-"""Stamps closer than this count as one: no clock resolves them."""
+"""Tolerance for equal stamps, s: no clock resolves less."""
 _EXACT, _PARTS = 50_000, 4096
-"""Above the first number of stamps, the hull is that of the least delays in the second number of parts."""
+"""Maximum number of stamps for the exact hull; above, number of parts from each of which the minimum delay is used."""
 
 
 def lower_envelope(device_s: Vector, host_s: Vector, *, max_drift: float = 1e-3) -> ClockFit:
-    """Return host time as a line of device time, without the delays in between; the least delay stays in the offset.
+    """Return host time as a line of device time, with transmission delays removed except their minimum.
 
     Args:
-        device_s: Stamps of the device, shape (N,), N >= 2, seconds.
-        host_s: When the host received each, shape (N,).
-        max_drift: The rate is at most this far from 1: a cloud that climbs faster is one of growing delays.
+        device_s: Stamps of the device, shape (N,), N >= 2, s.
+        host_s: Times at which the host received them, shape (N,), s.
+        max_drift: Maximum difference of the rate from 1: steeper data are growing delays.
 
     Returns:
-        The fit; `residual_s` is the median delay above it.
+        The fit; `residual_s` is the median delay above the line.
 
     Raises:
-        ShapeError: The arrays differ in length, are shorter than two, or hold values that are not finite.
+        ShapeError: The arrays differ in length, are shorter than two, or contain values that are not finite.
     """
     if device_s.shape != host_s.shape or device_s.ndim != 1 or len(device_s) < 2:
         raise ShapeError(f"device_s {device_s.shape} and host_s {host_s.shape} must be (N,), N >= 2")
@@ -130,13 +130,13 @@ def lower_envelope(device_s: Vector, host_s: Vector, *, max_drift: float = 1e-3)
 
 
 def follow(device_s: Vector, host_s: Vector) -> ClockFit | None:
-    """Return host time as a line of device time at whatever rate the device runs; None where no line fits.
+    """Return host time as a line of device time, for any rate of the device; None if no line fits.
 
-    A rate at MAX_DRIFT is no drift: then rates up to MAX_RATE are tried, and a note says so.
+    If the rate reaches MAX_DRIFT, it is more than drift: rates up to MAX_RATE are tried, and a note is added.
 
     Args:
-        device_s: Stamps of the device, shape (N,), N >= 2, seconds.
-        host_s: When the host received each, shape (N,).
+        device_s: Stamps of the device, shape (N,), N >= 2, s.
+        host_s: Times at which the host received them, shape (N,), s.
 
     Raises:
         ShapeError: As `lower_envelope`.

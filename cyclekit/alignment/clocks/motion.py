@@ -1,8 +1,8 @@
-"""A clock out of motion: two logs that see one body, the robot's flange in the controller's log and the tracker's.
+"""Clock fit from motion: the robot's flange in the controller's log and in the tracker's log.
 
-The speed of a body does not depend on the frame, so nothing needs to be calibrated. Both speeds are brought to one
-grid, correlated at every lag (lost frames left out), and the peak is refined by a parabola; windows along the run
-tell the drift. A robot that repeats itself gives peaks one cycle apart: the second-best one is part of the answer.
+The speed of a body does not depend on the frame, so no calibration is needed. Both speeds are resampled to one grid and
+correlated at every lag (without lost frames); a parabola refines the peak, and windows along the run give the drift. A
+robot with repeated motion gives peaks one cycle apart: the second-best one is part of the result.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ if TYPE_CHECKING:
 
 GRID_HZ = 50.0
 HALF_S = 0.06
-"""Speed is the way from this long before to this long after: a millimetre of noise stays below 12 mm/s."""
+"""Half width of the window for speed, s: 1 mm of noise gives less than 12 mm/s."""
 LEAST_S, LEAST_SHARE = 10.0, 0.5
-"""Lags at which the logs overlap by less than this, or by less than this share of the shorter, are not looked at."""
+"""Minimum overlap of the logs at a lag: in s, and as share of the shorter log."""
 WEAK, TOO_WEAK = 0.7, 0.4
-"""Correlation below which a fit is warned of, and refused."""
+"""Correlation below which a fit gets a warning, and below which it is rejected."""
 AMBIGUOUS = 0.9
 WINDOWS, LEAST_WINDOWS = 12, 5
 WINDOW_S = (20.0, 120.0)
 REACH_S = 1.0
-"""Windows are looked for this far around the lag of the one before."""
+"""Maximum difference of a window's lag from that of the window before, s."""
 STRETCH_S = 200.0
-"""Where drift blurs the whole, a stretch this long is looked for: the worst clock moves by 0.6 s in it."""
+"""Length of the part that is aligned first if drift blurs the whole, s: the worst clock drifts by 0.6 s in it."""
 
 
 def fit_motion(log_s: Vector, log_m: Points, robot_s: Vector, robot_m: Points) -> ClockFit:
-    """Return the line from the time of one log to that of another that sees the same body.
+    """Return the line from the time of one log to that of another with the same body.
 
     Args:
-        log_s: Times in the log to be placed, shape (N,), seconds, ascending.
-        log_m: Positions of the body there, any frame, shape (N, 3), metres; NaN = not seen.
-        robot_s: Times in the robot's log, shape (M,), ascending.
-        robot_m: Positions there, shape (M, 3); NaN = not logged.
+        log_s: Times in the log to align, shape (N,), s, ascending.
+        log_m: Positions of the body in it, any frame, shape (N, 3), m; NaN = not seen.
+        robot_s: Times in the robot log, shape (M,), s, ascending.
+        robot_m: Positions in it, shape (M, 3), m; NaN = not logged.
 
     Raises:
-        ConfigError: The logs hardly overlap, or do not move alike at any lag.
+        ConfigError: The logs hardly overlap, or their speeds do not agree at any lag.
     """
     mine, theirs = _speed(log_s, log_m), _speed(robot_s, robot_m)
     fit = _common(log_s, mine, robot_s, theirs)
@@ -56,7 +56,7 @@ def fit_motion(log_s: Vector, log_m: Points, robot_s: Vector, robot_m: Points) -
     if fit is None or (fit.correlation or 0.0) < WEAK:
         rate = _followed_rate(mine, theirs) or rate
     if rate is not None and rate != 1.0:
-        first = float(log_s[0])  # drift blurs every peak: take it out, look again, and put both together
+        first = float(log_s[0])  # drift blurs every peak: remove it, fit again, and combine both fits
         straight = first + rate * (log_s - first)
         again = _common(straight, _speed(straight, log_m), robot_s, theirs)
         if again is not None and (fit is None or (again.correlation or 0.0) >= (fit.correlation or 0.0)):
@@ -75,7 +75,7 @@ def fit_motion(log_s: Vector, log_m: Points, robot_s: Vector, robot_m: Points) -
 
 
 def _common(log_s: Vector, mine: Vector, robot_s: Vector, theirs: Vector) -> ClockFit | None:
-    """Return the fit about the lag at which the whole logs agree best; None where they hardly overlap."""
+    """Return the fit around the lag at which the whole logs agree best; None if they hardly overlap."""
     overlap = max(LEAST_S * GRID_HZ, LEAST_SHARE * min(np.isfinite(mine).sum(), np.isfinite(theirs).sum()))
     lags, score = _correlation(theirs, mine, overlap)
     if not np.isfinite(score).any():
@@ -105,7 +105,7 @@ def _common(log_s: Vector, mine: Vector, robot_s: Vector, theirs: Vector) -> Clo
 
 
 def _speed(t_s: Vector, xyz_m: Points) -> Vector:
-    """Return the speed on the grid that begins at the first time, NaN where the body is not seen around."""
+    """Return the speed on the grid that starts at the first time, m/s; NaN where the body is not seen."""
     seen = np.isfinite(xyz_m).all(axis=1)
     grid = t_s[0] + np.arange(int((t_s[-1] - t_s[0]) * GRID_HZ) + 1) / GRID_HZ
     t, xyz = t_s[seen], xyz_m[seen]
@@ -128,8 +128,8 @@ def _positions(t: Vector, xyz: Points, at: Vector, limit: float) -> Points:
 def _correlation(a: Vector, b: Vector, least: float) -> tuple[Ints, Vector]:
     """Return lags k and Pearson's correlation of a[i + k] with b[i] over the i at which both are known.
 
-    NaN where fewer than `least` are, or where one of them does not change. All lags at once, by Fourier transforms of
-    the values and of where they are known.
+    NaN where there are fewer than `least` such i, or where one of them is constant. All lags are computed at once, by
+    Fourier transforms of the values and of the masks of known values.
     """
     known_a, known_b = np.isfinite(a), np.isfinite(b)
     size = 1 << (len(a) + len(b) - 1).bit_length()
@@ -155,7 +155,7 @@ def _correlation(a: Vector, b: Vector, least: float) -> tuple[Ints, Vector]:
 
 
 def _refined(lags: Ints, score: Vector, best: int) -> float:
-    """Return the lag of the parabola's top through the peak and its neighbours."""
+    """Return the lag of the vertex of the parabola through the peak and its neighbours."""
     if not 0 < best < len(score) - 1:
         return float(lags[best])
     left, top, right = score[best - 1 : best + 2]
@@ -166,7 +166,7 @@ def _refined(lags: Ints, score: Vector, best: int) -> float:
 
 
 def _second(score: Vector, best: int) -> tuple[float | None, int]:
-    """Return height and index of the highest peak that is another one: beyond where the first has fallen to half."""
+    """Return height and index of the second peak: the highest one beyond where the first has fallen to half."""
     low = ~(score > 0.5 * score[best])
     after = np.flatnonzero(low[best:])
     before = np.flatnonzero(low[: best + 1])
@@ -183,7 +183,7 @@ def _second(score: Vector, best: int) -> tuple[float | None, int]:
 
 
 def _followed_rate(mine: Vector, theirs: Vector) -> float | None:
-    """Return the rate of a log whose drift blurs the common peak: one stretch is found, and followed both ways."""
+    """Return the rate of a log whose drift blurs the common peak, from one aligned part followed in both directions."""
     stretch = int(GRID_HZ * STRETCH_S)
     if len(mine) < 3 * stretch:
         return None
@@ -203,9 +203,9 @@ def _followed_rate(mine: Vector, theirs: Vector) -> float | None:
 
 
 def _windows(mine: Vector, theirs: Vector, anchor: int, lag: int) -> tuple[Vector, Vector]:
-    """Return middles (in samples of this log's grid) and lags of the windows that tell a lag of their own.
+    """Return centres (in samples of this log's grid) and lags of the windows with a clear lag.
 
-    Beginning at sample `anchor`, where the lag is about `lag`, each window is looked for around the last one's lag.
+    From sample `anchor`, with a lag of about `lag`, each window is searched around the lag of the one before.
     """
     length = int(GRID_HZ * np.clip(len(mine) / GRID_HZ / WINDOWS, *WINDOW_S))
     begins = np.arange(0, len(mine) - length + 1, length)
@@ -240,7 +240,7 @@ def _lag_of_window(mine: Vector, theirs: Vector, begin: int, length: int, lag: i
 def _line(
     log_s: Vector, middles: Vector, lags: Vector, offset: float, shift: float
 ) -> tuple[float, float, float | None, int | None]:
-    """Return (offset, rate, residual, windows) of a line through the windows that strays do not move."""
+    """Return (offset, rate, residual, windows) of a robust line through the windows."""
     if len(middles) < LEAST_WINDOWS:
         return offset, 1.0, None, None
     x, y = log_s[0] + middles / GRID_HZ, shift + lags / GRID_HZ
@@ -250,7 +250,7 @@ def _line(
     level = float(np.median(y - slope * (x - about)))
     spread = 1.4826 * float(np.median(np.abs(y - level - slope * (x - about))))
     unsure = 1.25 * spread / (np.sqrt(len(x)) * float(np.std(x)))
-    if abs(slope) <= 3 * unsure:  # no drift to be seen: a rate would only carry noise away from the middle
+    if abs(slope) <= 3 * unsure:  # no significant drift: a rate would only add noise away from the centre
         slope, level = 0.0, float(np.median(y))
         spread = 1.4826 * float(np.median(np.abs(y - level)))
     return level - slope * about, 1.0 + slope, spread, len(x)

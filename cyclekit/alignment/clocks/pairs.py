@@ -1,8 +1,7 @@
-"""A clock out of events that both logs saw: a button, a digital output wired to the tracker, a clap on the robot.
+"""Clock fit from events in both logs: a button, a digital output wired to the tracker, a clap on the robot.
 
-With two events a line is exact but unchecked, so three or more, spread over the run, are asked for. Events that only
-one log saw, or that are somewhere else in the two, are left out; a fit says how many. Which rows of a log are events is
-a matter for `recording_clocks`.
+A line through two events is exact but cannot be checked; three or more, spread over the run, are better. Events that
+only one log has, or that contradict the others, are rejected and counted. `recording_clocks` selects the events.
 """
 
 from __future__ import annotations
@@ -21,28 +20,28 @@ if TYPE_CHECKING:
 
 
 DRIFT = 0.01
-"""No clock runs faster or slower than another by more than this: the worst published case was 0.003."""
+"""Maximum difference of rates between two clocks; the worst published case was 0.003."""
 SPREAD_S, SPREAD_OF_TWO_S = 60.0, 600.0
-"""A rate is fitted to three events that span at least the first, or to two that span the second."""
+"""Minimum span of events to fit a rate, s: of three or more events, and of two."""
 SURE_S = 0.02
-"""Events this near to the line are never rejected: a controller's and a tracker's cycle together."""
+"""Residual up to which an event is never rejected, s: a controller cycle plus a tracker cycle."""
 WINDOW_S = 0.5
-"""Events whose distances agree this well are taken for the same ones at first sight: 50 ppm over an hour is 0.18 s."""
+"""Tolerance of the first match, s: 50 ppm over an hour is 0.18 s."""
 MOST = 2000
-"""Maximum number of events used of each log, the first ones."""
+"""Maximum number of events used from each log, the first ones."""
 AMBIGUOUS = 0.9
-"""A second way to match that has at least this share of the best one's support is warned of."""
+"""Minimum ratio of pairs at the second-best offset to those at the best one for a warning."""
 
 
 def fit_pairs(log_s: Vector, other_s: Vector) -> ClockFit:
     """Return the line through events whose times are known in both logs.
 
     Args:
-        log_s: Times of the events in the log to be placed, shape (N,), N >= 1.
-        other_s: Times of the same events in the other log, shape (N,).
+        log_s: Times of the events in the log to align, shape (N,), N >= 1, s.
+        other_s: Times of the same events in the other log, shape (N,), s.
 
     Raises:
-        ConfigError: The two lists contradict each other: no clock runs like that.
+        ConfigError: The pairs contradict each other.
     """
     if len(log_s) != len(other_s) or len(log_s) == 0:
         raise ConfigError(f"{len(log_s)} and {len(other_s)} times of events", cure="Give each event in both clocks.")
@@ -66,16 +65,16 @@ def fit_pairs(log_s: Vector, other_s: Vector) -> ClockFit:
 
 
 def fit_events(log_s: Vector, other_s: Vector) -> ClockFit:
-    """Return the line through events that both logs saw, not knowing which is which.
+    """Return the line through events in both logs whose pairing is unknown.
 
-    The offset on which most distances agree tells the pairs; they are fitted, matched again, and the window shrinks.
+    The most frequent offset gives the pairs; these are fitted and matched again with a shrinking window.
 
     Args:
-        log_s: Times of the events in the log to be placed, shape (N,).
-        other_s: Times of the events in the other log, shape (M,); either may hold events that the other missed.
+        log_s: Times of the events in the log to align, shape (N,), s.
+        other_s: Times of the events in the other log, shape (M,), s; each may have events that the other lacks.
 
     Raises:
-        ConfigError: One of the lists is empty, or they have nothing in common.
+        ConfigError: One of the lists is empty, or too few events match.
     """
     log_s, other_s = _first_ones(np.sort(log_s)), _first_ones(np.sort(other_s))
     fewer = min(len(log_s), len(other_s))
@@ -103,11 +102,11 @@ def fit_events(log_s: Vector, other_s: Vector) -> ClockFit:
 
 
 def _first_ones(times_s: Vector) -> Vector:
-    return times_s[:MOST]  # not every n-th one: the other log's n-th would be another event
+    return times_s[:MOST]  # not every n-th one: that may be another event in the other log
 
 
 def _first_line(x: Vector, y: Vector) -> tuple[float, float, float]:
-    """A line that a few wrong pairs do not move: the median of the slopes that a clock can have."""
+    """Return a robust line: the median of the slopes that a clock can have."""
     if len(x) < 3 or np.ptp(x) < SPREAD_S:
         return float(np.median(y - x)), 1.0, 0.0
     i, j = np.triu_indices(min(len(x), 300), 1)
@@ -125,7 +124,7 @@ def _at(line: tuple[float, float, float], x: Vector) -> Vector:
 
 
 def _least_squares(x: Vector, y: Vector) -> tuple[float, float, float]:
-    """(offset, rate, about): y = about + offset + rate * (x - about); about the middle, since epoch times are long."""
+    """Return (offset, rate, about) of y = about + offset + rate * (x - about); centred, as epoch times are large."""
     about = float(np.mean(x))
     dx, dy = x - about, y - about
     spread = float(np.ptp(x))
@@ -166,7 +165,7 @@ def _with_doubt(fit: ClockFit, matched: int, fewer: int, second: float, second_s
 
 
 def _vote(log_s: Vector, other_s: Vector) -> tuple[float, int, int, float]:
-    """Return the offset on which most pairs agree, how many do, how many on the next best, how far that is."""
+    """Return the most frequent offset, s, its number of pairs, that of the next best, and the distance of that, s."""
     d = np.sort((other_s[None, :] - log_s[:, None]).ravel())
     votes = np.searchsorted(d, d + WINDOW_S, side="right") - np.arange(len(d))
     best = int(votes.argmax())
@@ -180,7 +179,7 @@ def _vote(log_s: Vector, other_s: Vector) -> tuple[float, int, int, float]:
 
 
 def _partners(a: Vector, b: Vector, window_s: float) -> tuple[Ints, Ints]:
-    """Return the rows of `a` and of `b` (ascending) that are each other's nearest, within the window."""
+    """Return the rows of `a` and `b` (ascending) that are mutual nearest neighbours within the window."""
     to_b, to_a = _nearest(a, b), _nearest(b, a)
     mine = np.flatnonzero((to_a[to_b] == np.arange(len(a))) & (np.abs(b[to_b] - a) <= window_s))
     return mine, to_b[mine]

@@ -1,4 +1,4 @@
-"""A folder at a URL: its parts fetched to this machine's cache, and published as a whole by a manifest.
+"""A folder at a URL: its parts are fetched to the local cache, and published atomically by a manifest.
 
-`folders` is the way in; `file_system` is the one module that talks to object stores.
+The entry point is `folders`; only `file_system` accesses object stores.
 """

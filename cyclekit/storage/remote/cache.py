@@ -1,4 +1,4 @@
-"""Local copies of URLs: where they are kept."""
+"""Paths of the local copies of URLs."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import urlsplit
 
 WAIT_S = 600.0
-"""So long a process waits for another one of this machine that is fetching the same."""
+"""Maximum time, s, to wait for another local process that fetches the same URL."""
 
 
 def of_file_url(url: str) -> Path | None:
-    """Return the path of this machine that a `file:` URL means, None for another URL."""
-    from urllib.request import url2pathname  # brings the web along, which takes longer to import than most logs to find
+    """Return the local path of a `file:` URL; None for another URL."""
+    from urllib.request import url2pathname  # slow to import, as it brings network modules along
 
     parts = urlsplit(url)
     return Path(url2pathname(parts.path)) if parts.scheme.lower() == "file" else None
 
 
 def cached(url: str, kind: str = "folder") -> Path:
-    """Return where the copy of a URL is kept: what cyclekit has published, or `logs` as they lie there."""
+    """Return the path of the copy of a URL: a published `folder`, or `logs` as they are."""
     name = PurePosixPath(urlsplit(url).path).name or "folder"
     return _cache() / hashlib.sha256(f"{kind} {url}".encode()).hexdigest()[:20] / name
 
 
 def known_parts(folder: Path) -> Path:
-    """Return the file that says which parts a cached folder was made of."""
+    """Return the file that lists the parts of a cached folder."""
     return folder.with_name(f"{folder.name}.json")
 
 

@@ -1,4 +1,4 @@
-"""The file system behind a URL: objects read and written, every error with the URL and the cure."""
+"""The file system behind a URL: reads and writes objects; every error names the URL and the cure."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
     from cyclekit.storage.remote.manifest import ManifestEntry
 
-URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)  # two letters at least: C:\\ is a drive
+URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)  # at least two letters: C:\\ is a drive
 AT_ONCE = 8
-"""Objects fetched or sent at the same time."""
+"""Maximum number of objects fetched or sent at the same time."""
 _STEP = 8 << 20
 _OBJECTS = ("s3", "gcs", "abfs")
-"""File systems without folders, where an object is put as a whole."""
+"""File systems without folders, in which an object is written atomically."""
 
 
 @lru_cache(maxsize=8)
@@ -32,10 +32,10 @@ def opened(url: str) -> tuple[fs.FileSystem, str]:
     """Return the file system of a URL and the path in it.
 
     Raises:
-        StorageError: Nobody knows that kind of URL.
+        StorageError: That kind of URL is not supported.
     """
     import pyarrow as pa
-    from pyarrow import fs  # brings the web along, and hardly anything is at a URL
+    from pyarrow import fs  # slow to import, and URLs are rare
 
     try:
         system, path = fs.FileSystem.from_uri(url)
@@ -59,7 +59,7 @@ def _failures() -> tuple[type[Exception], ...]:
 
 @contextmanager
 def said(url: str, what: str) -> Iterator[None]:
-    """Turn what Arrow raises meanwhile into a `StorageError` that names the URL."""
+    """Convert errors of Arrow within the block to a `StorageError` that names the URL."""
     try:
         yield
     except _failures() as error:
@@ -69,7 +69,7 @@ def said(url: str, what: str) -> Iterator[None]:
 
 
 def content(system: fs.FileSystem, key: str, most: int | None = None) -> bytes | None:
-    """Return a small object, None where there is none.
+    """Return the content of a small object; None if it does not exist.
 
     Raises:
         OSError: It has more than `most` bytes.
@@ -84,7 +84,7 @@ def content(system: fs.FileSystem, key: str, most: int | None = None) -> bytes |
 
 
 def put(system: fs.FileSystem, key: str, content: bytes) -> None:
-    """Put a small object; where that is no single step, by a rename."""
+    """Write a small object atomically; on a file system with folders, by a rename."""
     if system.type_name in _OBJECTS:
         with system.open_output_stream(key) as stream:
             stream.write(content)
@@ -96,7 +96,7 @@ def put(system: fs.FileSystem, key: str, content: bytes) -> None:
 
 
 def files_below(system: fs.FileSystem, path: str) -> list[fs.FileInfo]:
-    """Return the files below a path, or the one that it is; none where there is nothing."""
+    """Return the files below a path, or the file at the path; empty if there is nothing."""
     whole = system.get_file_info(path)
     from pyarrow import fs
 
@@ -106,10 +106,10 @@ def files_below(system: fs.FileSystem, path: str) -> list[fs.FileInfo]:
 
 
 def fetch(system: fs.FileSystem, key: str, target: Path, wanted: ManifestEntry | None) -> None:
-    """Read an object into a file; one that must be of a certain size and checksum is refused if it is another.
+    """Copy an object into a file; if `wanted` is given, check size and checksum.
 
     Raises:
-        OSError: It cannot be read or written, or is not what was wanted.
+        OSError: It cannot be read or written, or does not match `wanted`.
     """
     digest, size = hashlib.sha256(), 0
     with system.open_input_stream(key) as stream, target.open("wb") as handle:
@@ -125,7 +125,7 @@ def fetch(system: fs.FileSystem, key: str, target: Path, wanted: ManifestEntry |
 
 
 def send(system: fs.FileSystem, file: Path, key: str) -> None:
-    """Put a file as an object, in pieces: it may be larger than memory."""
+    """Write a file as an object, in pieces, as it may be larger than memory."""
     if system.type_name not in _OBJECTS:
         system.create_dir(key.rpartition("/")[0], recursive=True)
     with file.open("rb") as handle, system.open_output_stream(key) as stream:

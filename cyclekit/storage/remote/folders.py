@@ -1,16 +1,16 @@
-"""Datasets and models on shared storage: a folder by its URL, fetched to this machine and published from it.
+"""Datasets and models on shared storage: a folder at a URL, fetched to this machine and published from it.
 
-    s3://bucket/cell-7/dataset      and what else Arrow's file systems know (gs, abfs, hdfs), or fsspec's
-    file:///mnt/plant/dataset       a folder of this machine, used as it is
+    s3://bucket/cell-7/dataset      also the other file systems of Arrow (gs, abfs, hdfs) and of fsspec
+    file:///mnt/plant/dataset       a folder of this machine, used in place
 
-An object store has no folders and no rename, only objects that are put as a whole. So a folder is published as parts
-named by their content and one manifest that says which part is which file:
+An object store has no folders and no rename, only objects that are written atomically. So a folder is published as
+parts named by their content, and one manifest that assigns parts to files:
 
     URL/parts/tasks-3f9a….parquet   written once, never changed
-    URL/manifest.json               put last: who reads finds the old folder or the new one, never half
+    URL/manifest.json               written last: a reader finds the old folder or the new one
 
-Work is done on a copy in the cache of this machine (CYCLEKIT_CACHE, else the system's place for caches), to which only
-parts that it has not yet are fetched. One writer at a time is the caller's to see to: of two, the last one stays.
+The work is done on a copy in the local cache (CYCLEKIT_CACHE, else the system's cache folder), to which only missing
+parts are fetched. The caller must ensure one writer at a time: of two, the last one wins.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 
 
 def is_url(place: Path | str) -> bool:
-    """Tell whether a place is a URL and no path of this machine."""
+    """Return whether a place is a URL, not a local path."""
     return isinstance(place, str) and URL.match(place) is not None
 
 
 def join(place: Path | str, name: str) -> str:
-    """Return the place of something in a place; what follows a `?` in a URL stays behind it."""
+    """Return the path or URL of `name` in a place; the query of a URL (after `?`) stays at the end."""
     if not is_url(place):
         return str(Path(place) / name)
     url, mark, options = str(place).partition("?")
@@ -49,7 +49,7 @@ def join(place: Path | str, name: str) -> str:
 
 
 def local(place: Path | str) -> Path:
-    """Return where on this machine the folder of a place stands, fetched if it is elsewhere.
+    """Return the local path of a folder, fetched if it is at a URL.
 
     Raises:
         StorageError: Nothing is published at the URL, or it cannot be read.
@@ -65,7 +65,7 @@ def local(place: Path | str) -> Path:
 
 
 def reach(url: str) -> None:
-    """Ask a file system once, so that a wrong address or key shows before the work whose result goes there.
+    """Access a file system once, so that a wrong address or key is detected before the work.
 
     Raises:
         StorageError: The URL cannot be reached.
@@ -78,9 +78,9 @@ def reach(url: str) -> None:
 
 @contextmanager
 def published(place: Path | str) -> Iterator[Path]:
-    """Give the path to write a folder at; for a URL it holds what is there now, and is published at the end.
+    """Yield the local path of a folder to write; for a URL, it has the current content and is published at the end.
 
-    If what is done with it fails, nothing is published.
+    After an error in the block, nothing is published.
 
     Raises:
         StorageError: The URL cannot be read or written.
@@ -91,15 +91,15 @@ def published(place: Path | str) -> Iterator[Path]:
         return
     url = str(place)
     path = fetched(url) or cached(url)
-    known_parts(path).unlink(missing_ok=True)  # until it is published it is not what is there
+    known_parts(path).unlink(missing_ok=True)  # until published, the copy differs from the URL
     yield path
     publish(path, url)
 
 
 def mirrored(place: Path | str) -> Path:
-    """Return where files that others have put at a place, such as logs, stand on this machine.
+    """Return the local path of files from others, such as logs.
 
-    Of a URL, what is new or has another size or time is fetched, and what is gone there goes here.
+    For a URL, files that are new or differ in size or time are fetched, and local files missing there are deleted.
 
     Raises:
         StorageError: There is nothing at the URL, or it cannot be read.
@@ -142,7 +142,7 @@ def _mirror(system: FileSystem, info: FileInfo, target: Path) -> None:
 
 
 def read_text(place: str) -> str | None:
-    """Return the text of a file, None where there is none.
+    """Return the text of a file; None if it does not exist.
 
     Raises:
         StorageError: The URL cannot be read.
@@ -157,7 +157,7 @@ def read_text(place: str) -> str | None:
 
 
 def write_text(place: str, text: str) -> None:
-    """Write a text file: the old one or the new one.
+    """Write a text file atomically.
 
     Raises:
         CyclekitError: It cannot be written.

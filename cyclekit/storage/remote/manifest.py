@@ -1,7 +1,7 @@
-"""The manifest of a published folder: which part is which file; looked through as a whole before any of it is used.
+"""The manifest of a published folder, which assigns parts to files; it is checked completely before use.
 
-Whoever can write at a URL can write any manifest. So its names must stay in the folder, and its parts are where a
-publisher would have put them: the place of a part follows from the file's name and checksum.
+A manifest at a URL must not be trusted. So its names must stay in the folder, and the path of each part must follow
+from the file's name and checksum.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from cyclekit.storage.inside import unfit
 MANIFEST = "manifest.json"
 FORMAT, VERSION = "cyclekit-folder", 1
 MAX_BYTES = 64 << 20
-"""A manifest of a hundred thousand files has 30 MB; a larger one is not read."""
+"""Maximum size of a manifest, bytes; one of a hundred thousand files has 30 MB."""
 
 
 class ManifestEntry(msgspec.Struct, frozen=True):
-    """One file: where its part is, its size in bytes, its SHA-256 in hexadecimal digits."""
+    """One file: path of its part, size in bytes, SHA-256 in hexadecimal digits."""
 
     part: str
     size: Annotated[int, msgspec.Meta(ge=0)]
@@ -29,11 +29,11 @@ class ManifestEntry(msgspec.Struct, frozen=True):
 
 
 Files = dict[str, ManifestEntry]
-"""The files of a folder by name, `/` between the folders on the way."""
+"""The files of a folder by relative path, with `/` as separator."""
 
 
 class Manifest(msgspec.Struct, frozen=True):
-    """What `manifest.json` says."""
+    """Content of `manifest.json`."""
 
     format: str
     version: int
@@ -41,23 +41,23 @@ class Manifest(msgspec.Struct, frozen=True):
 
 
 def parsed(text: bytes, url: str) -> Manifest:
-    """Return a manifest, looked through.
+    """Return a checked manifest.
 
     Raises:
-        StorageError: It is none, or one that no cyclekit publishes.
+        StorageError: It is not a valid manifest of cyclekit.
     """
     try:
         manifest = msgspec.json.decode(text, type=Manifest)
         _check_format(manifest)
         check(manifest.files)
-    except (msgspec.MsgspecError, ValueError, RecursionError) as error:  # of UTF-8 as well
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:  # includes errors of UTF-8
         cause = f"its {MANIFEST} is not one of cyclekit's ({error})"
         raise StorageError(url, cause, cure="Publish it there again, or use another address.") from error
     return manifest
 
 
 def read_known(text: str) -> Files:
-    """Return the files that a cached folder was made of; none where that was not written whole."""
+    """Return the files of a cached folder from its list; empty if the list is damaged."""
     try:
         return msgspec.json.decode(text, type=Files)
     except (msgspec.MsgspecError, ValueError, RecursionError):
@@ -70,10 +70,10 @@ def _check_format(manifest: Manifest) -> None:
 
 
 def check(files: Files) -> None:
-    """Refuse files that would not all lie in one folder, each with a part of its own.
+    """Raise an error unless all files are valid paths in one folder, each with the expected part.
 
     Raises:
-        ValueError: Which, and why.
+        ValueError: Names the file and the reason.
     """
     folders = {parent.as_posix() for name in files for parent in PurePosixPath(name).parents}
     for name, entry in files.items():
@@ -89,6 +89,6 @@ def check(files: Files) -> None:
 
 
 def part_of(name: str, sha256: str) -> str:
-    """Return where the part of a file is published, by the file's name and checksum."""
+    """Return the path of a file's part, from the file's name and checksum."""
     whole = PurePosixPath(name)
     return f"parts/{whole.with_name(f'{whole.stem}-{sha256[:20]}{whole.suffix}')}"

@@ -1,4 +1,4 @@
-"""A folder as parts named by their content, and the manifest that says which part is which file."""
+"""Fetch and publish a folder as parts named by their content, and a manifest that assigns them to files."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pyarrow.fs import FileSystem
 
 _GRACE = dt.timedelta(days=1)
-"""A part that no manifest names any more is kept this long: a reader may still use an older manifest."""
+"""Minimum age of an unused part before it is deleted: a reader may still use an older manifest."""
 
 
 def _manifest(system: FileSystem, base: str, url: str) -> Manifest | None:
@@ -46,7 +46,7 @@ def _manifest(system: FileSystem, base: str, url: str) -> Manifest | None:
 
 
 def fetched(url: str) -> Path | None:
-    """Bring the cached folder up to date; None where nothing is published."""
+    """Update the cached folder and return its path; None if nothing is published."""
     system, base = opened(url)
     folder = cached(url)
     known = known_parts(folder)
@@ -64,7 +64,7 @@ def fetched(url: str) -> Path | None:
             except StorageError:
                 if attempt == 2 or _manifest(system, base, url) == manifest:
                     raise
-                continue  # it was published anew, and an old part has gone
+                continue  # published again meanwhile, and an old part was deleted
             write_text(known, msgspec.json.encode(manifest.files).decode())
             return folder
     return None
@@ -89,10 +89,10 @@ def _build(url: str, files: Files, folder: Path, here: Files) -> None:
 
 
 def publish(folder: Path, url: str) -> None:
-    """Put a folder at a URL: what is new of it as parts, then the manifest.
+    """Publish a folder at a URL: new parts first, then the manifest.
 
     Raises:
-        StorageError: The URL cannot be read or written; who reads finds what was there before.
+        StorageError: The URL cannot be read or written; readers find the previous content.
     """
     system, base = opened(url)
     before = _manifest(system, base, url)
@@ -111,7 +111,7 @@ def publish(folder: Path, url: str) -> None:
 
 
 def _files(folder: Path) -> dict[str, Path]:
-    """Return the files to be published by name: no hidden ones, and nothing from elsewhere that a link leads to."""
+    """Return the files to publish by name, without hidden ones and without links out of the folder."""
     found = {file.relative_to(folder): file for file in sorted(folder.rglob("*")) if file.is_file()}
     return {
         name.as_posix(): file
@@ -121,7 +121,7 @@ def _files(folder: Path) -> dict[str, Path]:
 
 
 def _check(entries: Files, folder: Path) -> None:
-    """Refuse to publish a file that could not be fetched."""
+    """Raise an error for a file that could not be fetched again."""
     try:
         check(entries)
     except ValueError as error:
@@ -135,7 +135,7 @@ def _entry(name: str, file: Path) -> ManifestEntry:
 
 
 def _sweep(system: FileSystem, base: str, used: set[str]) -> None:
-    """Remove parts that no reader uses any more."""
+    """Delete unused parts older than _GRACE."""
     before = dt.datetime.now(tz=dt.UTC) - _GRACE
     for info in files_below(system, f"{base}/parts"):
         old = info.mtime is not None and info.mtime.astimezone(dt.UTC) < before

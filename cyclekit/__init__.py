@@ -1,4 +1,4 @@
-"""From the logs of a robot that works beside people to the cycle time of task sequences.
+"""Cycle times of task sequences from the logs of human-robot cells.
 
     import cyclekit
 
@@ -7,8 +7,8 @@
     for cycle in cyclekit.estimate_cycles("model", "dataset", "sequences.toml"):
         print(cycle.name, cycle.expected_s, cycle.safety_loss_s)
 
-There is one function for each command, and one place for each default. Names are found here and live in their rooms;
-nothing heavy is imported before one is used.
+There is one function for each command, and one place for each default. Public names are imported from their modules
+when first used, so that importing the package is fast.
 """
 
 from __future__ import annotations
@@ -125,11 +125,11 @@ _NAMES = {
     "parallel.engine": "Engine",
     "text.results": "Result",
 }
-"""Public names, by the module they live in. A name differs from every module's, which would shadow it once imported."""
+"""Public names by module. No name equals that of a module, which would shadow it once imported."""
 _HOMES = {name: f"cyclekit.{module}:{name}" for module, names in _NAMES.items() for name in names.split()}
 __all__ = sorted([*_HOMES, "__version__"])
 
-if not TYPE_CHECKING:  # the type checker reads the imports above, so that a slip in a name is found
+if not TYPE_CHECKING:  # type checkers use the imports above, which finds misspelt names
 
     def __getattr__(name: str) -> object:
         """Import a public name when it is first used."""

@@ -1,4 +1,4 @@
-"""`python -m cyclekit` is the command `cyclekit`, for where scripts are not on the path."""
+"""`python -m cyclekit` runs the command `cyclekit`, for systems without scripts on the path."""
 
 from cyclekit.cli import main
 

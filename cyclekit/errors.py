@@ -1,27 +1,27 @@
-"""Every error that cyclekit raises on purpose, and the text a person reads.
+"""Errors that cyclekit raises on purpose, and their messages.
 
     CyclekitError
-    ├── LogError            a log cannot be used: which file, why, what to do
+    ├── LogError            a log cannot be used: file, cause and cure
     │   ├── UnknownFormat       no adapter recognises it
-    │   ├── DamagedLog          recognised, but broken where it is read
-    │   ├── MissingColumns      recognised, but a needed column is absent
+    │   ├── DamagedLog          recognised, but damaged
+    │   ├── MissingColumns      recognised, but a required column is missing
     │   └── BrokenAdapter       the adapter itself failed
-    ├── ConfigError         cell.toml or a sequence file says something we cannot follow
+    ├── ConfigError         a configuration or sequence file is invalid
     │   └── UnknownName         a name (place, key, task, topic) that does not exist; the nearest one is shown
-    ├── DatasetError        the dataset folder is not one, is older or newer, or lacks what is needed
-    ├── ModelError          the model folder is not one, is foreign, or does not fit the dataset
-    ├── EstimateError       the question cannot be answered from these logs
-    ├── ShapeError          arrays that do not fit together (a mistake of the caller)
-    ├── WrongType           an argument of a public function is of another type (a TypeError as well)
-    ├── OutputError         what is to be written would replace an input, or what cyclekit did not write
-    ├── BusyPlace           another process is writing where we were told to write
+    ├── DatasetError        the folder is not a dataset, has another version, or lacks required data
+    ├── ModelError          the folder is not a model, or the model does not fit the dataset
+    ├── EstimateError       the logs do not allow this estimate
+    ├── ShapeError          arrays of inconsistent shapes (an error of the caller)
+    ├── WrongType           an argument of a public function has the wrong type (also a TypeError)
+    ├── OutputError         an output would replace an input, or a file that cyclekit did not write
+    ├── BusyPlace           another process is writing to the same path
     ├── StorageError        a URL cannot be read or written
     ├── OutsideFolder       a name found in data would lead out of its folder
-    ├── EngineError         the cluster cannot be reached, or a task's worker died again and again
-    └── MissingExtra        an optional dependency is not installed
+    ├── EngineError         the cluster cannot be reached, or a task's worker died repeatedly
+    └── MissingExtra        an optional package is not installed
 
-A message has three parts: what was seen and where, the nearest right thing if one is near, and the cure. The parts
-are put together here so that every room says it alike. Printing is the command line's business.
+A message has three parts: what was found and where, the nearest valid name if there is one, and the cure. They are
+combined here, so that all messages have one form. The command line prints them.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from cyclekit.text.plain_text import one_line
 
 
 class CyclekitError(Exception):
-    """Root of the tree; the command line turns any of these into exit code 1 and one message."""
+    """Base class; the command line converts these errors to exit code 1 and one message."""
 
     def __init__(self, seen: str, *, nearest: str | None = None, cure: str | None = None) -> None:
-        """Keep the three parts; `str(error)` is the whole message.
+        """Create the error from the three parts; `str(error)` is the whole message.
 
         Args:
             seen: What was found, and where (file, key, value).
-            nearest: The right thing that is nearest to what was found.
-            cure: What the person should do now.
+            nearest: The nearest valid name.
+            cure: What the user should do.
         """
-        seen = one_line(seen)  # it may quote a log: a name there must not look like a line of ours
+        seen = one_line(seen)  # it may quote a log, whose names must not look like a line of the message
         self.seen, self.nearest, self.cure = seen, nearest, cure
         lines = [seen]
         if nearest:
@@ -57,7 +57,7 @@ class CyclekitError(Exception):
         super().__init__("\n".join(lines))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Let an error cross from a worker process as it is; the default would call `__init__` with the message."""
+        """Support pickling with all attributes; the default would call `__init__` with the message."""
         return _restore, (type(self), self.args, self.__dict__)
 
 
@@ -72,7 +72,7 @@ class LogError(CyclekitError):
     """A log file cannot be used."""
 
     def __init__(self, path: Path, cause: str, *, nearest: str | None = None, cure: str | None = None) -> None:
-        """Name the file first: people look for the file, then for the reason."""
+        """Create the message, with the file first."""
         self.path, self.cause = path, one_line(cause)
         super().__init__(f"{path}: {cause}", nearest=nearest, cure=cure)
 
@@ -82,22 +82,22 @@ class UnknownFormat(LogError):
 
 
 class DamagedLog(LogError):
-    """An adapter recognises the file, but it is cut, garbled or contradicts itself."""
+    """An adapter recognises the file, but it is truncated, corrupt or inconsistent."""
 
 
 class EmptyLog(DamagedLog):
-    """An adapter recognises the file, but nothing was recorded: a header and no rows."""
+    """An adapter recognises the file, but it has a header and no rows."""
 
     def __init__(self, path: Path) -> None:
-        """Name the file."""
+        """Create the message for a file."""
         super().__init__(path, "a header and no rows", cure="Nothing was recorded: record again or leave it out.")
 
 
 class MissingColumns(LogError):
-    """A column that the adapter needs is absent."""
+    """A column that the adapter needs is missing."""
 
     def __init__(self, path: Path, missing: Iterable[str], present: Iterable[str], cure: str | None = None) -> None:
-        """Show every missing column at once, and the nearest present name of the first one."""
+        """Create the message with all missing columns, and the present name nearest to the first one."""
         absent = sorted(missing)
         named = ", ".join(repr(name) for name in absent)
         word = "column" if len(absent) == 1 else "columns"
@@ -105,63 +105,63 @@ class MissingColumns(LogError):
 
 
 class BrokenAdapter(LogError):
-    """An adapter raised what no adapter should; a bug of its package."""
+    """An adapter raised an unexpected error: a bug of its package."""
 
     def __init__(self, path: Path, adapter: str, package: str, told: str) -> None:
-        """Name the log, then whose fault it is."""
+        """Create the message with log, adapter and package."""
         cause = f"adapter {adapter!r} of package {package!r} failed on it ({told})"
         super().__init__(path, cause, cure=f"Leave the log out, or ask the maintainers of package {package}.")
 
 
 class ConfigError(CyclekitError):
-    """A configuration or sequence file cannot be followed."""
+    """A configuration or sequence file is invalid."""
 
 
 class UnknownName(ConfigError):
     """A name that does not exist where it is used."""
 
     def __init__(self, where: str, kind: str, name: str, known: Iterable[str], *, cure: str | None = None) -> None:
-        """Say which names would have been understood, so that nobody has to look them up."""
+        """Create the message with the known names."""
         names = sorted(map(one_line, known))
         text = cure or (f"Known: {', '.join(names)}." if names else f"No {kind} is known here.")
         super().__init__(f"{where}: unknown {kind} {name!r}", nearest=nearest(name, names), cure=text)
 
 
 class DatasetError(CyclekitError):
-    """The folder is no dataset, or not one that this question can be asked of."""
+    """The folder is not a dataset, or lacks required data."""
 
 
 class ModelError(CyclekitError):
-    """The folder is no model, or the model does not fit."""
+    """The folder is not a model, or the model does not fit."""
 
 
 class EstimateError(CyclekitError):
-    """The logs do not hold an answer to this question."""
+    """The logs do not allow this estimate."""
 
 
 class ShapeError(CyclekitError):
-    """Arrays that do not fit together."""
+    """Arrays of inconsistent shapes."""
 
 
 class WrongType(CyclekitError, TypeError):
-    """An argument of a public function is of a type that it does not take."""
+    """An argument of a public function has the wrong type."""
 
     def __init__(self, function: str, argument: str, value: object, expected: str) -> None:
-        """Name the argument, what came and what was expected."""
+        """Create the message with argument, value and expected type."""
         text = repr(value)
         shown = text if len(text) <= 60 else f"{text[:57]}..."
         super().__init__(f"{function}(): {argument} = {shown} is of type {type(value).__name__}; expected {expected}")
 
 
 class OutputError(CyclekitError):
-    """What is to be written would replace an input, or what cyclekit did not write."""
+    """An output would replace an input, or a file that cyclekit did not write."""
 
 
 class BusyPlace(CyclekitError):
-    """Another process is writing at the same place."""
+    """Another process is writing to the same path."""
 
     def __init__(self, path: Path, who: str) -> None:
-        """Name the place and, where it is known, the process."""
+        """Create the message with the path and, if known, the process."""
         super().__init__(
             f"{path}: another cyclekit{who} is writing there",
             cure="Wait until it has finished, or write somewhere else.",
@@ -169,10 +169,10 @@ class BusyPlace(CyclekitError):
 
 
 class StorageError(CyclekitError):
-    """A place on shared storage cannot be read or written."""
+    """A URL on shared storage cannot be read or written."""
 
     def __init__(self, url: str, cause: str, *, cure: str | None = None) -> None:
-        """Name the URL first, without what may be secret in it."""
+        """Create the message with the URL first, without credentials and query."""
         scheme, mark, rest = url.partition("?")[0].partition("://")
         super().__init__(f"{scheme}{mark}{rest.rpartition('@')[2]}: {cause}", cure=cure)
 
@@ -181,15 +181,15 @@ class NothingPublished(StorageError):
     """Nothing is published at a URL."""
 
     def __init__(self, url: str) -> None:
-        """Name the URL."""
+        """Create the message for a URL."""
         super().__init__(url, "nothing is published there", cure="Check the address; `--out` of a command publishes.")
 
 
 class OutsideFolder(CyclekitError):
-    """A name that was found in data cannot be used as a path."""
+    """A name found in data cannot be used as a path."""
 
     def __init__(self, folder: Path, name: object, why: str) -> None:
-        """Name the folder, the name as it can be printed, and what is wrong with it."""
+        """Create the message with folder, printable name and reason."""
         self.cause = f"{_printable(name)} cannot be used as the name of a file ({why})"
         super().__init__(
             f"{folder}: {self.cause}", cure="It is damaged or crafted to do harm: make it again, or get it again."
@@ -197,18 +197,18 @@ class OutsideFolder(CyclekitError):
 
 
 class EngineError(CyclekitError):
-    """The engine that was asked for cannot be reached, or lost what it was at again and again."""
+    """The engine cannot be reached, or the worker of a task died repeatedly."""
 
 
 class MissingExtra(CyclekitError):
-    """An optional dependency is needed and not installed."""
+    """An optional package is needed but not installed."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        """Name the command that installs it.
+        """Create the message with the install command.
 
         Args:
-            package: What is missing.
-            extra: The extra of cyclekit that brings it; several with commas.
+            package: The missing package.
+            extra: The extra of cyclekit that includes it; several with commas.
             purpose: What needs it.
         """
         super().__init__(
@@ -217,11 +217,11 @@ class MissingExtra(CyclekitError):
 
 
 def command_line(*words: object, program: str = "cyclekit") -> str:
-    """Return a command as it can be typed on this system, paths with blanks in quotes.
+    """Return a command line for this operating system, with paths quoted if needed.
 
     Args:
-        words: What follows the program.
-        program: Its name.
+        words: Arguments of the program.
+        program: Name of the program.
     """
     every = [program, *map(str, words)]
     return subprocess.list2cmdline(every) if os.name == "nt" else shlex.join(every)
@@ -233,6 +233,6 @@ def _printable(name: object) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """Return the known name most like `name`, or None when none is alike."""
+    """Return the known name most similar to `name`; None if none is similar."""
     found = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
     return found[0] if found else None

@@ -1,4 +1,4 @@
-"""What comes with an extra of the installation, and a refusal that names the command where it is missing."""
+"""Optional packages by extra of the installation, and an error with the install command if one is missing."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ EXTRAS = {
     "simulate": ("mcap", "ruckig"),
     "train": ("torch",),
 }
-"""What has to be importable for each extra of pyproject.toml."""
+"""Packages that each extra of pyproject.toml must provide."""
 
 
 def need(purpose: str, *extras: str) -> None:
-    """Refuse to begin what cannot be finished because a package is missing.
+    """Raise an error before the work starts if a package is missing.
 
     Args:
-        purpose: What needs the packages, as the message begins.
-        extras: Which extras it needs; all that are missing are named at once.
+        purpose: What needs the packages, as start of the message.
+        extras: Extras that it needs; the message names all missing ones.
 
     Raises:
-        MissingExtra: A package of them cannot be imported.
+        MissingExtra: A package of these extras cannot be imported.
     """
     missing = {extra: absent for extra in extras if (absent := [name for name in EXTRAS[extra] if not _found(name)])}
     if missing:

@@ -1,8 +1,8 @@
-"""The canonical tables: every column, its type, its unit and what it means.
+"""The canonical tables: every column with its type, unit and meaning.
 
-Adapters fill ROBOT, PEOPLE, EVENTS, TASK_LIST and SAFETY (SKELETONS and STAMPS where there are any); ingest makes
-SAMPLES and TASKS of them, and QUARANTINE of what it sets aside. A null always means "unknown", never zero. What is
-computed from the columns is the business of the rooms that use them.
+Adapters fill ROBOT, PEOPLE, EVENTS, TASK_LIST and SAFETY (and SKELETONS and STAMPS, if available); ingest derives
+SAMPLES and TASKS from them, and puts rows that it does not use into QUARANTINE. A null always means "unknown", never
+zero.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     Ints = NDArray[np.int64]
     Bools = NDArray[np.bool_]
     Progress = Callable[[float, str], None]
-    """Told how far a computation is, 0 to 1, and what it does."""
+    """Callback for progress: fraction done, 0 to 1, and text."""
 
 _AS_IT_IS = pl.QueryOptFlags.none()
 SCHEMA_VERSION = 5
-"""Version of the dataset layout; a dataset of another version is refused, never half-read."""
+"""Version of the dataset layout; a dataset of another version is rejected."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ TASK_LIST: Mapping[str, Column] = {
     "outcome": Column(TEXT, "", "done, failed, or the log's own word; null = not logged"),
     "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
 }
-"""A task list: who did which task from when to when. It holds no positions."""
+"""A task list: agent, task, start and end; without positions."""
 
 SAFETY: Mapping[str, Column] = {
     "t_s": Column(F64, "s", "time in the log's own clock"),
@@ -103,7 +103,7 @@ SAFETY: Mapping[str, Column] = {
     "execution": Column(TEXT, "", "the execution's name in the log; null = not logged"),
     "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
 }
-"""What a safety system logs of itself: override, distance or both, without positions."""
+"""A safety system's log: override, distance or both, without positions."""
 
 SKELETONS: Mapping[str, Column] = {
     "t_s": Column(F64, "s", "time in the log's own clock"),
@@ -114,13 +114,13 @@ SKELETONS: Mapping[str, Column] = {
     "z_m": Column(F64, "m", "as x_m"),
     "source_row": Column(I64, "", "where in the log, as in PEOPLE"),
 }
-"""Every joint of every person: personal data, kept only on request (`--keep-skeletons`); no estimate needs it."""
+"""Every joint of every person: personal data, kept only on request (`--keep-skeletons`); not used by estimates."""
 
 STAMPS: Mapping[str, Column] = {
     "t_s": Column(F64, "s", "time in the log's own clock: the device's"),
     "host_s": Column(F64, "s", "when the computer that recorded it received it, seconds since 1970 by its clock"),
 }
-"""Two stamps of one row, where a log has both: how the device's clock runs against its host's."""
+"""Two stamps per row, if a log has both: they relate the device's clock to its host's."""
 
 OF_LOGS: Mapping[str, Mapping[str, Column]] = {
     "robot": ROBOT,
@@ -131,11 +131,11 @@ OF_LOGS: Mapping[str, Mapping[str, Column]] = {
     "skeletons": SKELETONS,
     "stamps": STAMPS,
 }
-"""The tables that a log may give, by name."""
+"""Tables that a log may provide, by name."""
 MAIN = ("robot", "people", "events", "task_list", "safety")
-"""Tables one of which a log must hold; the first there is tells its rate."""
+"""Tables of which a log must have at least one; the first one gives its rate."""
 UNRATED = ("events", "task_list")
-"""Tables whose rows come when something happens."""
+"""Tables of events, whose rows have no rate."""
 
 SAMPLES: Mapping[str, Column] = {
     "execution": Column(TEXT, "", "which execution of the process"),
@@ -169,10 +169,10 @@ SAMPLES: Mapping[str, Column] = {
         I64, "", "z: signals of people that are on, bit k = entry k of operator_signals in dataset.json; null = unknown"
     ),
 }
-"""10 Hz samples in one clock and one base frame."""
+"""Samples (10 Hz by default) in one clock and one base frame."""
 
 ADDED_TO_SAMPLES: Mapping[str, str | None] = {"human_signals": None}
-"""Columns that datasets of earlier versions lack, and what they would hold there."""
+"""Columns that datasets of earlier versions lack, and their default values."""
 
 TASKS: Mapping[str, Column] = {
     "execution": Column(TEXT, "", "which execution of the process"),
@@ -204,14 +204,14 @@ TASKS: Mapping[str, Column] = {
     "lost_stop_s": Column(F64, "s", "standstill midway without a person near: protective stop"),
     "lost_unknown_s": Column(F64, "s", "time lost to speed scaling of unknown cause"),
 }
-"""One row per executed task. Where it was found in the robot's motion, nominal + lost slider + safety loss + dwell +
-wait = end - start. Safety loss is the sum of lost person, input, limits, stop and unknown; wait that of lost wait and
-pause; so the eight `lost_` columns add up to all lost seconds. A cause has what would be saved without it but with
-those before it: slider, limits, input, person, protective stop. Of a task list only start, end and plan are known: no
-places, no motion, no split of the time."""
+"""One row per executed task. For a task found in the robot's motion, nominal + lost slider + safety loss + dwell + wait
+= end - start. Safety loss is the sum of lost person, input, limits, stop and unknown; wait is the sum of lost wait and
+pause; so the eight `lost_` columns add up to all lost time. The time of a cause is what would be saved without it but
+with those before it: slider, limits, input, person, protective stop. A task from a task list has only start, end and
+plan: no places, no motion, no time account."""
 
 SCALING_CAUSES = ("person", "input", "limits", "stop", "unknown")
-"""Causes of a speed scaling below 1, in which `safety_loss_s` is split."""
+"""Causes of a speed scaling below 1, into which `safety_loss_s` is split."""
 LOST_CAUSES = ("person", "slider", "input", "limits", "wait", "pause", "stop", "unknown")
 """All causes of lost time; `lost_CAUSE_s` in table TASKS."""
 
@@ -226,7 +226,7 @@ ADDED_TO_TASKS: Mapping[str, str | None] = {
     "waited_for": None,
     **{f"lost_{cause}_s": None for cause in LOST_CAUSES},
 }
-"""Columns that datasets of earlier versions lack, and what they would hold there."""
+"""Columns that datasets of earlier versions lack, and their default values."""
 
 SCALING_GAPS = (
     "standing",
@@ -239,9 +239,9 @@ SCALING_GAPS = (
     "too slow to tell",
     "log gap",
 )
-"""Why a scaling is unknown: the robot stands at a place; its program is paused or stopped; the log does not hold it,
-and too few repetitions show that motion at full speed, or it was slowed in every one; it took another path than its
-repetitions; it was too slow just there; the log is silent."""
+"""Reasons for an unknown scaling, in order: standstill at a place; program paused; program stopped; not logged and not
+inferred; too few repetitions show the motion at full speed; the motion was slowed in every repetition; it took another
+path than its repetitions; it was too slow to infer the scaling; gap in the log."""
 
 
 QUARANTINE: Mapping[str, Column] = {
@@ -251,31 +251,31 @@ QUARANTINE: Mapping[str, Column] = {
     "row_is": Column(TEXT, "", "what source_row counts: line (from 1), row, message or frame (from 0)"),
     "reason": Column(TEXT, "", "why it is not used"),
 }
-"""Rows (or messages, or damaged parts) of the logs that no other table holds."""
+"""Rows (or messages, or damaged parts) of the logs that are in no other table."""
 
 
 @lru_cache(maxsize=1024)
 def is_joint(name: str) -> bool:
-    """Tell whether a column is a joint angle (`q3_rad`) or joint speed (`qd3_rad_s`)."""
+    """Return whether a column is a joint angle (`q3_rad`) or joint speed (`qd3_rad_s`)."""
     stem, _, unit = name.partition("_")
     digits = stem.removeprefix("qd") if stem.startswith("qd") else stem.removeprefix("q")
     return stem.startswith("q") and digits.isdigit() and unit == ("rad_s" if stem.startswith("qd") else "rad")
 
 
 def empty(table: Mapping[str, Column]) -> pl.DataFrame:
-    """Return a frame of no rows with exactly the columns of `table`."""
+    """Return an empty frame with exactly the columns of `table`."""
     return pl.DataFrame(schema={name: column.dtype for name, column in table.items()})
 
 
 def conform(frame: pl.DataFrame | pl.LazyFrame, table: Mapping[str, Column]) -> pl.DataFrame:
-    """Return `frame` with the columns of `table`, in order and type; absent ones are null.
+    """Return `frame` with the columns of `table`, in order and type; missing ones are null.
 
-    Joint columns are kept behind the others when `table` is ROBOT. A lazy frame is computed.
+    If `table` is ROBOT, joint columns are kept after the others. A lazy frame is computed.
 
     Raises:
-        ShapeError: `frame` has a column that the table does not know (a slip in an adapter).
+        ShapeError: `frame` has a column that the table does not have (an error of an adapter).
     """
-    if isinstance(frame, pl.LazyFrame):  # of a table in memory: to plan it better takes longer than it saves
+    if isinstance(frame, pl.LazyFrame):  # a table in memory: optimisation takes longer than it saves
         frame = frame.collect(engine="in-memory", optimizations=_AS_IT_IS)
     have = frame.schema
     joints = sorted((name for name in have if is_joint(name)), key=joint_order) if table is ROBOT else []
@@ -297,11 +297,11 @@ def conform(frame: pl.DataFrame | pl.LazyFrame, table: Mapping[str, Column]) -> 
 
 @lru_cache(maxsize=256)
 def _nothing(name: str, dtype: pl.DataType) -> pl.Series:
-    """Return a column of one null."""
+    """Return a column with a single null."""
     return pl.Series(name, [None], dtype=dtype)
 
 
 def joint_order(name: str) -> tuple[bool, int]:
-    """Return the key by which joint columns are sorted: angles before speeds, each by number."""
+    """Return the sort key of joint columns: angles before speeds, each by number."""
     speed = name.startswith("qd")
     return speed, int(name.removeprefix("qd" if speed else "q").partition("_")[0])

@@ -1,8 +1,7 @@
 """The cell file (cell.toml): read, checked, kept as frozen dataclasses, and written.
 
-A cell file tells what the logs cannot: which file plays which role, where the tracker stands, how the clocks relate,
-what the places are called. Every key has a default that works; an unknown key is refused with the nearest known one.
-What the settings do is the business of the rooms that get them.
+A cell file gives what the logs do not contain: role of each file, pose of the tracker, clock offsets, names of places.
+Every key has a working default; an unknown key is an error that names the nearest known one.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The links of an arm from its joint angles: for one that is named, and for one that the log proves to be such an arm.
+"""Kinematics of known arms, for a named arm or for one recognised from the log.
 
-A log names its joints but rarely the arm. So each known arm of Universal Robots is tried: the one whose computed tool
-point follows the logged tool point is the arm, and if none does, none is drawn. Drawing is the business of `replay`,
-the TCP of a log that holds joints alone that of `intake`.
+A log names its joints but rarely the arm. So each known arm of Universal Robots is tried: the arm is the one whose
+computed tool point follows the logged one; if none does, none is drawn. Used by `replay` to draw the arm, and by
+`ingest` to compute the TCP of a log with joint angles only.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 AGREES_M = 0.05
-"""A computed tool point within this of the logged one (95 % of instants) belongs to the same arm."""
+"""Maximum distance, m, between computed and logged tool point (95 % quantile) for a recognised arm."""
 
 LONGEST_TOOL_M = 0.35
 _MOVED_M = 0.1
@@ -27,7 +27,7 @@ _HALF_PI = np.pi / 2
 
 
 class ArmLink(NamedTuple):
-    """One link by its (standard) Denavit-Hartenberg parameters: along z, along x, about x, and what the joint adds."""
+    """One link by standard Denavit-Hartenberg parameters: d, a, alpha, and the offset of the joint angle."""
 
     d_m: float
     a_m: float
@@ -37,7 +37,7 @@ class ArmLink(NamedTuple):
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm as its maker publishes it."""
+    """An arm with the parameters published by its manufacturer."""
 
     name: str
     links: tuple[ArmLink, ...]
@@ -94,7 +94,7 @@ _UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "w
 
 
 def joint_order(names: Sequence[str]) -> list[int]:
-    """Return the joints in order from the base, by their names; in the given order where the names do not say."""
+    """Return the indices of the joints in order from the base, by their names; in the given order if unclear."""
     ur = [[i for i, name in enumerate(names) if part in name] for part in _UR_JOINTS]
     if len(names) == len(_UR_JOINTS) and all(len(found) == 1 for found in ur):
         return [found[0] for found in ur]
@@ -106,12 +106,12 @@ def joint_order(names: Sequence[str]) -> list[int]:
 
 @dataclass(frozen=True)
 class FittedArm:
-    """An arm that follows the log.
+    """An arm recognised from the log.
 
     Attributes:
-        arm: Which one.
-        tool_m: Tool point in the flange frame, shape (3,), metres.
-        error_m: 95 % of the computed tool points lie within it of the logged ones.
+        arm: The arm.
+        tool_m: Tool point in the flange frame, shape (3,), m.
+        error_m: 95 % quantile of the distance between computed and logged tool points, m.
     """
 
     arm: Arm
@@ -120,14 +120,14 @@ class FittedArm:
 
 
 def joint_points(arm: Arm, joints_rad: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where the joints are and how the flange is turned.
+    """Return the positions of the joints and the rotation of the flange (forward kinematics).
 
     Args:
-        arm: The arm's links, J of them.
+        arm: The arm, with J links.
         joints_rad: Joint angles, shape (T, J).
 
     Returns:
-        Points from base to flange, shape (T, J + 1, 3), metres, base frame; flange rotation, shape (T, 3, 3).
+        Points from base to flange, shape (T, J + 1, 3), m, base frame; flange rotation, shape (T, 3, 3).
     """
     count = len(joints_rad)
     turn = np.broadcast_to(np.eye(3), (count, 3, 3))
@@ -143,7 +143,7 @@ def joint_points(arm: Arm, joints_rad: NDArray[np.float64]) -> tuple[NDArray[np.
 
 
 def _link_turn(cos: NDArray[np.float64], sin: NDArray[np.float64], alpha: float) -> NDArray[np.float64]:
-    """Rotation of one link, shape (T, 3, 3): about its joint by the angle, then about x by `alpha`."""
+    """Return the rotation of one link, shape (T, 3, 3): about z by the joint angle, then about x by `alpha`."""
     zero = np.zeros_like(cos)
     ca, sa = np.cos(alpha), np.sin(alpha)
     rows = [[cos, -sin * ca, sin * sa], [sin, cos * ca, -cos * sa], [zero, zero + sa, zero + ca]]
@@ -153,14 +153,14 @@ def _link_turn(cos: NDArray[np.float64], sin: NDArray[np.float64], alpha: float)
 def recognise_arm(joints_rad: NDArray[np.float64], tcp_m: NDArray[np.float64]) -> FittedArm | None:
     """Find the arm whose tool point follows the logged one.
 
-    First with the tool point at the flange; then, if the arm moved enough to prove it, with one fixed tool.
+    Tools tried: none (tool point at the flange) and, if the arm moved enough, one fixed offset.
 
     Args:
         joints_rad: Joint angles, shape (T, 6).
-        tcp_m: Logged tool centre point, shape (T, 3), metres, base frame. Rows with NaN are left out.
+        tcp_m: Logged tool centre point, shape (T, 3), m, base frame. Rows with NaN are ignored.
 
     Returns:
-        The arm that fits best, or None when none agrees within `AGREES_M`.
+        The arm that fits best; None if none agrees within `AGREES_M`.
     """
     known = np.isfinite(joints_rad).all(axis=1) & np.isfinite(tcp_m).all(axis=1)
     joints_rad, tcp_m = joints_rad[known], tcp_m[known]

@@ -1,4 +1,4 @@
-"""What a cell file says, as frozen dataclasses; the defaults here are those of the file."""
+"""Content of a cell file as frozen dataclasses, with the defaults of the file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from msgspec import Meta
 Role = Literal["robot", "people", "events", "tasks"]
 Begin = Literal["auto", "file", "gap", "home", "register", "digital-output", "signal"]
 Number = Annotated[float, Meta(ge=-1e15, le=1e15)]
-"""No number of a cell is larger; NaN and infinity are not either."""
+"""Range of numbers in a cell file; excludes NaN and infinity."""
 Positive = Annotated[float, Meta(gt=0.0, le=1e15)]
 Rate = Annotated[float, Meta(gt=0.0, le=1e6)]
 """A sampling rate, 1/s."""
@@ -20,16 +20,16 @@ Point = Annotated[tuple[Number, Number, Number], Meta(examples=[[0.0, 0.0, 0.0]]
 Matrix = tuple[Point, Point, Point]
 IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 CLOCK_KEYS = ("clock_offset_s", "sync", "sync_events", "sees", "same_clock_as")
-"""Keys of a source that each say how its clock relates to the robot's."""
+"""Keys of a source that relate its clock to the robot's."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Where a log's frame stands in the robot base frame: p_base = rotation @ p + xyz_m, after turning up to z.
+    """Pose of a log's frame in the robot base frame: p_base = rotation @ p + xyz_m, after rotation of up to z.
 
     Attributes:
-        xyz_m: Origin of the log's frame, base frame, metres.
-        rotation: Row-major rotation matrix; from `yaw_deg` (about base z) where the file gives that.
+        xyz_m: Origin of the log's frame, base frame, m.
+        rotation: Row-major rotation matrix; from `yaw_deg` (about base z) if the file gives that.
     """
 
     xyz_m: Point = (0.0, 0.0, 0.0)
@@ -38,12 +38,12 @@ class Frame:
 
 @dataclass(frozen=True)
 class Sync:
-    """Two signals that change at the same instants.
+    """Two signals that change at the same times.
 
     Attributes:
-        robot: In the robot's log: "digital-output 3", "register", or a signal of its events ("signal=value" takes
-            only the changes to that value).
-        other: Likewise in the log to be placed.
+        robot: Signal in the robot log: "digital-output 3", "register", or a signal of its events ("signal=value" for
+            changes to that value only).
+        other: Likewise in the log to align.
     """
 
     robot: str
@@ -57,21 +57,21 @@ class Source:
     Attributes:
         path: File, folder or glob, relative to the folder of logs.
         adapter: Adapter to use; None = found by content.
-        role: robot, people, events or tasks; None = all that the log holds.
-        clock_offset_s: Added to this log's time to get the robot log's time; None = not known.
+        role: robot, people, events or tasks; None = all tables of the log.
+        clock_offset_s: Added to this log's time to get the robot log's time, s; None = unknown.
         clock_rate: Seconds of the robot log per second of this log.
-        sync: Signals that change at the same instants in this log and the robot's; the clock is fitted to them.
-        sync_events: Instead, the times of such events: (this log's, the robot log's), seconds.
-        sees: "tcp" = a body of this log rides on the robot's flange; the clock is fitted to its motion.
-        sees_as: That body's name; None = all that the log holds is that body, and no person.
+        sync: Signals that change at the same times in this log and the robot log; the clock is fitted to them.
+        sync_events: Alternative to `sync`: times of such events (in this log, in the robot log), s.
+        sees: "tcp" = a body of this log is mounted on the robot's flange; the clock is fitted to its motion.
+        sees_as: Name of that body; None = it is the only body of the log, and the log has no person.
         same_clock_as: Path of another source whose clock this log shares.
-        start: When this log began by the calendar, ISO 8601 with time zone; seconds at best, the last resort.
-        frame: Where the log's frame stands; None = not known (taken as the base frame, with a warning).
-        body: Which rigid body, marker or topic is the operator.
-        silence: What it means that this tracker writes nothing: `absent` (it sees nobody) or `unknown` (it may be off);
-            None = found in the logs.
-        rate_hz: Rate of a log that has no clock.
-        map: Columns, units or topics, as the adapter understands them.
+        start: Date and time at which this log began, ISO 8601 with time zone; accurate to seconds at best.
+        frame: Pose of the log's frame; None = unknown (taken as the base frame, with a warning).
+        body: Rigid body, marker or topic of the operator.
+        silence: Meaning of a tracker without rows: `absent` (no person) or `unknown` (it may be off); None = found in
+            the logs.
+        rate_hz: Rate of a log without clock.
+        map: Columns, units or topics for the adapter.
     """
 
     path: str
@@ -94,10 +94,10 @@ class Source:
 
 @dataclass(frozen=True)
 class NamedPlace:
-    """A place that the integrator named: positions within `radius_m` of `xyz_m` (base frame) are there.
+    """A named place: all positions within `radius_m` of `xyz_m` (base frame).
 
     Attributes:
-        label: How results show it to people; None: by its name.
+        label: Name shown in results; None: the name in the file.
     """
 
     xyz_m: Point
@@ -107,12 +107,12 @@ class NamedPlace:
 
 @dataclass(frozen=True)
 class Furniture:
-    """A table or any other thing in the cell: a box, drawn in replays and reports and used for nothing else.
+    """A table or other object in the cell, as a box; only drawn in replays and reports.
 
     Attributes:
-        xyz_m: Middle of its top, base frame.
-        size_m: Length, width and height; length is along x before it is turned.
-        yaw_deg: How it is turned about the vertical.
+        xyz_m: Centre of its top, base frame, m.
+        size_m: Length, width and height, m; the length is along x before rotation.
+        yaw_deg: Rotation about the vertical, deg.
     """
 
     xyz_m: Point
@@ -122,14 +122,15 @@ class Furniture:
 
 @dataclass(frozen=True)
 class Wait:
-    """Who waits where until what has happened; it wins over what the logs show.
+    """A wait condition, which overrides those found in the logs.
 
     Attributes:
-        agent: Who waits.
-        before: Place that it may not go on to; else `leaving`: place that it may not leave.
-        until: "operator leaves fixture", "robot arrives handover", "release set" or "release cleared" of a signal.
+        agent: The agent that waits.
+        before: Place that the agent must not approach until the event; or `leaving`: place that it must not leave.
+        until: The event: "operator leaves fixture", "robot arrives handover", "release set" or "release cleared" of a
+            signal.
         back: The k-th passage needs the (k - back)-th such event of the execution; None = found in the logs.
-        never: It does not wait for that, or for nothing at all without `until`.
+        never: The agent does not wait for that event, or, without `until`, for any event.
     """
 
     agent: Literal["robot", "operator"]
@@ -140,12 +141,12 @@ class Wait:
     never: bool = False
 
     def place(self, at: str) -> str | None:
-        """Return the place that it may not `approach`, or may not `leave`; None where it says nothing of that."""
+        """Return the place that the agent must not `approach`, or must not `leave`; None if there is no such place."""
         return self.before if at == "approach" else self.leaving
 
     @property
     def event(self) -> tuple[str, str, str] | None:
-        """Whose event it waits for (`signal` = of a signal), where (or the signal), and which; None = any."""
+        """The event as (agent or `signal`, place or name of the signal, kind); None = any."""
         if self.until is None:
             return None
         first, _, rest = self.until.partition(" ")
@@ -158,15 +159,15 @@ class Wait:
 
 @dataclass(frozen=True)
 class Executions:
-    """How executions of the process begin.
+    """Rule for the start of executions of the process.
 
     Attributes:
-        begin: `auto` splits at gaps and, where the log stays continuous, at departures from home.
-        gap_s: A silence of the robot log longer than this separates executions.
-        home: Place that an execution starts from; None = where the recording starts, if it returns there.
-        bit: Digital output whose rising edge begins an execution (begin = "digital-output").
-        signal: What begins one (begin = "signal"): an event of any log, "signal" or "signal=value"; "register=100" for
-            a program line.
+        begin: The rule; `auto` splits at gaps and, where the log has none, at departures from home.
+        gap_s: Minimum gap in the robot log between executions, s.
+        home: Place from which an execution starts; None = where the recording starts, if the robot returns there.
+        bit: Digital output whose rising edge starts an execution (begin = "digital-output").
+        signal: Signal that starts an execution (begin = "signal"): an event of any log, "signal" or "signal=value";
+            "register=100" for a program line.
     """
 
     begin: Begin = "auto"
@@ -178,12 +179,12 @@ class Executions:
 
 @dataclass(frozen=True)
 class OperatorSignal:
-    """A signal that tells of people where no tracker does: the field of a scanner, a light curtain, a door.
+    """A signal that shows people without a tracker: field of a scanner, light curtain, door.
 
     Attributes:
-        name: What it is called.
+        name: Name in results.
         signal: "digital-input 3", or the name of an event in any log.
-        occupied: Its value while somebody is there, as text.
+        occupied: Its value while a person is present, as text.
     """
 
     name: str
@@ -193,12 +194,13 @@ class OperatorSignal:
 
 @dataclass(frozen=True)
 class Robot:
-    """The arm of a log that holds joint angles and no TCP.
+    """The arm of a log with joint angles but without TCP.
 
     Attributes:
-        model: A known arm, see `arm.MODELS`.
-        dh: Instead, of each joint from the base on: d, a (m), alpha, theta (deg), standard Denavit-Hartenberg.
-        tool_m: The TCP from the flange, in the flange's frame, metres.
+        model: A known arm, see `arms.MODELS`.
+        dh: Alternative to `model`: d, a (m), alpha, theta (deg) of each joint from the base, standard
+            Denavit-Hartenberg.
+        tool_m: Position of the TCP in the flange frame, m.
     """
 
     model: str | None = None
@@ -214,12 +216,12 @@ class Cell:
         ignore: Globs of files that are not logs.
         reference: Globs of robot logs recorded without a person in the cell.
         rate_hz: Rate of the samples.
-        all_places_named: The robot stops for its process at the named places only; nothing else becomes a place.
+        all_places_named: Whether the named places are the only ones; then no others are searched for.
         levels: Levels of the safety system's speed scaling, ascending, fractions; empty = found in the logs.
-        robot: The arm, where the TCP is not logged and shall be computed from the joint angles.
-        operator_signals: Signals that tell of people; empty: without a tracker they are found in the logs.
-        waits: Who waits where for what, beside what the logs show.
-        bridge_s: A gap in the operator's track up to this long is bridged linearly; longer ones stay unknown.
+        robot: The arm, to compute the TCP from joint angles if it is not logged.
+        operator_signals: Signals that show people; empty: without a tracker, they are found in the logs.
+        waits: Wait conditions, in addition to those found in the logs.
+        bridge_s: Maximum gap in the operator's track that is interpolated linearly, s; longer ones stay unknown.
     """
 
     name: str = "cell"

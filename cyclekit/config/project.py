@@ -1,6 +1,6 @@
-"""The project file (cyclekit.toml): where the logs, the dataset, the model and the results of one cell lie.
+"""The project file (cyclekit.toml): paths of the logs, the dataset, the model and the results of one cell.
 
-Commands that are typed in its folder find there what was left out; `cyclekit run` brings all of it up to date.
+Commands run in its folder take missing arguments from it; `cyclekit run` updates all of it.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ _Text = Annotated[str, Meta(min_length=1)]
 
 @dataclass(frozen=True)
 class Project:
-    """One cell: its logs, and where what is made of them lies; paths from the folder of the file, or URLs.
+    """One cell: its logs and its results; paths are relative to the folder of the file, or URLs.
 
     Attributes:
         logs: Files and folders of logs.
         name: Title of the report; empty: the name of the folder.
-        cell: Cell file; None: the one beside the logs.
+        cell: Cell file; None: the one in the folder of the logs.
         dataset: Folder of the dataset.
         model: Folder of the model.
-        sequences: Sequence file that is estimated.
-        jobs: Work whose order `plan` searches.
-        takt: Takt time, as `105s`.
-        baseline: Name of the sequence that the verdict holds the others against.
-        estimates: Where the estimates go, `.json`, `.csv` or `.xlsx`.
-        report: Where the report goes.
-        template: Folder with the look of the report.
+        sequences: Sequence file to estimate.
+        jobs: Jobs file for `plan`.
+        takt: Takt time, such as `105s`.
+        baseline: Name of the sequence with which the others are compared.
+        estimates: File of the estimates, `.json`, `.csv` or `.xlsx`.
+        report: File of the report.
+        template: Folder with the template of the report.
     """
 
     logs: Annotated[tuple[_Text, ...], Meta(min_length=1, examples=[["logs"]])]
@@ -56,19 +56,19 @@ class Project:
 
     @property
     def takt_s(self) -> float | None:
-        """The takt time in seconds; None where there is none."""
+        """The takt time in seconds; None without one."""
         return None if self.takt is None else seconds_in(self.takt)
 
 
 def load_project(path: Path) -> Project:
-    """Read a project file; its paths come back as they are seen from the working directory.
+    """Read a project file; its paths are returned relative to the working directory.
 
     Args:
-        path: The file, or the folder that it lies in.
+        path: The file, or its folder.
 
     Raises:
-        ConfigError: The file cannot be read, a value is of the wrong kind, or the takt is no duration.
-        UnknownName: A key is not known.
+        ConfigError: The file cannot be read, a value is of the wrong type, or the takt time is not a duration.
+        UnknownName: A key is unknown.
     """
     file = path / PROJECT_FILE if path.is_dir() else path
     if not file.exists():
@@ -101,7 +101,7 @@ _SAID = {
 
 
 def project_to_toml(project: Project) -> str:
-    """Return the project file that reads back as this project, with a word on each key; unset keys as comments."""
+    """Return the text of a project file for this project, with a comment on each key; unset keys are commented out."""
     lines = ["# Written by cyclekit init; paths are seen from this folder. Bring all up to date: cyclekit run"]
     for each in fields(project):
         value = getattr(project, each.name)

@@ -1,4 +1,4 @@
-"""The text of a cell file -> a `Cell`, every value checked, every slip named with file, key and cure."""
+"""Read a cell file into a `Cell`; every value is checked, and every error names file, key and cure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LARGEST = 1e15
 
 @dataclass(frozen=True)
 class _Frame:
-    """A frame as a file says it."""
+    """A frame as written in the file."""
 
     xyz_m: Point = (0.0, 0.0, 0.0)
     yaw_deg: Number | None = None
@@ -33,8 +33,8 @@ def load_cell(path: Path) -> Cell:
     """Read a cell file.
 
     Raises:
-        ConfigError: The file cannot be read, or a value is of the wrong kind.
-        UnknownName: A key is not known.
+        ConfigError: The file cannot be read, or a value is of the wrong type.
+        UnknownName: A key is unknown.
     """
     raw, where = read_toml(path), str(path)
     entries = list_at(where, raw, "sources")
@@ -84,7 +84,7 @@ def _check_robot(where: str, robot: Robot) -> None:
 
 
 def _source(where: str, entry: object) -> dict[str, object]:
-    """Return a source's keys with its start and its frame as a `Source` has them."""
+    """Return a source's keys, with start and frame converted for `Source`."""
     found = dict(table_at(where, entry))
     _one_clock(where, found)
     if "start" in found:
@@ -97,14 +97,14 @@ def _source(where: str, entry: object) -> dict[str, object]:
 
 
 def _operator_signal(entry: object) -> object:
-    """Return its keys with the value `occupied` as text: a bit is written as a number or as true and false."""
+    """Return its keys with `occupied` as text, as a bit may be written as a number or a boolean."""
     if not isinstance(entry, Mapping) or not isinstance(entry.get("occupied"), int):
         return entry
     return {**entry, "occupied": str(int(entry["occupied"]))}
 
 
 def _map(where: str, raw: object) -> dict[str, object]:
-    """Return what adapters are told; all of it can be kept as JSON."""
+    """Return the settings of the adapter; all of them can be stored as JSON."""
     found = dict(table_at(where, raw))
     waiting: list[tuple[str, object]] = list(found.items())
     while waiting:

@@ -1,6 +1,6 @@
-"""The sequence file: which task sequences are asked for, in which order the robot visits its places.
+"""The sequence file: task sequences to estimate, as the robot's places in order.
 
-Whether the places exist and the tasks were ever logged is found out by `estimate`.
+`estimate` checks whether the places exist and the tasks were logged.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _EXAMPLE = """Add one:
   name = "A"
   places = ["home", "conveyor", "left_1", "home"]"""
 PLAN = "plan"
-"""What the places of a plan for robot and operator begin with."""
+"""First entry of the places of a plan for robot and operator."""
 MOST_S, EARLY_S = 1e7, 1e-3
-"""No plan is longer; a planner's zero may be a little below it, s."""
+"""Maximum length of a plan, s; tolerance for a start slightly below zero, s."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class PlannedTask:
 
     Attributes:
         agent: `robot`, `operator`, or the agent's name in the logs.
-        name: Of the task.
-        not_before_s: Earliest start, s after the start of the cycle; None = as soon as it can.
-        after: Tasks that must have ended before it, besides what was learned.
+        name: Name of the task.
+        not_before_s: Earliest start, s after the start of the cycle; None = as soon as possible.
+        after: Tasks that must end before it, in addition to learned conditions.
     """
 
     agent: str
@@ -44,16 +44,16 @@ class PlannedTask:
 
     @property
     def shown(self) -> str:
-        """How a message names it: `robot: pick`."""
+        """Name in messages, such as `robot: pick`."""
         return f"{self.agent}: {self.name}"
 
 
 @dataclass(frozen=True)
 class TaskSequence:
-    """What the robot shall do: ordered places, the start first; optionally what the operator does meanwhile.
+    """A task sequence of the robot: places in order, the start first; optionally the operator's places meanwhile.
 
-    `file` is where it was read from, for messages. `plan` holds the tasks of both agents where the sequence is a plan
-    for both, each agent's in order; `places` then names them.
+    `file` is the source, for messages. If the sequence is a plan for robot and operator, `plan` has the tasks of both,
+    in order for each agent, and `places` has their names.
     """
 
     name: str
@@ -69,7 +69,7 @@ class TaskSequence:
 
     @property
     def shown(self) -> str:
-        """How a message names it: file and name."""
+        """Name in messages: file and name."""
         return f"{self.file}: sequence {self.name!r}" if self.file else f"sequence {self.name!r}"
 
     @property
@@ -81,10 +81,10 @@ class TaskSequence:
 def load_sequences(path: Path) -> list[TaskSequence]:
     """Read a sequence file: `[[sequence]]` with `name` and `places` (or `tasks`), optionally `operator`.
 
-    A plan for robot and operator has `[[sequence.task]]` in their place: `agent`, `name`, `not_before_s`, `after`.
+    A plan for robot and operator has `[[sequence.task]]` instead: `agent`, `name`, `not_before_s`, `after`.
 
     Raises:
-        ConfigError: The file cannot be read, holds no sequence, or a sequence is not one.
+        ConfigError: The file cannot be read, has no sequence, or a sequence is invalid.
     """
     try:
         raw = read_toml(path)
@@ -103,7 +103,7 @@ def load_sequences(path: Path) -> list[TaskSequence]:
 
 @dataclass(frozen=True)
 class _Task:
-    """A task of a plan as the file says it."""
+    """A task of a plan as written in the file."""
 
     agent: str
     name: str
@@ -113,7 +113,7 @@ class _Task:
 
 @dataclass(frozen=True)
 class _Entry:
-    """A sequence as the file says it."""
+    """A sequence as written in the file."""
 
     name: str | None = None
     places: tuple[str, ...] | None = None
@@ -145,7 +145,7 @@ def _plan(where: str, entry: _Entry, index: int, path: Path) -> TaskSequence:
     """Return a plan for robot and operator.
 
     Raises:
-        ConfigError: It names places too, or an earliest start is no time.
+        ConfigError: It has places too, or an earliest start is invalid.
     """
     if any(part is not None for part in (entry.places, entry.tasks, entry.operator)):
         msg = f"{where}: [[sequence.task]] together with places, tasks or operator"

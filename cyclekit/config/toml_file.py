@@ -1,7 +1,7 @@
-"""A TOML file as checked values, with errors that name the file, the key, what was expected and the cure.
+"""A TOML file as checked values, with errors that name the file, the key, the expected value and the cure.
 
-`read_toml` parses; `followed` turns a table into a frozen dataclass. Each leaf is checked by msgspec against the type
-of its field, and this is the one place where what it found is put into words.
+`read_toml` parses; `followed` converts a table to a frozen dataclass. msgspec checks each value against the type of its
+field; its errors are converted to messages here.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ _PAGE = "docs/commands.md (of a fleet: docs/fleet.md) shows the keys and their v
 
 
 def read_toml(path: Path) -> dict[str, object]:
-    """Return the values of a TOML file; names in it are one line each, controls in them escaped.
+    """Return the values of a TOML file; line breaks and control characters in names are escaped.
 
     Raises:
-        ConfigError: The file cannot be read or is no TOML.
+        ConfigError: The file cannot be read or is not TOML.
     """
     try:
         content = regular(path).read_bytes()
@@ -56,17 +56,17 @@ def read_toml(path: Path) -> dict[str, object]:
 
 
 def followed(where: str, raw: object, kind: type[Table], **given: object) -> Table:
-    """Return a table as a dataclass; tables in it become the dataclasses that its fields say.
+    """Return a table as a dataclass; nested tables become the dataclasses of its fields.
 
     Args:
-        where: File and table, as messages name them.
-        raw: What stands there.
-        kind: A dataclass whose fields are the keys; msgspec checks what they hold, `Meta(examples=…)` gives the cure.
-        given: Fields that do not come from the file; they are no keys of it.
+        where: File and table, for messages.
+        raw: The table.
+        kind: A dataclass whose fields are the keys; msgspec checks the values, `Meta(examples=…)` gives the cure.
+        given: Fields that do not come from the file; they are not valid keys.
 
     Raises:
-        UnknownName: A key, or a value that is one of few, is not known.
-        ConfigError: A key is missing, or its value is not of its kind or is refused by the dataclass.
+        UnknownName: A key, or the value of an enumeration, is unknown.
+        ConfigError: A key is missing, or its value has the wrong type or is rejected by the dataclass.
     """
     hints = get_type_hints(kind, include_extras=True)
     keys = [each for each in fields(kind) if each.name not in given]  # type: ignore[arg-type]
@@ -87,7 +87,7 @@ def followed(where: str, raw: object, kind: type[Table], **given: object) -> Tab
 
 
 def table_at(where: str, raw: object) -> Mapping[str, Any]:
-    """Return what must be a table.
+    """Return `raw`, which must be a table.
 
     Raises:
         ConfigError: It is something else.
@@ -98,7 +98,7 @@ def table_at(where: str, raw: object) -> Mapping[str, Any]:
 
 
 def list_at(where: str, raw: Mapping[str, Any], key: str) -> list[Any]:
-    """Return the list under `key`, empty when absent.
+    """Return the list under `key`; empty if absent.
 
     Raises:
         ConfigError: It is something else.
@@ -111,10 +111,10 @@ def list_at(where: str, raw: Mapping[str, Any], key: str) -> list[Any]:
 
 
 def refuse_twice(where: str, kind: str, names: list[str]) -> None:
-    """Refuse names of which one stands twice.
+    """Raise an error if a name occurs twice.
 
     Raises:
-        ConfigError: One does.
+        ConfigError: A name occurs twice.
     """
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ConfigError(
@@ -123,7 +123,7 @@ def refuse_twice(where: str, kind: str, names: list[str]) -> None:
 
 
 def _value(where: str, each: Field[Any], value: object, hint: Any) -> Any:  # noqa: ANN401 - a type, and what it says
-    if get_origin(hint) in (Union, UnionType):  # a key is there or not; TOML has no null
+    if get_origin(hint) in (Union, UnionType):  # optional key: TOML has no null
         (hint,) = (kind for kind in get_args(hint) if kind is not NoneType)
     origin, inner = get_origin(hint), get_args(hint)
     if _is_table(hint):
@@ -150,7 +150,7 @@ def _is_table(kind: object) -> TypeGuard[type]:
 
 
 def _cure(each: Field[Any], value: object, hint: Any) -> str:  # noqa: ANN401 - a type
-    """Return a line that would be right: an example of the type, the value as a text, or the default."""
+    """Return a valid line: an example of the type, the value as text, or the default."""
     found = [meta.examples[0] for meta in getattr(hint, "__metadata__", ()) if getattr(meta, "examples", None)]
     if not found and hint is str:
         found = [str(value)]
@@ -160,5 +160,5 @@ def _cure(each: Field[Any], value: object, hint: Any) -> str:  # noqa: ANN401 - 
 
 
 def _as_toml(value: object) -> str:
-    """Return a value as TOML writes it."""
+    """Return a value in TOML syntax."""
     return json.dumps(value, ensure_ascii=False, default=str)

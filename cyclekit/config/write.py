@@ -1,4 +1,4 @@
-"""A `Cell` -> the text of a cell file that reads back as the same one; likewise a sequence."""
+"""Write a `Cell` as the text of a cell file that reads back as the same cell; likewise a sequence."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _ABOUT_DRAFTS = (
 
 
 def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
-    """Return the cell file that would give this cell; comments say what a person may want to fill in.
+    """Return the text of a cell file for this cell, with comments on settings to fill in.
 
     Args:
         cell: The cell.
-        drafts: Proposals for sources, by path; an uncertain one becomes a comment.
+        drafts: Proposals for sources, by path; uncertain ones are commented out.
     """
     drafts = drafts or {}
     lines = [*(_ABOUT_DRAFTS if drafts else ()), f"name = {toml_value(cell.name)}"]
@@ -102,7 +102,7 @@ def _drafted_map(draft: Draft) -> list[str]:
 
 
 def _proposed(proposal: Proposal) -> str:
-    """Return a key that is proposed; one that is not sure as a comment."""
+    """Return the line of a proposed key; an uncertain one is commented out."""
     why = f"  # {one_line(proposal.why)}" if proposal.why else ""
     return f"{'' if proposal.sure else '# ? '}{_key(proposal.key)} = {toml_value(proposal.value)}{why}"
 
@@ -112,7 +112,7 @@ def _key(name: str) -> str:
 
 
 def toml_value(value: object) -> str:
-    """Return a value of a cell or project file as TOML writes it."""
+    """Return a value of a cell or project file in TOML syntax."""
     if isinstance(value, Frame):
         rotation = [list(row) for row in value.rotation]
         return f"{{ xyz_m = {toml_value(list(value.xyz_m))}, rotation = {toml_value(rotation)} }}"

@@ -1,12 +1,10 @@
-"""Many cells: what is new of each becomes dataset, model and report, and all of them one page.
+"""Many cells: updates dataset, model and report of each cell, and one page for all.
 
-A cell is one task of the engine; what fails in one is told, and the others go on. A cell's folder holds
+A cell is one task of the engine; an error in one cell is reported, and the others continue. The output:
 
     OUT/NAME/dataset, OUT/NAME/model, OUT/NAME/report.html
-    OUT/NAME/cell.json     what was done, when, what failed and why, and the figures of the page
+    OUT/NAME/cell.json     stages with state, time and text, and the figures for the page
     OUT/index.html         the page of the fleet
-
-How a dataset, a model or a report comes about is the business of the rooms below.
 """
 
 from __future__ import annotations

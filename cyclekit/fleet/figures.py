@@ -21,9 +21,9 @@ def figures_of(dataset: Dataset, drift: Drift | str, days: Mapping[str, date], m
 
     Args:
         dataset: All logs of the cell.
-        drift: Since last month, or why that is not known.
+        drift: Drift since last month, or the reason why it is unknown.
         days: The day of every session.
-        model_doubt: Why the error of the model is large; empty where it is not.
+        model_doubt: Reason for a large model error; empty if the error is not large.
     """
     whole = dataset.executions.filter("complete")
     lost = dataset.tasks().group_by("execution").agg(
@@ -55,7 +55,7 @@ def figures_of(dataset: Dataset, drift: Drift | str, days: Mapping[str, date], m
 
 
 def _months(whole: pl.DataFrame, days: Mapping[str, date]) -> tuple[MonthCard, ...]:
-    """Return the months of the executions whose day is known; an unknown loss leaves the month's unknown."""
+    """Return figures by month, from executions with known day; the loss of a month is unknown if any is unknown."""
     first = {session: day.replace(day=1) for session, day in days.items()}
     months = pl.DataFrame(
         {"session": list(first), "month": list(first.values())}, schema={"session": pl.String, "month": pl.Date}

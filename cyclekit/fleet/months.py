@@ -1,7 +1,7 @@
-"""The days of the logs, and what has changed in the last month.
+"""The days of the logs, and changes in the last month.
 
-Robots and trackers seldom log the date. It is taken from the path of the log where one stands there (2026-11-03 or
-20261103), else from when its file was last written.
+Robots and trackers seldom log the date. It is taken from the path of the log (2026-11-03 or 20261103), else from the
+modification time of the file.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _DATE = re.compile(r"(?<!\d)(20\d\d)([-_.]?)(\d\d)\2(\d\d)(?!\d)")
 
 
 def day_in(path: str) -> dt.date | None:
-    """Return the last date that stands in a path, None if there is none."""
+    """Return the last date in a path; None if there is none."""
     for year, _, month, day in reversed(_DATE.findall(path)):
         try:
             return dt.date(int(year), int(month), int(day))
@@ -37,11 +37,11 @@ def day_in(path: str) -> dt.date | None:
 
 
 def days_of(dataset: Dataset, roots: Sequence[Path]) -> dict[str, dt.date]:
-    """Return the day of every session, as far as its logs can be found.
+    """Return the day of every session whose logs can be found.
 
     Args:
-        dataset: Made of these logs.
-        roots: The files and folders that were given to `ingest`.
+        dataset: Dataset of these logs.
+        roots: The files and folders given to `ingest`.
     """
     bases = [root if root.is_dir() else root.parent for root in roots]
     found: dict[str, dt.date] = {}
@@ -53,7 +53,7 @@ def days_of(dataset: Dataset, roots: Sequence[Path]) -> dict[str, dt.date]:
 
 
 def _written(shown: str, bases: Sequence[Path]) -> dt.date | None:
-    """Return the day on which a log was last written; with several folders of logs its name may begin with theirs."""
+    """Return the day in a log's path, else of its last change; its shown name may begin with the folder of logs."""
     parts = shown.split("/")
     for base in bases:
         for first in range(len(parts)):
@@ -68,9 +68,9 @@ def _written(shown: str, bases: Sequence[Path]) -> dt.date | None:
 
 
 def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, dt.date]) -> Drift | str:
-    """Compare the last month of logs with those before it; return why that cannot be done in a sentence.
+    """Compare the last month of logs with those before; return a sentence with the reason if that is not possible.
 
-    What the model learned from is left out when its errors are compared, on both sides.
+    The errors of the model are compared on executions that were not used for training.
 
     Args:
         model: A model of problem `now`, trained on these logs or on the earlier ones.
@@ -96,7 +96,7 @@ def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, d
 
 
 def since_training(model: TrainedModel, dataset: Dataset) -> Drift | None:
-    """Compare executions that came after the training with those held out from it; None with fewer than two."""
+    """Compare executions newer than the training with those held out from it; None with fewer than two of either."""
     split = model.card.split or SplitCard()
     known = {*split.train, *split.validation, *split.test}
     names = dataset.executions["execution"].to_list()

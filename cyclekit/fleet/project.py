@@ -1,4 +1,4 @@
-"""A project of one cell brought up to date: the stages of a fleet's cell, and its estimates; only what changed."""
+"""Update a project of one cell: the stages of a fleet's cell, and its estimates; only what changed."""
 
 from __future__ import annotations
 
@@ -48,42 +48,42 @@ if TYPE_CHECKING:
 
 LEDGER = "cyclekit.json"
 _SHOWN = 3
-"""So many estimates are named."""
+"""Maximum number of estimates named in a result."""
 
 
 @dataclass(frozen=True)
 class ProjectCell(FleetCell):
-    """The cell of a project, whose paths are those of the project file.
+    """The cell of a project, with the paths of the project file.
 
     Attributes:
-        project: What the project file says.
+        project: The project.
     """
 
     project: Project = field(default_factory=lambda: Project(()))
 
     @property
     def dataset(self) -> str:
-        """Where its dataset stands."""
+        """Path or URL of its dataset."""
         return self.project.dataset
 
     @property
     def model(self) -> str:
-        """Where its model stands."""
+        """Path or URL of its model."""
         return self.project.model
 
     @property
     def report(self) -> str:
-        """Where its report is written."""
+        """Path or URL of its report."""
         return self.project.report
 
     @property
     def ledger(self) -> str:
-        """Where it is written down what came of its stages."""
+        """Path or URL of the ledger with the results of its stages."""
         return join(self.folder, LEDGER)
 
     @property
     def looks(self) -> Looks:
-        """What else its report is told."""
+        """Further arguments of `write_report` for its report."""
         project = self.project
         template = None if project.template is None else Path(project.template)
         return {"takt_s": project.takt_s, "baseline": project.baseline, "template": template}
@@ -91,12 +91,12 @@ class ProjectCell(FleetCell):
 
 @dataclass(frozen=True, repr=False)
 class ProjectRun(Result):
-    """What came of each stage of a project; as a frame one row per stage.
+    """Results of the stages of a project; as a frame, one row per stage.
 
     Attributes:
         file: The project file.
-        project: What it says.
-        rows: Of each stage in order.
+        project: The project.
+        rows: Result of each stage, in order.
     """
 
     file: Path
@@ -126,23 +126,23 @@ def run_project(
     stages: Sequence[str] = ("ingest", "train", "estimate", "report"),
     progress: Progress | None = None,
 ) -> ProjectRun:
-    """Bring a project up to date: ingest, train, estimate, report; only what changed since the last run.
+    """Update a project: ingest, train, estimate, report; only what changed since the last run.
 
-    What was found out stands in `cyclekit.json` beside the project file. Where there is no sequence file, one is
-    written: the order logged most often.
+    The results are recorded in `cyclekit.json` in the folder of the project file. If there is no sequence file, one is
+    written with the order logged most often.
 
     Args:
         project: The project file, or its folder.
-        stages: Those to be done, in their order.
-        progress: Told fraction and text.
+        stages: Stages to run, in order.
+        progress: Called with fraction and text.
 
     Returns:
-        What came of each stage. What fails is in it, and stages that can do without it go on.
+        The result of each stage, including failures; stages that do not need a failed one still run.
 
     Raises:
-        ConfigError: The project file cannot be followed.
-        UnknownName: There is no such stage.
-        OutputError: Something that is not cyclekit's would be replaced.
+        ConfigError: The project file is invalid.
+        UnknownName: A stage does not exist.
+        OutputError: A file that cyclekit did not write would be replaced.
     """
     file = Path(project) / PROJECT_FILE if Path(project).is_dir() else Path(project)
     told = load_project(file)
@@ -165,7 +165,7 @@ def _project(work: CellAtWork) -> Project:
 
 
 def _train(work: CellAtWork) -> tuple[State, str]:
-    """Learn the safety function, or of task lists alone the times of tasks."""
+    """Learn the safety function or, from a dataset of task lists only, the times of tasks."""
     cell, dataset = work.cell, dataset_of(work.cell)
     if dataset is None:
         return STAGES["train"](work)
@@ -184,7 +184,7 @@ def _train(work: CellAtWork) -> tuple[State, str]:
 
 
 def _estimate(work: CellAtWork) -> tuple[State, str]:
-    """Estimate the sequences where dataset, model, sequences or takt are new."""
+    """Estimate the sequences if dataset, model, sequences or takt time changed."""
     project, dataset, model = _project(work), dataset_of(work.cell), _model(work.cell)
     if dataset is None or model is None:
         return "skipped", "there is no dataset" if dataset is None else "there is no model"
@@ -204,7 +204,7 @@ def _estimate(work: CellAtWork) -> tuple[State, str]:
 
 
 def _report(work: CellAtWork) -> tuple[State, str]:
-    """Write the page; without estimates where there are none."""
+    """Write the report; without estimates if there are none."""
     done = work.ledger.stages.get("estimate")
     if done is None or done.state in ("failed", "skipped"):
         work.cell, work.estimates = dataclass_replace(work.cell, sequences=None), lambda: None
@@ -215,7 +215,7 @@ def _report(work: CellAtWork) -> tuple[State, str]:
 
 
 def _report_lists(work: CellAtWork, model: TaskTimesModel, dataset: Dataset) -> tuple[State, str]:
-    """Write the page of task lists."""
+    """Write the report of a dataset of task lists."""
     cell = work.cell
     wanted = [] if cell.sequences is None else load_sequences(Path(cell.sequences))
     mark = mark_of(dataset, plain(model.card), asked_for(wanted), cell.looks)
@@ -244,4 +244,4 @@ PROJECT_STAGES: Mapping[str, Stage] = {
     "estimate": _estimate,
     "report": _report,
 }
-"""What brings a project up to date, in the order in which one needs the other."""
+"""Stages of a project, in order of dependency."""

@@ -1,4 +1,4 @@
-"""The fleet file: which cells there are, where their logs lie, and where results go."""
+"""The fleet file: the cells, the paths of their logs, and the output folder."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ if TYPE_CHECKING:
 
 LEDGER, REPORT = "cell.json", "report.html"
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
-"""It names a folder: letters, digits, '.', '_' and '-', the first a letter or digit."""
+"""Pattern of a cell's name, as it names a folder: letters, digits, '.', '_' and '-', the first a letter or digit."""
 _OF_A_CELL = ("name", "sources", "folder")
-"""What [fleet] cannot say for all cells."""
+"""Fields that [fleet] cannot set for all cells."""
 
 
 @dataclass(frozen=True)
 class FleetCell:
-    """One cell, everything resolved, so that it can be worked on anywhere.
+    """One cell with all paths resolved, so that any worker can process it.
 
     Attributes:
-        name: Its name, which is also its folder's.
+        name: Its name, which is also that of its folder.
         sources: Its logs: paths, paths with wildcards, or URLs.
-        folder: Where its results go, a path or a URL.
-        cell_file: Its cell file, None for the one beside the logs.
-        sequences: Sequence file whose estimates go into its report.
-        pseudonymise: Keep neither names nor times of day; then no day is kept of a log either.
-        checksums: Keep the BLAKE3 of each log.
-        follow_links: Read what links in a folder of logs lead to outside of it.
-        seed: Of training and split.
-        epochs: Passes of the training, None for as many as the rows need.
+        folder: Folder of its results, a path or a URL.
+        cell_file: Its cell file; None for the one in the folder of the logs.
+        sequences: Sequence file whose estimates are part of its report.
+        pseudonymise: Keep neither names nor times of day, nor the day of a log.
+        checksums: Keep the BLAKE3 checksum of each log.
+        follow_links: Follow links that lead out of a folder of logs.
+        seed: Seed of training and split.
+        epochs: Number of training epochs; None: chosen by the number of rows.
     """
 
     name: Annotated[str, Meta(pattern=_NAME, examples=["press-1"])]
@@ -57,34 +57,34 @@ class FleetCell:
 
     @property
     def dataset(self) -> str:
-        """Where its dataset stands."""
+        """Path or URL of its dataset."""
         return join(self.folder, "dataset")
 
     @property
     def model(self) -> str:
-        """Where its model stands."""
+        """Path or URL of its model."""
         return join(self.folder, "model")
 
     @property
     def report(self) -> str:
-        """Where its report is written."""
+        """Path or URL of its report."""
         return join(self.folder, REPORT)
 
     @property
     def ledger(self) -> str:
-        """Where it is written down what came of its stages."""
+        """Path or URL of the ledger with the results of its stages."""
         return join(self.folder, LEDGER)
 
     @property
     def looks(self) -> Looks:
-        """What else its report is told, by the names of `write_report`."""
+        """Further arguments of `write_report` for its report."""
         return {}
 
     def logs(self) -> list[str]:
-        """Return its sources as they are now, wildcards resolved.
+        """Return its current sources, with wildcards expanded.
 
         Raises:
-            ConfigError: A source with wildcards means nothing.
+            ConfigError: A source with wildcards matches nothing.
         """
         found: list[str] = []
         for source in self.sources:
@@ -100,12 +100,12 @@ class FleetCell:
 
 @dataclass(frozen=True)
 class Fleet:
-    """All cells, in the order of the file.
+    """All cells of a fleet.
 
     Attributes:
         name: Title of the page.
-        out: Where results go, a path or a URL.
-        cells: The cells.
+        out: Folder of the results, a path or a URL.
+        cells: The cells, in the order of the file.
     """
 
     name: str
@@ -117,8 +117,8 @@ def load_fleet(path: Path) -> Fleet:
     """Read a fleet file; paths in it are relative to its folder.
 
     Raises:
-        ConfigError: It cannot be read, names no cell, or says something that cannot be followed.
-        UnknownName: A key is not known.
+        ConfigError: It cannot be read, has no cell, or has an invalid value.
+        UnknownName: A key is unknown.
     """
     raw, here = read_toml(path), resolved(path).parent
     for key in raw:

@@ -1,4 +1,4 @@
-"""All cells of a fleet through the stages that are asked for, and the page that shows them together."""
+"""Run stages of all cells of a fleet, and write the page of the fleet."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ PAGE, SUMMARY = "index.html", "fleet.json"
 
 @dataclass(frozen=True, repr=False)
 class FleetRun(Result):
-    """What came of each stage of each cell; as a frame one row per cell and stage.
+    """Results of the stages of all cells; as a frame, one row per cell and stage.
 
     Attributes:
-        fleet: Its name.
-        rows: Of each cell in order, its stages.
-        page: Where the page of the fleet was written; None where it was not.
+        fleet: Name of the fleet.
+        rows: Result of each stage, by cell in order.
+        page: Path or URL of the page of the fleet; None if it was not written.
     """
 
     fleet: str
@@ -46,7 +46,7 @@ class FleetRun(Result):
 
     @property
     def failed(self) -> tuple[StageResult, ...]:
-        """Those that failed."""
+        """The stages that failed."""
         return tuple(row for row in self.rows if row.state == "failed")
 
     def to_dict(self) -> dict[str, object]:
@@ -71,22 +71,22 @@ def run_fleet(
     today: dt.date | None = None,
     progress: Progress | None = None,
 ) -> FleetRun:
-    """Do stages of every cell, one cell a task, and write the page of the fleet where `report` is among them.
+    """Run stages of every cell, one task per cell, and, if `report` is among them, write the page of the fleet.
 
     Args:
-        fleet: The cells: a fleet, or the fleet file.
-        stages: One of `STAGES`, several in their order, or `all`.
-        engine: Who works. On several machines, sources and results must be where all see them, such as at URLs.
-        today: The day by which logs are old; None for the day it is.
-        progress: Told the part of the cells done, and what came of the last one.
+        fleet: The fleet, or the fleet file.
+        stages: One of `STAGES`, several in order, or `all`.
+        engine: Runs the cells. On several machines, sources and results must be accessible to all, such as at URLs.
+        today: Date from which the age of logs is counted; None for the current date.
+        progress: Called with the fraction of cells done, and the result of the last one.
 
     Returns:
-        What came of each stage, in the order of the cells. What fails in a cell is in it, and the others go on.
+        The result of each stage, in order of the cells, including failures; other cells still run.
 
     Raises:
-        ConfigError: The fleet file cannot be followed.
-        MissingExtra: torch is not installed, and a model is to be trained.
-        OutputError: Something that is not the fleet's would be replaced.
+        ConfigError: The fleet file is invalid.
+        MissingExtra: torch is not installed, but a model must be trained.
+        OutputError: A file that does not belong to the fleet would be replaced.
         CyclekitError: The engine cannot be reached, or the page cannot be written.
     """
     stages = tuple(STAGES) if stages == "all" else (stages,) if isinstance(stages, str) else tuple(stages)
@@ -101,9 +101,9 @@ def run_fleet(
         cell = done.item
         if done.error is None:
             rows[cell.name] = done.get()
-        else:  # its worker died again and again, so it could not note that itself
+        else:  # its worker died repeatedly and could not record that
             rows[cell.name] = [StageResult(cell.name, stages[0], "failed", str(done.error))]
-            with suppress(CyclekitError):  # where it was the place that failed
+            with suppress(CyclekitError):  # if the ledger itself cannot be written
                 noted(cell, read_ledger(cell), rows[cell.name][0])
         if progress:
             progress(len(rows) / len(fleet.cells), _said(rows[cell.name][-1]))
@@ -114,7 +114,7 @@ def run_fleet(
 
 
 def _check(fleet: Fleet, stages: Sequence[str]) -> None:
-    """Refuse to work where something that is not the fleet's would be replaced, datasets and models apart."""
+    """Raise an error if a file that does not belong to the fleet would be replaced; without datasets and models."""
     for cell in fleet.cells:
         check_output(cell.ledger, "cell", cell.sources, option="`out`")
         if "report" in stages:
@@ -125,7 +125,7 @@ def _check(fleet: Fleet, stages: Sequence[str]) -> None:
 
 
 def write_page(fleet: Fleet, today: dt.date) -> None:
-    """Write `index.html` and `fleet.json`: every cell as its `cell.json` says, whatever was done today."""
+    """Write `index.html` and `fleet.json` from the `cell.json` of every cell, also of cells not run now."""
     ledgers = [read_ledger(cell) for cell in fleet.cells]
     lines = [_line(cell, ledger) for cell, ledger in zip(fleet.cells, ledgers, strict=True)]
     cells = [plain(ledger, nulls=True) for ledger in ledgers]

@@ -1,7 +1,7 @@
-"""What is done for one cell, stage by stage: a task of the engine, which gets places and returns a few words.
+"""Run the stages of one cell: a task of the engine, which gets paths and returns short texts.
 
-Each stage does what is new and leaves the rest. What it did, or why it failed, and the figures for the page of the
-fleet stand in `cell.json` of the cell's folder; so a stage of today and one of last night make one page.
+Each stage processes only what is new. Its result or error, and the figures for the page of the fleet, are recorded in
+`cell.json` in the cell's folder, so that stages run at different times appear on one page.
 """
 
 from __future__ import annotations
@@ -46,19 +46,19 @@ if TYPE_CHECKING:
     from cyclekit.learning.evaluation.evaluate import Evaluation
 
 _SHOWN = 3
-"""So many logs that could not be read are named."""
+"""Maximum number of unreadable logs named in a result."""
 State = Literal["done", "unchanged", "failed", "skipped"]
 
 
 @dataclass(frozen=True)
 class StageResult:
-    """What came of one stage of one cell.
+    """Result of one stage of one cell.
 
     Attributes:
-        cell: Its name.
+        cell: Name of the cell.
         stage: One of `STAGES`.
-        state: `done`, `unchanged` (nothing was new), `failed`, or `skipped` (what it needs is not there).
-        text: What was done, or why not.
+        state: `done`, `unchanged` (nothing was new), `failed`, or `skipped` (an input is missing).
+        text: Result, or reason.
     """
 
     cell: str
@@ -69,9 +69,9 @@ class StageResult:
 
 @dataclass
 class CellAtWork:
-    """A cell at work, and what is known of it; the ledger is replaced as stages find something out.
+    """A cell in progress, with its ledger, which stages replace.
 
-    `estimates` gives the page those that an earlier stage has made; None where it makes its own.
+    `estimates` returns the estimates of an earlier stage for the report; None if the report makes them.
     """
 
     cell: FleetCell
@@ -87,13 +87,13 @@ def work_on(
     known: Mapping[str, Stage] | None = None,
     progress: Progress | None = None,
 ) -> list[StageResult]:
-    """Do stages of a cell, in order. What fails is told and ends no other stage that can do without it.
+    """Run stages of a cell, in order; a failed stage is recorded, and the others still run.
 
     Args:
         cell: The cell.
         stages: Names of stages.
-        known: What can be done, by name; by default `STAGES`.
-        progress: Told fraction and text.
+        known: Available stages, by name; by default `STAGES`.
+        progress: Called with fraction and text.
     """
     work, rows = CellAtWork(cell, read_ledger(cell)), list[StageResult]()
     tell = progress or work.tell
@@ -103,7 +103,7 @@ def work_on(
             state, text = (known or STAGES)[stage](work)
         except CyclekitError as error:
             state, text = "failed", str(error)
-        except Exception as error:  # a fault of ours in one cell must not end the night's work on the others
+        except Exception as error:  # a bug in one cell must not stop the others
             state, text = "failed", f"a fault of cyclekit: {type(error).__name__}: {error}"
         row = StageResult(cell.name, stage, state, text)
         work.ledger = noted(cell, work.ledger, row)
@@ -116,7 +116,7 @@ def _tell_part(tell: Progress, stage: str, at: int, count: int, fraction: float,
 
 
 def read_ledger(cell: FleetCell) -> CellLedger:
-    """Return what is known of a cell; nothing where nothing was done, or it cannot be read."""
+    """Return the ledger of a cell; empty if it does not exist or cannot be read."""
     try:
         found = checked(parse_json((read_text(cell.ledger) or "{}").encode()), CellLedger)
     except (BadCard, StorageError, OSError, UnicodeError):
@@ -125,7 +125,7 @@ def read_ledger(cell: FleetCell) -> CellLedger:
 
 
 def noted(cell: FleetCell, ledger: CellLedger, row: StageResult) -> CellLedger:
-    """Write down what came of a stage, and return the ledger with it."""
+    """Record the result of a stage, and return the updated ledger."""
     now = dt.datetime.now(tz=dt.UTC).isoformat(timespec="seconds")
     done = StageCard(state=row.state, text=row.text, at=now)
     ledger = replace(ledger, stages={**ledger.stages, row.stage: done})
@@ -146,7 +146,7 @@ def _ingest(work: CellAtWork) -> tuple[State, str]:
         follow_links=cell.follow_links,
         progress=work.tell,
     )
-    days: dict[str, dt.date] = {}  # nor those of before
+    days: dict[str, dt.date] = {}  # drops earlier ones too
     if not cell.pseudonymise:
         days = days_of(Dataset.open(report.dataset), [mirrored(place) for place in logs])
     unread = tuple(f"{path}: {reason}" for path, reason in report.not_read)
@@ -171,7 +171,7 @@ def _train(work: CellAtWork) -> tuple[State, str]:
 
 
 def _still_good(model: TrainedModel, dataset: Dataset) -> str | None:
-    """Say why no new model is needed; None if one is."""
+    """Return why no new model is needed; None if one is needed."""
     if model.card.dataset_sha256 == fingerprint(dataset):
         return "trained on these logs"
     held_out = model.card.held_out
@@ -200,7 +200,7 @@ def _report(work: CellAtWork) -> tuple[State, str]:
         return "unchanged", "nothing is new"
     judged = None if model is None else _judged(model, dataset)
     drift = "there is no model" if model is None else since_last_month(model, dataset, days)
-    # kept although the estimates may fail: what was asked for and cannot be answered is an error of this stage
+    # recorded before the estimates, which may fail: a sequence without an estimate is an error of this stage
     work.ledger = replace(work.ledger, figures=figures_of(dataset, drift, days, _doubt(model, judged)))
     asked, estimates = wanted if model is not None and wanted else None, work.estimates()
     with Scratch() as scratch:
@@ -216,23 +216,23 @@ def _report(work: CellAtWork) -> tuple[State, str]:
 
 
 def asked_for(sequences: Sequence[TaskSequence]) -> list[object]:
-    """Return what sequences ask for, as plain values."""
+    """Return the content of sequences as plain values."""
     return [[each.name, each.places, each.operator, [vars(task) for task in each.plan]] for each in sequences]
 
 
 def mark_of(dataset: Dataset, *others: object) -> str:
-    """Return what changes when the version, the dataset or any other plain value does."""
+    """Return a hash of the version, the dataset and other plain values, to detect changes."""
     known = [version("cyclekit"), fingerprint(dataset), *others]
     return hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def is_there(place: str) -> bool:
-    """Tell whether an output stands where it was written; of a URL it is taken for granted."""
+    """Return whether an output still exists; assumed for a URL."""
     return is_url(place) or Path(place).exists()
 
 
 def _judged(model: TrainedModel, dataset: Dataset) -> Evaluation | None:
-    """Return the model judged on these logs; None where it cannot be, which the page says."""
+    """Return the evaluation of the model on these logs; None if it fails, which the report states."""
     try:
         return evaluate_model(model, dataset, boosting=False)
     except CyclekitError:
@@ -240,7 +240,7 @@ def _judged(model: TrainedModel, dataset: Dataset) -> Evaluation | None:
 
 
 def _doubt(model: TrainedModel | None, judged: Evaluation | None) -> str:
-    """Say why the error of a cell's model is large, by all that can judge it now, else by what was held out."""
+    """Return the reason for a large model error, from the evaluation on these logs, else from training; else empty."""
     if model is None:
         return ""
     metrics = judged.metrics if judged else model.card.metrics
@@ -248,7 +248,7 @@ def _doubt(model: TrainedModel | None, judged: Evaluation | None) -> str:
 
 
 def dataset_of(cell: FleetCell) -> Dataset | None:
-    """Return the dataset of a cell; None where there is none."""
+    """Return the dataset of a cell; None if there is none."""
     try:
         return Dataset.open(cell.dataset)
     except (DatasetError, NothingPublished):
@@ -268,4 +268,4 @@ STAGES: dict[str, Stage] = {
     "train": _train,
     "report": _report,
 }
-"""What can be done for a cell, in the order in which one needs the other."""
+"""Stages of a cell, in order of dependency."""

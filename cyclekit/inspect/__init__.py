@@ -1,4 +1,4 @@
-"""What a log, a dataset or a model is, as facts that a person checks before trusting an answer.
+"""Facts about a log, a dataset or a model, to check before relying on results.
 
-In: a path. Out: facts, as data and as lines. `describe` is the way in; used by `api`.
+In: a path. Out: facts, as data and as lines. The entry point is `describe`; used by `api`.
 """

@@ -1,7 +1,7 @@
-"""What a log, a dataset or a model is, as facts a person checks before trusting an answer.
+"""Collect facts about a log, a dataset or a model, to check before relying on results.
 
-Rates, durations, gaps, what is known and what was set aside, counted out of the tables. Nothing is judged and nothing
-is mended here; how the facts look on a screen is the command line's business.
+Rates, durations, gaps, shares of known values and rows set aside, counted in the tables, without judgement or repair.
+The command line formats them.
 """
 
 from __future__ import annotations
@@ -56,15 +56,15 @@ _OF_SAMPLES = (*lost_time.COLUMNS, "scaling_sd", "scaling_gap", "scaling_origin"
 def describe(
     path: Path, *, cell: Path | None = None, progress: Progress | None = None, follow_links: bool = False
 ) -> Description:
-    """Return what is at `path`: logs, a dataset or a model, told apart by content.
+    """Return the description of `path`: logs, a dataset or a model, distinguished by content.
 
-    What is asked is said at `cyclekit.inspect_logs`.
+    The arguments are described at `cyclekit.inspect_logs`.
 
     Raises:
         LogError: There is nothing there, or nothing that can be read.
-        ConfigError: The cell file cannot be followed.
-        DatasetError: The dataset is of another schema version.
-        ModelError: The model is of another schema version, or damaged.
+        ConfigError: The cell file is invalid.
+        DatasetError: The dataset has another schema version.
+        ModelError: The model has another schema version, or is damaged.
     """
     recover(path)
     if not path.exists():
@@ -194,7 +194,7 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
 
 
 def _listed(dataset: Dataset, tasks: pl.DataFrame) -> TaskListFacts | None:
-    """Return what the task lists in a dataset say; None without any."""
+    """Return the facts of the task lists in a dataset; None without any."""
     listed = tasks.drop_nulls("agent_name").rename({"start_s": "t_s"})
     if listed.is_empty():
         return None
@@ -202,7 +202,7 @@ def _listed(dataset: Dataset, tasks: pl.DataFrame) -> TaskListFacts | None:
 
 
 def _safety(dataset: Dataset) -> dict[str, SafetyFacts]:
-    """Return what each recording of a safety system's log says."""
+    """Return the facts of each recording of a safety system's log."""
     found = {}
     for record in dataset.recordings:
         rows = dataset.recorded(record.id, "safety") if "safety" in record.tables else None
@@ -227,7 +227,7 @@ def _warnings(dataset: Dataset) -> list[str]:
 
 
 def _without_warnings(card: ClockCard) -> dict[str, object]:
-    """Return what a card says as JSON values; its warnings are told with all others."""
+    """Return a card as JSON values without its warnings, which are listed with all others."""
     return {name: value for name, value in plain(card).items() if name != "warnings"}
 
 

@@ -1,4 +1,4 @@
-"""The facts themselves: what is known of a log, of a dataset, of a model, as data and as JSON values."""
+"""Facts about a log, a dataset or a model, as data and as JSON values."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Gap:
-    """A silence in a log: from `at_s` on, `length_s` long, seconds of the log's own clock."""
+    """A gap in a log: start `at_s` and length `length_s`, seconds of the log's clock."""
 
     at_s: float
     length_s: float
@@ -35,13 +35,13 @@ class TableFacts:
 
     Attributes:
         rows: Number of rows.
-        rate_hz: Samples of a person or of the robot a second on average, gaps left out; None below two instants, and
-            of events.
-        step_s: Median step between them; None likewise.
-        lost: Samples missing between rows, gaps left out; None where steps are of any length.
-        duration_s: From the first instant to the last.
-        known: Fraction of rows that hold a value, per column that holds any.
-        gaps: Silences, in order of time.
+        rate_hz: Mean rate of samples of one person or the robot, without gaps; None for events, and with fewer than
+            two times.
+        step_s: Median step between samples, s; None likewise.
+        lost: Number of samples missing between rows, without gaps; None if steps are irregular.
+        duration_s: Time from the first to the last row, s.
+        known: Fraction of rows with a value, for each column that has any.
+        gaps: Gaps, in order of time.
     """
 
     rows: int
@@ -55,7 +55,7 @@ class TableFacts:
 
 @dataclass(frozen=True)
 class Span:
-    """Least, median and most of a quantity."""
+    """Minimum, median and maximum of a quantity."""
 
     least: float
     median: float
@@ -68,7 +68,8 @@ class AgentFacts:
 
     Attributes:
         kind: robot or operator.
-        overlaps: Tasks that start before an earlier one of the agent has ended; `overlap_s`: by how much at most.
+        overlaps: Number of tasks that start before the end of an earlier one of the agent.
+        overlap_s: Maximum overlap, s.
     """
 
     name: str
@@ -80,11 +81,11 @@ class AgentFacts:
 
 @dataclass(frozen=True)
 class ListedTask:
-    """What one agent's executions of a task took, seconds; None where no end is known.
+    """Durations of one agent's executions of a task, s; None if no end is known.
 
     Attributes:
-        failed: How many failed.
-        no_end: How many have no end.
+        failed: Number that failed.
+        no_end: Number without an end.
     """
 
     agent: str
@@ -103,10 +104,10 @@ class TaskListFacts:
     """A task list.
 
     Attributes:
-        executions: How many are named; `execution_s`: how long they lasted.
-        failed: Tasks that failed.
-        no_end: Tasks without an end.
-        planned: Tasks with a planned start.
+        executions: Number of named executions; `execution_s`: their durations.
+        failed: Number of failed tasks.
+        no_end: Number of tasks without an end.
+        planned: Number of tasks with a planned start.
     """
 
     agents: tuple[AgentFacts, ...]
@@ -120,15 +121,15 @@ class TaskListFacts:
 
 @dataclass(frozen=True)
 class SafetyFacts:
-    """A safety system's log of itself.
+    """A safety system's log.
 
     Attributes:
-        override: Over time, 0 to 1; None = not logged.
-        override_values: Each value with the seconds it held, the longest first.
-        override_s: Seconds in which it is known.
-        response: Its levels and how fast it falls and rises; None where it is no staircase.
-        distance_m: Of the rows; None = not logged.
-        distance_repeats: Part of the rows whose distance is that of the row before.
+        override: Override, weighted by time, 0 to 1; None = not logged.
+        override_values: Each value of the override with its duration, s, longest first.
+        override_s: Time with known override, s.
+        response: Levels and ramp rates of the override; None if it has no levels.
+        distance_m: Distance of the rows; None = not logged.
+        distance_repeats: Share of the rows with the same distance as the row before.
     """
 
     override: Span | None
@@ -144,12 +145,12 @@ class LogFacts:
     """One log file (or one folder that is a log).
 
     Attributes:
-        rows_read: Data rows or messages looked at.
-        set_aside: Rows not used, by reason.
-        tables: Facts of `robot`, `people`, `events`, `task_list`, `safety`, where the log has them.
+        rows_read: Number of data rows or messages read.
+        set_aside: Number of rows not used, by reason.
+        tables: Facts of `robot`, `people`, `events`, `task_list`, `safety`, if the log has them.
         levels: Levels of the logged speed scaling, ascending; `level_share`: fraction of its known rows on each.
-        facts: What the log states about itself.
-        task_list: What its task list says; `safety`: what a safety system logged of itself. None where it has none.
+        facts: Statements of the log about itself.
+        task_list: Facts of its task list; `safety`: facts of the safety system's rows. None without any.
     """
 
     path: Path
@@ -169,10 +170,10 @@ class LogFacts:
 
 @dataclass(frozen=True, repr=False)
 class LogsDescription(Result):
-    """Logs, one or a folder of them; as a frame one row per log and table.
+    """One log or a folder of logs; as a frame, one row per log and table.
 
     Attributes:
-        not_read: Path and reason of each file that is no usable log.
+        not_read: Path and reason of each file that is not a usable log.
     """
 
     path: Path
@@ -197,30 +198,28 @@ class LogsDescription(Result):
 
 @dataclass(frozen=True, repr=False)
 class DatasetDescription(Result):
-    """A dataset; as a frame one row per task found, mean seconds.
+    """A dataset; as a frame, one row per task of the robot, mean seconds.
 
     Attributes:
-        sources: Source files that went in; rows set aside from them, by reason.
-        robot_place: Centre and radius per robot place, metres; `human_place` likewise.
-        task_list: What the task lists in it say; None without any.
-        safety: What each recording of a safety system's log says, by recording.
-        lost: Lost time by cause; None where nothing of it is known.
-        positions: Of whom places are known.
-        coupling: Who waits for whom; None where too few executions show both agents.
-        response: Reaction time, ramps and hysteresis of the safety system; None where no change of level was seen.
-        tasks: Per task found in the robot's motion: how often, mean seconds of motion at full speed, of safety loss, of
-            dwell and wait.
-        level_share: Per staircase level, fraction of those samples that are on a level; `on_level`: of all samples, the
-            fraction that is.
-        scaling_known: Fraction of the samples whose scaling is known; `scaling_inferred`: of those, not logged.
-        scaling_gaps: Why it is unknown in the others: samples by reason; `motion_covered`: fraction of the samples of
-            moving robots in which it is known; `scaling_sd`: median standard deviation of an inferred one.
-        operator_seen: Fraction of the samples in which the operator's position is known.
-        gaps: Silences per recording and table (`id/robot`), where there are any.
-        clocks: How each recording's clock was related to its session's, by recording: method, offset_s, rate, and
-            what is known of how good that is (docs/clocks.md).
-        operator: Samples in which each recording of people saw somebody, and why nobody in the others.
-        to_log: What to log next; None where the robot's tasks are not known.
+        sources: Number of source files; `set_aside`: number of their rows not used, by reason.
+        places: Centre and radius of each robot place, m; `human_places` likewise.
+        task_list: Facts of the task lists; None without any.
+        safety: Facts of the safety system's logs, by recording.
+        lost: Lost time by cause; None if unknown.
+        positions: Agents with known positions.
+        coupling: Learned wait conditions of robot and operator; None if too few executions show both agents.
+        response: Reaction time, ramps and hysteresis of the safety system; None without changes of level.
+        tasks: Count, and mean seconds of motion at full speed, safety loss, dwell and wait, for each task found in the
+            robot's motion.
+        level_share: Share of each level among the samples on a level; `on_level`: share of all samples on a level.
+        scaling_known: Fraction of samples with known scaling; `scaling_inferred`: fraction of these not logged.
+        scaling_gaps: Number of samples with unknown scaling, by reason; `motion_covered`: fraction of samples in motion
+            with known scaling; `scaling_sd`: median standard deviation of an inferred scaling.
+        operator_seen: Fraction of samples with known operator position.
+        gaps: Gaps by recording and table (`id/robot`).
+        clocks: Clock fit of each recording: method, offset_s, rate, and quality (docs/clocks.md).
+        operator: Number of samples in which each recording of people shows a person, and of the others by reason.
+        to_log: What to log next; None if the robot's tasks are unknown.
     """
 
     path: Path
@@ -280,10 +279,10 @@ class ModelDescription(Result):
     """A model.
 
     Attributes:
-        horizon_s: How far ahead the target lies or reaches.
-        levels: Staircase levels that it knows.
-        parameters: How many numbers the network has.
-        card: How it came about, as written when it was trained.
+        horizon_s: Prediction horizon, s.
+        levels: Levels of the speed scaling.
+        parameters: Number of parameters of the network.
+        card: Training card.
     """
 
     path: Path
@@ -309,10 +308,10 @@ class ModelDescription(Result):
 
 @dataclass(frozen=True, repr=False)
 class TaskTimesDescription(Result):
-    """A model that was learned from task lists.
+    """A model learned from task lists.
 
     Attributes:
-        model: What it knows.
+        model: The model.
     """
 
     path: Path
@@ -324,7 +323,7 @@ class TaskTimesDescription(Result):
         return {"path": str(self.path), "kind": self.kind, "card": self.model.to_dict()}
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per task."""
+        """Return one row per task."""
         return self.model.to_frame()
 
     def _said(self) -> list[str]:

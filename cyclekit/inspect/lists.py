@@ -1,4 +1,4 @@
-"""Facts of task lists and of safety systems' logs: who did what for how long; which override held for how long."""
+"""Facts of task lists (durations by agent and task) and of safety systems' logs (durations by override)."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
 
 _AGENT = ("agent_name", "agent", "tasks", "overlaps", "overlap_s")
 _DECIMALS = 4
-"""An override is told apart to so many: integer percent, and finer."""
+"""Number of decimals to which overrides are distinguished: integer percent, and finer."""
 MOST_ROWS = 5_000_000
-"""Levels and rates are read from so many rows at the beginning of a log: two days at 30 Hz."""
+"""Approximate maximum number of rows, from the start of a log, for levels and rates: two days at 30 Hz."""
 _MANY = 10_000
-"""More values than these are a continuous quantity, of which each hundredth counts as one value."""
+"""Maximum number of different values; above, the override is continuous and rounded to two decimals."""
 
 
 def task_list_facts(tasks: pl.DataFrame) -> TaskListFacts:
-    """Return what a task list says.
+    """Return the facts of a task list.
 
     Args:
-        tasks: Table TASK_LIST; with a column `session`, times of one session are one clock.
+        tasks: Table TASK_LIST; if it has a column `session`, only times of one session share a clock.
     """
     tasks = tasks.with_columns(took_s=pl.col("end_s") - pl.col("t_s"))
     clocks = [name for name in ("session",) if name in tasks.columns]
@@ -64,7 +64,7 @@ def task_list_facts(tasks: pl.DataFrame) -> TaskListFacts:
 
 
 def span_of(values: Vector) -> Span | None:
-    """Return least, median and most of some values; None of none."""
+    """Return minimum, median and maximum of some values; None without values."""
     if not len(values):
         return None
     return Span(float(values.min()), float(np.median(values)), float(values.max()))
@@ -76,7 +76,7 @@ class _Held(NamedTuple):
 
 
 class SafetySurvey:
-    """Takes in table SAFETY, part after part."""
+    """Collects facts of table SAFETY, part by part."""
 
     def __init__(self) -> None:
         self._held: dict[float, float] = {}
@@ -88,7 +88,7 @@ class SafetySurvey:
         self._count = 0
 
     def add(self, frame: pl.DataFrame) -> None:
-        """Take in a part, in the order of the log."""
+        """Add a part, in the order of the log."""
         times = frame["t_s"].to_numpy()
         if not len(times):
             return
@@ -104,7 +104,7 @@ class SafetySurvey:
             self._add_distance(frame["distance_m"].drop_nulls().to_numpy())
 
     def _add_override(self, times: Vector, values: Vector) -> None:
-        """Count how long each value held: until the next row, or for a gap's length where the log falls silent."""
+        """Add the time of each value: until the next row, limited to the minimum length of a gap."""
         if self._last is not None:
             times, values = np.r_[self._last[0], times], np.r_[self._last[1], values]
         self._last = float(times[-1]), float(values[-1])
@@ -124,7 +124,7 @@ class SafetySurvey:
         self._distances.append(values)
 
     def facts(self) -> SafetyFacts:
-        """Return what was counted."""
+        """Return the facts."""
         held = sorted((_Held(*item) for item in self._held.items()), key=lambda one: -one.seconds)
         total = sum(one.seconds for one in held)
         distances = np.concatenate([np.empty(0), *self._distances])
@@ -142,7 +142,7 @@ class SafetySurvey:
         return None if rows is None else response_of(rows)
 
     def _weighted(self, held: Sequence[_Held]) -> Vector:
-        """Return values of which least, median and most are those of the override over time."""
+        """Return minimum, time-weighted median and maximum of the override, as an array."""
         values = np.array([one.value for one in sorted(held)])
         seconds = np.cumsum([one.seconds for one in sorted(held)])
         median = values[np.searchsorted(seconds, seconds[-1] / 2)] if seconds[-1] else float(np.median(values))

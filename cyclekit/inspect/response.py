@@ -1,4 +1,4 @@
-"""How the speed override follows the operator in time, as read from the logs of a dataset."""
+"""Response of the speed override over time, from the logs of a dataset."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class ResponseFacts:
     """The response of the safety system.
 
     Attributes:
-        read: As it was read at ingest.
-        rows: Rows of the robot's log in the shortest ramp, at its median rate; None without a ramp.
+        read: The response found at ingest.
+        rows: Number of rows of the robot log in the shortest ramp, at its median rate; None without a ramp.
     """
 
     read: DynamicsCard
@@ -28,7 +28,7 @@ class ResponseFacts:
 
     @property
     def few_rows(self) -> bool:
-        """Whether a rate is read from the share of rows between levels, as single ramps have too few rows."""
+        """Whether a rate comes from the share of rows between levels, as single ramps have too few rows."""
         return self.rows is not None and self.rows < RAMP_ROWS + 1
 
     def to_dict(self) -> dict[str, float | None]:
@@ -42,7 +42,7 @@ class ResponseFacts:
 
 
 def response_facts(dataset: Dataset) -> ResponseFacts | None:
-    """Return the response that was read at ingest; None where no change of level was seen."""
+    """Return the response found at ingest; None without changes of level."""
     read = dataset.card.dynamics
     if not read.changes:
         return None

@@ -1,4 +1,4 @@
-"""Facts of a table that comes in parts: rate, duration, what is known, where it is silent; for logs of any size."""
+"""Facts of a table read in parts: rate, duration, known values, gaps; for logs of any size."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 
-_VALUES = 2_000_000  # scaling values that levels are looked for in
+_VALUES = 2_000_000  # maximum number of scaling values in which levels are searched
 
 
 class TableSurvey:
-    """Counts what one table holds, part after part."""
+    """Collects facts of one table, part by part."""
 
     def __init__(self, *, rated: bool = True) -> None:
-        """Begin.
+        """Start without rows.
 
         Args:
-            rated: Its rows come at a rate; events do not.
+            rated: Whether its rows have a rate; events have none.
         """
         self.rows = 0
         self._rates = Rates() if rated else None
@@ -38,7 +38,7 @@ class TableSurvey:
         self._every = 1
 
     def add(self, frame: pl.DataFrame) -> None:
-        """Take in a part, in the order of the log."""
+        """Add a part, in the order of the log."""
         self.rows += frame.height
         for name in frame.columns:
             self._known[name] = self._known.get(name, 0) + frame.height - frame[name].null_count()
@@ -67,7 +67,7 @@ class TableSurvey:
             self._scaling, self._every = [part[::2] for part in self._scaling], 2 * self._every
 
     def facts(self) -> TableFacts:
-        """Return what was counted."""
+        """Return the facts."""
         columns = {name: count for name, count in self._known.items() if count and name not in ("t_s", "source_row")}
         known = {name: count / self.rows for name, count in columns.items()}
         period_s = self._period_s
@@ -78,7 +78,7 @@ class TableSurvey:
         return TableFacts(self.rows, mean_hz, self._span_s, known, tuple(self._gaps), step_s, lost)
 
     def levels(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the levels of the scaling and the share of its rows on each; nothing where none is known."""
+        """Return the levels of the scaling and the share of its rows on each; empty if no scaling is known."""
         values = np.concatenate([np.empty(0), *self._scaling])
         if not len(values):
             return (), ()

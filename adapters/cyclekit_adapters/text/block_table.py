@@ -178,7 +178,7 @@ def _has_too_many_lines(block: bytes, layout: TextLayout) -> bool:
 def _plain(block: bytes, layout: TextLayout, wanted: Wanted) -> BlockTable | None:
     """Return the rows of a small block of finite numbers only, with one field per name in each line; else None.
 
-    Gives the same result as `_parsed`, faster: some cells write tens of thousands of logs with few rows each.
+    Gives the same result as `_parsed`, faster: a plant may have tens of thousands of logs with few rows each.
     """
     if len(block) > _PLAIN_BYTES or wanted.texts or layout.decimal_comma:
         return None

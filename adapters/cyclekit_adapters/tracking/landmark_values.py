@@ -58,7 +58,7 @@ def is_pose(points: NDArray[np.float64]) -> bool:
 
 
 def _is_body(points: NDArray[np.float64]) -> bool:
-    """Return whether (N, 33, 3) are bodies, with a small face and separate shoulders; points of a path lie in order."""
+    """Return whether (N, 33, 3) are bodies: small face, shoulders apart; on a path, consecutive points are close."""
     size = np.linalg.norm(np.ptp(points, axis=1), axis=1)
     face = np.linalg.norm(np.ptp(points[:, _FACE, :2], axis=1), axis=1)
     shoulders = np.linalg.norm(points[:, 11] - points[:, 12], axis=1)

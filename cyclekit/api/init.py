@@ -115,7 +115,7 @@ def _roots(root: Path, home: Path) -> list[Path]:
         return found
     begin = command_line("init", root.resolve().name)
     raise LogError(
-        root, "is the folder of logs, and no dataset is made in it", cure=f"Begin one folder up:\n  cd ..\n  {begin}"
+        root, "is the folder of logs; the dataset must be outside", cure=f"Begin one folder up:\n  cd ..\n  {begin}"
     )
 
 
@@ -180,7 +180,7 @@ def first_sequences(dataset: Dataset, project: Project) -> Path | None:
     if file.exists():
         return None
     sequence, count, of = first_sequence(dataset)
-    head = f"# Written by cyclekit: the order logged most often, in {count} of {of} whole executions. Add your own.\n"
+    head = f"# Written by cyclekit: order logged most often, in {count} of {of} complete executions. Add your own.\n"
     write_text(file, head + sequence_to_toml(sequence))
     return file
 
@@ -199,7 +199,7 @@ def first_sequence(dataset: Dataset) -> tuple[TaskSequence, int, int]:
         orders = [one.places for one in dataset.card.executions if one.complete and len(one.places) > 1]
     if not orders:
         cure = "Log at least one execution from its start to its end."
-        raise DatasetError(f"{dataset.place}: no whole execution in it, so no order was logged", cure=cure)
+        raise DatasetError(f"{dataset.place}: no complete execution in it, so no order was logged", cure=cure)
     ((order, count),) = Counter(orders).most_common(1)
     name = "as logged most often"
     if dataset.holds_task_lists_alone:

@@ -120,7 +120,7 @@ def draft_cell(logs: Place, out: Place | None = None, *, follow_links: bool = Fa
     file = path_of(out)
     if file is not None:
         if file.exists() or file.is_symlink():
-            cure = "Give another name; what is in it may be of a person's hand."
+            cure = "Give another name; the file may contain edits by hand."
             raise OutputError(f"{file}: exists, and a cell file is never replaced", cure=cure)
         check_writable(file)
     suggested = suggest_cell([local(logs)], follow_links=follow_links)

@@ -267,7 +267,7 @@ class _Asked:
             try:
                 evaluation = self._evaluated()
             except CyclekitError as error:  # the evaluation was not requested
-                missing.append(f"The model could not be judged: {error.seen}.")
+                missing.append(f"The model could not be evaluated: {error.seen}.")
         return {
             "estimates": estimates or (),
             "evaluation": evaluation,

@@ -115,7 +115,7 @@ def _provenance(dataset: Dataset, model: object, more: Rows) -> Rows:
         ["dataset", dataset.place],
         ["dataset SHA-256", fingerprint(dataset)],
         ["executions", dataset.executions.height],
-        ["whole executions", int(dataset.executions["complete"].sum())],
+        ["complete executions", int(dataset.executions["complete"].sum())],
     ]
     card = getattr(model, "card", None)
     rows += [

@@ -87,8 +87,8 @@ def cost_of_safety_function(
     rule = (found or rule_of(logs, asked.levels, model=asked, seed=seed)).rule
     safety = answering(replace(asked, card=structs.replace(asked.card, rule=rule)))
     if not isinstance(safety, RuleSafety):
-        why = "no simple rule explains these logs" if rule is None else f"no estimate knows the {rule.family}"
-        cure = "Write the function and its changes down, levels with thresholds_m or zones, for cyclekit whatif."
+        why = "no simple rule explains these logs" if rule is None else f"estimates do not support the {rule.family}"
+        cure = "Define the function and its changes (levels with thresholds_m or zones) for cyclekit whatif."
         raise ModelError(f"{why}: there is no threshold to move", cure=cure)
     return costs_of(
         safety,

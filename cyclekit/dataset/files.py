@@ -220,7 +220,8 @@ class DatasetFiles:
             return None
         file = self.whole(rows.file)
         if rows.count != count:
-            raise unreadable(file, self._path, f"{rows.count:,} rows are said to be of {recording}, and {count:,} are")
+            seen = f"the index states {rows.count:,} rows of {recording}, dataset.json {count:,}"
+            raise unreadable(file, self._path, seen)
         with reading(file, self._path):
             return pl.scan_parquet(file, glob=False).slice(rows.first, rows.count).drop(RECORDING)
 

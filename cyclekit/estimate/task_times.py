@@ -25,7 +25,7 @@ CYCLES = 2000
 """Number of cycles rolled out per plan."""
 WHY = "tasks of both agents rolled out side by side from logged task lists"
 NOT_KNOWN = "task lists hold no positions: nothing is known of zones, distances or what the safety system did"
-NOT_JUDGED = "too few executions to judge it on orders that were held out: the intervals are those of the rollout alone"
+NOT_JUDGED = "too few executions to validate on held-out orders: the intervals are those of the rollout alone"
 SURE = 1.96
 
 

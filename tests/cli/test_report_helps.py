@@ -84,9 +84,9 @@ def test_what_was_not_asked_for_may_be_absent_and_is_told_without_a_command_line
     out = tmp_path / "r.json"
     typed = cyclekit("report", dataset, "--model", model, "--out", out, "--json", "--quiet")
     assert typed.code == 0, typed.err
-    assert typed.document["missing"][0] == "The model could not be judged: no sample can be judged."
+    assert typed.document["missing"][0] == "The model could not be evaluated: no sample can be judged."
     said = json.loads(out.read_text("utf-8"))["sentences"]
-    assert "The model could not be judged: no sample can be judged." in said["trust"]
+    assert "The model could not be evaluated: no sample can be judged." in said["trust"]
     assert not any("judged" in text or "cyclekit " in text for text in said["answer"])
 
 

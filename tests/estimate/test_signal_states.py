@@ -71,7 +71,7 @@ def test_a_signal_gets_another_level_or_counts_in_a_rectangle_of_the_tcp_only() 
 def test_what_a_signal_cannot_be_changed_to_is_refused() -> None:
     with pytest.raises(EstimateError, match="does not use signal 'door'"):
         altered_safety(Change("c", signals=(SignalChange("door", level=0.8),)), RULE, Dynamics())
-    with pytest.raises(EstimateError, match="whose positions no log shows"):
+    with pytest.raises(EstimateError, match="needs the positions of people"):
         altered_safety(Change("d", levels=(0.0, 1.0), thresholds_m=(1.0,)), RULE, Dynamics())
     with pytest.raises(ValueError, match="give level, x_m or y_m"):
         SignalChange("warning")

@@ -96,7 +96,7 @@ def test_a_plan_and_a_change_of_the_ramps_are_answered(
     (slow,) = found
     assert slow.after.expected_s > slow.before.expected_s
     assert [one.name for one in found.refused] == ["moved"]
-    assert "whose positions no log shows" in found.refused[0].error.seen
+    assert "needs the positions of people" in found.refused[0].error.seen
 
 
 def test_who_needs_positions_of_people_is_told_so(unseen: tuple[UnseenOperator, Path]) -> None:

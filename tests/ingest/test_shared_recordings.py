@@ -147,7 +147,7 @@ def test_an_index_that_means_other_rows_or_files_is_refused(both: tuple[Dataset,
     (path / "shared" / "index.json").write_text(json.dumps(index))
     card = {key: value for key, value in plain(Dataset.open(path).card).items() if key not in ("files", "card_blake3")}
     (path / CARD).write_text(json.dumps(card))
-    with pytest.raises(DatasetError, match=r"99 rows are said to be of run_0|robot\.parquet"):
+    with pytest.raises(DatasetError, match=r"the index states 99 rows of run_0|robot\.parquet"):
         list(Dataset.open(path).times("run_0", "robot"))
 
 

@@ -102,4 +102,4 @@ def test_an_execution_whose_tracker_log_has_a_header_alone_counts_as_one_without
     gaps = Dataset.open(tmp_path / "dataset").samples(columns=["execution", "human_gap"])
     seen = gaps.group_by("execution", maintain_order=True).agg(pl.col("human_gap").unique())["human_gap"].to_list()
     assert seen[1:] == [["absent"], ["absent"]]
-    assert any("2 sessions count as nobody there" in text for _, text in report.said)
+    assert any("2 sessions count as without an operator" in text for _, text in report.said)

@@ -223,7 +223,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "`train` uses the kind that more executions have"
     ),
     "tracker-empty": lambda values: (
-        f"tracker logs with a header and no rows: {values['absent']} sessions count as nobody there"
+        f"tracker logs with a header and no rows: {values['absent']} sessions count as without an operator"
         + (f", {values['unknown']} as unknown (silence in cell.toml says which)" if values["unknown"] else "")
     ),
     "people-learned": (

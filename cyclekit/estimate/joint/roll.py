@@ -197,7 +197,7 @@ def _of_one(
     if walked.stuck[rows].all():
         return EstimateError(
             f"{plan.name}: {_stuck(plan, walked, rows[0], columns)}",
-            cure="Change the order of one of them, or what is told by 'after'.",
+            cure="Change the order of one agent, or 'after'.",
         )
     asked, rows = len(rows), rows[~walked.stuck[rows]]
     robot, mine, duration = _agents_of(plan, walked, rows, number, does)

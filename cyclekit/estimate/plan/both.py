@@ -139,7 +139,7 @@ def best_of_both(
             f"{jobs.shown}: every order ends in a deadlock of robot and operator",
             cure="Give the operator the jobs that the robot waits for, and the other way round.",
         )
-    tell(0.5, f"rolling out the best {len(pairs)}, and {RANDOM} drawn ones")
+    tell(0.5, f"rolling out the best {len(pairs)}, and {RANDOM} random ones")
     best = [both.sequence_of(pair.robot, pair.operator, "planned") for pair in pairs]
     cycles = both.cycles_s(best, seed)
     scores = [

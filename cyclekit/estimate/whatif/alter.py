@@ -134,7 +134,7 @@ def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> Safe
     """
     by_states = isinstance(model, OnStates) or bool(model.card.operator_signals)
     if by_states and _asks_positions(change):
-        seen = f"change {change.name!r}: it is one of distances to people, whose positions no log shows"
+        seen = f"change {change.name!r}: it needs the positions of people, and these logs hold none"
         cure = "Change signals, latency_s, ramp_down_per_s, ramp_up_per_s, places or frequency; or log a tracker."
         raise EstimateError(seen, cure=cure)
     if change.signals:
@@ -157,7 +157,7 @@ def _asks_positions(change: Change) -> bool:
 
 def _with_other_limits(change: Change, model: SafetyModel) -> RuleSafety:
     if not isinstance(model, RuleSafety):
-        seen = f"change {change.name!r}: limits are of a rule, and the model has none"
+        seen = f"change {change.name!r}: limits need a rule, and the model has none"
         cure = "Train with --model auto, which keeps the rule, or write the whole function: levels with thresholds_m."
         raise EstimateError(seen, cure=cure)
     limits, known = model.rule.limits, quantities(model.rule.limits)

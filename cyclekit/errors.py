@@ -191,9 +191,7 @@ class OutsideFolder(CyclekitError):
     def __init__(self, folder: Path, name: object, why: str) -> None:
         """Create the message with folder, printable name and reason."""
         self.cause = f"{_printable(name)} cannot be used as the name of a file ({why})"
-        super().__init__(
-            f"{folder}: {self.cause}", cure="It is damaged or crafted to do harm: make it again, or get it again."
-        )
+        super().__init__(f"{folder}: {self.cause}", cure="It is damaged or malicious: create or fetch it again.")
 
 
 class EngineError(CyclekitError):

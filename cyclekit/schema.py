@@ -50,75 +50,75 @@ class Column:
 F64, I64, TEXT, FLAG = pl.Float64(), pl.Int64(), pl.String(), pl.Boolean()
 
 ROBOT: Mapping[str, Column] = {
-    "t_s": Column(F64, "s", "time in the log's own clock, strictly increasing within a run"),
+    "t_s": Column(F64, "s", "time in the log's clock, strictly increasing within a run"),
     "tcp_x_m": Column(F64, "m", "tool centre point, robot base frame"),
     "tcp_y_m": Column(F64, "m", "tool centre point, robot base frame"),
     "tcp_z_m": Column(F64, "m", "tool centre point, robot base frame"),
-    "tcp_speed_m_s": Column(F64, "m/s", "norm of the linear TCP velocity, where the log has it"),
+    "tcp_speed_m_s": Column(F64, "m/s", "norm of the linear TCP velocity; null = not logged"),
     "scaling": Column(F64, "1", "effective speed scaling in [0,1]; null where not logged, not valid or not playing"),
-    "slider": Column(F64, "1", "the operator's speed slider (target fraction) in [0,1], where logged"),
+    "slider": Column(F64, "1", "the operator's speed slider (target fraction) in [0,1]; null = not logged"),
     "state": Column(TEXT, "", "program state: playing, paused, stopped; null = not logged"),
-    "digital_in_bits": Column(I64, "", "digital inputs as a bit field, where logged"),
-    "digital_out_bits": Column(I64, "", "digital outputs as a bit field, where logged"),
-    "register": Column(I64, "", "the integer register chosen for the cell, where logged"),
-    "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
+    "digital_in_bits": Column(I64, "", "digital inputs as a bit field; null = not logged"),
+    "digital_out_bits": Column(I64, "", "digital outputs as a bit field; null = not logged"),
+    "register": Column(I64, "", "the integer register chosen for the cell; null = not logged"),
+    "source_row": Column(I64, "", "position in the log: a line, row, message or frame, see its entry in dataset.json"),
 }
 """Robot recording at its native rate. Joint columns `q<i>_rad` and `qd<i>_rad_s` may follow (see `is_joint`)."""
 
 PEOPLE: Mapping[str, Column] = {
-    "t_s": Column(F64, "s", "time in the log's own clock"),
-    "person": Column(TEXT, "", "track id as the tracker gives it"),
-    "x_m": Column(F64, "m", "position of the person's tracked point, the log's own frame; null = not seen"),
+    "t_s": Column(F64, "s", "time in the log's clock"),
+    "person": Column(TEXT, "", "track id of the tracker"),
+    "x_m": Column(F64, "m", "position of the person's tracked point, the log's frame; null = not seen"),
     "y_m": Column(F64, "m", "as x_m"),
     "z_m": Column(F64, "m", "as x_m; null for a planar tracker"),
-    "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
+    "source_row": Column(I64, "", "position in the log: a line, row, message or frame, see its entry in dataset.json"),
 }
 
 EVENTS: Mapping[str, Column] = {
-    "t_s": Column(F64, "s", "time in the log's own clock"),
-    "signal": Column(TEXT, "", "which signal: a button, a PLC tag, a digital input"),
+    "t_s": Column(F64, "s", "time in the log's clock"),
+    "signal": Column(TEXT, "", "name of the signal: a button, a PLC tag, a digital input"),
     "value": Column(TEXT, "", "its new value, as text"),
-    "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
+    "source_row": Column(I64, "", "position in the log: a line, row, message or frame, see its entry in dataset.json"),
 }
 
 TASK_LIST: Mapping[str, Column] = {
-    "t_s": Column(F64, "s", "start of the task, the log's own clock"),
-    "end_s": Column(F64, "s", "its end, the log's own clock; null = not logged"),
-    "agent": Column(TEXT, "", "who did it: robot or operator"),
+    "t_s": Column(F64, "s", "start of the task, the log's clock"),
+    "end_s": Column(F64, "s", "end of the task, the log's clock; null = not logged"),
+    "agent": Column(TEXT, "", "kind of the agent: robot or operator"),
     "agent_name": Column(TEXT, "", "the agent's name in the log"),
     "task": Column(TEXT, "", "the task's name"),
     "execution": Column(TEXT, "", "the execution's name in the log; null = not logged"),
-    "planned_start_s": Column(F64, "s", "planned start, the log's own clock; null = not logged"),
-    "planned_end_s": Column(F64, "s", "planned end, the log's own clock; null = not logged"),
-    "outcome": Column(TEXT, "", "done, failed, or the log's own word; null = not logged"),
-    "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
+    "planned_start_s": Column(F64, "s", "planned start, the log's clock; null = not logged"),
+    "planned_end_s": Column(F64, "s", "planned end, the log's clock; null = not logged"),
+    "outcome": Column(TEXT, "", "done, failed, or the log's word; null = not logged"),
+    "source_row": Column(I64, "", "position in the log: a line, row, message or frame, see its entry in dataset.json"),
 }
 """A task list: agent, task, start and end; without positions."""
 
 SAFETY: Mapping[str, Column] = {
-    "t_s": Column(F64, "s", "time in the log's own clock"),
+    "t_s": Column(F64, "s", "time in the log's clock"),
     "override": Column(F64, "1", "speed override of the safety system in [0,1]; null = not logged"),
-    "distance_m": Column(F64, "m", "distance robot to person as the safety system logged it; null = not logged"),
-    "distance_sd_m": Column(F64, "m", "its standard deviation, where logged"),
+    "distance_m": Column(F64, "m", "distance from robot to person, by the safety system; null = not logged"),
+    "distance_sd_m": Column(F64, "m", "its standard deviation; null = not logged"),
     "execution": Column(TEXT, "", "the execution's name in the log; null = not logged"),
-    "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
+    "source_row": Column(I64, "", "position in the log: a line, row, message or frame, see its entry in dataset.json"),
 }
 """A safety system's log: override, distance or both, without positions."""
 
 SKELETONS: Mapping[str, Column] = {
-    "t_s": Column(F64, "s", "time in the log's own clock"),
+    "t_s": Column(F64, "s", "time in the log's clock"),
     "person": Column(TEXT, "", "track id, as in PEOPLE"),
-    "joint": Column(TEXT, "", "name of the joint, lower case, as the tracker's documentation names it"),
-    "x_m": Column(F64, "m", "position of the joint, the log's own frame; null = not seen"),
+    "joint": Column(TEXT, "", "name of the joint, lower case, from the tracker's documentation"),
+    "x_m": Column(F64, "m", "position of the joint, the log's frame; null = not seen"),
     "y_m": Column(F64, "m", "as x_m"),
     "z_m": Column(F64, "m", "as x_m"),
-    "source_row": Column(I64, "", "where in the log, as in PEOPLE"),
+    "source_row": Column(I64, "", "position in the log, as in PEOPLE"),
 }
 """Every joint of every person: personal data, kept only on request (`--keep-skeletons`); not used by estimates."""
 
 STAMPS: Mapping[str, Column] = {
-    "t_s": Column(F64, "s", "time in the log's own clock: the device's"),
-    "host_s": Column(F64, "s", "when the computer that recorded it received it, seconds since 1970 by its clock"),
+    "t_s": Column(F64, "s", "time in the log's clock, which is the device's"),
+    "host_s": Column(F64, "s", "time of reception by the recording computer, seconds since 1970 in its clock"),
 }
 """Two stamps per row, if a log has both: they relate the device's clock to its host's."""
 
@@ -135,38 +135,36 @@ OF_LOGS: Mapping[str, Mapping[str, Column]] = {
 MAIN = ("robot", "people", "events", "task_list", "safety")
 """Tables of which a log must have at least one; the first one gives its rate."""
 UNRATED = ("events", "task_list")
-"""Tables of events, whose rows have no rate."""
+"""Tables whose rows have no rate: events and tasks."""
 
 SAMPLES: Mapping[str, Column] = {
-    "execution": Column(TEXT, "", "which execution of the process"),
-    "t_s": Column(F64, "s", "time since the session began, robot clock"),
+    "execution": Column(TEXT, "", "name of the execution"),
+    "t_s": Column(F64, "s", "time since the start of the session, robot clock"),
     "robot_x_m": Column(F64, "m", "x_r: TCP, base frame"),
     "robot_y_m": Column(F64, "m", "x_r"),
     "robot_z_m": Column(F64, "m", "x_r"),
     "human_x_m": Column(F64, "m", "x_h: operator, base frame; null = absent or not seen"),
     "human_y_m": Column(F64, "m", "x_h"),
     "human_z_m": Column(F64, "m", "x_h"),
-    "robot_goal_x_m": Column(F64, "m", "g_r: end of the robot's running motion"),
+    "robot_goal_x_m": Column(F64, "m", "g_r: end of the robot's current motion"),
     "robot_goal_y_m": Column(F64, "m", "g_r"),
     "robot_goal_z_m": Column(F64, "m", "g_r"),
-    "human_goal_x_m": Column(F64, "m", "g_h: end of the operator's running task"),
+    "human_goal_x_m": Column(F64, "m", "g_h: end of the operator's current task"),
     "human_goal_y_m": Column(F64, "m", "g_h"),
     "human_goal_z_m": Column(F64, "m", "g_h"),
-    "scaling": Column(F64, "1", "s: the safety system's speed scaling in force; null = unknown"),
+    "scaling": Column(F64, "1", "s: the safety system's speed scaling; null = unknown"),
     "scaling_origin": Column(TEXT, "", "logged or inferred; null where scaling is null"),
     "scaling_sd": Column(F64, "1", "standard deviation of scaling: 0 where logged; null where scaling is null"),
-    "scaling_gap": Column(TEXT, "", "why scaling is null, one of SCALING_GAPS; null where it is not"),
+    "scaling_gap": Column(TEXT, "", "reason why scaling is null, one of SCALING_GAPS; else null"),
     "slider": Column(F64, "1", "the operator's speed slider; the robot's speed is scaling times it; null = not logged"),
-    "step": Column(pl.Int32(), "", "index of the staircase level, ascending; null = unknown or in a ramp"),
-    "robot_task": Column(TEXT, "", "running task, `start->goal`"),
-    "human_task": Column(TEXT, "", "the operator's running task: the place it ends at"),
-    "robot_moving": Column(FLAG, "", "true while the robot is on its way, halted by safety or not"),
-    "human_gap": Column(
-        TEXT, "", "why x_h is null: absent, occluded, or outside the tracker's log; null where it is not"
-    ),
-    "lost_to": Column(TEXT, "", "what takes most of the time lost here, one of LOST_CAUSES; null = nothing is lost"),
+    "step": Column(pl.Int32(), "", "index of the level, ascending; null = unknown or in a ramp"),
+    "robot_task": Column(TEXT, "", "the robot's current task, `start->goal`"),
+    "human_task": Column(TEXT, "", "the operator's current task, named by the place where it ends"),
+    "robot_moving": Column(FLAG, "", "true from the departure to the arrival, also during a protective stop"),
+    "human_gap": Column(TEXT, "", "reason why x_h is null: absent, occluded, outside (the tracker's log); else null"),
+    "lost_to": Column(TEXT, "", "main cause of lost time, one of LOST_CAUSES; null = no lost time"),
     "human_signals": Column(
-        I64, "", "z: signals of people that are on, bit k = entry k of operator_signals in dataset.json; null = unknown"
+        I64, "", "z: operator signals that are on, bit k = entry k of operator_signals in dataset.json; null = unknown"
     ),
 }
 """Samples (10 Hz by default) in one clock and one base frame."""
@@ -175,27 +173,27 @@ ADDED_TO_SAMPLES: Mapping[str, str | None] = {"human_signals": None}
 """Columns that datasets of earlier versions lack, and their default values."""
 
 TASKS: Mapping[str, Column] = {
-    "execution": Column(TEXT, "", "which execution of the process"),
-    "index": Column(pl.Int32(), "", "0-based order within the execution, of each agent by itself"),
+    "execution": Column(TEXT, "", "name of the execution"),
+    "index": Column(pl.Int32(), "", "0-based order within the execution, counted for each agent"),
     "task": Column(TEXT, "", "`start->goal`, or its name in a task list"),
-    "start_place": Column(TEXT, "", "where the motion starts; null = of a task list"),
-    "goal_place": Column(TEXT, "", "where it ends and the dwell happens"),
+    "start_place": Column(TEXT, "", "start of the motion; null = from a task list"),
+    "goal_place": Column(TEXT, "", "end of the motion, place of the dwell"),
     "start_s": Column(F64, "s", "start of the motion, or of a listed task, session time"),
-    "arrival_s": Column(F64, "s", "end of the motion, session time; null = of a task list"),
+    "arrival_s": Column(F64, "s", "end of the motion, session time; null = from a task list"),
     "end_s": Column(F64, "s", "end of dwell and wait, or of a listed task, session time; null = not logged"),
     "nominal_s": Column(F64, "s", "duration of the motion at full speed; null = scaling unknown"),
     "safety_loss_s": Column(F64, "s", "time lost to speed scaling s below 1: integral of (1 - s) over the motion"),
     "dwell_s": Column(F64, "s", "process time at the goal"),
     "wait_s": Column(F64, "s", "standstill beyond dwell, or with the program paused, not explained by speed scaling"),
-    "agent": Column(TEXT, "", "who did it: robot or operator"),
-    "agent_name": Column(TEXT, "", "the agent's name in a task list; null = found in the robot's motion"),
+    "agent": Column(TEXT, "", "kind of the agent: robot or operator"),
+    "agent_name": Column(TEXT, "", "the agent's name in a task list; null = not from a task list"),
     "planned_start_s": Column(F64, "s", "planned start, session time; null = not logged"),
     "planned_end_s": Column(F64, "s", "planned end, session time; null = not logged"),
-    "outcome": Column(TEXT, "", "done, failed, or the log's own word; null = not logged"),
-    "reached_s": Column(F64, "s", "when the robot reached the point short of the goal where it may wait; null = none"),
-    "went_on_s": Column(F64, "s", "when it went on from there; reached_s if it did not stop; null = no such point"),
-    "waited_for": Column(TEXT, "", "what ended the wait, `operator leaves fixture`; null = nothing that is known"),
-    "lost_person_s": Column(F64, "s", "time lost since a person was near"),
+    "outcome": Column(TEXT, "", "done, failed, or the log's word; null = not logged"),
+    "reached_s": Column(F64, "s", "arrival at the waiting position short of the goal; null = no such position"),
+    "went_on_s": Column(F64, "s", "departure from there; reached_s if the robot did not stop; null = no such position"),
+    "waited_for": Column(TEXT, "", "event that ended the wait, such as `operator leaves fixture`; null = unknown"),
+    "lost_person_s": Column(F64, "s", "time lost because a person was near"),
     "lost_slider_s": Column(F64, "s", "time lost to the operator's speed slider: integral of s (1 - slider)"),
     "lost_input_s": Column(F64, "s", "time lost to an input that slows the robot, such as reduced mode"),
     "lost_limits_s": Column(F64, "s", "time lost where the robot is slow in every pass: stopping or joint limits"),
@@ -246,10 +244,10 @@ path than its repetitions; it was too slow to infer the scaling; gap in the log.
 
 QUARANTINE: Mapping[str, Column] = {
     "recording": Column(TEXT, "", "id of the recording"),
-    "file": Column(TEXT, "", "the log, relative to the folder of logs"),
-    "source_row": Column(I64, "", "where in it; null where damage has no row"),
-    "row_is": Column(TEXT, "", "what source_row counts: line (from 1), row, message or frame (from 0)"),
-    "reason": Column(TEXT, "", "why it is not used"),
+    "file": Column(TEXT, "", "path of the log, relative to the folder of logs"),
+    "source_row": Column(I64, "", "position in the log; null if the damage has no row"),
+    "row_is": Column(TEXT, "", "unit of source_row: line (from 1), row, message or frame (from 0)"),
+    "reason": Column(TEXT, "", "reason why it is not used"),
 }
 """Rows (or messages, or damaged parts) of the logs that are in no other table."""
 

@@ -105,7 +105,7 @@ def fit_frame(log_m: Floats, base_m: Floats, *, up: Literal["y", "z"] = "z") -> 
     rms = float(np.sqrt(np.mean(residual**2)))
     if mirrored and rms > 0.02:
         raise ConfigError(
-            f"the points fit only mirrored (as they are, {1000 * rms:.0f} mm apart)",
+            f"the points fit only if mirrored (residual otherwise {1000 * rms:.0f} mm rms)",
             cure="One axis has the wrong sign, or the tracker counts y upwards: try --up y.",
         )
     origin = base_m.mean(axis=0) - turn @ here.mean(axis=0)
@@ -125,7 +125,7 @@ def _turn(a: Floats, b: Floats) -> tuple[Floats, bool]:
 def _scale(a: Floats, b: Floats) -> float:
     size = np.sqrt(np.sum(a * a)), np.sqrt(np.sum(b * b))
     if min(size) < 1e-9:
-        raise ConfigError("all points are one point", cure="Touch four or more, well apart.")
+        raise ConfigError("all points are at one position", cure="Touch four or more, well apart.")
     scale = float(size[1] / size[0])
     for factor, whose in ((1 / MILLIMETRES, "the tracker's"), (MILLIMETRES, "the robot's")):
         if abs(scale / factor - 1) < SCALE_SLACK:
@@ -155,7 +155,7 @@ def _refuse_line(a: Floats, b: Floats) -> None:
 def _doubts(a: Floats, b: Floats, rms: float, scale: float) -> list[str]:
     found = []
     if len(a) == 3:
-        found.append("three points fit nearly always: touch a fourth to check them")
+        found.append("three points fit almost any frame: touch a fourth to check it")
     if abs(scale - 1) > 0.02:
         found.append(f"the robot's points are {100 * (scale - 1):+.1f} % farther apart than the tracker's: check both")
     if rms <= 0.01:

@@ -163,7 +163,7 @@ def _lender(
         if not named:
             raise UnknownName(where, "log of this session", path, [other.shown for other in others])
         if named[0].id in passed:
-            raise ConfigError(f"{where}: {path!r} borrows its clock from this one", cure="Say how one of them runs.")
+            raise ConfigError(f"{where}: {path!r} takes its clock from this one", cure="Set the clock of one of them.")
         lender = named[0]
         passed.append(lender.id)
     return lender

@@ -85,14 +85,14 @@ def load_project(path: Path) -> Project:
 
 _PLACES = ("cell", "dataset", "model", "sequences", "jobs", "estimates", "report", "template")
 _SAID = {
-    "logs": "files and folders, as they come from the cell",
+    "logs": "files and folders of logs",
     "name": "title of the report; else the name of this folder",
-    "cell": "what the logs do not hold; default: cell.toml beside the logs, if it exists",
+    "cell": "what the logs do not contain; default: cell.toml in the folder of the logs, if it exists",
     "dataset": "made by ingest",
     "model": "made by train",
     "sequences": "the orders whose cycle time is estimated",
     "jobs": "the work whose order the command plan searches",
-    "takt": "a part is needed every ...",
+    "takt": "takt time: the time in which a part is needed",
     "baseline": "the sequence that others are compared with; else what was logged most",
     "estimates": ".json, .csv or .xlsx",
     "report": "the page for the customer",
@@ -102,7 +102,7 @@ _SAID = {
 
 def project_to_toml(project: Project) -> str:
     """Return the text of a project file for this project, with a comment on each key; unset keys are commented out."""
-    lines = ["# Written by cyclekit init; paths are seen from this folder. Bring all up to date: cyclekit run"]
+    lines = ["# Written by cyclekit init; paths are relative to this folder. Update all results: cyclekit run"]
     for each in fields(project):
         value = getattr(project, each.name)
         told = f"  # {_SAID[each.name]}" if each.name in _SAID else ""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import TaskSequence
 
 _ABOUT_DRAFTS = (
-    "# Sources that no adapter knows are proposed here by their header and first rows: look at each line.",
+    "# Settings for sources of unknown format, proposed from their header and first rows: check each line.",
     '# A line that begins with "# ?" is uncertain: correct it, and remove "# ?". Keys: docs/adapters.md, csv.',
 )
 

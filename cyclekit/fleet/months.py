@@ -86,12 +86,12 @@ def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, d
     before = [name for name, day in dated.items() if day <= begin]
     after = [name for name, day in dated.items() if day > begin]
     if not before:
-        return "the logs reach back less than a month"
+        return "the logs cover less than a month"
     split = model.card.split or SplitCard()
     learned = {*split.train, *split.validation}
     judged = [[name for name in part if name not in learned] for part in (before, after)]
     if min(map(len, judged)) < 2:
-        return "too few executions of either time that the model has not learned from"
+        return "too few executions that were not used for training, before or within the last month"
     return drift_between(model, dataset.only(before), dataset.only(after), judged[0], judged[1])
 
 

@@ -93,7 +93,7 @@ class FleetCell:
                 continue
             matching = sorted(glob(source, recursive=True))  # noqa: PTH207 - the pattern may be absolute
             if not matching:
-                raise ConfigError(f"cell {self.name!r}: nothing is called {source!r}", cure="Check its sources.")
+                raise ConfigError(f"cell {self.name!r}: nothing matches {source!r}", cure="Check its sources.")
             found += matching
         return found
 
@@ -141,7 +141,7 @@ def _cell(where: str, shared: Mapping[str, Any], entry: object, here: Path) -> F
     cell = followed(where, {**shared, **table_at(where, entry)}, FleetCell, folder="")
     if unfit(cell.name):
         raise ConfigError(
-            f"{where}: name = {cell.name!r} can be no folder on every system", cure="Choose another name."
+            f"{where}: name = {cell.name!r} is not a valid folder name on every system", cure="Choose another name."
         )
     paths = {key: _place(here, told) for key in ("cell_file", "sequences") if (told := getattr(cell, key)) is not None}
     return replace(cell, **paths, sources=tuple(_place(here, source) for source in cell.sources))  # type: ignore[arg-type]

@@ -104,7 +104,7 @@ def work_on(
         except CyclekitError as error:
             state, text = "failed", str(error)
         except Exception as error:  # a bug in one cell must not stop the others
-            state, text = "failed", f"a fault of cyclekit: {type(error).__name__}: {error}"
+            state, text = "failed", f"internal error: {type(error).__name__}: {error}"
         row = StageResult(cell.name, stage, state, text)
         work.ledger = noted(cell, work.ledger, row)
         rows.append(row)
@@ -165,7 +165,7 @@ def _train(work: CellAtWork) -> tuple[State, str]:
         return "unchanged", kept
     spec = ModelSpec.of(seed=cell.seed, epochs=cell.epochs)
     card = train_model(cell.dataset, spec, out=cell.model, progress=work.tell).card
-    why = "first model" if model is None else "the safety function has changed, or its logs have gone"
+    why = "first model" if model is None else "the safety function has changed, or logs of the model are missing"
     error = f": mean absolute error {card.metrics.mae:.4f} held out" if card.metrics is not None else ""
     return "done", why + error
 
@@ -181,10 +181,10 @@ def _still_good(model: TrainedModel, dataset: Dataset) -> str | None:
         return None
     changed = since_training(model, dataset)
     if changed is None:
-        return "trained on all but a few of these logs"
+        return "trained on nearly all of these logs"
     if changed.safety_changed:
         return None
-    return f"{changed.executions[1]} newer executions show the safety function that was learned"
+    return f"the safety function is unchanged in {changed.executions[1]} newer executions"
 
 
 def _report(work: CellAtWork) -> tuple[State, str]:

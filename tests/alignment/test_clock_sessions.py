@@ -206,7 +206,7 @@ def test_a_wrong_signal_is_refused_with_those_that_are_there(few: Path, tmp_path
 
 
 def test_two_logs_that_borrow_each_other_s_clock_are_refused(few: Path, tmp_path: Path):
-    with pytest.raises(ConfigError, match="borrows its clock"):
+    with pytest.raises(ConfigError, match="takes its clock"):
         ingested(few, tmp_path / "d", cell_with(few, {"same_clock_as": "session_*/events.csv"}))
 
 

@@ -71,7 +71,7 @@ def test_points_on_the_floor_alone_are_enough():
     ("log", "base", "cause"),
     [
         (CORNERS[:2], CORNERS[:2], "2 points"),
-        (CORNERS[:1].repeat(4, axis=0), CORNERS[:1].repeat(4, axis=0), "one point"),
+        (CORNERS[:1].repeat(4, axis=0), CORNERS[:1].repeat(4, axis=0), "one position"),
         (np.outer(np.arange(5.0), [1, 2, 0.5]), np.outer(np.arange(5.0), [1, 2, 0.5]), "one line"),
         (1000 * CORNERS, CORNERS, "millimetres"),
         (CORNERS, 1000 * CORNERS, "millimetres"),

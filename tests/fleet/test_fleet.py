@@ -182,7 +182,7 @@ def test_a_fault_of_ours_in_one_cell_is_told_as_one(one_day: Path, tmp_path: Pat
     (cell,) = fleets.load_fleet(fleet_of(tmp_path, one_day, "a")).cells
     monkeypatch.setitem(fleets.STAGES, "ingest", faulty)
     (row,) = work_on(cell, stages=["ingest"])
-    assert (row.state, row.text) == ("failed", "a fault of cyclekit: KeyError: 'no such thing'")
+    assert (row.state, row.text) == ("failed", "internal error: KeyError: 'no such thing'")
 
 
 @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ def test_sources_are_taken_from_the_folder_of_the_file_and_wildcards_mean_what_i
     wanted: Fleet = fleets.load_fleet(tmp_path / "fleet.toml")
     assert [Path(path).name for path in wanted.cells[0].logs()] == ["2026-11-01", "2026-11-02", "x*"]
     assert Path(wanted.cells[0].dataset) == tmp_path / "fleet" / "a" / "dataset"
-    with pytest.raises(ConfigError, match="nothing is called"):
+    with pytest.raises(ConfigError, match="nothing matches"):
         wanted.cells[1].logs()
 
 

@@ -63,7 +63,7 @@ def fit_motion(log_s: Vector, log_m: Points, robot_s: Vector, robot_m: Points) -
             fit = replace(again, rate=again.rate * rate, offset_s=again.offset_s + again.rate * first * (1 - rate))
     if fit is None:
         raise ConfigError(
-            f"the body moves in both logs for less than {LEAST_S:g} s together",
+            f"the body moves in both logs at the same time for less than {LEAST_S:g} s",
             cure="Check that sees_as names the body on the flange, and that both logs are of one run.",
         )
     if (fit.correlation or 0.0) < TOO_WEAK:

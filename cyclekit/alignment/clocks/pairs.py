@@ -79,7 +79,9 @@ def fit_events(log_s: Vector, other_s: Vector) -> ClockFit:
     log_s, other_s = _first_ones(np.sort(log_s)), _first_ones(np.sort(other_s))
     fewer = min(len(log_s), len(other_s))
     if fewer == 0:
-        raise ConfigError(f"{len(log_s)} events in this log and {len(other_s)} in the robot's", cure="Name another.")
+        raise ConfigError(
+            f"{len(log_s)} events in this log and {len(other_s)} in the robot's", cure="Name other signals."
+        )
     offset, votes, second, second_s = _vote(log_s, other_s)
     line, window = (offset, 1.0, 0.0), WINDOW_S
     mine, theirs = _partners(_at(line, log_s), other_s, window)
@@ -94,7 +96,7 @@ def fit_events(log_s: Vector, other_s: Vector) -> ClockFit:
     if len(mine) < min(3, fewer):
         raise ConfigError(
             f"{len(log_s)} events in this log and {len(other_s)} in the robot's, and no three of them match",
-            cure="Name signals that change at the same instants, or give the pairs as sync_events.",
+            cure="Name signals that change at the same times, or give the pairs as sync_events.",
         )
     line = _least_squares(log_s[mine], other_s[theirs])
     fit = _fit(line, log_s[mine], other_s[theirs], rejected=len(log_s) - len(mine))
@@ -139,7 +141,7 @@ def _fit(line: tuple[float, float, float], x: Vector, y: Vector, *, rejected: in
     offset, rate, about = line
     if abs(rate - 1.0) > DRIFT:
         raise ConfigError(
-            f"the events would have this log's clock run at {rate:.4f} of the robot's",
+            f"the events give a clock rate of {rate:.4f} s of the robot log per second of this log",
             cure="Check that both times are seconds, and that each pair is one event.",
         )
     free = len(x) - (2 if rate != 1.0 else 1)

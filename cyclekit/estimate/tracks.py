@@ -38,21 +38,21 @@ if TYPE_CHECKING:
 RUN_ON_S = 5.0
 """Maximum pause, s, before the next execution of a session for the operator's track to run on into it."""
 ENTRIES, LEAST_ENTRIES = 8, 4
-"""Mean and minimum number of tracks per execution where logs form circles;"""
+"""Number of tracks per execution along circles of logs: usual, and minimum."""
 MANY = 320
-"""the minimum applies where the mean would give more tracks than this."""
+"""Maximum number of tracks along circles, unless LEAST_ENTRIES per execution are more."""
 PHASES = 4
-"""Number of instants of each execution at which a course of states starts if the phase is free."""
+"""Number of instants per execution at which a course of states starts, if `phase_is_free`."""
 SHORTEST = 0.1
 """Share of executions that may be shorter than the span over which these instants are spread."""
 SAME_SPREAD = 1.65
-"""Maximum ratio of the operator's spread at starts of cycles to his spread at all times, for a free phase."""
+"""Threshold of `phase_is_free`: ratio of the operator's spread at one instant of the cycle to that at all times."""
 SURE_Z = 3.5
-"""Maximum difference of mean position, and of spread, in standard errors, for a free phase."""
+"""Threshold of `phase_is_free`, standard errors: difference of the mean position, and of the spread."""
 CHANCE = 8.0
-"""Maximum excess of chi squared over its mean, in its standard deviations, for absence and tasks, for a free phase."""
+"""Threshold of `phase_is_free`: excess of chi squared over its mean, standard deviations, for absence and tasks."""
 LEAST_FREE = 8
-"""Minimum number of tracks to decide whether the phase is free."""
+"""Minimum number of tracks for `phase_is_free`."""
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@
     ├── LogError            a log cannot be used: file, cause and cure
     │   ├── UnknownFormat       no adapter recognises it
     │   ├── DamagedLog          recognised, but damaged
+    │   │   └── EmptyLog            recognised, but without rows
     │   ├── MissingColumns      recognised, but a required column is missing
     │   └── BrokenAdapter       the adapter itself failed
     ├── ConfigError         a configuration or sequence file is invalid
@@ -16,6 +17,7 @@
     ├── OutputError         an output would replace an input, or a file that cyclekit did not write
     ├── BusyPlace           another process is writing to the same path
     ├── StorageError        a URL cannot be read or written
+    │   └── NothingPublished    nothing is published at the URL
     ├── OutsideFolder       a name found in data would lead out of its folder
     ├── EngineError         the cluster cannot be reached, or a task's worker died repeatedly
     └── MissingExtra        an optional package is not installed

@@ -55,7 +55,7 @@ def with_scaling(
 
     Args:
         runs: All runs.
-        executions: Their executions, from `segment`.
+        executions: Their executions, from `find_executions`.
         places: All places.
         sessions: All sessions; reference sessions were recorded without a person in the cell.
         overrides: Override in the separate log of the safety system, for each session.

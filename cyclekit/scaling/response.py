@@ -55,7 +55,7 @@ class LevelChange(NamedTuple):
         step: Index of the slower of the two levels that the threshold separates; -1: it left no level.
         rises: Whether the scaling rose.
         rate_per_s: Rate of change, 1/s; None = too few rows.
-        change: Change of the scaling for which the rate was measured.
+        change: Observed change of the scaling; between two levels, that outside of their tolerances.
         way_s: Time between two levels, by the number of rows, s; None if it did not lead from level to level.
         most_per_s: Maximum change from row to row, 1/s; None without rows.
         near: Tolerance within which the scaling is on a level.

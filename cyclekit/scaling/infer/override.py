@@ -81,7 +81,7 @@ def infer_overrides(
 
     Args:
         runs: All runs; those with a logged scaling serve as references too.
-        executions: Their executions, from `segment`.
+        executions: Their executions, from `find_executions`.
         alone: Indices of runs recorded with nobody in the cell; they are the reference for motions that occur there.
         progress: Called with the fraction done.
         engine: Matches the motions to their references.

@@ -1,15 +1,14 @@
-"""The command line: each command parses, makes one call of the library, and says what happened.
+"""The command line: each command parses its arguments, calls one function of the library, and prints the result.
 
-    exit 0   done
-    exit 1   our error: one message on standard error, `error: what was seen, where, and the cure`
-    exit 2   the command line itself was wrong
+    exit 0   success
+    exit 1   error of cyclekit: one message on standard error, `error: cause, file or argument, cure`
+    exit 2   invalid command line
     exit 130 interrupted
 
-The exit code of `gate` is its verdict, 0 or 1; there our errors end with 2 as well.
+The exit code of `gate` is its verdict, 0 or 1; its errors exit with 2.
 
-With `--json` standard output holds exactly one JSON document, also when the command fails; everything else goes to
-standard error. A traceback means a bug of cyclekit. What the commands compute is the library's business: everything
-here can be done from Python in one line, the call in the middle of each command.
+With `--json`, standard output holds exactly one JSON document, also on failure; all other text goes to standard error.
+A traceback means a bug of cyclekit. Each command can be replaced by one Python call, that of its library function.
 """
 
 from __future__ import annotations
@@ -40,38 +39,38 @@ ORDER = (
     *("levels", "train", "evaluate", "estimate", "gate", "plan", "zones", "whatif", "replay", "report"),
     *("fleet", "export", "adapters"),
 )
-"""The commands in the order of the work; each is a module of this package with a function of its name."""
+"""Commands in the order of the workflow; each is a module of this package with a function of the same name."""
 MODULES = {"run": "run_project"}
-"""Commands whose module has another name: one called `run` would hide the function here."""
+"""Modules whose name differs from the command: a module `run` would hide the function `run` of this package."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one command line and leave the process with its exit code.
+    """Run one command line and exit the process with its exit code.
 
     Args:
-        arguments: Words after `cyclekit`; None takes them from the process.
+        arguments: Words after `cyclekit`; None = those of the process.
     """
     if arguments is None:
         restart_in_utf8()
-        if not sys.warnoptions:  # `python -W` and PYTHONWARNINGS go before
+        if not sys.warnoptions:  # `python -W` and PYTHONWARNINGS take precedence
             without_warnings_of_libraries()
     complete_streams()
     code = run(list(sys.argv[1:] if arguments is None else arguments))
-    gc.freeze()  # else the interpreter looks for garbage among all that was imported: a tenth of a short command's time
+    gc.freeze()  # garbage collection of all imports at exit takes a tenth of a short command's time
     sys.exit(code)
 
 
 def without_warnings_of_libraries() -> None:
-    """Show no warning that a library has for programmers, here and in processes begun from here.
+    """Hide Python warnings of libraries, in this process and its children; they are meant for programmers.
 
-    What a person must know of a result is said by the result.
+    Warnings for users are part of the result.
     """
     warnings.simplefilter("ignore")
     os.environ["PYTHONWARNINGS"] = "ignore"
 
 
 def run(words: list[str]) -> int:
-    """Run one command line and return its exit code; only a bug raises.
+    """Run one command line and return its exit code; it raises only if cyclekit has a bug.
 
     Args:
         words: Words after `cyclekit`.
@@ -109,13 +108,13 @@ def _run(words: list[str]) -> int:
     finally:
         if not {"--quiet", "-q"}.intersection(words):
             _say_left_out()
-    if code == 130:  # typer has seen the interruption first
+    if code == 130:  # typer caught the interruption itself
         return say_failure("interrupted", kind="Interrupted", as_json=as_json, code=130)
     return code if isinstance(code, int) else 0
 
 
 def _say_left_out() -> None:
-    """Name the adapters that could not be used, once, whatever command looked for adapters and however it ended."""
+    """Warn once about adapters that failed to load, if the command searched for adapters."""
     if (registry := sys.modules.get("cyclekit.ingest.registry")) is None:
         return
     from cyclekit.cli.terminal import Terminal
@@ -124,13 +123,13 @@ def _say_left_out() -> None:
 
 
 def _refused(error: OSError, *, as_json: bool, code: int) -> int:
-    """Say what the system has refused, and return the exit code; of a reader that has gone nothing need be said."""
+    """Print the error of the operating system and return the exit code; a closed pipe is not reported."""
     from cyclekit.cli.terminal import say_failure
 
     if isinstance(error, BrokenPipeError):
         drop_output()
         return code
-    if is_of_output(error):  # then it takes no document either
+    if is_of_output(error):  # then no JSON document can be written either
         drop_output()
     return say_failure(explained(error), kind="SystemRefused", as_json=as_json, code=code)
 
@@ -146,7 +145,7 @@ def _too_large(error: MemoryError, *, as_json: bool, code: int) -> int:
 
 
 def app(wanted: Sequence[str] = ORDER) -> typer.Typer:
-    """Return the command line with the commands wanted: each takes milliseconds to look at before one can run."""
+    """Return the command line with only the given commands, because importing each takes milliseconds."""
     from importlib import import_module
 
     from cyclekit.cli.in_project import InProject

@@ -1,4 +1,4 @@
-"""`cyclekit adapters`: which formats can be read, and from which package."""
+"""`cyclekit adapters`: lists the log formats that can be read, with the package of each adapter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`cyclekit calibrate`: where the tracker stands, from points that robot and tracker both touched."""
+"""`cyclekit calibrate`: computes the pose of the tracker from points touched by robot and tracker."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`cyclekit convert`: one log to one table, for other tools."""
+"""`cyclekit convert`: converts one log to one table, for other tools."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""`cyclekit demo`: the whole way on a simulated cell, from logs to the cycle time of three sequences.
+"""`cyclekit demo`: runs all steps on a simulated cell, from logs to the cycle times of three sequences.
 
-Each step is the library call that the command of the same name makes; the demo only strings them together, on its
-own folder, which the same demo overwrites with the same numbers.
+Each step calls the library function of the command of the same name. Repeated runs overwrite the folder with the same
+numbers.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ EXAMPLE = "cyclekit demo --out out/"
 SCENE = "box-picking"
 STEPS = 6
 WIDTH = 60
-"""Columns of the last page: half a screen."""
+"""Maximum width of the final table, characters."""
 _LEFT, _RIGHT = ([f"{side}_{number}" for number in range(1, 6)] for side in ("left", "right"))
 SEQUENCES = {
     "left table first": [*_LEFT, *_RIGHT],
@@ -78,7 +78,7 @@ def demo(
 
 @dataclass
 class _Run:
-    """Where the demo works, and how long each step took."""
+    """The folder of the demo, and the duration of each step."""
 
     terminal: Terminal
     out: Path
@@ -94,7 +94,7 @@ class _Run:
 
 
 def _check(out: Path, operator_log: Path | None) -> None:
-    """Refuse before any work what would be refused after half of it."""
+    """Raise errors of the arguments before the first step."""
     from cyclekit.dataset.guard import Kind, check_output
     from cyclekit.extras import need
 
@@ -152,8 +152,8 @@ def sequences_toml(logged: set[str]) -> str:
     """Return the sequence file of the demo: every box from the conveyor to its slot, then home.
 
     Args:
-        logged: Tasks that occur in the logs. Which slot was the last one of an execution is chance, so each order
-            ends with a slot from which the robot was seen to go home, or at its last slot where there is none.
+        logged: Tasks that occur in the logs. The last slot of a logged execution is random, so each order ends with a
+            slot from which the robot went home in the logs, or at its last slot if there is none.
     """
     blocks = []
     for name, slots in SEQUENCES.items():
@@ -203,7 +203,7 @@ def _closing(estimates: CycleEstimates, verdict: str, run: _Run) -> str:
 
 
 def _table(estimates: CycleEstimates) -> str:
-    """Return mean and 95 % interval of each sequence, and how much of it is slow-down; at most 60 columns."""
+    """Return a table with mean, 95 % interval and slow-down of each sequence, at most 60 characters wide."""
     rows = [
         [
             f"{rank}. {one.name}",

@@ -1,4 +1,4 @@
-"""`cyclekit estimate`: the expected cycle time of task sequences, ranked."""
+"""`cyclekit estimate`: estimates and ranks the cycle times of task sequences."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ UNTIL_DONE = " + idle until the operator is done = expected"
 DOUBTED = "* "
 SPLIT_HEADS = ["motion", "safety", "dwell", "wait"]
 LEAST_WAIT_S = 0.2
-"""A shorter wait between two tasks has no cause worth a word."""
+"""Minimum wait between two tasks, s, whose cause is printed."""
 _SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
@@ -126,23 +126,23 @@ def estimate(
 
 
 def not_answered(refused: Sequence[Refusal]) -> str:
-    """Return what could not be answered and why, one line each."""
+    """Return the sequences that could not be estimated, one per line with the reason."""
     texts = [". ".join(part for part in (one.error.seen, one.error.cure) if part) for one in refused]
     return f"Not answered\n{bullet(texts)}" if texts else ""
 
 
 def alarmed(alarms: Sequence[str]) -> str:
-    """Return what belongs above the numbers, as lines."""
+    """Return the warnings that are printed above the numbers, as lines."""
     return bullet(alarms, mark="WARNING: ")
 
 
 def starred(entry: CycleEstimate, number: str) -> str:
-    """Return a number with an asterisk where something makes it doubtful."""
+    """Return a number, with an asterisk if the estimate has doubts."""
     return f"{number}*" if entry.doubts else number
 
 
 def doubted(found: Sequence[CycleEstimate], *, width: int = 80) -> str:
-    """Return what the asterisks mean: each doubt once, with the sequences that it concerns unless it concerns all."""
+    """Return the legend of the asterisks: each doubt once, with its sequences unless it concerns all."""
     by_text: dict[str, list[str]] = {}
     for entry in found:
         for text in entry.doubts:
@@ -154,7 +154,7 @@ def doubted(found: Sequence[CycleEstimate], *, width: int = 80) -> str:
 
 
 def estimates_table(found: Sequence[CycleEstimate]) -> str:
-    """Return a table for each kind of work, the quickest first: expected time, 90 % range, and where the time goes."""
+    """Return one table per kind of work, fastest first: expected time, range of cycles, and its parts."""
     from cyclekit.estimate.same_work import by_work
 
     low, high = _range(found)
@@ -178,19 +178,19 @@ def estimates_table(found: Sequence[CycleEstimate]) -> str:
 
 
 def _of_lists(found: Sequence[CycleEstimate]) -> bool:
-    """Return whether the numbers are of task lists, which know no motion."""
+    """Return whether the estimates are from task lists, which have no motion."""
     return any(entry.estimator == "task times" for entry in found)
 
 
 def _caption(found: Sequence[CycleEstimate]) -> str:
-    """Return what the columns of the table add up to."""
+    """Return the caption that explains the columns of the table."""
     if not any(entry.plan for entry in found):
         return CAPTION
     return (OF_LISTS if _of_lists(found) else IDLE) + UNTIL_DONE
 
 
 def ranking(found: Sequence[CycleEstimate]) -> str:
-    """Return how sure it is that the first sequence of each work is quicker than each other one that does the same."""
+    """Return the probabilities that the first sequence of each kind of work is faster than each of the others."""
     from cyclekit.estimate.same_work import by_work
 
     works = by_work(found)
@@ -204,14 +204,14 @@ def ranking(found: Sequence[CycleEstimate]) -> str:
 
 
 def _per_visit(found: Sequence[CycleEstimate]) -> str:
-    """Return the time per visit, the one number that sequences of different work can be held against each other by."""
+    """Return the time per visit, the only number by which sequences of different work can be compared."""
     rows = [[entry.name, str(len(entry.places) - 1), f"{entry.per_visit_s:.2f} s"] for entry in found]
     different = "The work differs: sequences are compared only with those of the same visits."
     return table(["sequence ", "visits", "per visit"], rows, title=different)
 
 
 def takt_table(found: Sequence[CycleEstimate]) -> str:
-    """Return the part of the cycles that meet the takt time, with its 95 % interval."""
+    """Return the share of cycles within takt, with its 95 % interval."""
     rows = []
     for entry in found:
         if entry.takt_probability is not None:
@@ -221,7 +221,7 @@ def takt_table(found: Sequence[CycleEstimate]) -> str:
 
 
 def judged(check: Check) -> str:
-    """Return how the rollout compares with the logged executions."""
+    """Return the result of the validation on logged executions."""
     lines = [
         f"{check.executions} logged executions rolled out with their own operator tracks: bias {check.own_bias:+.2%} "
         f"(95% CI +-{check.own_within:.2%}), {check.held_out} of them unseen by the network",
@@ -238,7 +238,7 @@ def judged(check: Check) -> str:
 
 
 def loses_most(found: Sequence[CycleEstimate]) -> str:
-    """Return where each sequence loses most to safety: at which task, and while the operator does what."""
+    """Return the task and the operator's activity with the largest safety loss of each sequence."""
     from cyclekit.estimate.result import OF_STATES
 
     lines = []
@@ -258,7 +258,7 @@ def loses_most(found: Sequence[CycleEstimate]) -> str:
 
 
 def _largest(part: float) -> str:
-    """Call the largest share what it is; `most` is more than half."""
+    """Return the wording for the largest share: `most` only above one half."""
     from cyclekit.estimate.result import MOST
 
     return f"most of it ({percent(part)})" if part > MOST else f"the largest share ({percent(part)})"
@@ -270,7 +270,7 @@ def _range(found: Sequence[CycleEstimate]) -> tuple[float, float]:
 
 
 def tasks_table(entry: CycleEstimate) -> str:
-    """Return one row per task of a sequence, in order, mean seconds."""
+    """Return a table of mean seconds with one row per task of a sequence, in order."""
     rows = [
         [task.task, f"{task.expected_s:.1f}", *(f"{getattr(task, part):.1f}" for part in _SPLIT)]
         for task in entry.tasks
@@ -279,7 +279,7 @@ def tasks_table(entry: CycleEstimate) -> str:
 
 
 def plan_table(entry: CycleEstimate) -> str:
-    """Return one row per task of a plan for both agents: when it starts and ends, and what it waited for."""
+    """Return a table with one row per task of a plan for both agents: start, end, and cause of its wait."""
     rows = []
     for task in sorted(entry.plan, key=lambda one: one.start_s):
         cause = max(task.decided, key=lambda name: task.decided[name])
@@ -289,7 +289,7 @@ def plan_table(entry: CycleEstimate) -> str:
 
 
 def rests_on(found: Sequence[CycleEstimate]) -> str:
-    """Return the basis of each number and what limits it, one line each."""
+    """Return the basis and the limits of each estimate, one line each."""
     lines: list[str] = []
     every = [set(entry.warnings) - set(entry.doubts) for entry in found]
     of_all = set.intersection(*every) if len(found) > 1 else set[str]()
@@ -307,7 +307,7 @@ def rests_on(found: Sequence[CycleEstimate]) -> str:
 
 
 def _support(entry: CycleEstimate) -> str:
-    """Return how much of the cycle is supported by the logs, or that this was not counted."""
+    """Return the share of the cycle that is supported by the logs, or that it is unknown."""
     from math import isnan
 
     if entry.estimator == "task times":

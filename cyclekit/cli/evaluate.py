@@ -1,4 +1,4 @@
-"""`cyclekit evaluate`: how well a model predicts executions it never saw."""
+"""`cyclekit evaluate`: measures a model on held-out executions."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def evaluate(
 
 
 def _beside(found: Mapping[str, Evaluation]) -> str:
-    """Return one row per model."""
+    """Return a table with one row per model."""
     rows = [
         [Path(place).name, one.network, str(one.metrics.rows), f"{one.metrics.mse_mean:.2e}", f"{one.metrics.mae:.4f}"]
         for place, one in found.items()
@@ -85,7 +85,7 @@ def _errors(found: Evaluation) -> str:
 
 
 def _better(found: Mapping[str, Evaluation], dataset: str) -> str:
-    """Return a line for each model, by its place, that a rival beats."""
+    """Return one line for each model that is worse than a rival, by the model's path."""
     named = {place: f"{Path(place).name}: " if len(found) > 1 else "" for place in found}
     better = {place: judged.better for place, judged in found.items()}
     return "\n".join(f"{named[place]}{one.said(dataset, place)}" for place, one in better.items() if one)
@@ -100,7 +100,7 @@ def _levels(found: Evaluation) -> str:
 
 
 def _drift(found: Drift | None) -> str:
-    """Return whether anything changed since the training, and where."""
+    """Return whether the safety function or the operator changed since training, and where."""
     if found is None:
         return ""
     lines = []

@@ -1,4 +1,4 @@
-"""`cyclekit export`: a model for other runtimes."""
+"""`cyclekit export`: writes a model for other runtimes."""
 
 from __future__ import annotations
 

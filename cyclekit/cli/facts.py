@@ -1,4 +1,4 @@
-"""The facts of a log, a dataset or a model as a page of at most 80 columns for people."""
+"""Formats the facts of a log, a dataset or a model as text of at most 80 columns."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ GAP_REASONS = {
     "outside": "before the start or after the end of the log",
 }
 UNEVEN = 0.02
-"""Where the rate differs by less from that of the median step, steps are even."""
+"""Maximum relative difference between the rate and that of the median step at which steps count as even."""
 SHOWN_GAPS, SHOWN_TASKS, SHOWN_FILES = 3, 12, 20
 
 
 def page(found: Description) -> str:
-    """Return the page of a log, several logs, a dataset or a model."""
+    """Return the text of a log, several logs, a dataset or a model."""
     if found.kind == "dataset":
         return _dataset(found)  # type: ignore[arg-type]
     if found.kind == "model":
@@ -64,7 +64,7 @@ def _logs(found: LogsDescription) -> str:
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Return the names of files, with their folders where two files have one name."""
+    """Return the names of files, with their folders if two files have the same name."""
     if len({path.name for path in paths}) == len(paths):
         return {path: path.name for path in paths}
     above = os.path.commonpath([path.parent for path in paths])
@@ -98,7 +98,7 @@ def _rate(facts: TableFacts | None) -> str:
 
 
 def _steps(facts: TableFacts) -> list[str]:
-    """Say how rows follow each other, where the rate alone does not tell."""
+    """Return a line on the time steps if rows were lost or the steps are uneven."""
     if not facts.rate_hz or not facts.step_s:
         return []
     if facts.lost:
@@ -143,7 +143,7 @@ def _table(name: str, facts: TableFacts) -> list[str]:
 
 
 def _columns(names: Sequence[str]) -> list[str]:
-    """Return the names with runs of joints put together: `q0_rad ... q5_rad`."""
+    """Return the names of columns, those of joints as a range: `q0_rad ... q5_rad`."""
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(re.sub(r"^(qd?)\d+", r"\1#", name), []).append(name)
@@ -194,7 +194,7 @@ def _dataset(found: DatasetDescription) -> str:
 
 
 def to_log(plan: RecordingPlan | None) -> str:
-    """Return what to log next; nothing where nothing is lacking."""
+    """Return what to log next; empty if nothing is missing."""
     return "What to log next\n" + bullet(plan.lines) if plan is not None and plan.lines else ""
 
 
@@ -217,7 +217,7 @@ def _reasons(counts: Mapping[str, int]) -> str:
 
 
 def _clocks(clocks: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return how the clocks were related: one entry per recording that has not its session's own clock."""
+    """Return how clocks were aligned: one entry per recording whose clock is not that of its session."""
     told = [
         f"clock of {name}: {_clock(clock)}"
         for name, clock in clocks.items()
@@ -249,7 +249,7 @@ def _counted(clock: Mapping[str, Any]) -> str:
 
 
 def _operator(seen: Mapping[str, Mapping[str, int]]) -> str:
-    """Return in how many samples an operator was seen, and why not in the others, over all recordings."""
+    """Return the number of samples with an operator, and of those without one by reason, over all recordings."""
     total = {name: sum(counts.get(name, 0) for counts in seen.values()) for name in GAP_REASONS}
     if not any(total.values()):
         return ""
@@ -312,7 +312,7 @@ def _model(found: ModelDescription) -> str:
 
 
 def shorten(text: str) -> str:
-    """Return a text of at most three lines; the whole of it is in the JSON."""
+    """Return a text shortened to at most three lines; the JSON document holds all of it."""
     return text if len(text) <= 220 else f"{text[:200].rstrip()} ... (all of it with --json)"
 
 

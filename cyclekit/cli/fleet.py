@@ -1,4 +1,4 @@
-"""`cyclekit fleet`: many cells, from logs to reports, by one command."""
+"""`cyclekit fleet`: processes many cells, from logs to reports."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = "cyclekit fleet all fleet.toml --jobs 4"
 MOST = 20
-"""Cells named one by one; of more, only what failed is."""
+"""Maximum number of cells listed one by one; of more, only failures are listed."""
 
 
 def fleet(
@@ -45,7 +45,7 @@ def fleet(
 
 
 def summary(found: FleetRun) -> str:
-    """Return how many cells went through each stage, and where the page is."""
+    """Return the number of cells that passed each stage, and the path of the page."""
     rows, page = found.rows, found.page
     stages = list(dict.fromkeys(row.stage for row in rows))
     states = ("done", "unchanged", "skipped", "failed")

@@ -1,4 +1,4 @@
-"""`cyclekit gate`: exit code 0 where enough cycles are within the takt, 1 where not."""
+"""`cyclekit gate`: exits with 0 if enough cycles are within takt, else with 1."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of many files: once, with how many they are, where it is the same of all."""
+"""Groups identical messages about many files into one line with the number of files."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 ALONE = 3
-"""Of so many files the same thing is said of each."""
+"""Maximum number of files whose identical messages are listed separately."""
 SHOWN = 20
-"""More lines than these nobody reads; `--json` has all."""
+"""Maximum number of lines; `--json` has all."""
 
 
 def grouped(said: Iterable[tuple[str, str]], *, things: str = "files") -> list[str]:
-    """Return `name: text` lines of names and texts, those of the same text put together, in the order they came.
+    """Return `name: text` lines in the order of their first text; many equal texts share one line.
 
     Args:
-        said: Name of a file, and what is said of it; without a name the text stands alone.
-        things: What the names are names of.
+        said: Pairs of a file's name and a message; an empty name is left out.
+        things: Plural noun for the named things.
     """
     names: dict[str, dict[str, None]] = {}
     for name, text in said:

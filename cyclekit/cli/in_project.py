@@ -1,7 +1,7 @@
-"""What is left out of a command line, found in the project file of the working directory (cyclekit.toml).
+"""Takes missing arguments of a command from the project file of the working directory (cyclekit.toml).
 
-What is typed wins. A model may be left out before a `.toml` file: `cyclekit plan jobs.toml`. What a command can do
-without (a takt, the model of a report) comes from the project only where its dataset or logs do.
+Arguments on the command line take precedence. The model may be omitted before a `.toml` file: `cyclekit plan
+jobs.toml`. Optional arguments (a takt, the model of a report) are taken only if dataset or logs are taken, too.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ PATHS: dict[str, dict[str, str]] = {
     },
     "export": {"model": "model"},
 }
-"""Of each command the parameters that a project fills, with the key that does; `made` is the dataset, else the logs."""
+"""By command: parameters that a project can fill, and their keys; `made` = the dataset if it exists, else the logs."""
 
 
 class InProject(TyperCommand):
-    """A command that finds in the project file what was left out."""
+    """A command that takes missing arguments from the project file."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - typer has its own copy of click
-        """Parse the words of the command line, and say what came from the project file."""
+        """Parse the command line, and print the arguments taken from the project file."""
         keys = PATHS.get(self.name or "", {})
         if not keys or not Path(PROJECT_FILE).is_file():
             return super().parse_args(ctx, args)
@@ -66,17 +66,17 @@ class InProject(TyperCommand):
 
 
 class _LeftOut:
-    """Gives values of the project file, which is read when the first is asked for, and keeps which were taken."""
+    """Values of the project file, which is read at the first request, and a record of those taken."""
 
     def __init__(self) -> None:
         self.taken: dict[str, str] = {}
         self._project: Project | None = None
 
     def value(self, name: str, key: str, anchors: set[str] | None = None) -> Any:  # noqa: ANN401 - a text, or several
-        """Return the value of a parameter; None where the project has none, or no anchor was taken from it."""
+        """Return the value of a parameter; None if the project has none, or if none of `anchors` was taken."""
         if anchors is not None and not anchors & set(self.taken):
             return None
-        if name == "baseline" and "sequences" not in self.taken:  # it is one of the project's own sequences
+        if name == "baseline" and "sequences" not in self.taken:  # a baseline is one of the project's sequences
             return None
         if self._project is None:
             from cyclekit.config.project import load_project

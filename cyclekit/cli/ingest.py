@@ -1,4 +1,4 @@
-"""`cyclekit ingest`: logs of any supported kind, in any mix, to one dataset."""
+"""`cyclekit ingest`: reads logs of any supported formats into one dataset."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def ingest(
 
 
 def summary(report: IngestReport) -> str:
-    """Return what an ingest did, in two or three lines."""
+    """Return the result of an ingest in two or three lines."""
     if report.unchanged:
         return f"{report.place}: up to date ({report.recordings_kept} recordings, nothing read again)"
     kept = f", {report.recordings_kept} kept" if report.recordings_kept else ""

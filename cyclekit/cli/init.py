@@ -1,4 +1,4 @@
-"""`cyclekit init`: the project file of a folder of logs."""
+"""`cyclekit init`: writes the project file for a folder of logs."""
 
 from __future__ import annotations
 

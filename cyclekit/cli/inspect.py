@@ -1,4 +1,4 @@
-"""`cyclekit inspect`: what a log, a folder of logs, a dataset or a model is."""
+"""`cyclekit inspect`: describes a log, a folder of logs, a dataset or a model."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def inspect(
 
 
 def _give_cell(path: str, cell_file: Path | None, terminal: Terminal, *, follow_links: bool) -> None:
-    """Print the cell file, or write it where none is, and say what to do next."""
+    """Print the drafted cell file, or write it to `cell_file` and print the next step."""
     from cyclekit.api.inspect import draft_cell
 
     draft = draft_cell(path, cell_file, follow_links=follow_links)

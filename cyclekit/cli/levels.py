@@ -1,4 +1,4 @@
-"""`cyclekit levels`: the staircase in a dataset's speed scaling, found by a method of your choice."""
+"""`cyclekit levels`: finds the levels of a dataset's speed scaling by the chosen method."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Task lists, safety systems' logs and lost time as lines and tables for people."""
+"""Formats task lists, logs of safety systems and lost time as lines and tables."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SHOWN_AGENTS, SHOWN_TASKS, SHOWN_VALUES = 12, 24, 6
 
 
 def task_list_tables(found: TaskListFacts) -> str:
-    """Return who is in a task list, what each task took, and what is odd."""
+    """Return the agents of a task list, the durations of its tasks, and anomalies."""
     agents = [
         [
             one.name,
@@ -66,7 +66,7 @@ def _said(found: TaskListFacts) -> list[str]:
 
 
 def response_lines(found: ResponseFacts | None) -> str:
-    """Return how the safety system answers in time, one line for each property that was seen."""
+    """Return the response of the safety system (latency, ramps, hysteresis), one line per known property."""
     if found is None:
         return ""
     read = found.read
@@ -89,7 +89,7 @@ def _value(value: float | None, unit: str) -> str:
 
 
 def _rate(per_s: float | None, error: float | None, changes: int) -> str:
-    """Return a rate in percent per second, with its interval where that is wider than what is shown of it."""
+    """Return a rate in percent per second, with its interval if that is wider than the rounding."""
     if per_s is None:
         return "at once" if changes >= 2 * LEAST_RAMPS else "not known, too few changes"
     low, high = (f"{max(0.0, 100.0 * (per_s + sign * Z95 * (error or 0.0))):.3g}" for sign in (-1, 1))
@@ -102,7 +102,7 @@ def _seconds(value: float | None) -> str:
 
 
 def lost_table(found: LostTime | None) -> str:
-    """Return the seconds lost to each cause, how often the robot stopped midway, and how often its speed changed."""
+    """Return the seconds lost per cause, the number of stops between places, and of changes of speed."""
     if found is None:
         return ""
     causes = sorted((cause for cause in found.seconds if found.seconds[cause] > 0.0), key=lambda c: -found.seconds[c])
@@ -126,7 +126,7 @@ def _level(one: PersonLoss) -> list[str]:
 
 
 def _levels(read: OverrideResponse) -> str:
-    """Return the levels of an override log, and the part of its rows on each."""
+    """Return the levels of an override log, and the share of its rows on each."""
     shares = zip(read.levels, read.share, strict=True)
     return bullet(
         [", ".join(f"{100 * v:g} % ({percent(share)} of the rows)" for v, share in shares)], mark="  levels    "
@@ -134,7 +134,7 @@ def _levels(read: OverrideResponse) -> str:
 
 
 def safety_lines(found: SafetyFacts) -> list[str]:
-    """Return the range of override and distance, and how long the override stood at its values."""
+    """Return the ranges of override and distance, and the time spent at each value of the override."""
     lines = []
     if (span := found.override) is not None:
         values, total = found.override_values, max(found.override_s, 1e-9)
@@ -158,7 +158,7 @@ def safety_lines(found: SafetyFacts) -> list[str]:
 
 
 def coupling_table(found: CouplingCard | None) -> str:
-    """Return who waits where for what; empty where it is not known."""
+    """Return the learned wait conditions as a table; empty if unknown."""
     if found is None:
         return ""
     rows = []

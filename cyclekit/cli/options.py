@@ -1,4 +1,4 @@
-"""The frame of the command line, and the options that several commands share."""
+"""The command line without commands, and the options shared by several commands."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ RayAddress = Annotated[
 
 
 def engine_of(name: Literal["local", "ray"], jobs: int | None, address: str | None) -> Engine:
-    """Return the engine that the three options ask for."""
+    """Return the engine selected by the three options."""
     from cyclekit.parallel.engine import Engine
 
     if address is not None and name != "ray":
@@ -58,7 +58,7 @@ def engine_of(name: Literal["local", "ray"], jobs: int | None, address: str | No
 
 
 def new_app() -> typer.Typer:
-    """Return the command line without its commands; plain help, the same in a terminal and in a file."""
+    """Return the command line without commands; its help is plain text, the same in a terminal and in a file."""
     frame = typer.Typer(
         name="cyclekit",
         help=(
@@ -106,7 +106,7 @@ def whole_numbers(text: str) -> tuple[int, ...]:
     """Return whole numbers such as `1,2,3`, each once.
 
     Raises:
-        typer.BadParameter: They are none, or one is negative.
+        typer.BadParameter: The text holds no whole numbers, or a negative one.
     """
     try:
         found = tuple(dict.fromkeys(int(word) for word in text.split(",")))
@@ -122,7 +122,7 @@ def levels(text: str) -> tuple[float, ...]:
     """Return percentages such as `5,50,95` as ascending levels in (0, 1).
 
     Raises:
-        typer.BadParameter: They are not two numbers or more between 0 and 100.
+        typer.BadParameter: The text does not hold at least two numbers between 0 and 100.
     """
     try:
         found = tuple(sorted({float(part) / 100 for part in text.split(",")}))
@@ -136,10 +136,10 @@ def levels(text: str) -> tuple[float, ...]:
 
 
 def vector(text: str) -> tuple[float, float, float]:
-    """Return `x,y,z` as three numbers, metres.
+    """Return `x,y,z` as three numbers, m.
 
     Raises:
-        typer.BadParameter: They are not three finite numbers.
+        typer.BadParameter: The text does not hold three finite numbers.
     """
     try:
         x, y, z = (float(part) for part in text.split(","))

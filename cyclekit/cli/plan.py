@@ -1,4 +1,4 @@
-"""`cyclekit plan`: the order of the same work that takes least time."""
+"""`cyclekit plan`: searches the fastest order of the same tasks."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def plan(
 
 
 def _both(found: TaskOrderPlan) -> str:
-    """Return the order of both agents, and what it saves."""
+    """Return the order of both agents' tasks, and the time saved."""
     agents = dict.fromkeys(task.agent for task in found.tasks)
     lines = [f"{agent}: {', '.join(one.name for one in found.tasks if one.agent == agent)}" for agent in agents]
     saved, low, high = found.saves_s

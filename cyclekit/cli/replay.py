@@ -1,4 +1,4 @@
-"""`cyclekit replay`: executions as a Rerun recording, in 3-D and over time."""
+"""`cyclekit replay`: writes executions as a Rerun recording, in 3-D and over time."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _said(facts: ReplayFacts) -> str:
 
 
 def _worst(misses: tuple[Miss, ...]) -> str:
-    """Return where prediction and log differ most, as a table; nothing without a model."""
+    """Return a table of the largest differences between prediction and log; empty without a model."""
     if not misses:
         return ""
     rows = [

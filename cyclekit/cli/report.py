@@ -1,4 +1,4 @@
-"""`cyclekit report`: the page that an integrator hands to the customer."""
+"""`cyclekit report`: writes the page that an integrator hands to the customer."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _said(facts: ReportFacts, kind: str) -> str:
 
 
 def _check(sequences: Path | None, what_if: list[str], plan: Path | None, model: str | None) -> None:
-    """Refuse options that do not go together."""
+    """Raise an error for options that cannot be combined."""
     changes = [each for each in what_if if each.lower().endswith(".toml") and "=" not in each]
     for each in what_if:
         if each not in changes and not each.lower().endswith(".json"):

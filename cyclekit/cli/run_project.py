@@ -1,4 +1,4 @@
-"""`cyclekit run`: a project brought up to date."""
+"""`cyclekit run`: brings a project up to date."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`cyclekit simulate`: vendor-format logs of a simulated cell, with the truth beside them."""
+"""`cyclekit simulate`: simulates a cell and writes vendor-format logs with the ground truth."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SCENES = (
     *("box-picking", "pick-and-package", "laser-zones", "scanner-visits", "scanner-fields", "light-curtain"),
     *("shared-fixture", "handover", "fed-line"),
 )
-"""Of the simulator, which is imported only where something is simulated."""
+"""Names of the simulator's scenes; the simulator itself is imported only to simulate."""
 
 
 def _known(scene: str) -> str:
@@ -91,7 +91,7 @@ def simulate(
 ) -> None:
     """Simulate a cell and log it in vendor formats.
 
-    The cell file and the ground truth lie beside the logs. SCENE is box-picking,
+    Writes the cell file and the ground truth next to the logs. SCENE is box-picking,
     pick-and-package, laser-zones or scanner-visits; without a tracker,
     scanner-fields or light-curtain; where robot and operator wait,
     shared-fixture, handover or fed-line.

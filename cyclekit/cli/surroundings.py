@@ -1,7 +1,7 @@
-"""What a command needs around it: standard streams, names as UTF-8, a working directory.
+"""Repairs or checks the environment of a command: standard streams, UTF-8 file names, working directory.
 
-A job scheduler may close the streams, a minimal container has no locale, a folder may be removed under one's feet. None
-of it is a fault of the command, and none may stop it without a message.
+A job scheduler may close the streams, a minimal container has no locale, the working directory may have been removed.
+None of these may stop a command without a message.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _CURES = {
 
 
 def restart_in_utf8() -> None:
-    """Begin the process again in Python's UTF-8 mode if names of files would be ASCII otherwise.
+    """Restart the process in Python's UTF-8 mode if its file names are ASCII.
 
-    With LC_ALL=C and PYTHONUTF8=0 Python and the readers of Parquet files disagree about every name that is not ASCII.
+    With LC_ALL=C and PYTHONUTF8=0, Python and the Parquet readers encode non-ASCII names differently.
     """
     if sys.getfilesystemencoding() != "ascii" or sys.flags.utf8_mode or not sys.executable:
         return
@@ -37,27 +37,27 @@ def restart_in_utf8() -> None:
 
 
 def complete_streams() -> None:
-    """Open the null device for every standard stream that is closed, and let no character fail on the others.
+    """Open the null device for every closed standard stream, and escape characters that the others cannot encode.
 
-    The numbers 0 to 2 are taken first: else the next file that is opened for writing would get the number of standard
-    error, and messages of the system would end up in it.
+    File descriptors 0 to 2 are occupied first: else the next output file would get that of standard error, and system
+    messages would be written into it.
     """
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
-        os.set_inheritable(number, True)  # for worker processes, too
+        os.set_inheritable(number, True)  # also for worker processes
     os.close(number)
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115 - for the whole process
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # a place called Kühlregal must not end in a traceback on an old terminal
+        if isinstance(stream, TextIOWrapper):  # a place called Kühlregal must not raise on an ASCII terminal
             stream.reconfigure(errors="backslashreplace")
 
 
 def flush() -> None:
-    """Bring to an end what was said on standard output.
+    """Flush standard output.
 
     Raises:
-        OSError: It cannot be written; what is left of it is dropped, so that Python's own attempt at exit is silent.
+        OSError: It cannot be written; the rest is discarded, so that Python does not report it again at exit.
     """
     try:
         sys.stdout.flush()
@@ -67,15 +67,15 @@ def flush() -> None:
 
 
 def drop_output() -> None:
-    """Let whatever else is said on standard output go nowhere."""
+    """Discard all further standard output."""
     sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - for the rest of the process
 
 
 def check_working_directory() -> None:
-    """Refuse to work in a folder that has been removed.
+    """Check that the working directory exists.
 
     Raises:
-        CyclekitError: It has.
+        CyclekitError: It has been removed.
     """
     try:
         Path.cwd()
@@ -85,14 +85,14 @@ def check_working_directory() -> None:
 
 
 def explained(error: OSError) -> str:
-    """Return what the system has refused as a message of ours: which file, why, and the cure."""
+    """Return the message for an error of the operating system: file, cause and cure."""
     cure = _CURES.get(error.errno or 0, "Check the file or folder, its permissions and the free space.")
-    if error.errno is None:  # from a library below, which has put all of it into one sentence
+    if error.errno is None:  # raised by a library, with everything in its text
         return f"{error}\n  {cure}"
     named = "standard output" if is_of_output(error) else os.fsdecode(error.filename)
     return f"{named}: {error.strerror}\n  {cure}"
 
 
 def is_of_output(error: OSError) -> bool:
-    """Tell whether it was standard output that could not be written: every other file has a name."""
+    """Return whether the error is of standard output: errors of other files carry a name."""
     return error.errno is not None and not isinstance(error.filename, str | bytes)

@@ -1,7 +1,7 @@
-"""What a person sees: results on standard output, everything else on standard error.
+"""Prints results on standard output and everything else on standard error.
 
-A `Terminal` belongs to one command. It shows progress while the library works, then the result: as tables for
-people, or as one JSON document for programs. What the numbers mean is the business of the commands.
+Each command has one `Terminal`. It shows progress while the library works, then the result: as text, or as one JSON
+document.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ if TYPE_CHECKING:
     Progress = Callable[[float, str], None]
 
 PATIENCE_S = 2.0
-"""Where there is no terminal to draw in, the first line of progress comes after this time, the next after twice it."""
+"""Time to the first line of progress without a terminal, s; doubled for each further line."""
 
 LEAST_TEXT = 12
-"""A column of texts narrower than this is hard to read."""
+"""Minimum width of a text column, characters."""
 
 
 @dataclass(frozen=True)
 class Terminal:
-    """Says what happened, in the way that was asked for."""
+    """Output of one command, as text or JSON."""
 
     json: bool
     quiet: bool
 
     @contextmanager
     def progress(self, title: str) -> Iterator[Progress]:
-        """Show how far the work is and how long it will last; give the callback for the library.
+        """Show progress and remaining time; yield the callback for the library.
 
         Args:
-            title: What is being done, in a few words.
+            title: Name of the work, a few words.
         """
         if self.quiet:
             yield lambda _fraction, _text: None
@@ -56,24 +56,24 @@ class Terminal:
                 yield lines
 
     def remark(self, text: str) -> None:
-        """Say something beside the result, on standard error; nothing with --quiet."""
+        """Print a remark on standard error; nothing with --quiet."""
         if not self.quiet:
             _say(text, err=True)
 
     def warnings(self, texts: Sequence[str]) -> None:
-        """Say what a person must know before trusting the result."""
+        """Print warnings about the result on standard error."""
         for text in texts:
             self.remark(f"warning: {one_line(text)}")
 
     def done(self, document: Mapping[str, Any], text: str) -> None:
-        """Say what a command made: the document for programs, or the text unless --quiet."""
+        """Print the result of a command that writes files: the document with --json, else the text unless --quiet."""
         if self.json:
             write_json(document)
         elif not self.quiet:
             _say(text)
 
     def answer(self, document: Mapping[str, Any], *parts: str) -> None:
-        """Give what a command was asked for: the document for programs, or the parts, --quiet or not."""
+        """Print the requested answer, also with --quiet: the document with --json, else the parts."""
         if self.json:
             write_json(document)
         else:
@@ -81,14 +81,14 @@ class Terminal:
 
 
 def _say(text: str, *, err: bool = False) -> None:
-    """Write sentences: where a person reads them in a terminal, no word is cut at its edge."""
+    """Print sentences, wrapped between words in a terminal."""
     stream = sys.stderr if err else sys.stdout
     width = shutil.get_terminal_size().columns
     _print("\n".join(_fitted(line, width) for line in text.split("\n")) if stream.isatty() else text, err=err)
 
 
 def _fitted(line: str, width: int) -> str:
-    """Return a line, broken between words where it is too long; a command to copy stays in one piece."""
+    """Return a line wrapped between words at `width`; a command to copy is not wrapped."""
     import textwrap
 
     if len(line) <= width or line.startswith("next: "):
@@ -100,17 +100,17 @@ def _fitted(line: str, width: int) -> str:
 
 
 def _print(text: str, *, err: bool = False) -> None:
-    """Write to the terminal; what would steer it is escaped here, whoever has put it into the text."""
+    """Print text with terminal control characters escaped."""
     typer.echo(visible(text), err=err)
 
 
 def write_json(document: Mapping[str, Any]) -> None:
-    """Write one JSON document to standard output; what is not a number becomes null, as JSON has no NaN."""
+    """Write one JSON document to standard output; NaN and infinity become null."""
     _print(json_text(document, ascii_only=True))
 
 
 def say_failure(message: str, *, kind: str, as_json: bool, code: int = 1) -> int:
-    """Say in one message why the command failed, and return the exit code."""
+    """Print the error message of a failed command, and return the exit code."""
     if as_json:
         write_json({"error": {"kind": kind, "message": message}})
     _say(message if code == 130 else f"error: {message}", err=True)
@@ -118,7 +118,7 @@ def say_failure(message: str, *, kind: str, as_json: bool, code: int = 1) -> int
 
 
 def say_usage(error: typer.TyperException, *, as_json: bool) -> int:
-    """Say what is wrong with the command line, and return the exit code 2."""
+    """Print the error of the command line, and return exit code 2."""
     message = error.format_message()
     if as_json:
         write_json({"error": {"kind": "Usage", "message": message}})
@@ -131,7 +131,7 @@ def say_usage(error: typer.TyperException, *, as_json: bool) -> int:
 
 
 def columns(most: int = 80) -> int:
-    """Return how many columns a page has: those of the terminal (or COLUMNS), at most `most`."""
+    """Return the width of the output, characters: that of the terminal (or COLUMNS), at most `most`."""
     return max(40, min(most, shutil.get_terminal_size((most, 24)).columns))
 
 
@@ -141,9 +141,9 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = 
     The first column is text, the others are right-aligned numbers.
 
     Args:
-        header: One word per column; a column whose name ends in a blank is text and left-aligned.
-        rows: Cells as text, each as long as the header.
-        title: A line above the table.
+        header: Heading of each column; a column whose heading ends in a blank is left-aligned text.
+        rows: Cells as text; each row has as many as the header.
+        title: Line above the table.
     """
     import io
 
@@ -164,7 +164,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = 
         left = texts[index]
         grid.add_column(name.strip(), justify="left" if left else "right", overflow="fold", no_wrap=not left)
     for row in rows:
-        grid.add_row(*(Text(one_line(cell)) for cell in row))  # as text: rich would take `[a]` in a path for a style
+        grid.add_row(*(Text(one_line(cell)) for cell in row))  # as Text: rich would parse `[a]` in a path as a style
     page = io.StringIO()
     Console(file=page, width=columns(), markup=False, highlight=False, emoji=False, no_color=True).print(grid)
     body = "\n".join(line.rstrip() for line in page.getvalue().splitlines())
@@ -172,7 +172,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = 
 
 
 def _stacked(header: Sequence[str], rows: Sequence[Sequence[str]], texts: Sequence[bool], title: str) -> str:
-    """Return a table whose texts stand in a line of their own above the numbers, for a narrow terminal."""
+    """Return a table for a narrow terminal, with the texts of each row on a separate line above its numbers."""
     numbers = [["", *(cell for cell, left in zip(row, texts, strict=True) if not left)] for row in (header, *rows)]
     lines = table(numbers[0], numbers[1:], title=title).splitlines()
     head = len(lines) - len(rows)
@@ -183,9 +183,9 @@ def _stacked(header: Sequence[str], rows: Sequence[Sequence[str]], texts: Sequen
 
 
 class _Lines:
-    """Progress where nothing can be redrawn: a line after 2 s, 4 s, 8 s ... so that a log stays short.
+    """Progress as lines, for output that cannot be redrawn: after 2 s, 4 s, 8 s ..., so that a log stays short.
 
-    A watch beside the work says so too where the work itself says nothing for a long time.
+    A thread prints them also while the work does not report.
     """
 
     def __init__(self, title: str) -> None:
@@ -217,7 +217,7 @@ class _Lines:
                 return
             self.next_s = spent_s * 2
             far = f"{fraction:.0%} after {duration(spent_s)}" if fraction > 0 else duration(spent_s)
-            told = fraction >= 0.01  # from less than a percent nobody can tell how long the rest takes
+            told = fraction >= 0.01  # below one percent, the remaining time is too uncertain
             left = f", about {duration(spent_s * (1 - fraction) / fraction)} left" if told else ""
             _print(f"{self.title}: {far}{left}  {one_line(self.text)}".rstrip(), err=True)
 
@@ -246,7 +246,7 @@ def _drawn(title: str) -> Iterator[Progress]:
     )
     console = Console(stderr=True, markup=False, highlight=False, emoji=False)
     with Progress(*columns, console=console, transient=True, expand=True) as bar:
-        task = bar.add_task(title, total=None, text="", rate="")  # it pulses until the work says how far it is
+        task = bar.add_task(title, total=None, text="", rate="")  # pulses until the work reports its progress
         began_s = time.monotonic()
 
         def show(fraction: float, text: str) -> None:
@@ -260,7 +260,7 @@ def _drawn(title: str) -> Iterator[Progress]:
 
 
 def duration(seconds: float) -> str:
-    """Return a duration as people say it: `0.8 s`, `12 s`, `3 min 5 s`, `1 h 20 min`."""
+    """Return a duration as text: `0.8 s`, `12 s`, `3 min 5 s`, `1 h 20 min`."""
     if seconds < 9.95:
         return f"{seconds:.1f} s"
     if seconds < 119.5:
@@ -272,12 +272,12 @@ def duration(seconds: float) -> str:
 
 
 def megabytes(count: int) -> str:
-    """Return the size of a file as people say it: `12 kB`, `1.4 MB`."""
+    """Return the size of a file as text: `12 kB`, `1.4 MB`."""
     return f"{count / 1e6:.1f} MB" if count >= 1_000_000 else f"{max(1, round(count / 1e3))} kB"
 
 
 def percent(fraction: float | None) -> str:
-    """Return a fraction as percent, `unknown` where there is none."""
+    """Return a fraction in percent; `unknown` for None."""
     if fraction is None or math.isnan(fraction):
         return "unknown"
     whole = round(100 * fraction)
@@ -287,7 +287,7 @@ def percent(fraction: float | None) -> str:
 
 
 def bullet(texts: Sequence[str], *, mark: str = "- ", width: int = 80) -> str:
-    """Return texts as lines of at most `width` columns, fewer in a narrow terminal, each with its mark."""
+    """Return a list of texts, each with its mark, wrapped at `width` characters or that of the terminal."""
     import textwrap
 
     mark = one_line(mark)
@@ -296,7 +296,7 @@ def bullet(texts: Sequence[str], *, mark: str = "- ", width: int = 80) -> str:
 
 
 def write_out(file: Path, content: str | Mapping[str, Any]) -> None:
-    """Write text, or a document as JSON, in one step: the file is the old one or the new one.
+    """Write text, or a document as JSON, atomically: the file is either the old or the new one.
 
     Raises:
         CyclekitError: The file cannot be written.

@@ -1,4 +1,4 @@
-"""`cyclekit trace`: the lines of the logs that a sample was made of."""
+"""`cyclekit trace`: shows the lines of the logs from which a sample was made."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def trace(
 
 
 def page(found: Trace) -> str:
-    """Return the sample and its origins as text."""
+    """Return a sample and its source lines as text."""
     lines = [f"execution {found.execution}, sample at {found.sample['t_s']:.3f} s of its session"]
     lines += [f"  {name}: {_shown(value)}" for name, value in found.sample.items() if name not in ("execution", "t_s")]
     for origin in found.origins:

@@ -1,4 +1,4 @@
-"""`cyclekit train`: the safety function of the cell, learned from a dataset."""
+"""`cyclekit train`: learns the safety function of a cell from a dataset."""
 
 from __future__ import annotations
 
@@ -124,13 +124,13 @@ def train(
     documents = [{"model": place, "metrics": card["metrics"], "card": card} for place, card in shown.items()]
     told = "\n".join(f"{place}: {summary_of(model)}" for place, model in models.items())
     following = command_line("evaluate", out, dataset)
-    if chosen is None and problem != "ahead":  # no estimator works with a forecast
+    if chosen is None and problem != "ahead":  # no estimator uses a forecast
         following = command_line("estimate", out, "SEQUENCES.toml", "--dataset", dataset)
     terminal.done(documents[0] if chosen is None else {"models": documents}, f"{told}\nnext: {following}")
 
 
 def _task_lists_alone(dataset: str) -> bool:
-    """Tell whether a dataset was made of task lists; what is no dataset is refused by the training."""
+    """Return whether a dataset was made from task lists; False for an invalid dataset, which training refuses."""
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.errors import CyclekitError
 
@@ -141,7 +141,7 @@ def _task_lists_alone(dataset: str) -> bool:
 
 
 def _train_task_times(terminal: Terminal, dataset: str, out: str, seed: int) -> None:
-    """Learn from task lists, which need no network."""
+    """Learn task times from task lists, without a network."""
     from cyclekit.api.train import train_task_times
     from cyclekit.errors import command_line
 
@@ -153,7 +153,7 @@ def _train_task_times(terminal: Terminal, dataset: str, out: str, seed: int) -> 
 
 
 def task_times_summary(found: TaskTimesModel) -> str:
-    """Return what was learned from task lists: a row for each task, and how far held-out orders are off."""
+    """Return what was learned from task lists: one row per task, and the error on held-out orders."""
     from cyclekit.cli.terminal import table
 
     rows = [
@@ -175,7 +175,7 @@ def task_times_summary(found: TaskTimesModel) -> str:
 
 
 def summary_of(model: TrainedModel | UnseenOperator) -> str:
-    """Return what was learned; of an unseen operator, that no network was trained."""
+    """Return what was learned; without a visible operator, that no network was trained."""
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.learning.unseen.model import said
 
@@ -183,10 +183,10 @@ def summary_of(model: TrainedModel | UnseenOperator) -> str:
 
 
 def summary(card: TrainingCard) -> str:
-    """Return what was learned and how well it holds on executions that were held out, in three lines.
+    """Return what was learned and its error on held-out executions, in three lines.
 
     Args:
-        card: Of the model.
+        card: Card of the model.
     """
     from cyclekit.dataset.cards import SplitCard
 
@@ -207,7 +207,7 @@ def summary(card: TrainingCard) -> str:
 
 
 def rule_lines(rule: RuleCard) -> list[str]:
-    """Return what answers in place of the network: how much the rule explains, and the rule itself."""
+    """Return the rule that replaces the network, and the share of levels that it explains."""
     from cyclekit.learning.rules.words import kind_of, sentences
 
     network = "" if rule.network is None else f" (the network {rule.network:.2%})"

@@ -1,4 +1,4 @@
-"""`cyclekit whatif`: cycle times of the same logs in a changed cell."""
+"""`cyclekit whatif`: estimates cycle times in a changed cell from the same logs."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _table(found: Sequence[WhatIf]) -> str:
 
 
 def _limits(found: Sequence[WhatIf]) -> str:
-    """Return every warning with its change and the sequences that it is about; doubts stand under the table."""
+    """Return every warning with its change and sequences; doubts are printed below the table."""
     about: dict[tuple[str, str], list[str]] = {}
     for entry in found:
         for text in entry.after.warnings:

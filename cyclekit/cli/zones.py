@@ -1,4 +1,4 @@
-"""`cyclekit zones`: the safety function read back from logs and network."""
+"""`cyclekit zones`: reads the safety function back from logs and network."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def zones(
 
 
 def _separation(cost: Path | None, **given: Any) -> Separation | None:  # noqa: ANN401
-    """Return what S_p is computed from; None where no option of it was given."""
+    """Return the parameters of S_p; None if no option for it was given."""
     from cyclekit.estimate.whatif.separation import Separation
 
     told = {name: value for name, value in given.items() if value is not None}
@@ -126,7 +126,7 @@ def _numbers(name: str, text: str) -> tuple[float, ...]:
 
 
 def _written(found: SafetyFunction) -> str:
-    """Return the rule as it would be written into a safety controller."""
+    """Return the rule with the parameters of a safety controller."""
     from cyclekit.learning.rules.words import verdict
 
     first = bullet([verdict(found.commanded)], mark="")
@@ -137,7 +137,7 @@ def _written(found: SafetyFunction) -> str:
 
 
 def _fields(rule: RuleCard | None) -> str:
-    """Return the table: which field, where on the robot's path, which speed."""
+    """Return a table of fields: signal, position of the TCP, and speed."""
     from cyclekit.learning.rules.words import FIELD_COLUMNS, field_rows
 
     return table(list(FIELD_COLUMNS), [] if rule is None else field_rows(rule)) + "\n"

@@ -1,4 +1,4 @@
-"""One figure, drawn off-screen and written in place of an older one as a whole; the same data give the same bytes."""
+"""Writes a figure atomically, without a screen; the same data give the same bytes."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ KINDS = (".svg", ".png", ".pdf")
 
 @contextmanager
 def canvas(path: Path, width_in: float, height_in: float) -> Iterator[Axes]:
-    """Give the axes of a new figure, and write it to `path` when the block ends without an error.
+    """Yield the axes of a new figure, and write it to `path` if the block ends without an error.
 
     Args:
-        path: File to write; its suffix says what kind.
+        path: File to write; its suffix sets the format.
         width_in: Width of the figure, inches.
         height_in: Height, inches.
 
@@ -41,7 +41,7 @@ def canvas(path: Path, width_in: float, height_in: float) -> Iterator[Axes]:
 
 
 def write_figure(path: Path, figure: Figure) -> None:
-    """Write a figure to `path`; its suffix says what kind.
+    """Write a figure to `path`; its suffix sets the format.
 
     Raises:
         ConfigError: The suffix is of no kind that can be drawn.

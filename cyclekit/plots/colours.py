@@ -1,8 +1,7 @@
-"""One colour scale for speed scaling, the same in the replay, the plots and the report.
+"""Colour scale of the speed scaling for replay, plots and report.
 
-Halted is a dark red, full speed a dark blue, half speed a light amber between them: red against blue is told apart with
-every common colour blindness, and the ends stay dark on paper. Unknown is grey, never the colour of a level. What is
-drawn with the colours is the business of `replay` and `report`.
+Speed 0 is dark red, full speed dark blue, half speed light amber: red and blue are distinguishable with every common
+colour blindness, and both ends are dark on paper. Unknown is grey, never the colour of a level.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ SCALING_ANCHORS: tuple[tuple[float, str], ...] = (
     (0.75, "#62a9d6"),
     (1.00, "#1f5a9d"),
 )
-"""Colours at five scaling values, straight lines in sRGB between them."""
+"""Colours at five scaling values; interpolated linearly in sRGB."""
 
 UNKNOWN = "#8b929a"
 ROBOT = "#2b3440"
 OPERATOR = "#0f7b6c"
 PREDICTED = "#7a3fa0"
 NOMINAL, SAFETY, DWELL, WAIT = "#1f5a9d", "#e2643b", "#9aa5b1", "#d7dce1"
-"""The four parts of a cycle; safety loss wears the colour of a slowed robot."""
+"""Colours of the four parts of a cycle; safety loss has that of a slowed robot."""
 CAUSES = {
     "person": "#e2643b",
     "slider": "#7a3fa0",
@@ -39,7 +38,7 @@ CAUSES = {
     "stop": "#a3123a",
     "unknown": "#8b929a",
 }
-"""What time was lost to."""
+"""Colours of the causes of lost time."""
 
 
 def to_rgb(colour: str) -> tuple[int, int, int]:

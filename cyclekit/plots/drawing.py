@@ -1,4 +1,4 @@
-"""A figure that a notebook shows as it is, without pyplot; imported late, as matplotlib takes long to import."""
+"""A figure that notebooks show without pyplot; imported late, because matplotlib takes long to import."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ class Drawing(Figure):
     """A matplotlib figure on white paper; `savefig` writes it."""
 
     def __init__(self, width_in: float, height_in: float) -> None:
-        """Begin a figure of this size, inches."""
+        """Make an empty figure of this size, inches."""
         super().__init__(figsize=(width_in, height_in), layout="constrained", facecolor="white")
         FigureCanvasAgg(self)
 
     def _repr_png_(self) -> bytes:
-        """Return the picture for a notebook."""
+        """Return the figure as PNG for a notebook."""
         content = BytesIO()
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Glyph")  # a name out of a log may hold letters that the font lacks
+            warnings.filterwarnings("ignore", "Glyph")  # names from logs may contain characters that the font lacks
             self.savefig(content, format="png", dpi=110)
         return content.getvalue()

@@ -1,4 +1,4 @@
-"""A floor plan: squares, outlines of rules, furniture, places and names that do not cover each other."""
+"""Draws a floor plan: squares, outlines of rules, furniture, places, and names without overlap."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from cyclekit.plots.labels import CellOnFloor
 
 _GAP_PX = 9.0
-"""From a place to its name."""
+"""Distance from a place to its name, px."""
 _MARKER_PX = 5.0
 _MOST_COVERED = 0.3
-"""A name of which more lies on other names is left out; the tooltip of its place has it."""
+"""Maximum covered share of a name; with more the name is left out, and only the tooltip of its place has it."""
 _Box: TypeAlias = tuple[float, float, float, float]
 """Left, bottom, right and top, px."""
 
@@ -46,7 +46,7 @@ class Shape(Protocol):
 
 @dataclass(frozen=True)
 class FloorNote:
-    """A name and the points that it may stand at, m; on a line it stands on it, else beside its point."""
+    """A name and its possible positions, m; drawn on its line, or next to its point."""
 
     text: str
     points_m: Sequence[tuple[float, float]]
@@ -62,7 +62,7 @@ def square(axes: Axes, x: float, y: float, side: float, colour: str, alpha: floa
 
 
 def outline(axes: Axes, shape: Shape, text: str) -> FloorNote | None:
-    """Draw a limit of the rule: solid where the robot slows down, dashed what lets it speed up again."""
+    """Draw a limit of the rule: solid for the region to enter, dashed for the region to leave."""
     line = Polygon(shape.outline_m, closed=True, fill=False, edgecolor=colours.scaling_hex(shape.level), zorder=4)
     line.set(linewidth=1.0 if shape.leaving else 2.0, linestyle=(0, (4, 3)) if shape.leaving else "-")
     axes.add_artist(line)
@@ -72,7 +72,7 @@ def outline(axes: Axes, shape: Shape, text: str) -> FloorNote | None:
 
 
 def furnish(axes: Axes, cell: CellOnFloor, base: str | None) -> list[FloorNote]:
-    """Draw tables, the base of the robot by its name `base` and the places; return what is to be written."""
+    """Draw tables, the robot's base labelled `base`, and the places; return their labels."""
     for name, thing in cell.furniture.items():
         (x, y, _), (length, width, _) = thing.xyz_m, thing.size_m
         corner = (x - length / 2, y - width / 2)
@@ -95,7 +95,7 @@ def furnish(axes: Axes, cell: CellOnFloor, base: str | None) -> list[FloorNote]:
 
 
 def finish(axes: Axes, x: str, y: str, speed: str | None, notes: Sequence[FloorNote | None]) -> None:
-    """Set the axes with their words, draw the colour scale by its name `speed`, and write the notes."""
+    """Set axes and their labels, draw the colour scale labelled `speed`, and write the notes."""
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
     axes.autoscale_view()
@@ -108,7 +108,7 @@ def finish(axes: Axes, x: str, y: str, speed: str | None, notes: Sequence[FloorN
 
 
 def _scale_bar(axes: Axes, label: str) -> None:
-    """The colour scale of scaling, the same in every picture and in the replay."""
+    """Draw the colour scale of the scaling."""
     inset = axes.inset_axes((0.0, 1.03, 0.42, 0.03))
     edges = np.linspace(0.0, 1.0, 41)
     for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
@@ -123,7 +123,7 @@ def _scale_bar(axes: Axes, label: str) -> None:
 
 
 def _write(axes: Axes, notes: Sequence[FloorNote]) -> None:
-    """Write each note where it covers the least of the others, of the places and of the frame."""
+    """Write each note at the position with the least overlap with other notes, places and the frame."""
     figure = _figure(axes)
     figure.draw_without_rendering()  # sets the limits of the axes
     frame = axes.get_window_extent().extents
@@ -158,7 +158,7 @@ def _write(axes: Axes, notes: Sequence[FloorNote]) -> None:
 def _spots(
     axes: Axes, note: FloorNote, wide: float, high: float
 ) -> Iterator[tuple[tuple[float, float], tuple[float, float]]]:
-    """Points of a note and middles of its text, px; the best ones first where they cover the same."""
+    """Return the points of a note and the centres of its text, px, by preference at equal overlap."""
     for point in note.points_m:
         x, y = axes.transData.transform(point).tolist()
         if note.on_line:
@@ -172,7 +172,7 @@ def _spots(
 
 
 def _common(one: _Box, other: _Box) -> float:
-    """Return the area that two boxes share, px2."""
+    """Return the overlap of two boxes, px2."""
     wide, high = min(one[2], other[2]) - max(one[0], other[0]), min(one[3], other[3]) - max(one[1], other[1])
     return wide * high if wide > 0.0 and high > 0.0 else 0.0
 

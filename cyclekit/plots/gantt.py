@@ -1,8 +1,8 @@
-"""A time chart: one block of lanes per cycle, one above the other on a common time axis.
+"""Draws a time chart: blocks of lanes, one per cycle, stacked on a common time axis.
 
-A block has its title, the expected course (tasks done over time, with a band for single cycles), a lane per agent with
-bars for tasks and hatched bars for waits, and a lane of shares where only these are known of an agent. Labels are
-measured: the longest text that fits is drawn, or none, so that they never cover each other.
+A block has a title, the expected progress (tasks done over time, with a band for single cycles), a lane per agent with
+bars for tasks and hatched bars for waits, and a lane of shares for an agent of which only these are known. Of each
+label the longest text that fits is drawn, or none, so that labels never overlap.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LEFT_IN, _RIGHT_IN, _FOOT_IN, _KEY_IN = 0.82, 0.16, 0.5, 0.2
 _TITLE_IN, _COURSE_IN, _LABEL_IN, _BAR_IN, _GAP_IN = 0.27, 0.5, 0.17, 0.24, 0.09
 _TITLE_PT, _LABEL_PT, _NAME_PT = 9.0, 8.0, 8.5
 _HINTED = 1.05
-"""Letters that are drawn on whole pixels are wider by up to this factor."""
+"""Maximum factor by which text rendered on whole pixels is wider than its nominal width."""
 _INK, _MUTED, _RULE, _BAND, _HATCH = "#1c232b", "#55606c", "#d9dee4", "#b9c8db", "#9aa5b1"
 
 
@@ -40,11 +40,11 @@ class Bar:
     """One bar.
 
     Attributes:
-        lane: Number of the lane in its block, 0 = the top one.
-        start_s, end_s: From when to when, s.
+        lane: Index of the lane in its block, 0 = top.
+        start_s, end_s: Start and end, s.
         colour: `#rrggbb`.
-        waits: Drawn hatched: nothing is done.
-        tip: Its numbers in words; `row`: the task that it belongs to.
+        waits: Whether it is a wait, drawn hatched.
+        tip: Text of its tooltip; `row`: task to which it belongs.
     """
 
     lane: int
@@ -68,7 +68,7 @@ class BarLabel:
 
 @dataclass(frozen=True)
 class Arrow:
-    """From the end of one bar to the start of another one, which waited for it: lanes and times, s."""
+    """Arrow from the end of one bar to the start of another one that waited for it: lanes and times, s."""
 
     from_lane: int
     to_lane: int
@@ -78,7 +78,7 @@ class Arrow:
 
 @dataclass(frozen=True)
 class TaskEnds:
-    """When each task has ended: mean, and between which times in single cycles; s, ascending, empty if not known."""
+    """Ends of the tasks: mean, and range in single cycles; s, ascending, empty = unknown."""
 
     ends_s: tuple[float, ...]
     low_s: tuple[float, ...] = ()
@@ -88,7 +88,7 @@ class TaskEnds:
 
 @dataclass(frozen=True)
 class Layer:
-    """What an agent does on which part of the cycles, in equal parts of the time until `end_s`."""
+    """Share of cycles in which an agent does something, in equal parts of the time until `end_s`."""
 
     parts: tuple[float, ...]
     end_s: float
@@ -101,11 +101,11 @@ class Block:
     """One cycle.
 
     Attributes:
-        titles: Title, longest first; the first that fits is drawn.
-        lanes: Names of its lanes, the top one first.
-        bars, labels, arrows: What is in them.
-        course: Above the lanes; None for none.
-        layers: A lane below the others, filled from below; empty for none.
+        titles: Versions of the title, longest first; the first that fits is drawn.
+        lanes: Names of the lanes from the top.
+        bars, labels, arrows: Contents of the lanes.
+        course: Progress, drawn above the lanes; None = not drawn.
+        layers: Stacked shares, drawn in a lane below the others; empty = no such lane.
         layers_name: Name of that lane.
     """
 
@@ -120,13 +120,13 @@ class Block:
 
     @property
     def end_s(self) -> float:
-        """When the last bar, or single cycle of the course, ends."""
+        """End of the last bar or of the longest single cycle, s."""
         course = (self.course.high_s or self.course.ends_s) if self.course else ()
         return max((*(bar.end_s for bar in self.bars), *course), default=1.0)
 
     @property
     def lane_tops_in(self) -> list[float]:
-        """Top of the bars of each lane below the top of the block, inches; last, of the layers."""
+        """Distance from the top of the block to the bars of each lane, inches; the last is that of the layers."""
         first = _TITLE_IN + (_COURSE_IN if self.course else 0.0)
         count = len(self.lanes) + bool(self.layers)
         return [first + number * (_LABEL_IN + _BAR_IN + _GAP_IN) + _LABEL_IN for number in range(count)]
@@ -142,9 +142,9 @@ def draw_gantt(path: Path, blocks: Sequence[Block], legend: Mapping[str, str], t
 
     Args:
         path: File to write, `.svg`, `.png` or `.pdf`.
-        blocks: The cycles, the top one first.
+        blocks: The cycles from the top.
         legend: Colour by meaning.
-        takt_s: A line across all of them, s.
+        takt_s: Takt time, drawn as a line across all blocks, s; None = no line.
     """
     with canvas(path, _WIDTH_IN, height_in(blocks, legend, _WIDTH_IN)) as axes:
         draw_blocks(axes, blocks, legend, takt_s)
@@ -162,9 +162,9 @@ def draw_blocks(
     takt_s: float | None = None,
     tip: Tip = lambda _figure, _artist, _text, _row: None,
 ) -> None:
-    """Draw a time chart on the axes of a figure of its own, of `height_in`; arguments as of `draw_gantt`.
+    """Draw a time chart on axes that fill a figure of `height_in`; other arguments as of `draw_gantt`.
 
-    `tip` is told figure, artist, text and task of all that has numbers to say.
+    `tip` is called with figure, artist, text and task of everything that has a tooltip.
     """
     figure: Figure = axes.figure  # type: ignore[assignment]  # no subfigure
     figure.set_layout_engine("none")
@@ -193,20 +193,20 @@ def draw_blocks(
 
 
 def _left_in(blocks: Sequence[Block], width_in: float) -> float:
-    """Return the room for the names of the lanes, inches: a sixth of the chart at most."""
+    """Return the width for the names of the lanes, inches: at most a sixth of the chart."""
     longest_in = max((_text_in(name, _NAME_PT) for block in blocks for name in block.lanes), default=0.0)
     return min(max(_LEFT_IN, longest_in + 0.12), max(_LEFT_IN, width_in / 6))
 
 
 class _Drawing:
-    """Draws one block, whose top is `top_in` inches below that of the axes."""
+    """Draws one block; `top_in` is the distance of its top from that of the axes, inches."""
 
     def __init__(self, axes: Axes, block: Block, top_in: float, s_per_in: float, tip: Tip) -> None:
         self._axes, self._block, self._top_in, self._s_per_in, self._tip = axes, block, top_in, s_per_in, tip
         self._bars_in = [top_in + part for part in block.lane_tops_in]
 
     def draw(self) -> dict[float, str]:
-        """Draw it; return the names of its lanes by their place, inches."""
+        """Draw the block; return the names of its lanes by position, inches."""
         block, names = self._block, dict[float, str]()
         room_in = self._axes.get_xlim()[1] / self._s_per_in
         title = _fitting(block.titles, room_in, _TITLE_PT, cut=True, weight="bold")
@@ -261,7 +261,7 @@ class _Drawing:
             self._write(label.start_s + beside_in * self._s_per_in, at_in, text, _LABEL_PT)
 
     def _write(self, at_s: float, at_in: float, text: str, size_pt: float, weight: str = "normal") -> None:
-        """Write on white, so that neither the grid nor the takt goes through a letter."""
+        """Write text on white, so that neither grid nor takt line crosses it."""
         self._axes.text(
             at_s, at_in, text, fontsize=size_pt, fontweight=weight, color=_INK, va="baseline", zorder=6,
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.4},
@@ -288,7 +288,7 @@ class _Drawing:
 
 
 def _key_rows(legend: Mapping[str, str], width_in: float) -> list[list[str]]:
-    """Return the entries of the legend in rows that fit."""
+    """Return the entries of the legend, split into rows that fit."""
     rows: list[list[str]] = [[]]
     used_in = 0.0
     for text in legend:
@@ -323,7 +323,7 @@ def _draw_key(figure: Figure, legend: Mapping[str, str], width_in: float, all_in
 
 
 def _fitting(texts: Sequence[str], room_in: float, size_pt: float, *, cut: bool = False, weight: str = "normal") -> str:
-    """Return the first text that fits; with `cut` the last one shortened where none does, else nothing."""
+    """Return the first text that fits; if none does, the last one shortened with `cut`, else an empty text."""
     for text in texts:
         if _text_in(text, size_pt, weight) <= room_in:
             return text
@@ -334,13 +334,13 @@ def _fitting(texts: Sequence[str], room_in: float, size_pt: float, *, cut: bool 
 
 
 def _hatching(wide_in: float, high_in: float, apart_in: float = 0.07) -> tuple[list[float], list[float]]:
-    """Return slanting lines in a rectangle, x and y from its top left, inches; NaN between two lines.
+    """Return slanted lines in a rectangle, x and y from its top left, inches; NaN between two lines.
 
-    Lines, since browsers print the hatches of matplotlib as pixels: 0.1 MB for each bar.
+    Browsers print matplotlib's hatches as pixels, 0.1 MB for each bar; so lines are used.
     """
     across, down = list[float](), list[float]()
     foot = -high_in + apart_in / 2
-    while foot < wide_in:  # each rises from (foot, bottom) to the right
+    while foot < wide_in:  # each line rises from (foot, bottom) to the right
         left, right = max(foot, 0.0), min(foot + high_in, wide_in)
         across += [left, right, float("nan")]
         down += [high_in - (left - foot), high_in - (right - foot), float("nan")]
@@ -350,13 +350,13 @@ def _hatching(wide_in: float, high_in: float, apart_in: float = 0.07) -> tuple[l
 
 @cache
 def _text_in(text: str, size_pt: float, weight: str = "normal") -> float:
-    """Return how wide a text is at most, inches: DejaVu Sans is wider than the fonts of the page."""
+    """Return the maximum width of a text, inches: DejaVu Sans is wider than the fonts of the page."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import TextToPath
 
     wide = sum(unicodedata.east_asian_width(letter) in "WF" for letter in text)
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # a letter that DejaVu lacks; browsers have it
+        warnings.filterwarnings("ignore", "Glyph")  # a character that DejaVu lacks; browsers have it
         font = FontProperties(size=size_pt, weight=weight)
         width_pt, _, _ = TextToPath().get_text_width_height_descent(text, font, ismath=False)
     return float(_HINTED * (width_pt + 0.5 * size_pt * wide) / 72.0)

@@ -1,7 +1,6 @@
-"""Labels for places on a picture: one for `left_1` to `left_5`, not five that hide each other.
+"""Makes labels for places: one for `left_1` to `left_5`, instead of five that overlap.
 
-Places are put under one label when their names differ only in a number at the end and they lie close together. Drawing
-the labels is the business of `replay` and `report`.
+Places share a label if their names differ only in a final number and they are close together.
 """
 
 from __future__ import annotations
@@ -18,34 +17,34 @@ if TYPE_CHECKING:
     from cyclekit.config import Furniture
 
 CLOSE_M = 0.6
-"""Neighbours of one family further apart than this keep their own labels."""
+"""Maximum distance between neighbours that share a label, m."""
 
 _NUMBERED = re.compile(r"^(?P<stem>.*?)[ _-]?(?P<number>\d+)$")
 
 
 @dataclass(frozen=True)
 class PlaceLabel:
-    """A text and where it belongs, metres, base frame."""
+    """A text and its position, m, base frame."""
 
     text: str
     xyz_m: tuple[float, float, float]
 
 
 class ShownPlace(Protocol):
-    """What a picture needs of a place."""
+    """Interface of a place."""
 
     @property
     def shown(self) -> str:
-        """Its text."""
+        """Displayed name."""
 
     @property
     def xyz_m(self) -> tuple[float, float, float]:
-        """Its centre, base frame."""
+        """Centre, m, base frame."""
 
 
 @dataclass(frozen=True)
 class CellOnFloor:
-    """What stands in a cell: places of the robot and of the operator, boxes of the cell file; by name, base frame."""
+    """Contents of a cell: places of robot and operator, and boxes of the cell file; by name, base frame."""
 
     places: Mapping[str, ShownPlace] = field(default_factory=dict)
     human_places: Mapping[str, ShownPlace] = field(default_factory=dict)
@@ -53,7 +52,7 @@ class CellOnFloor:
 
 
 def place_labels(places: Mapping[str, ShownPlace]) -> list[PlaceLabel]:
-    """Return the labels of `places`, families of close numbered places under one."""
+    """Return the labels of places; numbered places close together share one."""
     families: dict[str, list[ShownPlace]] = {}
     for place in places.values():
         found = _NUMBERED.match(place.shown)

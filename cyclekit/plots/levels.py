@@ -1,4 +1,4 @@
-"""The levels of a speed scaling: over time, and how much of the time each holds; in the one colour scale of speed."""
+"""Draws the levels of a speed scaling: over time, and the share of time on each."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from cyclekit.plots.drawing import Drawing
 
 _SHOWN_S = 120.0
-"""Length of the stretch that is drawn over time."""
+"""Duration of the stretch drawn over time, s."""
 
 
 class FoundLevels(Protocol):
-    """What a picture needs of a staircase, as in `cyclekit.scaling.levels.Staircase`."""
+    """Interface of a staircase, as of `cyclekit.scaling.levels.Staircase`."""
 
     @property
     def levels(self) -> NDArray[np.float64]:
-        """Shape (P,), ascending."""
+        """Levels, shape (P,), ascending."""
 
     @property
     def label(self) -> NDArray[np.int32]:
@@ -39,16 +39,16 @@ class FoundLevels(Protocol):
 
     @property
     def slider(self) -> NDArray[np.float64] | None:
-        """The operator's slider, shape (T,); None = not in use."""
+        """Speed slider set by the operator, shape (T,); None = not used."""
 
 
 def levels_figure(scaling: NDArray[np.float64], found: FoundLevels, *, rate_hz: float) -> Drawing:
-    """Return a picture of a stretch of the scaling with its levels, and of the time on each level.
+    """Return a figure of a stretch of the scaling with its levels, and of the share of time on each level.
 
     Args:
-        scaling: What the staircase was found in, shape (T,); NaN = unknown.
+        scaling: Speed scaling in which the staircase was found, shape (T,); NaN = unknown.
         found: The staircase.
-        rate_hz: Rate of the samples.
+        rate_hz: Rate of the samples, Hz.
     """
     from matplotlib.ticker import PercentFormatter
 
@@ -68,7 +68,7 @@ def levels_figure(scaling: NDArray[np.float64], found: FoundLevels, *, rate_hz: 
 
 
 def _over_time(axes: Axes, values: NDArray[np.float64], found: FoundLevels, rate_hz: float) -> None:
-    """Every sample of the liveliest stretch in the colour of its speed; in transition it is small and grey."""
+    """Draw the samples of the stretch with most change in the colour of their speed; transitions are small and grey."""
     part = slice(*_liveliest(values, round(_SHOWN_S * rate_hz)))
     at_s, shown = np.arange(part.stop - part.start) / rate_hz, values[part]
     axes.plot(at_s, shown, color=colours.UNKNOWN, linewidth=0.7, zorder=1)
@@ -81,7 +81,7 @@ def _over_time(axes: Axes, values: NDArray[np.float64], found: FoundLevels, rate
 
 
 def _shares(axes: Axes, found: FoundLevels) -> None:
-    """A bar per level: its part of all samples."""
+    """Draw a bar per level: its share of all samples."""
     share = 100 * np.asarray(found.share)
     gaps = np.diff(found.levels)
     high = min(0.1, 0.6 * float(gaps.min())) if gaps.size else 0.1
@@ -97,12 +97,12 @@ def _shares(axes: Axes, found: FoundLevels) -> None:
 
 
 def draw_levels(path: Path, scaling: NDArray[np.float64], found: FoundLevels, *, rate_hz: float) -> None:
-    """Write that picture to `path`, `.svg`, `.png` or `.pdf`; the other arguments as of `levels_figure`."""
+    """Write the figure of `levels_figure` to `path`, `.svg`, `.png` or `.pdf`; other arguments as there."""
     write_figure(path, levels_figure(scaling, found, rate_hz=rate_hz))
 
 
 def _liveliest(values: NDArray[np.float64], shown: int) -> tuple[int, int]:
-    """Return first and end of the stretch of `shown` samples in which the scaling changes most."""
+    """Return start and end of the stretch of `shown` samples in which the scaling changes most."""
     steps = np.abs(np.diff(np.nan_to_num(values), prepend=0.0))
     if values.size <= shown:
         return 0, values.size

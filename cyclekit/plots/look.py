@@ -1,4 +1,4 @@
-"""The look of every picture: letters, inks, tooltips; whatever the caller's own matplotlib settings are."""
+"""Common style of all figures: fonts, colours, tooltips; independent of the caller's matplotlib settings."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ STYLE = {
 
 
 def tip(figure: Figure, artist: Artist, text: str, row: str = "") -> None:
-    """Give `artist` the tooltip `text`; the page's filter matches `row`."""
+    """Give `artist` the tooltip `text`; `row` is the key for the page's filter."""
     tips: list[tuple[str, str]] = figure.__dict__.setdefault("cyclekit_tips", [])
     artist.set_gid(f"tip{len(tips)}")
     tips.append((text, row))
@@ -50,10 +50,10 @@ def tip(figure: Figure, artist: Artist, text: str, row: str = "") -> None:
 
 @contextmanager
 def plain_style() -> Iterator[None]:
-    """Use this look inside the block."""
+    """Use this style inside the block."""
     import matplotlib as mpl
 
     with mpl.rc_context():
         mpl.rcdefaults()
-        mpl.rcParams.update(STYLE)  # type: ignore[arg-type]  # its keys are literals
+        mpl.rcParams.update(STYLE)  # type: ignore[arg-type]  # typed as literal keys
         yield

@@ -1,4 +1,4 @@
-"""What notebooks show by `.plot()`: the logged executions, a training, estimates as a time chart, an order found."""
+"""Figures of `.plot()`: logged executions, a training, estimates as a time chart, and a planned order."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ PARTS = (
 
 
 def executions_figure(duration_s: Sequence[float], parts: Mapping[str, Sequence[float]]) -> Drawing:
-    """Return one bar per logged execution, its tasks' time split in four.
+    """Return a figure with one bar per logged execution, its time split into four parts.
 
     Args:
-        duration_s: How long each took, s, in the order of the logs.
+        duration_s: Duration of each execution, s, in the order of the logs.
         parts: Seconds by the names of `PARTS`; an unknown one is 0.
     """
     with plain_style():
@@ -59,13 +59,13 @@ def training_figure(
     held_out: float | None,
     constant: float | None,
 ) -> Drawing:
-    """Return the error over the epochs of a training, and how much of the time the logs spend on each level.
+    """Return a figure of the error over the epochs of a training, and of the share of samples on each level.
 
     Args:
-        epochs: Number of each, and mean squared error on the validation part after it.
-        levels: Level, and its share of the samples learned from.
-        held_out: Mean squared error on the executions held out; None = unknown.
-        constant: That of the mean of all samples.
+        epochs: Number of each epoch, and mean squared error on the validation set after it.
+        levels: Each level and its share of the training samples.
+        held_out: Mean squared error on held-out executions; None = unknown.
+        constant: Mean squared error of predicting the mean of all samples.
     """
     with plain_style():
         figure = Drawing(9.0, 3.4)
@@ -104,13 +104,13 @@ def chart_figure(blocks: Sequence[Block], legend: Mapping[str, str], takt_s: flo
 
 
 def order_figure(order: str, against: str, means_s: tuple[float, float], interval_s: tuple[float, float]) -> Drawing:
-    """Return the mean cycle time of an order beside that of the orders it is compared with.
+    """Return a figure of the mean cycle time of an order and of the orders compared.
 
     Args:
-        order: The visits, in words.
-        against: What it is compared with.
-        means_s: Mean of the order, and of those, s.
-        interval_s: 95 % interval of the order's mean, s; NaN where unknown.
+        order: The visits as text.
+        against: Name of the comparison.
+        means_s: Mean cycle times of the order and of the comparison, s.
+        interval_s: 95 % interval of the order's mean, s; NaN = unknown.
     """
     with plain_style():
         figure = Drawing(9.0, 2.2)

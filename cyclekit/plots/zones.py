@@ -1,4 +1,4 @@
-"""The safety function as a picture: the speed over the distance, and the floor with the cell's furniture and places."""
+"""Draws the safety function: speed over distance, and the floor with furniture and places of the cell."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def draw_curves(axes: Axes, curves: Mapping[str, Curve], spans_m: Sequence[tuple
     """Draw the speed over a distance.
 
     Args:
-        axes: Where to.
-        curves: Distance, m, and speed, 0 to 1, by meaning; the first in colours of the speed, others dashed.
+        axes: Axes to draw on.
+        curves: Distance, m, and speed, 0 to 1, by name; the first in colours of the speed, others dashed.
         spans_m: 95 % intervals of the thresholds.
-        distance: What the distance is between.
+        distance: Name of the distance, for the axis.
     """
     for low, high in spans_m:
         axes.axvspan(low, high, color=RULE, linewidth=0, zorder=0)
@@ -60,10 +60,10 @@ def draw_floor(
     """Draw the floor from above.
 
     Args:
-        axes: Where to.
-        squares: Middle x, y, m, and median speed while the operator is there, 0 to 1, shape (C, 3).
-        side_m: Side of a square.
-        shapes: Limits of the rule; those that are no distance to the TCP are shown whole.
+        axes: Axes to draw on.
+        squares: Centre x, y, m, and median speed while the operator is there, 0 to 1, shape (C, 3).
+        side_m: Side of a square, m.
+        shapes: Limits of the rule; all but distances to the TCP are shown completely.
         cell: Places and furniture.
     """
     for x, y, speed in squares.tolist():
@@ -79,14 +79,14 @@ def draw_floor(
 def draw_path(
     axes: Axes, squares: NDArray[np.float64], side_m: float, fastest: float, signal: str, cell: CellOnFloor
 ) -> None:
-    """Draw the robot's path from above, in the colours of the speed where a signal counts, else grey.
+    """Draw the robot's path from above, in the colour of the speed where a signal applies, else grey.
 
     Args:
-        axes: Where to.
-        squares: Middle x, y, m, and speed while the signal alone is on, 0 to 1, shape (C, 3).
-        side_m: Side of a square.
-        fastest: The speed where it does not count.
-        signal: Its name.
+        axes: Axes to draw on.
+        squares: Centre x, y, m, and speed while only the signal is on, 0 to 1, shape (C, 3).
+        side_m: Side of a square, m.
+        fastest: Speed where the signal does not apply.
+        signal: Name of the signal.
         cell: Places and furniture.
     """
     counts = squares[:, 2] < fastest
@@ -100,7 +100,7 @@ def draw_path(
 
 
 def draw_table(axes: Axes, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Write a table in place of axes; a row of one text stands for all columns."""
+    """Draw a table instead of axes; a row with a single text spans all columns."""
     axes.set_axis_off()
     for line, row in enumerate([columns, *rows]):
         for number, text in enumerate(row):

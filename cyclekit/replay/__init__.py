@@ -1,12 +1,12 @@
-"""A replay of one or several executions in Rerun: the scene, the plots and the words that say why the robot was slow.
+"""Replays one or several executions in Rerun: 3-D scene, plots, and text with the cause of each slow-down.
 
     facts = write_replay(dataset, "run-001", Path("x.rrd"), model=model)
     open_viewer(facts.path, facts.first)
 
-The file holds its own layout and opens in any Rerun viewer of the same minor version. What is missing from the log is
-missing from the replay, and the replay says so. The only room that knows rerun, which is the extra `replay`.
+The file contains its layout and opens in any Rerun viewer of the same minor version. Data that the log lacks are left
+out, with a note. The only room that imports rerun, which is the extra `replay`.
 """
-# ruff: noqa: E402 - whether rerun is there is asked before anything imports it
+# ruff: noqa: E402 - the extra is checked before any module imports rerun
 
 from __future__ import annotations
 

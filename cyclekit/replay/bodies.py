@@ -1,7 +1,7 @@
-"""People in the scene: the operator as limbs or as a body of human size, with trail and goal, and everybody else.
+"""Draws people: the operator as a skeleton or an upright body, with trail and goal, and other people.
 
-A log knows one point of a person unless skeletons were kept, so the body is drawn upright under that point. Who
-is where is found by `crowd`.
+Without skeletons, a log has one point per person, and an upright body is drawn under that point. `crowd` returns the
+positions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cyclekit.replay.sink import Sink
 
 BODY_M = 1.75
-"""Height at which a person is drawn; logs know one point of a person, not the size."""
+"""Height of a drawn person, m; logs do not contain it."""
 
 _WAIST_M = 0.95
 _SHOULDER_RADIUS_M = 0.18
@@ -30,16 +30,16 @@ _TRUNK_M = BODY_M - 2 * _SHOULDER_RADIUS_M - 2 * _HEAD_RADIUS_M
 
 
 def floor_m(run: ReplayedExecution) -> float:
-    """Height of the floor under the operator's drawn feet, metres, base frame; 0 where no operator is known.
+    """Return the height of the floor under the operator, m, base frame; 0 without an operator.
 
-    The tracked point of a person is taken for the waist, unless that would put the floor above the robot's base.
+    The tracked point is assumed to be the waist, unless the floor would then be above the robot's base.
     """
     heights = run.human_m[np.isfinite(run.human_m[:, 2]), 2]
     return min(0.0, float(np.median(heights)) - _WAIST_M) if len(heights) else 0.0
 
 
 def log_people(sink: Sink) -> None:
-    """Put the operator, the limbs and the other people of one execution into the recording."""
+    """Write operator, skeletons and other people of one execution."""
     run, feet = sink.run, floor_m(sink.run)
     limbs = run.skeletons.of_operator if run.skeletons else np.zeros(len(run.t_s), dtype=np.bool_)
     known = np.isfinite(run.human_m[:, :2]).all(axis=1)
@@ -60,7 +60,7 @@ def log_people(sink: Sink) -> None:
 
 def _bodies(sink: Sink, path: str, people: tuple[NDArray[np.float64], ...] | list[NDArray[np.float64]], feet: float,
             colour: str) -> None:  # fmt: skip
-    """Upright bodies under points; `people` has one array (N, 3) per sample."""
+    """Write upright bodies under points; `people` has one array (N, 3), m, per sample."""
     counts = [len(each) for each in people]
     if not any(counts):
         return

@@ -1,4 +1,4 @@
-"""Two or more executions in words: which took longer, at which task, and how much of it is safety slow-down."""
+"""Compares executions as text: total time, the tasks that differ, and the safety loss of each."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def task_times(run: ReplayedExecution) -> dict[tuple[str, int], tuple[float, flo
 
 
 def most_different(runs: Sequence[ReplayedExecution]) -> list[tuple[str, int]]:
-    """Return the tasks that all executions have, the one whose times differ most first."""
+    """Return the tasks that all executions have, by descending difference of their times."""
     times = [task_times(run) for run in runs]
     shared = [key for key in common_order(runs) if all(key in each for each in times)]
 

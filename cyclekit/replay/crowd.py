@@ -1,8 +1,7 @@
-"""Who else is in the cell, and the operator's limbs where they were kept: from the trackers' own recordings.
+"""Finds other people and skeletons at the times of samples, from the recordings of the trackers.
 
-x_h of the samples is one point of one person. Here the recordings are read again at the times of the samples: everybody
-who is not at x_h is another person, and the joints of kept skeletons come with the bones between them. How they are
-drawn is the business of `bodies`.
+x_h of a sample is one point of one person. Every tracked person who is not at x_h is another person. Skeletons are
+returned as bones between their joints. `bodies` draws both.
 """
 
 from __future__ import annotations
@@ -25,24 +24,24 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
 
 NEAR_S = 0.15
-"""A frame of a tracker further than this from a sample says nothing about it."""
+"""Maximum time between a sample and the tracker's frame used for it, s."""
 
 SAME_M = 0.4
-"""Whoever is nearer to x_h than this is the operator, by whichever tracker."""
+"""A person nearer to x_h than this, m, is the operator, whatever the tracker."""
 
 RIDES_M = 0.4
-"""A body that hardly ever leaves the tool by more than this rides on the robot."""
+"""A body that is almost always nearer to the TCP than this, m, is mounted on the robot."""
 
 _MOST_FRAMES = 400
 
 
 @dataclass(frozen=True)
 class Skeletons:
-    """Limbs at the T samples: per sample the bones of all people seen, each shape (2, 3), metres, base frame.
+    """Skeletons of all visible people at T samples.
 
     Attributes:
-        bones: One array (B, 2, 3) per sample; no rows where no skeleton is known.
-        of_operator: True where the operator is one of them, shape (T,).
+        bones: Per sample an array (B, 2, 3) of line segments, m, base frame; B = 0 without a skeleton.
+        of_operator: Whether the operator is one of them, shape (T,).
     """
 
     bones: tuple[NDArray[np.float64], ...]
@@ -56,17 +55,17 @@ def other_people(
     human_m: NDArray[np.float64],
     robot_m: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], ...]:
-    """Return everybody but the operator at each sample.
+    """Return the other people at each sample.
 
     Args:
-        dataset: Where the recordings are.
+        dataset: Dataset with the recordings.
         session: Session of the execution.
         times_s: Times of the samples, session seconds, shape (T,).
-        human_m: x_h, shape (T, 3); where it is unknown nobody is returned.
-        robot_m: x_r, shape (T, 3).
+        human_m: x_h, shape (T, 3), m; no people are returned where it is unknown.
+        robot_m: x_r, shape (T, 3), m.
 
     Returns:
-        Per sample an array (N, 3), metres, base frame.
+        Per sample an array (N, 3), m, base frame.
     """
     found: list[list[NDArray[np.float64]]] = [[] for _ in times_s]
     for rows in _recorded(dataset, session, "people", times_s):
@@ -88,7 +87,7 @@ def other_people(
 def skeletons(
     dataset: Dataset, session: str, times_s: NDArray[np.float64], human_m: NDArray[np.float64]
 ) -> Skeletons | None:
-    """Return the limbs at each sample, None where no skeletons were kept; arguments as for `other_people`."""
+    """Return the skeletons at each sample; None if the dataset has none. Arguments as of `other_people`."""
     bones: list[list[NDArray[np.float64]]] = [[] for _ in times_s]
     mine = np.zeros(len(times_s), dtype=np.bool_)
     for rows in _recorded(dataset, session, "skeletons", times_s):
@@ -107,7 +106,7 @@ def skeletons(
 
 
 def _recorded(dataset: Dataset, session: str, table: str, times_s: NDArray[np.float64]) -> Iterator[pl.DataFrame]:
-    """Yield per recording the rows nearest to the samples: sample, person, joint (of skeletons), x, y, z in base."""
+    """Yield per recording the rows nearest to the samples: sample, person, joint (of skeletons), base frame x, y, z."""
     if not len(times_s):
         return
     for record in dataset.recordings:
@@ -143,7 +142,7 @@ def _rides(from_tool_m: NDArray[np.float64]) -> bool:
 
 
 def _by_joint(body: pl.DataFrame) -> tuple[list[int], NDArray[np.float64]]:
-    """Samples (N) and joint positions (N, J, 3) of one person, NaN where unknown."""
+    """Return samples (N) and joint positions (N, J, 3) of one person; NaN = unknown."""
     joints = {name: index for index, name in enumerate(body["joint"].unique(maintain_order=True).to_list())}
     samples = {sample: index for index, sample in enumerate(body["sample"].unique(maintain_order=True).to_list())}
     points = np.full((len(samples), len(joints), 3), np.nan)
@@ -154,10 +153,10 @@ def _by_joint(body: pl.DataFrame) -> tuple[list[int], NDArray[np.float64]]:
 
 
 def _bones(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Pairs of joints that a bone joins, shape (B, 2): the tree of the shortest and stiffest connections.
+    """Return the pairs of joints connected by a bone, shape (B, 2): the tree of the shortest, most constant distances.
 
-    Trackers name their joints each in their own way, but a bone has the same length all the time, and neighbours are
-    near each other. So the tree is read from the motion.
+    Trackers name joints differently, but a bone has constant length and connects joints that are near each other, so
+    the tree is found from the motion.
     """
     thin = points[:: max(1, len(points) // _MOST_FRAMES)]
     apart = np.linalg.norm(thin[:, :, None] - thin[:, None, :], axis=-1)

@@ -1,7 +1,6 @@
-"""The plots and lanes on the same timeline: scaling, distance, tool speed, phase, where the time goes, tasks, words.
+"""Writes the plots and lanes over time: scaling, distance, TCP speed, path phase, time accounting, tasks, text.
 
-A lane says in words and colours what held when; a plot says how much. Unknown is a hole in either. The order on the
-screen is the business of `layout`.
+A lane shows states as coloured text, a plot shows numbers; unknown values leave a gap. `layout` arranges them.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
 MOST_JOINTS = 8
 HUES = ("#3f8fe0", "#f2b53c", "#62c4b4", "#e6a4ff")
-"""Curves of the first, second, ... of several executions, on the viewer's dark ground."""
+"""Colours of the curves of the first, second, ... execution on the viewer's dark background."""
 HUE_NAMES = ("blue", "amber", "green", "violet")
 
 PALE = "#c9d1da"
@@ -38,11 +37,11 @@ _HUE_NAMES = {"nominal": "blue", "safety": "orange", "dwell": "grey", "wait": "w
 
 
 def log_curves(sink: Sink, number: int | None = None) -> None:
-    """Put plots, lanes and text of one execution into the recording.
+    """Write plots, lanes and text of one execution.
 
     Args:
-        sink: Where to.
-        number: Which of several executions this is, from 0; None if it is alone.
+        sink: Destination.
+        number: Index of the execution, from 0; None for a single one.
     """
     run = sink.run
     who = "" if number is None else f"{run.name}: "
@@ -79,9 +78,9 @@ def _curve(
     *,
     steps: float | None = None,
 ) -> None:
-    """One curve, with `steps` one of steps of that width; NaN breaks the line.
+    """Write one curve, with `steps` a step function of that line width; NaN interrupts the line.
 
-    Leading and trailing unknowns are left out, runs of them thinned to one.
+    Leading and trailing NaN are left out, runs of NaN reduced to one.
     """
     known = np.isfinite(values)
     if not known.any():
@@ -99,14 +98,14 @@ def _phase(sink: Sink, who: str, hue: str) -> None:
 
 
 def spent_words(run: ReplayedExecution) -> list[tuple[str, str]]:
-    """Return the names of the curves of where the seconds went, and their colours in words."""
+    """Return the names of the curves of the time accounting, and the names of their colours."""
     spent = ledger(run)
     short = {"nominal": "full speed", "safety": "slow-down"}
     return [(short.get(name, name), _HUE_NAMES[name]) for name in ACCOUNTS if spent[name][-1] > 0]
 
 
 def _accounts(sink: Sink, who: str, hue: str, *, alone: bool) -> None:
-    """Where the seconds went so far; of several executions, what each task lost so far, as their orders may differ."""
+    """Write cumulated seconds per account; of several executions, per task, as their orders may differ."""
     run = sink.run
     if not np.isfinite(run.scaling).any():
         return
@@ -122,7 +121,7 @@ def _accounts(sink: Sink, who: str, hue: str, *, alone: bool) -> None:
 
 
 def _joints(sink: Sink) -> None:
-    """Without a tool position the joints are all there is of the robot: plot those that move most."""
+    """Plot the joints that move most, for robots without a logged TCP."""
     joints = sink.run.joints
     if joints is None or np.isfinite(sink.run.robot_m).any():
         return

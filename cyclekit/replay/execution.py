@@ -1,7 +1,7 @@
-"""One execution as arrays: what the replay draws, and what of it is unknown.
+"""Reads one execution as arrays for the replay.
 
-Every array is on the samples, NaN where unknown; a hole in the log is filled with one unknown row on either side,
-so that whatever is drawn from the arrays stops there. How it looks is the business of `scene`, `curves` and `words`.
+All arrays are on the samples; NaN = unknown. Each gap of the log gets one unknown row on either side, so that drawings
+stop there. `scene`, `curves` and `words` draw the arrays.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cyclekit.replay.floor import PredictsNow
 
 GAP_SAMPLES = 3.5
-"""A longer time without a sample is a gap: nothing is drawn across it."""
+"""Minimum time without a sample, in sampling periods, that counts as a gap; nothing is drawn across gaps."""
 
 FINEST_S = 1 / 30
 _JOINTS = tuple(f"q{axis}_rad" for axis in range(6))
@@ -36,12 +36,12 @@ _JOINTS = tuple(f"q{axis}_rad" for axis in range(6))
 
 @dataclass(frozen=True)
 class JointAngles:
-    """Joint angles, thinned to at most 30 Hz.
+    """Joint angles, reduced to at most 30 Hz.
 
     Attributes:
         t_s: Seconds of the execution, shape (T,).
-        angle_rad: By column name (`q0_rad`), each of shape (T,), NaN where unknown.
-        tcp_m: Logged tool centre point at the same instants, shape (T, 3).
+        angle_rad: By column name (`q0_rad`), shape (T,) each; NaN = unknown.
+        tcp_m: Logged TCP at the same times, shape (T, 3), m.
     """
 
     t_s: NDArray[np.float64]
@@ -50,7 +50,7 @@ class JointAngles:
 
     @property
     def six(self) -> NDArray[np.float64] | None:
-        """Angles of a six-axis arm, shape (T, 6), or None when the log has more or fewer joints."""
+        """Angles of a six-axis arm, shape (T, 6), rad; None if the log does not have six joints."""
         if set(self.angle_rad) != set(_JOINTS):
             return None
         return np.stack([self.angle_rad[name] for name in _JOINTS], axis=1)
@@ -58,28 +58,28 @@ class JointAngles:
 
 @dataclass(frozen=True)
 class ReplayedExecution:
-    """What is known of one execution; T samples plus the edges of gaps.
+    """Data of one execution at T instants: its samples and the edges of gaps.
 
     Attributes:
         name, cell: Names of the execution and of the dataset.
-        start_s, duration_s, period_s: Start in session time, length, and from one sample to the next.
+        start_s, duration_s, period_s: Start in session time, duration, and sampling period, s.
         t_s: Seconds of the execution, shape (T,).
-        robot_m, human_m, robot_goal_m, human_goal_m: Positions, shape (T, 3), metres, base frame.
-        scaling: Speed scaling in force, shape (T,), logged or inferred.
-        inferred: True where `scaling` is inferred, shape (T,).
-        predicted: Scaling that the model expects, shape (T,), or None without a model.
-        speed_m_s: Speed of the tool centre point, shape (T,).
-        step: Index of the level, shape (T,), NaN where unknown.
-        moving: True, False, or None where unknown, length T; likewise the tasks.
-        lost_to: What takes most of the time lost at each sample, one of LOST_CAUSES; None = nothing is lost.
+        robot_m, human_m, robot_goal_m, human_goal_m: Positions, shape (T, 3), m, base frame.
+        scaling: Speed scaling, shape (T,), logged or inferred.
+        inferred: Whether `scaling` is inferred, shape (T,).
+        predicted: Scaling predicted by the model, shape (T,); None without a model.
+        speed_m_s: Speed of the TCP, shape (T,), m/s.
+        step: Index of the level, shape (T,); NaN = unknown.
+        moving: Whether the robot moves, length T; None = unknown, as in the tasks.
+        lost_to: Main cause of the time lost at each sample, one of LOST_CAUSES; None = no loss.
         gaps: Start and end of each gap, seconds of the execution.
         tasks: Rows of TASKS of this execution.
-        others: Everybody but the operator, per instant (N, 3).
-        skeletons: Limbs, where they were kept.
-        zones: Where the model slows the robot, along the execution; None without a model.
-        shapes: Rectangles on the floor and distances to the robot's base of its rule, if it has one.
-        epoch_s: Seconds since 1970 at session time 0; None where no log knows the time of day.
-        notes: What is missing or doubtful, one sentence each.
+        others: Positions of other people, per instant (N, 3), m.
+        skeletons: Skeletons; None if the dataset has none.
+        zones: Scaling predicted for an operator on each square of the floor over time; None without a model.
+        shapes: Rectangles on the floor and distances to the robot's base of the model's rule, if it has one.
+        epoch_s: Seconds since 1970 at session time 0; None if no log has the time of day.
+        notes: Missing or doubtful data, one sentence each.
     """
 
     name: str
@@ -117,17 +117,17 @@ class ReplayedExecution:
 
     @property
     def distance_m(self) -> NDArray[np.float64]:
-        """Distance between tool and operator, shape (T,), NaN where one is unknown."""
+        """Distance between TCP and operator, shape (T,), m; NaN if one is unknown."""
         return np.asarray(np.linalg.norm(self.robot_m - in_plane(self.robot_m, self.human_m), axis=1))
 
     def shown(self, task: str) -> str:
-        """Return how people are shown a task or a place: by the labels of the cell file."""
+        """Return the displayed name of a task or place, from the labels of the cell file."""
         places = {**self.human_places, **self.places}
         return " → ".join(places[name].shown if name in places else name for name in task.split("->"))
 
 
 def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None) -> ReplayedExecution:
-    """Read one execution and let the model say what it would expect.
+    """Return one execution with the model's prediction.
 
     Raises:
         UnknownName: The dataset has no such execution.
@@ -179,7 +179,7 @@ def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None
 
 
 def _epoch(dataset: Dataset, session: str) -> float | None:
-    """Seconds since 1970 at session time 0, from a log of the session whose clock counts them; the robot's first."""
+    """Return seconds since 1970 at session time 0, from a log of the session with such a clock, the robot's first."""
     records = [record for record in dataset.recordings if record.session == session]
     for record in sorted(records, key=lambda each: "robot" not in each.tables):
         if record.clock.kind == "epoch" and record.clock.method != ASSUMED:
@@ -192,7 +192,7 @@ def _floats(rows: pl.DataFrame, column: str) -> NDArray[np.float64]:
 
 
 def _points(rows: pl.DataFrame, stem: str) -> NDArray[np.float64]:
-    """Positions (T, 3); a height that a planar tracker cannot know counts as 0, in the robot's base plane."""
+    """Return positions (T, 3), m; the unknown height of a planar tracker becomes 0, the plane of the robot's base."""
     x_m, y_m, z_m = (_floats(rows, f"{stem}_{axis}_m") for axis in "xyz")
     z_m = np.where(np.isnan(z_m) & ~np.isnan(x_m), 0.0, z_m)
     points = np.stack([x_m, y_m, z_m], axis=1)
@@ -201,7 +201,7 @@ def _points(rows: pl.DataFrame, stem: str) -> NDArray[np.float64]:
 
 
 def _with_gaps(rows: pl.DataFrame, period_s: float) -> tuple[pl.DataFrame, tuple[tuple[float, float], ...]]:
-    """Put one row of nulls into every gap, so that nothing is carried or drawn across it."""
+    """Return the rows with a row of nulls in every gap, so that nothing is drawn across, and the gaps, s."""
     times = rows["t_s"].to_numpy()
     before = np.flatnonzero(np.diff(times) > GAP_SAMPLES * period_s)
     gaps = tuple((float(times[i]), float(times[i + 1])) for i in before)
@@ -212,7 +212,7 @@ def _with_gaps(rows: pl.DataFrame, period_s: float) -> tuple[pl.DataFrame, tuple
 
 
 def _speed(t_s: NDArray[np.float64], robot_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Speed between neighbouring samples (T,), given to the later one; NaN at the first and after a gap."""
+    """Return the speed since the previous sample, shape (T,), m/s; NaN at the first sample and after a gap."""
     if len(t_s) < 2:
         return np.full(len(t_s), np.nan)
     way = np.linalg.norm(np.diff(robot_m, axis=0), axis=1)
@@ -248,7 +248,7 @@ def _joints(native: pl.DataFrame | None, start_s: float) -> JointAngles | None:
 
 
 def _notes(rows: pl.DataFrame, joints: JointAngles | None, model: PredictsNow | None) -> tuple[str, ...]:
-    """Say what is not in the picture, so that an empty place is not taken for a quiet cell."""
+    """Return notes on missing data, so that an empty scene is not mistaken for an empty cell."""
     notes = []
     if not rows["robot_x_m"].count():
         seen = f"{len(joints.angle_rad)} joints are plotted instead" if joints else "no robot is shown"

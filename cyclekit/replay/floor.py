@@ -1,8 +1,7 @@
-"""The learned zones: how fast the model lets the robot go, for an operator on each square of the floor.
+"""Computes learned zones: the scaling that the model predicts for an operator on each square of the floor.
 
-The picture belongs to the robot's position of the instant and moves with it. Only squares near which an operator was
-ever logged are drawn: elsewhere the model would extrapolate. It is the prediction of the model, not a guarantee of the
-safety system, and the name of the view says so.
+Zones depend on the robot's position and change with it. Only squares near logged operators are used: elsewhere the
+model would extrapolate. The zones are a prediction, not a guarantee of the safety system; the view's name says so.
 """
 
 from __future__ import annotations
@@ -24,19 +23,19 @@ if TYPE_CHECKING:
 
 SQUARE_M = 0.25
 EVERY_S, MOVED_M = 0.35, 0.03
-"""The zones are drawn anew when so much time has passed and the tool has moved so far."""
+"""Zones are updated after at least this time, s, if the TCP has moved by at least this distance, m."""
 
 
 class PredictsNow(Protocol):
-    """What the replay needs of a trained model of problem `now`."""
+    """Interface of a trained model of problem `now`."""
 
     @property
     def problem(self) -> str:
-        """Which question the model answers."""
+        """Problem of the model."""
         ...
 
     def predict(self, x: NDArray[np.float32], /) -> NDArray[np.floating]:
-        """Speed scaling (N,) for robot and operator positions (N, 6), metres, base frame."""
+        """Return the scaling (N,) for positions of robot and operator (N, 6), m, base frame."""
         ...
 
 
@@ -45,8 +44,8 @@ class FloorZones:
     """Learned zones on the floor.
 
     Attributes:
-        centre_m: Centres of the squares, shape (C, 2), base frame.
-        t_s: When they change, seconds of the execution, shape (U,).
+        centre_m: Centres of the squares, shape (C, 2), m, base frame.
+        t_s: Times of the updates, seconds of the execution, shape (U,).
         scaling: Scaling for an operator on each square, shape (U, C), rounded to 0.01.
     """
 
@@ -62,14 +61,14 @@ def learned_zones(
     robot_m: NDArray[np.float64],
     human_m: NDArray[np.float64],
 ) -> FloorZones | None:
-    """Ask the model for the zones along one execution; None where robot or operator are unknown.
+    """Return the zones predicted along one execution; None if robot or operator are unknown.
 
     Args:
-        dataset: Says where operators were ever seen.
+        dataset: Dataset with the logged positions of operators.
         model: Model of problem `now`.
-        t_s: Times of the samples, shape (T,).
-        robot_m: x_r, shape (T, 3), NaN = unknown.
-        human_m: x_h, shape (T, 3), NaN = unknown; the operator's usual height is taken from it.
+        t_s: Times of the samples, shape (T,), s.
+        robot_m: x_r, shape (T, 3), m; NaN = unknown.
+        human_m: x_h, shape (T, 3), m; NaN = unknown. Its median height is used for all squares.
     """
     centre = walked_squares(dataset)
     heights = human_m[np.isfinite(human_m[:, 2]), 2]
@@ -87,11 +86,11 @@ def learned_zones(
 
 
 def rule_shapes(model: PredictsNow | None, human_m: NDArray[np.float64]) -> tuple[RuleShape, ...]:
-    """Return what of the model's rule lies still on the floor; distances to the TCP move with it and are not among it.
+    """Return the static shapes of the model's rule on the floor, without distances to the TCP, which move.
 
     Args:
-        model: What answers for the model; shapes has only a rule.
-        human_m: x_h, shape (T, 3), NaN = unknown: as far as he went edges that were never crossed are drawn.
+        model: The model; only one with a rule has shapes.
+        human_m: x_h, shape (T, 3), m; NaN = unknown. Edges that were never crossed are drawn at its extremes.
     """
     seen = human_m[np.isfinite(human_m[:, 0]), :2]
     if not isinstance(model, RuleSafety) or not len(seen):
@@ -100,7 +99,7 @@ def rule_shapes(model: PredictsNow | None, human_m: NDArray[np.float64]) -> tupl
 
 
 def walked_squares(dataset: Dataset) -> NDArray[np.float64]:
-    """Return the centres of all squares at or beside which an operator was logged, shape (C, 2), metres."""
+    """Return the centres of all squares with a logged operator and of their neighbours, shape (C, 2), m."""
     column, row = ((pl.col(f"human_{axis}_m") / SQUARE_M).floor().cast(pl.Int64) for axis in "xy")
     seen = dataset.scan_samples().select(column=column, row=row).drop_nulls().unique().collect().to_numpy()
     if not len(seen):

@@ -1,7 +1,7 @@
-"""The layout of the viewer: scene and texts at the left, lanes and plots at the right.
+"""Lays out the viewer: scene and texts on the left, lanes and plots on the right.
 
-Several executions stand beside each other, each with its scene and its lanes, their curves on common axes. Only views
-that have something to show are there. What they show is the business of `scene` and `curves`.
+Several executions are shown side by side, each with its scene and lanes; their curves share axes. Empty views are left
+out. `scene` and `curves` write the contents.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cyclekit.replay.phase import Order
 
 Focus = Literal["slowdown", "error"] | float
-"""What a replay opens at: the costliest slow-down, the worst error of the model, or a second of the execution."""
+"""Start of the replay: the costliest slow-down, the largest error of the model, or a second of the execution."""
 
 LEAD_S = 1.5
 PHASES_PER_S = 25
@@ -41,7 +41,7 @@ LONG_S = 240.0
 
 
 class Opening(NamedTuple):
-    """A stretch of a timeline: nanoseconds of the execution, or phases of the path."""
+    """An interval on a timeline: nanoseconds of the execution, or hundredths of a task on the path phase."""
 
     timeline: str
     start: int
@@ -61,7 +61,7 @@ def blueprint(runs: Sequence[ReplayedExecution], order: Order, first: Opening | 
 
 
 def _alone(run: ReplayedExecution) -> rrb.Container:
-    """Scene above the words at the left, lanes above plots at the right: nothing is cut off at 1300 x 700."""
+    """Return the layout of one execution, which fits into 1300 x 700 px."""
     words = [
         rrb.TextDocumentView(origin="/summary", name="Where the time went"),
         rrb.TextLogView(origin="/log", name="What happened", columns=_log_columns()),
@@ -86,7 +86,7 @@ def _beside(runs: Sequence[ReplayedExecution], order: Order) -> rrb.Vertical:
         for root, name in zip(roots, names, strict=True)
     ]  # fmt: skip
     rows.append((5, rrb.Horizontal(*lanes)))
-    hidden = rrb.PlotLegend(visible=False)  # a legend would cover what came first; the titles name the colours
+    hidden = rrb.PlotLegend(visible=False)  # a legend would cover the first seconds; the titles name the colours
     axis = rrb.ScalarAxis(range=(-0.05, 1.05), zoom_lock=True)
     scaled = [f"+ {root}/plots/scaling/{kind}" for root in roots for kind in ("logged", "inferred")]
     lost = [f"+ {root}/plots/lost_in_task" for root in roots]
@@ -104,10 +104,10 @@ def _beside(runs: Sequence[ReplayedExecution], order: Order) -> rrb.Vertical:
 
 
 def opening(runs: Sequence[ReplayedExecution], order: Order, at: Focus) -> Opening | None:
-    """Return what is played first, so that the first thing seen is why the robot was slow; None = nothing stands out.
+    """Return the interval to play first; None = open paused at the start.
 
-    One execution: the costliest slow-down, or what `at` says. Several run by the phase of the path: the task whose
-    times differ most.
+    For one execution: the interval selected by `at`, by default the costliest slow-down. For several, on the path
+    phase: the task whose times differ most.
     """
     if len(runs) > 1:
         keys = most_different(runs)
@@ -133,7 +133,7 @@ def _span(run: ReplayedExecution, at: Focus) -> tuple[float, float] | None:
 
 
 def _time_panel(first: Opening | None) -> rrb.TimePanel:
-    """Play `first` in a loop. Where the viewer begins cannot be said in a file: `viewer.open_viewer` moves it there."""
+    """Return a panel that loops `first`. A file cannot set the viewer's start time; `viewer.open_viewer` does."""
     if first is None:
         return rrb.TimePanel(state="collapsed", timeline=EXECUTION, play_state="paused")
     window = rrb.components.AbsoluteTimeRange(min=first.start, max=first.end)
@@ -148,7 +148,7 @@ def _time_panel(first: Opening | None) -> rrb.TimePanel:
 
 
 def _log_columns() -> rrb.TextLogColumns:
-    """Time and text only."""
+    """Return the columns of the text log: time and text."""
     return rrb.TextLogColumns(
         text_log_columns=[
             rre.TextLogColumn("entitypath", visible=False),
@@ -159,8 +159,8 @@ def _log_columns() -> rrb.TextLogColumns:
 
 
 def _right(run: ReplayedExecution) -> rrb.Vertical | None:
-    """Lanes and plots, one above the other on the same seconds."""
-    whole, hidden = _whole(run), rrb.PlotLegend(visible=False)  # a legend would cover what came first
+    """Return lanes and plots, stacked on a common time axis."""
+    whole, hidden = _whole(run), rrb.PlotLegend(visible=False)  # a legend would cover the first seconds
     views: list[tuple[float, rrb.View | rrb.Container]] = []
     scaled = bool(np.isfinite(run.scaling).any())
     if scaled or any(run.robot_task) or any(run.human_task):
@@ -200,7 +200,7 @@ def _right(run: ReplayedExecution) -> rrb.Vertical | None:
 
 
 def _whole(run: ReplayedExecution) -> rrb.TimeAxis | None:
-    """The whole execution at once; of a long one the viewer's own window, which follows the time."""
+    """Return the axis of the whole execution; None for a long one, for which the viewer's window follows the time."""
     if run.duration_s > LONG_S:
         return None
     ends = (rrb.TimeRangeBoundary.absolute(seconds=t_s) for t_s in (0.0, run.duration_s))
@@ -233,7 +233,7 @@ def _scene(run: ReplayedExecution, root: str = "", who: str = "") -> rrb.Spatial
 
 
 def _camera(robot: NDArray[np.float64], human: NDArray[np.float64]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Look across the line from robot to operator, from above, so that both stand side by side."""
+    """Return position and target of a camera above, looking across the line from robot to operator."""
     points = np.concatenate([robot, human, np.zeros((1, 3))])
     low, high = np.quantile(points, 0.08, axis=0), np.quantile(points, 0.92, axis=0)
     middle = (low + high) / 2
@@ -243,7 +243,7 @@ def _camera(robot: NDArray[np.float64], human: NDArray[np.float64]) -> tuple[tup
     ahead = towards / length if length > 0.1 else np.array([1.0, 0.0])
     across = np.array([ahead[1], -ahead[0]])
     if len(human) and np.median(human[:, :2] @ across) > middle[:2] @ across:
-        across = -across  # the operator shall stand behind the line, not between it and the viewer
+        across = -across  # the camera is on the side opposite to the operator
     way = np.array([*(across + 0.25 * ahead), 1.5])  # steep, so that the operator rarely hides the robot
     eye = middle + way / np.linalg.norm(way) * size * 0.86
     return tuple(eye.tolist()), tuple(middle.tolist())

@@ -1,8 +1,7 @@
-"""Where each second of one execution goes, as it goes: the cumulated account that ends at the task table's sums.
+"""Cumulates the time accounting of one execution over time; the final values equal the sums of the task table.
 
-Motion at full speed and safety loss come from the scaling, sample by sample; dwell and wait from the tasks. Time of
-which the log says nothing is its own account. The totals of tasks are made by `account`; here they are spread over
-time.
+Motion at full speed and safety loss come from the scaling of each sample; dwell and wait from the tasks, whose totals
+are distributed over time. Time without information is a separate account.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ ACCOUNTS = ("nominal", "safety", "dwell", "wait", "unknown")
 
 
 def ledger(run: ReplayedExecution) -> dict[str, NDArray[np.float64]]:
-    """Return the seconds spent so far in each account, each of shape (T,); their sum is the time since `t_s[0]`."""
+    """Return the cumulated seconds of each account, shape (T,) each; their sum is the time since `t_s[0]`."""
     count = len(run.t_s)
     step_s = np.diff(run.t_s, append=run.t_s[-1:])
     standstill = np.array([moving is False for moving in run.moving], dtype=np.bool_)

@@ -1,7 +1,7 @@
-"""Where the model and the log differ most: stretches to look at, the costliest first.
+"""Finds the stretches in which prediction and log differ most.
 
-One sample at a change of speed is off by a whole level and means little; so stretches are ranked by how much time the
-error would cost or save, and each is told by its worst sample.
+A single sample at a change of speed may differ by a whole level without effect, so stretches are ranked by the
+integrated error, in seconds. Each is described by its worst sample.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cyclekit.replay.execution import ReplayedExecution
 
 LEAST = 0.05
-"""A difference in scaling below this is not looked at."""
+"""Minimum difference of the scaling that counts."""
 
 
 @dataclass(frozen=True)
@@ -23,12 +23,12 @@ class Miss:
     """A stretch in which prediction and log differ.
 
     Attributes:
-        t_s: Its worst sample, seconds of the execution.
-        start_s, end_s: First and last sample of it.
+        t_s: Worst sample, seconds of the execution.
+        start_s, end_s: First and last sample, seconds of the execution.
         logged, predicted: Scaling at the worst sample.
-        seconds: Integral of |predicted - logged| over it: the time by which an estimate is off here.
-        distance_m: Distance at the worst sample.
-        robot_task: What the robot was doing.
+        seconds: Integral of |predicted - logged|, s: the error of an estimate in this stretch.
+        distance_m: Distance at the worst sample, m.
+        robot_task: Task of the robot.
     """
 
     t_s: float
@@ -42,7 +42,7 @@ class Miss:
 
 
 def misses(run: ReplayedExecution, most: int = 10) -> list[Miss]:
-    """Return the stretches in which the moving robot's log and the prediction differ most, the costliest first."""
+    """Return the stretches in which prediction and log of the moving robot differ most, largest error first."""
     if run.predicted is None or not len(run.t_s):
         return []
     off = np.abs(run.predicted - run.scaling)

@@ -1,8 +1,8 @@
-"""How far the robot is on its path: the clock by which two executions are compared at the same place.
+"""Computes the path phase: the robot's progress on its path, by which executions are compared at the same place.
 
-A task counts 100, whatever time it takes; inside it the phase is the fraction of its way that is done, and it stays at
-the end while the robot works there. The n-th time of a task has the same phase in every execution, so that two orders
-of the same tasks can still be laid beside each other.
+Each task counts 100, whatever its duration. Within a task the phase is the share of its path that is done; it is
+constant during the process. The n-th repetition of a task has the same phase in every execution, so that executions
+with different orders of the same tasks can be compared.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from cyclekit.replay.execution import ReplayedExecution
 
 TASK = 100
-"""Phase of one whole task: 425 is a quarter of the way through the fifth."""
+"""Phase per task: 425 is a quarter of the fifth task."""
 
 Order = dict[tuple[str, int], int]
 
 
 def common_order(runs: Sequence[ReplayedExecution]) -> Order:
-    """Return the place of each task and repetition: the first execution's order, then what only later ones have."""
+    """Return the index of each task and repetition: in the order of the first execution, then those of later ones."""
     order: Order = {}
     for run in runs:
         for key in repetitions(run):
@@ -34,7 +34,7 @@ def common_order(runs: Sequence[ReplayedExecution]) -> Order:
 
 
 def path_phase(run: ReplayedExecution, order: Mapping[tuple[str, int], int]) -> NDArray[np.int64] | None:
-    """Return the phase at `run.t_s`, shape (T,), hundredths of a task; None where no task is known."""
+    """Return the phase at `run.t_s`, shape (T,), hundredths of a task; None without known tasks."""
     if run.tasks.is_empty() or not len(run.t_s):
         return None
     phase = np.full(len(run.t_s), -1, dtype=np.int64)
@@ -50,7 +50,7 @@ def path_phase(run: ReplayedExecution, order: Mapping[tuple[str, int], int]) -> 
 
 
 def repetitions(run: ReplayedExecution) -> list[tuple[str, int]]:
-    """Return each task of the execution with how many times it has come up to then."""
+    """Return each task of the execution with the number of its repetition."""
     seen: dict[str, int] = {}
     keys = []
     for task in run.tasks["task"].to_list():
@@ -60,7 +60,7 @@ def repetitions(run: ReplayedExecution) -> list[tuple[str, int]]:
 
 
 def _part_of_the_way(run: ReplayedExecution, first: int, arrived: int) -> NDArray[np.float64]:
-    """Fraction of the way done at each sample, by length; by time where the robot's position is unknown."""
+    """Return the share of the path done at each sample, by length; by time if the robot's position is unknown."""
     if arrived <= first:
         return np.empty(0)
     points = run.robot_m[first : arrived + 1]

@@ -1,6 +1,6 @@
-"""The replay file: written whole under another name, then put in its place.
+"""Writes the replay file: completely under a temporary name, then renamed.
 
-Rerun's file is built by column from the arrays of `execution`; what is drawn is the business of `scene` and `curves`.
+The file is built by column from the arrays of `execution`; `scene` and `curves` write the contents.
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ if TYPE_CHECKING:
     from cyclekit.replay.phase import Order
 
 MOST = len(HUES)
-"""So many executions can be shown side by side."""
+"""Maximum number of executions side by side."""
 
 
 @dataclass(frozen=True, repr=False)
 class ReplayFacts(Result):
-    """What was written; as a frame one row per stretch where prediction and log differ most.
+    """Result of `write_replay`; its frame has one row per stretch in which prediction and log differ most.
 
     Attributes:
-        path: The file.
-        execution: Full name of the execution; of the first one, if there are several.
-        executions: All of them.
-        duration_s: Length of the longest.
-        rows: Instants written, over all entities.
-        bytes: Size of the file.
-        gaps: Stretches without any sample.
-        notes: What is missing or doubtful, one sentence each.
-        misses: Where prediction and log differ most, of the first execution.
-        first: What is to be played first.
+        path: Path of the file.
+        execution: Full name of the (first) execution.
+        executions: Names of all executions.
+        duration_s: Duration of the longest, s.
+        rows: Number of rows written, over all entities.
+        bytes: Size of the file, bytes.
+        gaps: Number of gaps without samples.
+        notes: Missing or doubtful data, one sentence each.
+        misses: Stretches of the first execution in which prediction and log differ most.
+        first: Interval to play first.
     """
 
     path: Path
@@ -91,9 +91,9 @@ def write_replay(
     other_cell: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> ReplayFacts:
-    """Write the replay of one execution, or of several side by side, as `cyclekit.write_replay` says.
+    """Write the replay of one execution, or of several side by side; arguments as of `cyclekit.write_replay`.
 
-    A model of another problem than `now` is noted, and not used.
+    A model of another problem than `now` is not used, with a note.
 
     Raises:
         UnknownName: The dataset has no such execution.
@@ -139,11 +139,11 @@ def _fill(
     file: Path,
     say: Callable[[float, str], None],
 ) -> int:
-    """Write the executions into `file` and close it; same executions, same recording id."""
+    """Write the executions into `file` and close it; the same executions have the same recording id."""
     names = " and ".join(run.name for run in runs)
     identity = uuid.uuid5(uuid.NAMESPACE_URL, f"cyclekit:{runs[0].cell}:{names}")
     stream = rr.RecordingStream("cyclekit", recording_id=identity, send_properties=False)
-    memory = stream.memory_recording()  # rerun's own file sink waits for ever when the disk is full
+    memory = stream.memory_recording()  # rerun's file sink hangs when the disk is full
     stream.send_blueprint(blueprint(runs, order, first))
     stream.send_recording_name(f"{runs[0].cell}, {names}")
     rows = 0

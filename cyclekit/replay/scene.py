@@ -1,6 +1,6 @@
-"""The 3-D scene: robot, places, learned zones, and the line from robot to operator in the scaling's colour.
+"""Writes the 3-D scene: robot, places, learned zones, and the line from robot to operator in the scaling's colour.
 
-People are drawn by `bodies`. Which views show the scene is the business of `layout`.
+`bodies` draws people; `layout` decides which views show the scene.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     from cyclekit.replay.sink import Sink
 
 PAPER = (238, 241, 244)
-"""Background of the scene; zones are tinted towards it, so that they stay behind what stands on them."""
+"""Background colour of the scene; zones are blended with it, so that objects on them remain visible."""
 
 FURNITURE = (206, 211, 217)
 ZONE_TINT = 0.42
 _LABEL_INK = {colours.OPERATOR: (190, 245, 232)}
-"""Labels stand on grey: light letters, a little green for the operator's."""
+"""Colours of labels, on a grey background: light, with a little green for the operator's."""
 
 
 def log_scene(sink: Sink) -> None:
-    """Put the scene of one execution into the recording."""
+    """Write the scene of one execution."""
     sink.static("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
     _places(sink, "scene/places", sink.run.places, colours.ROBOT)
     _places(sink, "scene/operator_places", sink.run.human_places, colours.OPERATOR)
@@ -61,7 +61,7 @@ def _places(sink: Sink, path: str, places: Mapping[str, Place], colour: str) -> 
 
 
 def _furniture(sink: Sink) -> None:
-    """The boxes of the cell file, light, so that they stay behind what stands on them."""
+    """Write the boxes of the cell file, light, so that objects on them remain visible."""
     things = sink.run.furniture
     if not things:
         return
@@ -81,7 +81,7 @@ def _furniture(sink: Sink) -> None:
 
 
 def _zones(sink: Sink) -> None:
-    """Floor squares in the colour of the speed that the model expects with an operator on them."""
+    """Write the floor squares in the colour of the scaling predicted for an operator on them."""
     zones = sink.run.zones
     if zones is None:
         return
@@ -96,7 +96,7 @@ def _zones(sink: Sink) -> None:
 
 
 def _rule(sink: Sink) -> None:
-    """The rule's shapes on the floor, in the colour of the speed that holds inside."""
+    """Write the rule's shapes on the floor in the colour of the scaling that applies inside."""
     shapes = [shape for shape in sink.run.shapes if not shape.leaving]
     if not shapes:
         return
@@ -123,7 +123,7 @@ def _robot(sink: Sink) -> None:
 
 
 def _arm(sink: Sink) -> None:
-    """Draw the links where the joint angles and the logged tool point prove which arm it is."""
+    """Write the links of the arm if joint angles and logged TCP identify a known arm."""
     joints = sink.run.joints
     angles = joints.six if joints else None
     fit = None if joints is None or angles is None else recognise_arm(angles, joints.tcp_m)
@@ -144,7 +144,7 @@ def _arm(sink: Sink) -> None:
 
 
 def _link(sink: Sink) -> None:
-    """The line from tool to operator: how far, and in the colour of the scaling then in force."""
+    """Write the line from TCP to operator, with its length, in the colour of the scaling."""
     run, distance = sink.run, sink.run.distance_m
     known = np.isfinite(distance)
     if not known.any():
@@ -168,7 +168,7 @@ def _link_label(distance_m: float, scaling: float) -> str:
 
 
 def _path(positions: NDArray[np.float64], colour: str) -> rr.LineStrips3D:
-    """The whole way of the execution as thin lines, broken where it is unknown."""
+    """Return the whole path of the execution as thin lines, interrupted where it is unknown."""
     known = np.isfinite(positions).all(axis=1)
     cuts = np.flatnonzero(np.diff(known.astype(int))) + 1
     strips = [part[:: max(1, len(part) // 2000)] for part in np.split(positions, cuts) if np.isfinite(part[0, 0])]

@@ -1,12 +1,11 @@
-"""Show a replay to browsers: Rerun's own web viewer, served from this machine; it opens no connection to others.
+"""Serves a replay to browsers with Rerun's web viewer, without connections to other machines.
 
-Rerun's server listens on all interfaces by default, and its page asks the makers' servers for news and counts its use
-there, which no setting of this machine's Rerun changes. So the viewer's files are taken from Rerun's server once, on
-loopback, and served with a policy (Content-Security-Policy) by which the browser lets the page load nothing but what
-comes from here.
+Rerun's server listens on all interfaces by default, and its page contacts the makers' servers for news and usage
+statistics; no local setting prevents this. So the viewer's files are fetched once from Rerun's server on loopback, and
+served with a Content-Security-Policy that lets the page load only from this server.
 
-A page from elsewhere cannot read what is served either: a name of its own that it lets point to this machine (DNS
-rebinding) is none that is answered, and no page is told what was asked for by one of another origin.
+Pages of other origins cannot read the replay: requests under a foreign host name (DNS rebinding) are refused, and so
+are cross-origin requests.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ _LOCAL = ("localhost", LOOPBACK, "::1")
 
 
 class ReplayServer(ThreadingHTTPServer):
-    """Serves one replay and the viewer; `serve_forever` until it is interrupted, then `server_close`."""
+    """Serves one replay and the viewer; call `serve_forever` until interrupted, then `server_close`."""
 
     daemon_threads = True
 
@@ -59,13 +58,13 @@ class ReplayServer(ThreadingHTTPServer):
         super().__init__((bind, port), _Answer)
 
     def server_bind(self) -> None:
-        """Bind without asking the network for a name of the address, as `HTTPServer` does."""
+        """Bind without the reverse name lookup of `HTTPServer`."""
         TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
+        """URL of the page."""
         host, port = self.server_address[:2]
         return f"http://[{host!s}]:{port}/" if ":" in str(host) else f"http://{host!s}:{port}/"
 
@@ -99,9 +98,9 @@ class _Answer(BaseHTTPRequestHandler):
         return f"http://{self.headers.get('Host', '')}"
 
     def _is_for_us(self) -> bool:
-        """Tell whether the request names us as we are called; what name a page was got by, its browser says as `Host`.
+        """Return whether the `Host` of the request is a name or address of this server.
 
-        An address cannot be made to point elsewhere as a name can, so the one that this connection came in at will do.
+        Unlike a name, an address cannot be redirected, so the local address of the connection is accepted.
         """
         hosts = self.headers.get_all("Host", [])
         match = _HOST.fullmatch(hosts[0]) if len(hosts) == 1 else None
@@ -122,7 +121,7 @@ class _Answer(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def log_message(self, *_: object) -> None:
-        """Say nothing about single requests."""
+        """Do not log requests."""
 
 
 def _same_address(name: str, address: str) -> bool:
@@ -133,27 +132,27 @@ def _same_address(name: str, address: str) -> bool:
 
 
 def serve(path: Path, *, bind: str = LOOPBACK, port: int = WEB_PORT) -> ReplayServer:
-    """Return a server of `path` for browsers, listening already.
+    """Return a listening server of a replay for browsers.
 
     Args:
         path: The replay.
-        bind: Address or name of this machine to listen on. Any other than loopback shows the replay, unencrypted and
-            without a password, to everybody who can reach it. Requests that name neither it nor this machine get 421.
-        port: Port of the page; 0 takes a free one.
+        bind: Address or name of this machine to listen on. Except on loopback, everybody who can reach it sees the
+            replay, unencrypted and without a password. Requests for other host names get status 421.
+        port: Port of the page; 0 = a free one.
 
     Raises:
-        CyclekitError: There is no such file, the port is taken, or Rerun's viewer cannot be had.
+        CyclekitError: The file does not exist, the port is in use, or Rerun's viewer is not available.
     """
     require_replay(path)
     try:
         return ReplayServer(bind, port, path, _viewer_files())
-    except (OSError, UnicodeError) as error:  # what is no name of a machine
+    except (OSError, UnicodeError) as error:  # UnicodeError: invalid host name
         msg = f"cannot serve the replay at {bind}:{port} ({getattr(error, 'strerror', None) or error})"
         raise CyclekitError(msg, cure="Give another port with --port, or another address with --bind.") from error
 
 
 def _viewer_files() -> dict[str, bytes]:
-    """Take the viewer's files from Rerun's own server, on loopback, which ends with it."""
+    """Return the viewer's files, fetched from Rerun's server on loopback, which is then stopped."""
     no_usage_counting()
     page, data = free_port(), free_port()
     ports = ["--port", str(data), "--web-viewer-port", str(page)]

@@ -1,7 +1,7 @@
-"""Shapes that robot and operator share: trails, goals, points, in the colours of the scaling.
+"""Draws shapes used for robot and operator: trails and goals, in the colours of the scaling.
 
-Everything goes in by column. What is unknown at an instant is an empty list there, so that it vanishes from the scene
-instead of standing still. What is drawn with them is the business of `scene` and `bodies`.
+Data are written by column. Unknown values are empty lists, so that the shape disappears instead of keeping its last
+position.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def pack(rgb: NDArray[np.uint8]) -> NDArray[np.uint32]:
 
 
 def goals(sink: Sink, path: str, positions: NDArray[np.float64], colour: str) -> None:
-    """Draw a flat disc where the motion will end, positions (T, 3); written only when it changes."""
+    """Draw a flat disc at the goal of the motion, positions (T, 3), m; written only when it changes."""
     filled = np.nan_to_num(positions, nan=1e9)
     changed = np.append(True, np.any(np.diff(filled, axis=0) != 0, axis=1))[: len(positions)]
     some = positions[changed]
@@ -42,7 +42,7 @@ def goals(sink: Sink, path: str, positions: NDArray[np.float64], colour: str) ->
 
 
 def trail(sink: Sink, path: str, positions: NDArray[np.float64], paint: NDArray[np.uint8], radius_m: float) -> None:
-    """Draw the way of the last seconds, positions (T, 3): one strip per colour, never across what is unknown."""
+    """Draw the path of the last seconds, positions (T, 3), m: one strip per colour, not across unknown positions."""
     t_s = sink.run.t_s
     pieces = _pieces(positions, paint)
     first = np.searchsorted(t_s, t_s - TRAIL_S)
@@ -65,7 +65,7 @@ def trail(sink: Sink, path: str, positions: NDArray[np.float64], paint: NDArray[
 
 
 def _pieces(positions: NDArray[np.float64], paint: NDArray[np.uint8]) -> list[tuple[int, int]]:
-    """First and last index of each stretch of one colour; a piece starts where the one before ends."""
+    """Return first and last index of each stretch of one colour; each starts where the previous one ends."""
     known = [bool(row.all()) for row in np.isfinite(positions)]
     shades = paint.tolist()
     pieces: list[tuple[int, int]] = []

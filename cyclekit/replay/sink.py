@@ -1,7 +1,6 @@
-"""One execution's corner of a recording: where its entities hang, and which times its rows get.
+"""Writes rows of one execution to a recording: under its entity path, on all timelines.
 
-Several executions lie side by side in one recording, each under its own name. What is written is the business of
-`scene`, `bodies`, `floor` and `curves`.
+A recording of several executions has one path per execution.
 """
 
 from __future__ import annotations
@@ -19,31 +18,31 @@ if TYPE_CHECKING:
     from cyclekit.replay.execution import ReplayedExecution
 
 EXECUTION, WALL_CLOCK, SESSION, PHASE = "execution", "wall_clock", "session", "path_phase"
-"""Timelines: seconds of the execution; the time of day in UTC, or where no log knows it, seconds of the session; and
-how far the robot is on its path, in hundredths of a task."""
+"""Timelines: seconds of the execution; time of day in UTC, or seconds of the session if unknown; and the path phase, in
+hundredths of a task."""
 
 
 class Sink:
-    """Writes rows of one execution by column, on all timelines at once."""
+    """Writes rows of one execution by column, on all timelines."""
 
     def __init__(
         self, stream: rr.RecordingStream, run: ReplayedExecution, phase: NDArray[np.int64] | None, root: str = ""
     ) -> None:
-        """Write below `root` ("" or "name/"); `phase` is the path phase at `run.t_s`, None where no task is known."""
+        """Write below `root` ("" or "name/"); `phase` is the path phase at `run.t_s`, None without known tasks."""
         self.stream, self.run, self.phase, self.root = stream, run, phase, root
         self.rows = 0
 
     def static(self, path: str, what: rr.AsComponents) -> None:
-        """Write what holds at all times."""
+        """Write data without a time."""
         self.stream.log(self.root + path, what, static=True)
 
     def columns(self, path: str, t_s: NDArray[np.float64], columns: Iterable[rr.ComponentColumn]) -> None:
-        """Write rows at the times `t_s` (N,), seconds of the execution."""
+        """Write rows at times `t_s` (N,), seconds of the execution."""
         self.stream.send_columns(self.root + path, self.times(t_s), columns)
         self.rows += len(t_s)
 
     def times(self, t_s: NDArray[np.float64]) -> list[rr.TimeColumn]:
-        """Return all timelines at the times `t_s` (N,)."""
+        """Return the columns of all timelines for times `t_s` (N,), seconds of the execution."""
         session_s = t_s + self.run.start_s
         found = [rr.TimeColumn(EXECUTION, duration=t_s)]
         if self.run.epoch_s is None:

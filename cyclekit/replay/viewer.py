@@ -1,7 +1,7 @@
-"""Open a replay in the Rerun viewer that came with the installation, seen by this machine only.
+"""Opens a replay in the installed Rerun viewer, on this machine only.
 
-The viewer is a process of its own. It counts its use and sends that to its makers unless it is told not to, so it is
-told not to before it is started. Rerun's own default is to listen on all interfaces; here it is loopback.
+The viewer is a separate process. By default it sends usage statistics to its makers and listens on all interfaces:
+before it starts, statistics are switched off, and it listens on loopback.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PATIENCE_S = 20.0
 
 
 def viewer_program() -> list[str]:
-    """Return how to start the viewer itself: by `python -m rerun` it would be a child that outlives its parent."""
+    """Return the command of the viewer's program; started by `python -m rerun`, it would outlive its parent process."""
     found = find_spec("rerun_cli")
     folder = Path(found.origin).parent if found and found.origin else Path()
     for name in ("Rerun.app/Contents/MacOS/Rerun", "rerun.exe", "rerun"):
@@ -37,22 +37,22 @@ def viewer_program() -> list[str]:
 
 
 def viewer_command(path: Path, port: int) -> list[str]:
-    """Return the command that opens `path`; bound to loopback."""
+    """Return the command that opens `path`, listening on loopback."""
     return [*viewer_program(), str(path), "--bind", LOOPBACK, "--port", str(port)]
 
 
 def open_viewer(path: Path, first: Opening | None = None) -> subprocess.Popen[bytes]:
-    """Start the viewer on `path` and return when it shows what is to be played first, or after PATIENCE_S.
+    """Start the viewer on `path`; return when it shows the interval to play first, or after PATIENCE_S.
 
-    Rerun's usage counting is switched off first; that is a setting of the user's Rerun and stays (it can be switched
-    on again by `rerun analytics enable`).
+    Rerun's usage statistics are switched off first, permanently for this user (`rerun analytics enable` switches them
+    on again).
 
     Args:
         path: The replay.
-        first: Its `ReplayFacts.first`; None leaves the viewer at the beginning.
+        first: Interval to play first, `ReplayFacts.first`; None = start at the beginning.
 
     Raises:
-        CyclekitError: There is no such file, or the viewer cannot be started.
+        CyclekitError: The file does not exist, or the viewer cannot be started.
     """
     require_replay(path)
     no_usage_counting()
@@ -67,10 +67,10 @@ def open_viewer(path: Path, first: Opening | None = None) -> subprocess.Popen[by
 
 
 def _goes_to(first: Opening, port: int) -> bool:
-    """Move a viewer to the beginning of `first`; False = it is not yet ready for that.
+    """Move a viewer to the start of `first`; return False if it is not yet ready.
 
-    A recording cannot say where it is entered, and the viewer's control by programs is experimental: whatever it
-    answers, the viewer itself stays open.
+    A recording cannot set its start time, and remote control of the viewer is experimental: on any error the viewer
+    stays open.
     """
     try:
         with ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy") as viewer:
@@ -93,10 +93,10 @@ def free_port() -> int:
 
 
 def require_replay(path: Path) -> None:
-    """Refuse a replay that is not there.
+    """Check that a replay exists.
 
     Raises:
-        CyclekitError: There is no such file.
+        CyclekitError: The file does not exist.
     """
     if not path.is_file():
         msg = f"{path}: no such replay"
@@ -105,7 +105,7 @@ def require_replay(path: Path) -> None:
 
 
 def no_usage_counting() -> None:
-    """Switch Rerun's usage counting off.
+    """Switch Rerun's usage statistics off.
 
     Raises:
         CyclekitError: The viewer cannot be started.

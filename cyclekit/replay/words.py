@@ -1,7 +1,6 @@
-"""The execution in words: what happened when, and why the robot was slow.
+"""Describes an execution as text: its events, and the causes of slow-downs.
 
-Short sentences for the text log and a summary for the panel beside it, made from the arrays of `execution`. Nothing of
-rerun is known here.
+Makes the lines of the text log and the summary of the panel from the arrays of `execution`. Does not use rerun.
 """
 
 from __future__ import annotations
@@ -25,17 +24,17 @@ if TYPE_CHECKING:
     from cyclekit.replay.execution import ReplayedExecution
 
 SHORTEST_S = 0.25
-"""A change of speed or a lost operator shorter than this is not listed."""
+"""Minimum duration of a listed slow-down or absence of the operator, s."""
 
 MOST_PERIODS = 2
-"""A sample counts for the time up to the next one, and where that is missing for no more than two of its periods."""
+"""A sample counts until the next one, but at most for this number of sampling periods."""
 
 FULL = 0.98
 
 
 @dataclass(frozen=True)
 class LogLine:
-    """One line of the log: when (seconds of the execution), what, its level (INFO or WARN), and its colour."""
+    """Line of the text log: time (seconds of the execution), text, level (INFO or WARN), and colour."""
 
     t_s: float
     text: str
@@ -45,14 +44,14 @@ class LogLine:
 
 @dataclass(frozen=True)
 class Slowdown:
-    """A time in which a motion of the robot was slowed.
+    """Stretch in which a motion of the robot was slowed.
 
     Attributes:
         start_s, end_s: Seconds of the execution.
-        lowest: Least scaling in it.
-        lost_s: Integral of 1 - s over it.
-        nearest_m: Least distance to the operator; NaN where unknown.
-        robot_task, human_task: What both were doing for most of it; None where unknown.
+        lowest: Minimum scaling.
+        lost_s: Integral of 1 - s, s.
+        nearest_m: Minimum distance to the operator, m; NaN = unknown.
+        robot_task, human_task: Their most frequent tasks; None = unknown.
     """
 
     start_s: float
@@ -65,7 +64,7 @@ class Slowdown:
 
 
 def slowdowns(run: ReplayedExecution) -> list[Slowdown]:
-    """Return the stretches in which the moving robot was below full speed, in order of time."""
+    """Return the stretches in which the moving robot was below full speed, by time."""
     slow = (run.scaling < FULL) & np.array([moving is not False for moving in run.moving], dtype=np.bool_)
     found = []
     for first, last in _stretches(slow):
@@ -91,7 +90,7 @@ def slowdowns(run: ReplayedExecution) -> list[Slowdown]:
 
 
 def log_lines(run: ReplayedExecution) -> list[LogLine]:
-    """Return the events of the execution, in order of time."""
+    """Return the events of the execution, by time."""
     lines = [*_task_lines(run), *_operator_lines(run), *_slow_lines(run)]
     for start_s, end_s in run.gaps:
         lines.append(LogLine(start_s, f"Gap in the log: no samples for {end_s - start_s:.1f} s", "WARN"))
@@ -100,7 +99,7 @@ def log_lines(run: ReplayedExecution) -> list[LogLine]:
 
 
 def miss_lines(run: ReplayedExecution) -> list[LogLine]:
-    """Return where prediction and log differ most, in order of time; a click on the time jumps there."""
+    """Return the stretches in which prediction and log differ most, by time; a click on a time jumps there."""
     lines = []
     for rank, miss in enumerate(misses(run), start=1):
         doing = f" on {run.shown(miss.robot_task)}" if miss.robot_task else ""
@@ -113,7 +112,7 @@ def miss_lines(run: ReplayedExecution) -> list[LogLine]:
 
 
 def summary(run: ReplayedExecution) -> str:
-    """Return the panel's text, Markdown: what happened in three lines, the worst moments, what is not shown."""
+    """Return the panel's text, Markdown: a summary in three lines, the costliest slow-downs, and missing data."""
     found = slowdowns(run)
     lost_s = float(run.tasks["safety_loss_s"].sum() or 0.0) or sum(each.lost_s for each in found)
     known = bool(np.isfinite(run.scaling).any())
@@ -132,7 +131,7 @@ def summary(run: ReplayedExecution) -> str:
 
 
 def lanes(labels: Sequence[str | None], t_s: NDArray[np.float64]) -> list[tuple[float, str | None]]:
-    """Return when a label changes, and to what; the last entry ends the lane."""
+    """Return times and new values at which a label changes; the last entry ends the lane."""
     changes: list[tuple[float, str | None]] = []
     last: str | None = None
     for time_s, label in zip(t_s.tolist(), labels, strict=True):
@@ -183,7 +182,7 @@ def _operator_lines(run: ReplayedExecution) -> Iterator[LogLine]:
 
 
 def _stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last index of every run of True."""
+    """Return first and last index of every run of True."""
     out, at = [], 0
     for value, group in itertools.groupby(flags.tolist()):
         length = sum(1 for _ in group)

@@ -1,4 +1,4 @@
-"""The answer against fresh simulated executions: sequences, orders, zones, what-if, harder logs, speed.
+"""Compares estimates with fresh simulated executions: sequences, orders, zones, what-if, harder logs, speed.
 
     python benchmarks/answer.py sequences --scene box-picking --executions 45 --seeds 111 112 113
     python benchmarks/answer.py plan      --scene laser-zones --executions 200
@@ -9,8 +9,8 @@
     python benchmarks/answer.py drift
     python benchmarks/answer.py speed
 
-Cells and fresh executions are kept in --work and used again. Truth: `--fresh` executions of each of `--sequences`
-sequences that no logged execution followed.
+Cells and fresh executions are stored in --work and reused. Ground truth: `--fresh` executions of each of `--sequences`
+sequences that were never logged.
 """
 
 from __future__ import annotations
@@ -67,10 +67,10 @@ TRUE_THRESHOLDS = {"box-picking": (1.2, 1.5, 1.9, 2.4), "pick-and-package": (0.6
 
 
 def sequences(asked: argparse.Namespace) -> None:
-    """Expected cycle times of sequences not in the logs, by every estimator; logs of several seeds, one truth."""
+    """Print the errors of every estimator for sequences that were never logged, over logs of several seeds."""
     found = [_of_logs(asked, seed) for seed in asked.seeds]
     for name in found[0]:
-        every = np.array([errors[name] for errors in found])  # by logs and sequence, %
+        every = np.array([errors[name] for errors in found])  # (sets of logs, sequences), %
         biases = every.mean(axis=1)
         spread = biases.std(ddof=1) / len(biases) ** 0.5 if len(biases) > 1 else float("nan")
         OUT.print(f"{name}, {len(found)} sets of logs: mean |error| {np.abs(every).mean():.2f} %, bias "
@@ -79,7 +79,7 @@ def sequences(asked: argparse.Namespace) -> None:
 
 
 def _of_logs(asked: argparse.Namespace, seed: int) -> dict[str, np.ndarray]:
-    """Print what one set of logs gives; return the errors of each estimator by sequence, %."""
+    """Print the results of one set of logs; return the errors of each estimator by sequence, %."""
     cell = logged(asked.work, asked.scene, asked.executions, seed=seed)
     wanted = unseen_sequences(cell.dataset, asked.scene, asked.sequences, first=JUDGED_SEED)
     rows = [fresh(asked.work, asked.scene, s.places, asked.fresh) for s in wanted]
@@ -142,7 +142,7 @@ def _intervals(
 
 
 def _tasks(rolled: list[CycleEstimate], rows: list[pl.DataFrame]) -> None:
-    """Durations of tasks against fresh ones, beside what a task's mean over the truth is itself uncertain by."""
+    """Print the errors of expected task durations, with the standard error of the fresh means."""
     errors, known = [], []
     for entry, part in zip(rolled, rows, strict=True):
         true, off = means_by_task(part)
@@ -154,7 +154,7 @@ def _tasks(rolled: list[CycleEstimate], rows: list[pl.DataFrame]) -> None:
 
 
 def orders(asked: argparse.Namespace) -> None:
-    """The planned order against all orders (where few) and the rivals' orders, judged by fresh executions."""
+    """Compare the planned order with all orders (if few) and with the rivals' orders, on fresh executions."""
     cell = logged(asked.work, asked.scene, asked.executions, seed=asked.seeds[0])
     slots = list(BUILT_IN[asked.scene].slots)[:: 2 if asked.half else 1]
     jobs = Jobs(tuple(slots), "home", "home", "conveyor")
@@ -199,7 +199,7 @@ def _mean_s(asked: argparse.Namespace, jobs: Jobs, order: tuple[str, ...], execu
 
 
 def zones(asked: argparse.Namespace) -> None:
-    """Thresholds read back, without and with tracker noise."""
+    """Print the thresholds read back, without and with tracker noise."""
     table = Table("scene", "executions", "delta m", "rule", "explained", "thresholds m (95 %)", "worst error m")
     for scene, executions, delta in asked.cells:
         options = SimulationOptions(delta_m=delta)
@@ -217,7 +217,7 @@ def zones(asked: argparse.Namespace) -> None:
 
 
 def whatif(asked: argparse.Namespace) -> None:
-    """The staircase of pick-and-package on the logs of box-picking, against simulating that cell."""
+    """Compare a what-if (the staircase of pick-and-package on logs of box-picking) with a simulation of that cell."""
     cell = logged(asked.work, "box-picking", asked.executions, seed=asked.seeds[0])
     wanted = unseen_sequences(cell.dataset, "box-picking", asked.sequences, first=JUDGED_SEED)
     change = Change("small", levels=(0.0, 0.25, 0.5, 0.75, 1.0), thresholds_m=TRUE_THRESHOLDS["pick-and-package"])
@@ -237,7 +237,7 @@ def whatif(asked: argparse.Namespace) -> None:
 
 
 def hard(asked: argparse.Namespace) -> None:
-    """Noise, dropouts, no logged scaling and a wrong clock together, against clean logs of the same executions."""
+    """Compare logs with noise, dropouts, no logged scaling and clock error with clean logs of the same executions."""
     truth, wanted = None, None
     for kind, options in (("plain", SimulationOptions()), ("hard", HARD)):
         cell = logged(asked.work, "box-picking", asked.executions, seed=asked.seeds[0], options=options, kind=kind)
@@ -256,7 +256,7 @@ def hard(asked: argparse.Namespace) -> None:
 
 
 class TrueStaircase:
-    """The true safety function of box-picking, its thresholds at the middle of the hysteresis."""
+    """True safety function of box-picking, with its thresholds in the middle of the hysteresis."""
 
     problem, card = "now", TrainingCard()
 
@@ -264,13 +264,13 @@ class TrueStaircase:
         self._thresholds = np.array(TRUE_THRESHOLDS["box-picking"]) + hysteresis_m / 2
 
     def predict(self, X: np.ndarray) -> np.ndarray:
-        """Return the scaling of rows x_r, x_h, shape (N,)."""
+        """Return the scaling, shape (N,), for rows x_r, x_h, shape (N, 6), m."""
         apart = np.linalg.norm(X[:, :3].astype(float) - X[:, 3:6], axis=1)
         return np.array([0.0, 0.25, 0.5, 0.75, 1.0])[np.searchsorted(self._thresholds, apart)]
 
 
 def dynamics(asked: argparse.Namespace) -> None:
-    """Executions beside their own operators, the rollout told of latency, ramps and hysteresis or not."""
+    """Print the error of a rollout with each execution's own operator, with and without the known response."""
     true = {"latency_s": 0.3, "ramp_down_per_s": 2.0, "ramp_up_per_s": 0.5, "hysteresis_m": 0.15}
     cell = logged(asked.work, "box-picking", 60, options=SimulationOptions(**true), kind="dyn")
     nominal = nominal_tasks(cell.dataset)
@@ -289,7 +289,7 @@ def dynamics(asked: argparse.Namespace) -> None:
 
 
 def drifts(asked: argparse.Namespace) -> None:
-    """Newer logs of the same cell, and of one whose outer threshold was moved."""
+    """Print the detected drift for newer logs of the same cell, and of cells with a moved outer threshold."""
     cell = logged(asked.work, "box-picking", 45)
     scene = BUILT_IN["box-picking"]
     for metres in (2.4, 2.5, 2.7):
@@ -303,7 +303,7 @@ def drifts(asked: argparse.Namespace) -> None:
 
 
 def speed(asked: argparse.Namespace) -> None:
-    """One sequence against 1000 tracks, and very many sequences; cpu seconds beside the clock's."""
+    """Print wall and CPU time for one sequence with 1000 tracks, and for very many sequences."""
     cell = logged(asked.work, "box-picking", asked.executions, seed=asked.seeds[0])
     nominal = nominal_tasks(cell.dataset)
     wanted = unseen_sequences(cell.dataset, "box-picking", 1, first=JUDGED_SEED)[0]
@@ -333,7 +333,7 @@ def _timed(what: str, call):  # noqa: ANN001, ANN202
 
 
 def main() -> None:
-    """Run one measurement, or a small one of each."""
+    """Run one measurement, or a small version of each."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     runs = {"sequences": sequences, "plan": orders, "zones": zones, "whatif": whatif, "hard": hard}
     runs |= {"dynamics": dynamics, "drift": drifts, "speed": speed}

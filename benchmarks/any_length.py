@@ -1,17 +1,17 @@
-"""Orders shorter, as long and longer than every log, beside an operator who comes and goes: error and coverage.
+"""Error and coverage for orders shorter than, as long as and longer than the logs, with an operator who comes and goes.
 
     python benchmarks/any_length.py --executions 60 200 --seeds 1 2 3 --work FOLDER
 
-The scene is `scanner-visits`: four levels with hysteresis, a scanner's rectangle that caps the speed, ramps, latency, a
-tracker that writes nothing while nobody is there, one file an execution, places at whole centimetres. `box-picking` has
-the same response. What answers is what `train --model auto` leaves: the rule read from the logs
-(the network beside it, which no one asks, learns for one epoch). Each set of logs
-is asked for orders that were never logged: half as long, as long and twice as long as the logged ones. Truth is the
-mean of `--fresh` executions each, from random streams apart from those of the logs. Beside it the bare rollout,
-history, the Markov chain, and chance: a mean of as many independent cycles of the logged length as were logged. `true
-function` is the rollout with the simulator's own safety function beside the same logged operators: what is left of
-the error where nothing but the operators has to be learned. Whether an interval of the mean holds allows for what the
-fresh mean itself may be off.
+The scene is `scanner-visits`: four levels with hysteresis, a scanner's rectangle that limits the speed, ramps, latency,
+a tracker that writes no rows without an operator, one file per execution, places at whole centimetres. `box-picking`
+has the same response. The model is that of `train --model auto`: the rule read from the logs (the network, which is not
+used, is trained for one epoch). The orders were never logged; they are half as long, as long and twice as long as
+the logged ones. Ground truth is the mean of `--fresh` executions each, with other random streams than the logs.
+
+Also printed: the uncorrected rollout, history, the Markov chain, and chance, the error of a mean of as many independent
+cycles of the logged length as were logged. `true function` is the rollout with the simulator's safety function and the
+same logged operators: the error that remains if only the operators must be learned. The coverage of intervals of the
+mean allows for the standard error of the fresh mean.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ STAIRS = {
     "box-picking": ((0.0, 1.2), (0.25, 1.5), (0.5, 1.9), (0.75, 2.4)),
 }
 SCANNER = {SCENE: (0.3, (0.9, 2.3), (-0.6, 1.1))}
-"""What the simulator's safety functions are: thresholds, m, by level, and the level and edges of a rectangle."""
+"""The simulator's safety functions by scene: thresholds, m, by level (STAIRS); level and edges, m, of a rectangle."""
 
 
 def true_function(scene: str) -> RuleSafety:
@@ -91,7 +91,7 @@ def orders(scene: str, known: set[str], count: int) -> dict[str, list[TaskSequen
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One order asked of one set of logs: errors of the expected cycle time as parts of it, and what held."""
+    """Results of one order with one set of logs: relative errors of the expected cycle time, and coverage."""
 
     error: float
     rollout: float
@@ -108,9 +108,9 @@ class Row:
 
 
 def row_of(found: CycleEstimate, others: Sequence[float], true_s: np.ndarray, took_s: float) -> Row:
-    """Return how far the answers to one order are off its fresh executions, shape (executions,), s.
+    """Return the results of one order, given the durations of its fresh executions, shape (executions,), s.
 
-    `others`: what history, the Markov chain and the true function say, s.
+    `others`: expected cycle times of history, the Markov chain and the true function, s.
     """
     mean, spread = float(true_s.mean()), float(true_s.std(ddof=1))
     both = found.combined or Combined(found.expected_s, others[0], 0.0)
@@ -128,7 +128,7 @@ def row_of(found: CycleEstimate, others: Sequence[float], true_s: np.ndarray, to
 
 
 def _holds(found: CycleEstimate, true_s: float, error_s: float) -> bool:
-    """Tell whether the interval of the mean holds the fresh mean, which is known to a standard error itself."""
+    """Return whether the interval of the mean, widened by the standard error of the fresh mean, contains the latter."""
     expected_s, known_s = found.expected_s, 1.96 * error_s
     low_s = expected_s - np.hypot(expected_s - found.expected_low_s, known_s)
     high_s = expected_s + np.hypot(found.expected_high_s - expected_s, known_s)
@@ -136,7 +136,7 @@ def _holds(found: CycleEstimate, true_s: float, error_s: float) -> bool:
 
 
 def of_set(work: Path, scene: str, executions: int, seed: int, count: int, many: int) -> dict[str, list[Row]]:
-    """Return what one set of logs gives, by the length of the order; print a line."""
+    """Return the results of one set of logs by length of the order; print one line."""
     silent = scene == SCENE
     options, true = (dataclasses.replace(one, silent_when_empty=silent) for one in (HARD, TRUE))
     cell = logged(work, scene, executions, seed=seed, options=options, kind="visits", rules=True, epochs=1)
@@ -184,7 +184,7 @@ def size(errors: list[float]) -> str:
 
 
 def add_rows(table: Table, executions: int, sets: list[dict[str, list[Row]]]) -> None:
-    """Add a row for each length."""
+    """Add one row per length."""
     spread = np.mean([row.spread for rows in sets for row in rows["same"]])
     for name in LENGTHS:
         some = [row for rows in sets for row in rows[name]]

@@ -1,11 +1,10 @@
-"""Bombs: small bags that unpack to gigabytes or announce sizes that are lies; each is read in a process of its own.
+"""Bombs: small bags that unpack to gigabytes or contain false sizes; each is read in a separate process.
 
-A recording of one second (125 poses) is whole beside every bomb, so the best answer is those and a word about the
-rest. Printed for each: what the reader's process ended with, its seconds, those of the processor (the others grow with
-whatever else the machine does) and the most memory it held. A run that
-ends with a traceback, takes over a minute or holds more than 1.5 GiB is marked.
+Each file also holds an intact recording of one second (125 poses), so the best result is these poses and a warning
+about the rest. Printed for each: the result of the reader's process, its wall and CPU time, and its peak memory. A run
+that ends with a traceback, takes over a minute or uses more than 1.5 GiB is marked.
 
-    python benchmarks/bag_bombs.py      # Linux, which tells the memory a process held at most
+    python benchmarks/bag_bombs.py      # Linux, which reports the peak memory of a process
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from functools import cache
 from io import BytesIO
 from pathlib import Path
 
-import lz4.frame  # type: ignore[import-untyped]  # it publishes no types
+import lz4.frame  # type: ignore[import-untyped]  # no type stubs
 from backports import zstd
 from bag_damage import write
 from mcap.reader import make_reader
@@ -69,7 +68,7 @@ def bag_chunk(stored: bytes, size: int, compression: str) -> bytes:
 
 
 def mcaps(whole: bytes) -> dict[str, bytes]:
-    """Return the bombs as mcap: put before the first chunk, or at the end of a file that was cut."""
+    """Return the bombs as mcap: before the first chunk, or at the end of a truncated file."""
     summary = make_reader(BytesIO(whole)).get_summary()
     assert summary is not None
     at = summary.chunk_indexes[0].chunk_start_offset
@@ -78,7 +77,7 @@ def mcaps(whole: bytes) -> dict[str, bytes]:
         return whole[:at] + record + whole[at:]
 
     eight = zeros("zstd", 8 * GIB)
-    half = struct.pack("<BQ", 5, 1 << 62)  # a message record that claims to be endless
+    half = struct.pack("<BQ", 5, 1 << 62)  # message record with a length of 2^62 bytes
     many = struct.pack("<BQ", 5, 0) * 10_000_000
     cut = mcap_chunk(eight, 8 * GIB)
     return {
@@ -125,7 +124,7 @@ def lying_db3(path: Path, new: Callable[[bytes], bytes]) -> None:
 
 
 def make(folder: Path) -> dict[str, Path]:
-    """Write all bombs; return them by name."""
+    """Write all bombs; return their paths by name."""
     found: dict[str, Path] = {}
     for kind, bombs in (("mcap", mcaps), ("ros1", bags)):
         (folder / kind).mkdir()
@@ -146,7 +145,7 @@ def make(folder: Path) -> dict[str, Path]:
 
 
 def once(path: Path) -> None:
-    """Read one bag; say what came of it, seconds of the processor, and how many bytes the process held at most."""
+    """Read one bag; print the result, the CPU time in seconds, and the peak memory of the process in bytes."""
     try:
         log = ADAPTER.read(path, ReadOptions())
     except CyclekitError as refusal:
@@ -154,7 +153,7 @@ def once(path: Path) -> None:
     else:
         rows, aside = (table.height if table is not None else 0 for table in (log.robot, log.set_aside))
         print(f"{rows} rows, {aside} set aside, {len(log.warnings)} warnings")
-    # not getrusage: on Linux that begins with what the parent held
+    # getrusage on Linux starts with the peak memory of the parent
     peak = int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1]) * 1024  # type: ignore[index]
     print(time.process_time(), peak)
 

@@ -1,11 +1,10 @@
-"""Damaged bags: cut at random bytes, and with one flipped bit; what is read of them, what is said, what is wrong.
+"""Damaged bags, truncated at random bytes or with one flipped bit: recovered messages, warnings and wrong values.
 
-Writes one short recording (JointState 500 Hz, PoseStamped 125 Hz, Float64 100 Hz) in six containers. A cut bag is read
-message by message and held against the whole one: how many of the messages in chunks (of a db3: pages) that lie before
-the cut are there, how many values are wrong, and whether what is said of the time up to which it was recovered is
-true. A fifth of the cuts is given to rosbags too. A bag with a flipped bit goes all the way into tables, as an ingest
-takes it: whether it was refused or something was said by the reader (checksum, structure), or by the checks of values,
-or nothing was said although a value differs.
+Writes one short recording (JointState 500 Hz, PoseStamped 125 Hz, Float64 100 Hz) in six containers. A truncated bag is
+read message by message and compared with the intact one: share of recovered messages in chunks (of a db3: pages) before
+the cut, number of wrong values, and whether the reported end of the recovered time is right. A fifth of the truncated
+bags is also read with rosbags. A bag with a flipped bit is read into tables as by an ingest. Counted: refused,
+warning of the reader (checksum, structure), warning of the checks of values, or no warning although a value differs.
 
     python benchmarks/bag_damage.py --cuts 500 --flips 1000 --seconds 6
 """
@@ -56,7 +55,7 @@ PATHS: dict[str, list[tuple[str, ...]]] = {
 
 
 def write(folder: Path, kind: str, seconds: int) -> Path:
-    """Write the recording as one file of a kind."""
+    """Write the recording as one file in a container."""
     ros1 = kind.startswith("ros1")
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     pack = store.serialize_ros1 if ros1 else store.serialize_cdr
@@ -93,12 +92,12 @@ def write(folder: Path, kind: str, seconds: int) -> Path:
 
 
 def needed(path: Path, rows: Rows) -> Rows:
-    """Return for every message the byte up to which the file must be there: the end of its chunk or page."""
+    """Return for every message the end, bytes, of its chunk or page: the minimum size of a file that has it."""
     if path.suffix == ".db3":
         content, ends = path.read_bytes(), {}
         page = struct.unpack_from(">H", content, 16)[0]
         for topic, table in rows.items():
-            # the time stands right before the payload, which begins with the mark of its coding
+            # the time directly precedes the payload, which begins with the encoding's mark
             at = [content.index(struct.pack(">q", int(time_ns)) + b"\0\1\0\0") for time_ns in table["time"]]
             ends[topic] = (np.array(at) // page + 1) * page
         return ends
@@ -123,7 +122,7 @@ def needed(path: Path, rows: Rows) -> Rows:
 
 
 def read(path: Path) -> tuple[Rows, list[str]]:
-    """Return times and values of all messages by topic, and what the reader says."""
+    """Return times and values of all messages by topic, and the reader's warnings."""
     parts: dict[str, list[np.ndarray[Any, Any]]] = {topic: [] for topic in TOPICS}
     with opened(path) as bag:
         for arrived in bag.messages(set(TOPICS)):
@@ -137,7 +136,7 @@ def read(path: Path) -> tuple[Rows, list[str]]:
 
 
 def cut(kind: str, whole: Path, seed: int, times: int) -> dict[str, Any]:
-    """Cut the file at random bytes and read what is left."""
+    """Truncate the file at random bytes, read the rest, and return the counts."""
     content, true, chance = whole.read_bytes(), read(whole)[0], random.Random(seed)
     ends, path, count = needed(whole, true), whole.with_name(f"cut{whole.suffix}"), Counter[str]()
     for number in range(times):
@@ -173,7 +172,7 @@ def cut(kind: str, whole: Path, seed: int, times: int) -> dict[str, Any]:
 
 
 def rosbags_reads(path: Path) -> bool:
-    """Return whether rosbags gives one message of a file."""
+    """Return whether rosbags reads at least one message of a file."""
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             return next(reader.messages(), None) is not None
@@ -182,7 +181,7 @@ def rosbags_reads(path: Path) -> bool:
 
 
 def flip(kind: str, whole: Path, seed: int, times: int) -> dict[str, Any]:
-    """Flip one random bit at a time and take the bag all the way into tables."""
+    """Flip one random bit at a time, read the bag into tables, and return the counts."""
     content, chance, count = whole.read_bytes(), random.Random(seed), Counter[str]()
     true = ADAPTER.read(whole, ReadOptions())
     true_examined = examined(true)
@@ -196,7 +195,7 @@ def flip(kind: str, whole: Path, seed: int, times: int) -> dict[str, Any]:
 
 
 def judged(path: Path, true: Recording, true_examined: Recording) -> str:
-    """Return what becomes of one damaged bag."""
+    """Return the category of the result for one damaged bag."""
     try:
         found = ADAPTER.read(path, ReadOptions())
     except LogError:
@@ -212,12 +211,12 @@ def judged(path: Path, true: Recording, true_examined: Recording) -> str:
 
 
 def said_more(found: Recording, true: Recording) -> bool:
-    """Return whether a recording has other warnings than the undamaged one, or rows set aside."""
+    """Return whether a recording has other warnings than the intact one, or rows set aside."""
     return set(found.warnings) != set(true.warnings) or bool(found.set_aside is not None and found.set_aside.height)
 
 
 def work(task: tuple[str, str, int, int, int]) -> dict[str, Any]:
-    """Do one kind of damage to one container, in a process and a folder of its own."""
+    """Apply one kind of damage to one container, in a separate process and folder."""
     what, kind, seed, times, seconds = task
     with tempfile.TemporaryDirectory() as folder:
         return (cut if what == "cut" else flip)(kind, write(Path(folder), kind, seconds), seed, times)

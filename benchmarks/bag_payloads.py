@@ -1,8 +1,8 @@
-"""Random payloads of many message types: every value against what rosbags' own deserialising gives.
+"""Random payloads of many message types: compares every decoded value with rosbags' deserialisation.
 
-Forms (texts, lengths of lists) and numbers are drawn at random, in CDR of both byte orders and in ROS 1 coding; each
-number, text and element of an array is one leaf. Numbers are compared bit by bit, so NaN is equal to the same NaN. A
-round takes one type in one coding: some forms, each many times, shuffled. It stops at the number of leaves asked for.
+Forms (texts, lengths of lists) and numbers are random, in CDR of both byte orders and in ROS 1 coding; each number,
+text and element of an array is one leaf. Numbers are compared bit by bit, so NaN equals the same NaN. A round tests one
+type in one coding: several forms, each many times, shuffled. Rounds continue up to the given number of leaves.
 
     python benchmarks/bag_payloads.py --leaves 10000000
 """
@@ -48,12 +48,12 @@ TYPES = (
     "nav_msgs/msg/Odometry",
 )
 CODINGS = ("little", "big", "ros1")
-ROWS = 400  # messages of a form in a round
+ROWS = 400  # number of messages per form and round
 NAMES = {"bool": "?", "byte": "i1", "char": "u1"}
 
 
 class Maker:
-    """Random messages; those made with one seed of the form have equal texts and lengths."""
+    """Makes random messages; those with the same seed of the form have equal texts and lengths."""
 
     def __init__(self, types: Any, form: int, numbers: np.random.Generator) -> None:  # noqa: ANN401 - the library's
         self.types, self.form, self.numbers = types, random.Random(form), numbers
@@ -89,10 +89,10 @@ class Maker:
 
 
 def leaves(types: Any, value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:  # noqa: ANN401 - any message
-    """Yield every number, array and text of a message with the way to it."""
+    """Yield every number, array and text of a message with its path."""
     if hasattr(value, "__msgtype__"):
         for name, _ in types.get_msgdef(value.__msgtype__).fields:
-            if name != "structure_needs_at_least_one_member":  # not there in ROS 1
+            if name != "structure_needs_at_least_one_member":  # missing in ROS 1
                 yield from leaves(types, getattr(value, name), (*path, name))
     elif isinstance(value, list):
         for number, item in enumerate(value):
@@ -102,7 +102,7 @@ def leaves(types: Any, value: Any, path: tuple[str | int, ...] = ()) -> Iterator
 
 
 def same(theirs: Any, ours: Any) -> bool:  # noqa: ANN401 - numbers or arrays of them
-    """Return whether numbers are equal, bit by bit where both are kept in the same type (Python has but one float)."""
+    """Return whether numbers are equal, bit by bit if both have the same type (Python has only one float)."""
     left, right = (array.astype(array.dtype.newbyteorder("=")) for array in map(np.asarray, (theirs, ours)))
     if left.dtype == right.dtype:
         return left.shape == right.shape and left.tobytes() == right.tobytes()
@@ -110,7 +110,7 @@ def same(theirs: Any, ours: Any) -> bool:  # noqa: ANN401 - numbers or arrays of
 
 
 def compare(kind: str, coding: str, seed: int, count: Counter[str]) -> None:
-    """Make a round of payloads, decode them in both ways, count leaves and differences."""
+    """Make one round of payloads, decode them with both readers, and count leaves and differences."""
     channel = Channel(1, "/topic", kind, definition="", coding="ros1" if coding == "ros1" else "cdr")
     types, numbers = types_of(channel).store(kind), np.random.default_rng(seed)
     raws = []
@@ -139,11 +139,11 @@ def compare(kind: str, coding: str, seed: int, count: Counter[str]) -> None:
                 count["different"] += sum(not same(one, other) for one, other in zip(values, ours, strict=True))
         count["different"] += sum(one.keys() != theirs[0].keys() for one in theirs)
     count["payloads"] += len(raws)
-    count["different"] += len(raws) - rows  # none of these is broken, so each must come out
+    count["different"] += len(raws) - rows  # none is damaged, so each must be decoded
 
 
 def main() -> None:
-    """Compare until there are leaves enough; print the counts of each coding."""
+    """Compare up to the number of leaves; print the counts of each coding."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--leaves", type=int, default=10_000_000)
     parser.add_argument("--seed", type=int, default=0)

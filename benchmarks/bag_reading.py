@@ -1,11 +1,10 @@
-"""Reading bags: the usual loop of the rosbags library against the vectorised reader, interleaved, as ratios.
+"""Speed of reading bags: the usual loop with the rosbags library compared with the vectorised reader.
 
 Writes one recording (JointState 500 Hz, PoseStamped 125 Hz, Float64 100 Hz) as mcap, mcap with zstd chunks, ROS 1 bag,
-ROS 1 bag with lz4 chunks and db3; then reads each in both ways into the same arrays, every reading in a process of its
-own, one after the other, A B A B. What is printed is the median time and its ratio, on the wall and of the processor,
-and that both read the same numbers. A third row is the whole adapter: the arrays put into one table on one clock.
-Each process reads a second of the same recording before the clock starts: nothing is imported in the measured part, of
-none of the three.
+ROS 1 bag with lz4 chunks and db3; then reads each with both into the same arrays, each time in a separate process,
+alternating. Prints medians and ratios of wall and CPU time, and whether both read the same numbers. The third way is
+the whole adapter, which writes the arrays into one table with one clock. Each process first reads a recording of one
+second, so that imports are not measured.
 
     python benchmarks/bag_reading.py --seconds 180 --repeats 5
 """
@@ -44,7 +43,7 @@ BEGIN_NS = 1_700_000_000 * 10**9
 
 
 def moments(seconds: int) -> Iterator[tuple[int, str]]:
-    """Yield (time in ns, topic) of every message of the recording, in order of time."""
+    """Yield (time in ns, topic) of every message of the recording, by time."""
     times = [
         (BEGIN_NS + number * 10**9 // rate + late, topic)
         for late, (topic, (_, rate)) in enumerate(TOPICS.items())
@@ -54,7 +53,7 @@ def moments(seconds: int) -> Iterator[tuple[int, str]]:
 
 
 def message(types: Any, topic: str, time_ns: int, *, ros1: bool) -> object:  # noqa: ANN401 - the library's types
-    """Return the message of one topic at one moment."""
+    """Return the message of a topic at a time."""
     x = (time_ns - BEGIN_NS) * 1e-9
     if topic == SCALING:
         return types["std_msgs/msg/Float64"](data=float(int(x / 5) % 5) / 4)
@@ -99,7 +98,7 @@ def write(folder: Path, seconds: int) -> None:
 
 
 def by_rosbags(path: Path) -> list[np.ndarray[Any, Any]]:
-    """Read receive times, angles, speeds, places and scalings as one does with the library."""
+    """Return receive times, angles, speeds, positions and scalings, read with the rosbags library."""
     times: dict[str, list[int]] = {topic: [] for topic in TOPICS}
     angles, speeds, places, scalings = [], [], [], []
     with AnyReader([path]) as reader:
@@ -119,7 +118,7 @@ def by_rosbags(path: Path) -> list[np.ndarray[Any, Any]]:
 
 
 def by_groups(path: Path) -> list[np.ndarray[Any, Any]]:
-    """Read the same arrays group by group."""
+    """Return the same arrays, read by the vectorised reader."""
     from cyclekit_adapters.rosbag.container import opened
 
     parts: dict[str, list[np.ndarray[Any, Any]]] = {name: [] for name in (*TOPICS, "q", "qd", "xyz", "scaling")}
@@ -138,7 +137,7 @@ def by_groups(path: Path) -> list[np.ndarray[Any, Any]]:
 
 
 def whole(path: Path) -> list[np.ndarray[Any, Any]]:
-    """Read the same recording by the adapter; return how many rows it had."""
+    """Read the same recording with the adapter; return the number of rows."""
     from cyclekit.adapter import ReadOptions
     from cyclekit_adapters.rosbag import ADAPTER
 
@@ -149,8 +148,8 @@ READ = {"rosbags": by_rosbags, "vectorised": by_groups, "adapter": whole}
 
 
 def once(way: str, short: Path, path: Path) -> None:
-    """Read one bag in one way; print seconds, those of the processor, and a sum that tells if the numbers are alike."""
-    READ[way](short)  # whatever is imported with the first bag is there before the clock starts
+    """Read one bag in one way; print wall time, CPU time, s, and a checksum of the numbers."""
+    READ[way](short)  # imports happen before the measurement
     begin, cpu = time.perf_counter(), time.process_time()
     arrays = READ[way](path)
     seconds, cpu = time.perf_counter() - begin, time.process_time() - cpu
@@ -158,7 +157,7 @@ def once(way: str, short: Path, path: Path) -> None:
 
 
 def main() -> None:
-    """Write the bags, read them in turns, print the table."""
+    """Write the bags, read them alternately, print the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--seconds", type=int, default=180, help="length of the recording")
     parser.add_argument("--repeats", type=int, default=5)

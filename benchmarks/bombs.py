@@ -1,4 +1,4 @@
-"""Files made to break a reader (tests/reliability/bombs.py), each ingested with 1.5 GiB: what came of it, how soon.
+"""Ingests files made to break a reader (tests/reliability/bombs.py) with 1.5 GiB of memory; prints result and time.
 
 python benchmarks/bombs.py
 """
@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 
 def main() -> None:
-    """Make, ingest, tell."""
+    """Make and ingest the files, print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="part of the name of a bomb")
     parser.add_argument("--quick", action="store_true", help="without those that take tens of seconds")

@@ -1,10 +1,10 @@
-"""Causes of lost time: are they named, and how much is blamed on people that they did not cost?
+"""Causes of lost time: share attributed correctly, and share wrongly attributed to people.
 
-Each cell mixes all causes: people, the speed slider, reduced mode by an input, a limit on a stretch of the path, waits
-for parts, pauses and protective stops; what each cost every task is in `truth/tasks.parquet`. The logs are ingested as
-any logs. A second is named rightly where the table of tasks gives it to its cause within the same task, wrongly where
-it gives it to another cause, and else it is not known. With inferred scaling some motions are never seen at full speed:
-their lost seconds stay unknown.
+Each cell mixes all causes: people, the speed slider, reduced mode by an input, a limit on part of the path, waits for
+parts, pauses and protective stops; `truth/tasks.parquet` has the seconds of each cause per task. The logs are ingested
+without this. A lost second is correct if the table of tasks attributes it to its cause within the same task, wrong if
+to another cause, else unknown. With inferred scaling, some motions are never observed at full speed: their lost seconds
+remain unknown.
 
 The method was chosen on box-picking with seed 3, laser-zones with seeds 5 to 7 and scanner-visits with seed 4.
 
@@ -37,7 +37,7 @@ CASES = ((True, "at once"), (False, "at once"), (True, "ramps"))
 
 
 def compared(dataset: Dataset, logs: Path) -> pl.DataFrame:
-    """Return the tasks with what each cause cost as found and in truth (`true_...`), of those that both have."""
+    """Return the tasks found in both with the lost seconds per cause, estimated and true (`true_...`)."""
     truth = pl.read_parquet(logs / "truth" / "tasks.parquet").with_columns(lost_unknown_s=0.0)
     number = pl.DataFrame({"execution": dataset.executions["execution"]}).with_row_index("number")
     found = dataset.tasks().join(number, on="execution").with_columns(pl.col(COLUMNS).fill_null(0.0))
@@ -47,7 +47,7 @@ def compared(dataset: Dataset, logs: Path) -> pl.DataFrame:
 
 
 def judged(both: pl.DataFrame) -> dict[str, float]:
-    """Return lost seconds, shares of them named rightly and wrongly blamed on people, and the right ones by cause."""
+    """Return lost seconds, shares attributed correctly and wrongly to people, and the correct seconds by cause."""
     right = {name: float(both.select(pl.min_horizontal(name, f"true_{name}")).sum().item()) for name in COLUMNS}
     true = {name: float(both[f"true_{name}"].sum()) for name in COLUMNS}
     blamed = both.select((pl.col("lost_person_s") - pl.col("true_lost_person_s")).clip(0.0)).sum().item()

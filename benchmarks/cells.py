@@ -1,7 +1,7 @@
-"""What the measurements of `answer.py` share: logged cells with their models, and fresh executions, kept in a folder.
+"""Logged cells with their models, and fresh executions, shared by the benchmarks and stored in a folder.
 
-A cell is simulated, ingested and learned once; asked for again it is opened. Fresh executions are the truth: they come
-from random streams apart from those of the logs.
+A cell is simulated, ingested and learned once, then reused. Fresh executions are the ground truth; they have other
+random streams than the logs.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 FRESH_SEED = 1_000_000
-"""Seeds of sequences start here, far from those of the logs."""
+"""First seed of sequences, different from those of the logs."""
 JUDGED_SEED = 3_000_000
-"""Those of the sequences and fresh executions of `answer.py`: the method of its intervals was chosen on others."""
+"""First seed of the sequences and fresh executions of `answer.py`; the method of its intervals was chosen on others."""
 PLAIN = SimulationOptions()
 HARD = SimulationOptions(delta_m=0.05, dropout=0.1, log_override=False, clock_offset_s=0.05)
-"""Tracker noise, lost frames, no scaling in the log, and 50 ms of clock error that nobody tells."""
+"""Tracker noise, lost frames, no scaling in the log, and an undocumented clock error of 50 ms."""
 
 
 @dataclass(frozen=True)
 class Logged:
-    """A cell that was logged, and what was learned from it."""
+    """A logged cell with its dataset and model."""
 
     scene: str
     dataset: Dataset
@@ -70,9 +70,9 @@ def logged(
     rules: bool = False,
     epochs: int | None = None,
 ) -> Logged:
-    """Return a logged cell with its `now` model, with `rules` a rule beside it; made once per folder `work`.
+    """Return a logged cell with its `now` model, with `rules` also a rule; made once per folder `work`.
 
-    `epochs` of a network that no one asks, as a rule answers, can be few.
+    If the rule replaces the network, few `epochs` are enough.
     """
     dataset = dataset_of(work, scene, executions, seed=seed, options=options, kind=kind)
     folder = dataset.path.parent / ("model-and-rule" if rules else "model")
@@ -82,7 +82,7 @@ def logged(
 
 
 def newer_logs(work: Path, scene: str, kind: str, *, executions: int = 20, seed: int = 77) -> Dataset:
-    """Return logs of other operators, of the scene as it is now in BUILT_IN; made once per folder `work` and kind."""
+    """Return logs with other operators of the current scene in BUILT_IN; made once per folder `work` and kind."""
     folder = work / f"{scene}-newer-{executions}-{seed}-{kind}"
     if not (folder / "dataset").is_dir():
         simulate(scene, folder / "logs", executions=executions, seed=seed)
@@ -99,7 +99,7 @@ def average_model(work: Path, cell: Logged) -> TrainedModel:
 
 
 def unseen_sequences(dataset: Dataset, scene: str, count: int, *, first: int = FRESH_SEED) -> list[TaskSequence]:
-    """Return `count` random sequences of the scene whose tasks were all logged and which no execution followed."""
+    """Return `count` random sequences of the scene that were never logged but whose tasks all were."""
     followed = {entry.places for entry in dataset.card.executions}
     tasks = set(dataset.tasks()["task"])
     found: list[TaskSequence] = []
@@ -124,17 +124,17 @@ def fresh(
 ) -> pl.DataFrame:
     """Return fresh executions of a sequence, one row per task; simulated once per folder `work`.
 
-    `paired`: the same operators for every sequence, so that sequences can be compared by few executions.
+    `paired`: the same operators for every sequence, so that few executions suffice to compare sequences.
 
     Returns:
-        Columns execution, index (of the task), s (how long it took).
+        Columns execution, index (of the task), s (duration).
     """
     name = hashlib.sha256(" ".join([scene, kind, str(executions), *places]).encode()).hexdigest()[:16]
     file = work / "fresh" / f"{name}{'-paired' if paired else ''}.parquet"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
         seed = JUDGED_SEED + (0 if paired else int(name[:6], 16))
-        cell, options = set_up(scene, options)  # with the response and the fields of the scene, as the logs have them
+        cell, options = set_up(scene, options)  # with the response and the fields of the scene, as in the logs
         run = prepare(cell, seed, options, executions=executions, places=places)
         rows = pl.DataFrame([row for trace in run_alone(run, run.executions) for row in task_rows(trace, 0.0)])
         rows.select("execution", "index", s=pl.col("end_s") - pl.col("start_s")).write_parquet(file)
@@ -142,11 +142,11 @@ def fresh(
 
 
 def durations_of(rows: pl.DataFrame) -> NDArray[np.float64]:
-    """Return how long each of the `fresh` executions took, shape (executions,), s."""
+    """Return the duration of each of the `fresh` executions, shape (executions,), s."""
     return rows.group_by("execution", maintain_order=True).agg(pl.col("s").sum())["s"].to_numpy()
 
 
 def means_by_task(rows: pl.DataFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean of each task over `fresh` executions and its standard error, shape (tasks,) each, s."""
+    """Return the mean duration of each task over `fresh` executions and its standard error, shape (tasks,) each, s."""
     found = rows.group_by("index").agg(mean=pl.col("s").mean(), off=pl.col("s").std() / pl.len().sqrt()).sort("index")
     return found["mean"].to_numpy(), found["off"].to_numpy()

@@ -1,11 +1,11 @@
-"""What-if of changes of `scanner-visits` against simulating them: thresholds, rectangle, both, recovery, hysteresis.
+"""Compares what-if estimates for `scanner-visits` with simulations: thresholds, rectangle, both, recovery, hysteresis.
 
     python benchmarks/changes.py --executions 60 --fresh 600 --seeds 1 2 3 --work FOLDER
 
-What a change saves is told against simulating it twice: beside the very tracks of the logged operators that the
-estimate rests on, and beside fresh operators. The first difference is what the method is off, with its standard error
-from one operator to the next; the second is the luck of which operators were logged. `as it is` writes the true safety
-function down; it saves nothing. What is changed is the rule read from the logs.
+The saved time of a change is compared with two simulations: with the same tracks of logged operators as the estimate,
+and with fresh operators. The first difference is the error of the method, with its standard error over operators; the
+second is the sampling error of the logged operators. `as it is` specifies the true safety function, which saves
+nothing. The changes are made to the rule read from the logs.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 OUT = Console(width=150)
 LONG_S = 300.0
-"""Longer than any cycle here."""
+"""Duration of the operators' tracks, longer than any cycle, s."""
 LEVELS = (0.0, 0.3, 0.6, 1.0)
 NOW_M, NEARER_M = (0.8, 1.2, 1.7), (0.8, 1.2, 1.45)
 X_M, Y_M = (0.9, 2.3), (-0.6, 1.1)
@@ -77,7 +77,7 @@ def scene_of(thresholds_m: tuple[float, ...], zone: bool) -> Scene:
 
 @dataclasses.dataclass(frozen=True)
 class Operators:
-    """Whom a cell is simulated beside: the tracks that an estimate rests on, or else the first operators of a seed."""
+    """Operators of a simulation: the tracks of an estimate, or the first operators of a seed."""
 
     seed: int
     count: int
@@ -85,19 +85,19 @@ class Operators:
 
     @property
     def entries(self) -> int:
-        """How often each operator is entered."""
+        """Number of cycles, with different starting times, per operator."""
         return 1 if self.tracks is None else len(self.tracks.executions) // self.count
 
 
 @dataclasses.dataclass(frozen=True)
 class Followed:
-    """An operator as an estimate has him: x_h on a grid of time, shape (T, 3), m."""
+    """Operator on a track of an estimate: x_h on a grid of time, shape (T, 3), m."""
 
     xyz_m: np.ndarray
     step_s: float
 
     def at(self, t_s: np.ndarray) -> np.ndarray:
-        """Return positions (M, 3), m, at times (M,), s; NaN: nobody."""
+        """Return positions (M, 3), m, at times (M,), s; NaN = no operator."""
         place = np.clip(t_s / self.step_s, 0.0, len(self.xyz_m) - 1.001)
         sample = place.astype(np.int64)
         here, after = self.xyz_m[sample], self.xyz_m[sample + 1]
@@ -105,7 +105,7 @@ class Followed:
         return np.where(np.isnan(between), here, between)
 
     def presses(self, until_s: float) -> list[Press]:
-        """Return no task."""
+        """Return an empty list: no button is pressed."""
         del until_s
         return []
 
@@ -113,7 +113,7 @@ class Followed:
 def simulated(
     wanted: Sequence[TaskSequence], scene: Scene, options: SimulationOptions, sides: Sequence[Operators]
 ) -> list[np.ndarray]:
-    """Return per side the mean duration of each sequence beside each operator, shape (sequences, operators), s."""
+    """Return per side the mean duration of each sequence with each operator, shape (sequences, operators), s."""
     programs, tracks = [], []
     pairs = {pair for each in wanted for pair in pairwise(each.places)}
     table = plan_moves(scene.places, pairs)
@@ -133,7 +133,7 @@ def simulated(
 
 
 def operator_of(scene: Scene, side: Operators, index: int, entry: int) -> Track:
-    """Return the operator of an execution, entered there; a fresh one as `plan` draws him."""
+    """Return the operator of an execution from a starting time; a fresh one is drawn as by the simulator's `plan`."""
     if side.tracks is not None:
         return Followed(side.tracks.xyz_m[entry * side.count + index], side.tracks.step_s)
     rng = stream(side.seed, scene, OPERATOR, index, domain=FRESH)
@@ -142,15 +142,16 @@ def operator_of(scene: Scene, side: Operators, index: int, entry: int) -> Track:
 
 
 def beside(dataset: Dataset, seed: int, fresh: int, model: SafetyModel) -> tuple[Operators, Operators]:
-    """Return the operators of an estimate from these logs, and so many fresh ones."""
+    """Return the operators of an estimate from these logs, and `fresh` other ones."""
     tracks = operator_tracks(dataset, horizon_s=LONG_S, phases=check_rollout(model, dataset).phases)
     return Operators(seed, len(set(tracks.executions)), tracks), Operators(JUDGED_SEED, fresh)
 
 
 def of_set(work: Path, asked: argparse.Namespace, seed: int) -> list[np.ndarray]:
-    """Return per case what it saves and how sure that is, as part of the cycle, shape (4, sequences).
+    """Return per case the saved share of the cycle, shape (4, sequences).
 
-    Told, beside logged operators, beside fresh ones, and the standard error of the first less the second.
+    Rows: estimated, simulated with logged operators, simulated with fresh operators, and the standard error of the
+    difference of the first two.
     """
     cell = logged(work, SCENE, asked.executions, seed=seed, options=HARD, kind="visits", rules=True, epochs=1)
     wanted = unseen_sequences(cell.dataset, SCENE, asked.sequences, first=JUDGED_SEED)
@@ -162,7 +163,7 @@ def of_set(work: Path, asked: argparse.Namespace, seed: int) -> list[np.ndarray]
         mine = {entry.before.name: entry for entry in found if entry.change == change.name}
         told = np.array([_saved(mine[each.name], sides[0].count) for each in wanted])
         then = simulated(wanted, scene_of(thresholds_m, zone), options, sides)
-        now = now or then  # the first case is the cell as it is
+        now = now or then  # the first case is the unchanged cell
         logs, fresh = (
             (before_s - after_s) / before_s.mean(axis=1, keepdims=True)
             for after_s, before_s in zip(then, now, strict=True)
@@ -174,7 +175,7 @@ def of_set(work: Path, asked: argparse.Namespace, seed: int) -> list[np.ndarray]
 
 
 def _saved(entry: WhatIf, operators: int) -> np.ndarray:
-    """Return what is said to be saved beside each operator, as part of the cycle, shape (operators,)."""
+    """Return the estimated saved share of the cycle for each operator, shape (operators,)."""
     saved_s = np.array(entry.before.durations_s) - np.array(entry.after.durations_s)
     return np.asarray(saved_s.reshape(-1, operators).mean(axis=0) / entry.before.expected_s)
 

@@ -1,15 +1,15 @@
-"""Cells where robot and operator wait for each other: expected cycle times of orders never logged, waits, conditions.
+"""Cells where robot and operator wait for each other: expected cycle times of new orders, waits, wait conditions.
 
-Each scene is logged with its signals, by positions alone, and as a task list; then with waits in half of the joint
-tasks, and as if nobody waited for anybody.
-Orders of both agents that no execution followed are held against fresh executions. Beside the estimate stand the sums
-of logged durations of the robot's tasks (history) and the estimate of a model that knows no conditions.
+Each scene is logged with its signals, with positions only, and as a task list; then with waits in half of the joint
+tasks, and without waits. Estimates for orders of both agents that were never logged are compared with fresh executions.
+Also printed: the sums of logged durations of the robot's tasks (history), and the estimate of a model without wait
+conditions.
 
     python benchmarks/coupling.py --work DIR [--scenes shared-fixture] [--kinds signals positions list half uncoupled]
         [--executions 60 200] [--seeds 1 2] [--orders 8] [--fresh 1000] [--plans]
 
-With --plans the order that `plan` chooses is held against the best of all orders of a small set of jobs: one half of
-the fresh executions says which is best, the other half by how much the chosen one is slower.
+With --plans, the order chosen by `plan` is compared with the best of all orders of a small set of jobs: one half of the
+fresh executions determines the best, the other half how much slower the chosen one is.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 OUT = Console(width=190)
 PLANS = 1000
-"""Number of the first of the orders with which plans are judged."""
+"""Number of the first order used to judge plans."""
 KINDS = {
     "signals": SimulationOptions(),
     "positions": SimulationOptions(signals=False),
@@ -60,7 +60,7 @@ HEAD = ("cell", "logged", "mean |error|, %", "bias, %", "worst, %", "no conditio
 
 @dataclasses.dataclass
 class Row:
-    """What one estimate of one order gave: relative errors, what its intervals hold, and waits as (true, expected)."""
+    """Results of one order: relative errors, coverage of the intervals, and waits as (true, expected), s."""
 
     error: float
     plain: float
@@ -74,7 +74,7 @@ class Row:
 def fresh(asked: argparse.Namespace, scene: str, order: Order, number: int, strength: float) -> NDArray[np.float64]:
     """Return duration, robot's wait and operator's wait of fresh executions (3, N), s; simulated once.
 
-    Where nobody waits for anybody, the cycle is over when the robot is back home.
+    Without waits, the cycle ends when the robot is home.
     """
     file = asked.work / "fresh-coupled" / f"{scene}-{strength:g}-{number}-{asked.fresh}.npy"
     if not file.is_file():
@@ -87,18 +87,18 @@ def fresh(asked: argparse.Namespace, scene: str, order: Order, number: int, stre
 
 
 def unseen_orders(asked: argparse.Namespace, scene: str) -> list[tuple[int, Order]]:
-    """Return orders as the scene draws them from a seed far from those of the logs; none of them was logged."""
+    """Return random orders of the scene that were never logged, from another seed than the logs."""
     return list(enumerate(random_orders(scene, JUDGED_SEED, asked.orders)))
 
 
 def plan_of(name: str, order: Order) -> TaskSequence:
-    """Return a plan for both: goals of the robot, places of the operator."""
+    """Return a plan for both agents: goals of the robot, places of the operator."""
     tasks = [PlannedTask("robot", place) for place in order["robot"][1:]]
     return TaskSequence.of_plan(name, tasks + [PlannedTask("operator", place) for place in order["operator"]])
 
 
 def rows_of(asked: argparse.Namespace, scene: str, kind: str, executions: int, seed: int) -> tuple[list[Row], int, int]:
-    """Return the rows of one set of logs, conditions missed and conditions invented."""
+    """Return the rows of one set of logs, and the numbers of conditions missed and invented."""
     options = KINDS[kind]
     if kind == "list":
         return _listed(asked, scene, executions, seed)
@@ -151,7 +151,7 @@ def rows_of(asked: argparse.Namespace, scene: str, kind: str, executions: int, s
 
 
 def _listed(asked: argparse.Namespace, scene: str, executions: int, seed: int) -> tuple[list[Row], int, int]:
-    """As `rows_of`, from a task list."""
+    """Return the same as `rows_of`, from a task list."""
     data = dataset_of(asked.work, scene, executions, seed=seed, options=KINDS["list"], kind="list")
     model = learn.learn_task_times(data)
     there = {(str(each["task"]), str(each["needs"]), each["back"]) for each in listed_conditions(COUPLED[scene])}
@@ -177,7 +177,7 @@ def _listed(asked: argparse.Namespace, scene: str, executions: int, seed: int) -
 
 
 def compared(card: CouplingCard | None, scene: str, kind: str) -> tuple[int, int]:
-    """Return how many true conditions were missed, and how many found that are not true; tell what was found."""
+    """Return the numbers of true conditions missed and of false ones found; print those found."""
     known = KINDS[kind].signals
     there = {_true(each, known) for each in conditions(COUPLED[scene])} if KINDS[kind].coupling else set()
     got = set()
@@ -203,7 +203,7 @@ def _true(condition: dict[str, object], signals: bool) -> tuple[object, ...]:
 
 
 def small_jobs(scene: str) -> Jobs:
-    """Return three joint tasks and one of its own for each agent."""
+    """Return three joint tasks and one separate task for each agent."""
     rows = []
     for jobs in (COUPLED[scene].robot_jobs, COUPLED[scene].operator_jobs):
         joint, own, *_ = jobs.values()
@@ -212,7 +212,7 @@ def small_jobs(scene: str) -> Jobs:
 
 
 def every_pair(scene: str) -> list[Order]:
-    """Return all orders of both agents that `small_jobs` allow."""
+    """Return all orders of both agents that `small_jobs` allows."""
     jobs = small_jobs(scene)
     robots, operators = (
         [[place for job in order for place in job.split(ROW)] for order in sorted(set(permutations(some)))]
@@ -226,7 +226,7 @@ def every_pair(scene: str) -> list[Order]:
 
 
 def planned(asked: argparse.Namespace, scene: str, executions: int, seed: int) -> tuple[str, ...]:
-    """Return by how much the order that `plan` chooses is slower than the best, and the spread of all orders, %."""
+    """Return how much slower than the best the order chosen by `plan` is, and the spread of all orders, %."""
     cell = logged(asked.work, scene, executions, seed=seed, options=KINDS["signals"], kind="signals", rules=True)
     found = plan_order(cell.model, cell.dataset, small_jobs(scene), validate=False)
     chosen = {"robot": found.places, "operator": ("rest", *(found.operator or ()))}
@@ -246,7 +246,7 @@ def _refuse(sequence: TaskSequence, error: Exception) -> None:
 
 
 def main() -> None:
-    """Print a row for each cell, kind of logs and number of executions."""
+    """Print one row per cell, kind of logs and number of executions."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--scenes", nargs="+", default=list(COUPLED))

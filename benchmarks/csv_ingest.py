@@ -1,13 +1,12 @@
-"""Ingest of a large UR log beside what polars needs to read the whole file and to make the 10 Hz table alone.
+"""Ingest of a large UR log, compared with the time that polars needs to read the file and to make the 10 Hz table.
 
     python benchmarks/csv_ingest.py [--rows 830000] [--repeats 3]
 
-The log has 500 rows a second and 71 columns, full-precision doubles, space-delimited, as UR's `record.py` writes it.
-Each way runs in a process of its own, in turn (A B C, A B C), with the bytecode that an installed package has, and the
-first round does not count: polars reading the file; the bare pipeline (scan, means
-of 0.1 s, Parquet) of ten columns and of the 22 that `cyclekit convert` knows, each beside `convert` of the same;
-`cyclekit ingest` without and with checksums. Each once as it is, from the start of the process to its end, and once
-with what it imports imported before the clock starts: the work alone.
+The log has 500 rows per second and 71 columns of full-precision doubles, space-delimited, as written by UR's
+`record.py`. Ways: polars reading the file; a minimal pipeline (scan, means of 0.1 s, Parquet) of ten columns and of the
+22 that `cyclekit convert` knows, each also with `convert`; `cyclekit ingest` without and with checksums. Each run is a
+separate process; ways alternate (A B C, A B C), with compiled bytecode, and the first round is discarded. Each way is
+measured from start to end of the process, and again without imports (work alone).
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ TEN = ["timestamp", *(f"actual_TCP_{kind}_{i}" for kind in ("pose", "speed") for
 TEN += ["speed_scaling", "target_speed_fraction", "runtime_state"]
 KNOWN = [*TEN, *(f"actual_{kind}_{i}" for kind in ("q", "qd") for i in range(6))]
 SAMPLED = "tcp_x_m,tcp_y_m,tcp_z_m,tcp_speed_m_s,scaling,slider,state"
-"""What is made of those ten: all that a sample needs to know of the robot."""
+"""Columns made from those ten: everything about the robot that a sample needs."""
 BARE = """
 names = {names!r}
 log = pl.scan_csv({log!r}, separator=' ').select(names)
@@ -44,7 +43,7 @@ import cyclekit.ingest.convert, cyclekit.ingest.ingest, cyclekit.storage.parquet
 from cyclekit.ingest.registry import adapters
 adapters(), app()
 """
-"""All that the commands import on their way, which is what a program that calls them a second time has there."""
+"""All imports of the commands, as in a program that calls them a second time."""
 TIMED = """
 import time
 began, used = time.perf_counter(), time.process_time()
@@ -54,7 +53,7 @@ print(time.perf_counter() - began, time.process_time() - used)
 
 
 def write(file: Path, rows: int) -> None:
-    """Write the log: a tool on a circle, a staircase with ramps, noise."""
+    """Write the log: a TCP on a circle, a staircase with ramps, noise."""
     rng = np.random.default_rng(0)
     groups = [
         f"{kind}_{name}" for kind in ("target", "actual") for name in ("q", "qd", "current", "TCP_pose", "TCP_speed")
@@ -75,7 +74,7 @@ def write(file: Path, rows: int) -> None:
 
 
 def run(words: list[str], bytecode: Path) -> tuple[tuple[float, float, float], str]:
-    """Return wall seconds, processor seconds (children included) and peak MiB of a process, and what it printed."""
+    """Return wall time, CPU time (with children), s, and peak memory, MiB, of a process, and its output."""
     around = {**os.environ, "PYTHONPYCACHEPREFIX": str(bytecode), "PYTHONDONTWRITEBYTECODE": ""}
     began = time.perf_counter()
     process = subprocess.Popen(words, stdout=subprocess.PIPE, env=around, text=True)
@@ -87,7 +86,7 @@ def run(words: list[str], bytecode: Path) -> tuple[tuple[float, float, float], s
 
 
 def ways_of(log: str, out: str) -> dict[str, tuple[list[str], str]]:
-    """Return by name the words of each way from start to end, and the program that times its work alone."""
+    """Return by name the command line of each way, and the program that times its work alone."""
     thin = ["convert", log, "--rate", "10", "--quiet", "--out"]
     into = ["ingest", log, "--quiet", "--out"]
     return {
@@ -102,18 +101,18 @@ def ways_of(log: str, out: str) -> dict[str, tuple[list[str], str]]:
 
 
 def by_polars(work: str) -> tuple[list[str], str]:
-    """Return both ways to have some lines of polars run."""
+    """Return command line and timing program for lines of polars."""
     return [sys.executable, "-c", f"{POLARS_IMPORTS}\n{work}"], POLARS_IMPORTS + TIMED.format(work=work)
 
 
 def by_cyclekit(words: list[str]) -> tuple[list[str], str]:
-    """Return both ways to have a command run."""
+    """Return command line and timing program for a command of cyclekit."""
     work = f"run({words!r}) and sys.exit('failed')"
     return [sys.executable, "-m", "cyclekit", *words], CYCLEKIT_IMPORTS + TIMED.format(work=work)
 
 
 def main() -> None:
-    """Print the table: medians."""
+    """Print a table of medians."""
     ask = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     ask.add_argument("--rows", type=int, default=830_000)
     ask.add_argument("--repeats", type=int, default=3)
@@ -143,7 +142,7 @@ def main() -> None:
 
 
 def clear(out: str) -> None:
-    """Remove what was written: a dataset that is up to date would not be made again."""
+    """Remove the output: an up-to-date dataset would not be made again."""
     for dataset in (out + "5", out + "6"):
         shutil.rmtree(dataset, ignore_errors=True)
 

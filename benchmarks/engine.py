@@ -1,10 +1,10 @@
-"""What an engine costs beside the work: fixed, per task, and with one or two workers.
+"""Overhead of an engine: fixed, per task, and with one or two workers.
 
     python benchmarks/engine.py --tasks 2000 --cells 8 --executions 20
 
-Every measurement is a process of its own, as a command is; the engines take turns, so that other work on the machine
-hits them alike. The work is the ingest of so many cells, one a task. `here` does it without a worker. Ray starts a
-cluster of its own and, with --address, uses one that runs.
+Every measurement is a separate process, like a command; the engines alternate, so that other load on the machine
+affects all. The work is the ingest of `--cells` cells, one per task. `here` runs without workers. Ray starts its own
+cluster and, with --address, uses a running one.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from cyclekit.parallel.engine import Engine
 
 
 def measured(what: str, engine: str, jobs: int, address: str | None, folder: str) -> dict[str, float]:
-    """Run one measurement in this process; return seconds, and of tasks the milliseconds for each."""
+    """Run one measurement in this process; return seconds, for tasks milliseconds per task."""
     begin = time.perf_counter()
     chosen = Engine("ray", jobs, address) if engine == "ray" else Engine(jobs=jobs)
     if what == "ingest":
-        file = Path(folder) / f"{engine}-{jobs}-{os.getpid()}.toml"  # its name is where the results go
+        file = Path(folder) / f"{engine}-{jobs}-{os.getpid()}.toml"  # the results go to a folder of this name
         file.write_text((Path(folder) / "cells.toml").read_text(encoding="utf-8"), encoding="utf-8")
         rows = run_fleet(load_fleet(file), ["ingest"], engine=chosen).rows
         assert all(row.state == "done" for row in rows)
@@ -46,14 +46,14 @@ def measured(what: str, engine: str, jobs: int, address: str | None, folder: str
 
 
 def in_a_process(*words: object) -> dict[str, float]:
-    """Run one measurement in a process of its own."""
+    """Run one measurement in a separate process."""
     typed = [sys.executable, __file__, "--measure", json.dumps([str(word) for word in words])]
     done = subprocess.run(typed, capture_output=True, text=True, check=True)
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
 def cells_in(folder: Path, cells: int, executions: int) -> None:
-    """Simulate one cell, and write a fleet file in which it stands so many times."""
+    """Simulate one cell, and write a fleet file that lists it `cells` times."""
     words = ["simulate", "box-picking", "--out", str(folder / "logs"), "--executions", str(executions), "-q"]
     assert run(words) == 0
     entries = [f'[[cell]]\nname = "cell-{number}"\nsources = ["logs"]\n' for number in range(cells)]

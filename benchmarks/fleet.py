@@ -1,10 +1,10 @@
-"""Many simulated cells through `cyclekit fleet all`, by one command, with the memory of the driver watched.
+"""Runs `cyclekit fleet all` on many simulated cells and measures the memory of the driver.
 
     python benchmarks/fleet.py --cells 100 --executions 20 --jobs 2
 
-Every cell is simulated with a seed of its own, or the first --distinct of them. The command runs as a user would start
-it; beside it the resident memory of its first process (the driver) and of all its processes is read twenty times a
-second. Run it with fewer and with more cells: the driver's memory must not follow.
+Every cell is simulated with its own seed, or only the first --distinct of them. The resident memory of the command's
+first process (the driver) and of all its processes is read twenty times per second. Run it with fewer and with more
+cells: the driver's memory must not grow.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cyclekit.cli import run
 
 
 def cells_in(folder: Path, count: int, executions: int, epochs: int, distinct: int) -> Path:
-    """Simulate cells that are not there yet, and write the fleet file."""
+    """Simulate the missing cells, and write the fleet file."""
     text = f'[fleet]\nname = "Benchmark"\nout = "out-{count}"\n' + (f"epochs = {epochs}\n" if epochs else "")
     for number in range(count):
         name, logs = f"cell-{number:03d}", f"logs/cell-{number % (distinct or count):03d}"
@@ -34,7 +34,7 @@ def cells_in(folder: Path, count: int, executions: int, epochs: int, distinct: i
 
 
 def memory_mb(process: int) -> float:
-    """Return the resident memory of a process, MB; 0 when it has ended."""
+    """Return the resident memory of a process, MB; 0 if it has ended."""
     try:
         status = Path(f"/proc/{process}/status").read_text(encoding="ascii")
     except OSError:
@@ -44,7 +44,7 @@ def memory_mb(process: int) -> float:
 
 
 def children_of(process: int) -> list[int]:
-    """Return the processes that a process has started."""
+    """Return the child processes of a process."""
     try:
         return [int(word) for word in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
     except OSError:
@@ -52,7 +52,7 @@ def children_of(process: int) -> list[int]:
 
 
 def main() -> None:
-    """Run the command and say what it took."""
+    """Run the command and print its time and memory."""
     parse = argparse.ArgumentParser()
     parse.add_argument("--cells", type=int, default=8)
     parse.add_argument("--executions", type=int, default=20)

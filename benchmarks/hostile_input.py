@@ -1,9 +1,9 @@
-"""Random cards, manifests, cell files, sequence files and names: what comes of each, counted.
+"""Counts the results of random cards, manifests, cell files, sequence files and names.
 
-Each input is a real one with one or two places replaced by hostile values (Hypothesis draws both), or any JSON, or
-any bytes. It is opened as the commands open it, in this process, and what a command would print is printed. Counted are
-tracebacks (any exception but CyclekitError), data read from or written outside of the folder it belongs to, and control
-characters that would reach the terminal raw. All three must be 0.
+Each input is a valid one with one or two values replaced by hostile ones (drawn by Hypothesis), or any JSON, or any
+bytes. It is opened as by the commands, in this process, and their output is printed. Counted: tracebacks (any exception
+except CyclekitError), data read or written outside of its folder, and unescaped control characters in the output. All
+three must be 0.
 
     python benchmarks/hostile_input.py [--examples 2000] [--seed 0]
 """
@@ -66,7 +66,7 @@ from cyclekit.storage.remote.folders import local
 from cyclekit.storage.remote.manifest import MANIFEST, part_of
 
 RAW = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]|^FORGED", re.MULTILINE)
-"""Steers a terminal, turns text around, or is a line of its own that nobody printed."""
+"""Control characters, characters that reverse text, and forged lines."""
 _HEALTH = list(HealthCheck)
 URL = "memory://bucket/folder"
 TABLE = "t,x,y,z\n" + "".join(f"{k / 10:.1f},0.{k % 10},0,0\n" for k in range(20))
@@ -74,7 +74,7 @@ TABLE = "t,x,y,z\n" + "".join(f"{k / 10:.1f},0.{k % 10},0,0\n" for k in range(20
 
 @dataclass
 class Count:
-    """What came of the inputs of one kind."""
+    """Counts for one kind of input."""
 
     inputs: int = 0
     accepted: int = 0
@@ -86,7 +86,7 @@ class Count:
 
 
 class Lab:
-    """The folders that inputs are put into, and what is tried with each kind."""
+    """Folders for the inputs, and the test of each kind."""
 
     def __init__(self, folder: Path) -> None:
         from fabricated import fabricate_dataset
@@ -103,7 +103,7 @@ class Lab:
         os.environ["CYCLEKIT_CACHE"] = str(folder / "in" / "cache")
 
     def kinds(self) -> dict[str, tuple[st.SearchStrategy[Any], Callable[[Any], Iterator[str]]]]:
-        """Return of each kind how inputs are drawn, and what is done with one; it yields what a command would print."""
+        """Return by kind the strategy that draws inputs, and the test, which yields what a command would print."""
         card = json.loads((self.dataset / "dataset.json").read_text(encoding="utf-8"))
         card |= {"settings": {"furniture": {"table": {"xyz_m": [0, 0, 0], "size_m": [1, 1, 1], "yaw_deg": 0}}}}
         model = json.loads((self.model / "model.json").read_text(encoding="utf-8"))
@@ -118,7 +118,7 @@ class Lab:
         }
 
     def open_dataset(self, content: bytes) -> Iterator[str]:
-        """Open a dataset with this card, and look at what a command shows of it."""
+        """Open a dataset with this card, and yield what commands show of it."""
         (self.dataset / "dataset.json").write_bytes(content)
         found = Dataset.open(self.dataset)
         yield page(describe(self.dataset))
@@ -136,7 +136,7 @@ class Lab:
         yield page(describe(self.model))
 
     def fetch(self, content: bytes) -> Iterator[str]:
-        """Fetch the folder with this manifest; what it calls its parts is there."""
+        """Fetch the folder with this manifest; the parts it names exist."""
         _put(self.memory | {MANIFEST: content} | forged_parts(content, self.memory))
         before = self._beside_the_copy()
         try:
@@ -158,7 +158,7 @@ class Lab:
         file = self.folder / "cell.toml"
         file.write_bytes(content)
         found = load_cell(file)
-        json.dumps(found, default=lambda value: vars(value), allow_nan=False)  # as the card of the dataset keeps it
+        json.dumps(found, default=lambda value: vars(value), allow_nan=False)  # as stored in the dataset's card
         yield f"{found.name} {', '.join(found.places)}"
 
     def open_sequences(self, content: bytes) -> Iterator[str]:
@@ -169,14 +169,14 @@ class Lab:
             yield f"{found.shown}: {', '.join(found.tasks)}"
 
     def name_log(self, name: str) -> Iterator[str]:
-        """Find a log of this name, and write a file of this name."""
+        """Find a log with this name, and write a file with this name."""
         shutil.rmtree(self.logs, ignore_errors=True)
         self.logs.mkdir()
         file = self.logs / f"{name.replace('/', '_')}.csv"
         try:
             file.write_text(TABLE, encoding="utf-8")
         except (OSError, ValueError):
-            return  # no such file can be
+            return  # the system allows no such file
         logs, _ = find_all([self.logs], load_cell(_cell_beside(self.logs)))
         for log in logs:
             if not re.fullmatch(r"[A-Za-z0-9_.-]+", log.id) or log.id in (".", ".."):
@@ -206,7 +206,7 @@ def _model() -> TrainedModel:
 
 
 def _published() -> dict[str, bytes]:
-    """Return the objects of a published folder by name, the manifest among them, and one beside the folder."""
+    """Return the objects of a published folder by name, with its manifest, and one outside of the folder."""
     contents = {"a.txt": b"one", "b/c.txt": b"two"}
     files = {name: entry_of(part_of(name, sha256(data).hexdigest()), data) for name, data in contents.items()}
     objects = {files[name]["part"]: data for name, data in contents.items()}
@@ -223,7 +223,7 @@ def _put(objects: dict[str, bytes]) -> None:
 
 
 def attempt(content: object, kind: Callable[[Any], Iterator[str]], count: Count) -> None:
-    """Try one input, and count what comes of it."""
+    """Try one input, and count the result."""
     said, errors = io.StringIO(), io.StringIO()
     count.inputs += 1
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(errors):
@@ -239,7 +239,7 @@ def attempt(content: object, kind: Callable[[Any], Iterator[str]], count: Count)
             count.accepted += 1
         except CyclekitError as error:
             say_failure(str(error), kind=type(error).__name__, as_json=False)
-        except Exception as error:  # what a user would see as a traceback
+        except Exception as error:  # a traceback for the user
             where = traceback.extract_tb(error.__traceback__)[-1]
             named = f"{type(error).__name__} in {Path(where.filename).name}:{where.lineno}"
             count.tracebacks[named] += 1
@@ -257,7 +257,7 @@ def _trial(kind: Callable[[Any], Iterator[str]], count: Count) -> Callable[[Any]
 
 
 def run(examples: int, number: int, only: Collection[str] | None = None) -> dict[str, Count]:
-    """Try so many inputs of each kind, all of them or only some, and return what came of them."""
+    """Try `examples` inputs of each kind (or of some kinds), and return the counts."""
     counts: dict[str, Count] = {}
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         lab = Lab(Path(folder))
@@ -276,7 +276,7 @@ def run(examples: int, number: int, only: Collection[str] | None = None) -> dict
 
 
 def main() -> None:
-    """Try them and print the table."""
+    """Try the inputs and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--examples", type=int, default=2000, help="inputs of each of six kinds")
     parser.add_argument("--seed", type=int, default=0)

@@ -1,10 +1,10 @@
-"""What it costs that nobody logged the override: networks and cycle times from inferred instead of logged scaling.
+"""Effect of a missing override: networks and cycle times from inferred instead of logged scaling.
 
     python benchmarks/inferred_networks.py [--executions 100] [--scenes box-picking,...] [--seeds 3]
 
 The same executions (ramps 2.5/s, reaction time 0.1 s, encoder noise of a real UR5) are logged with and without the
-override. Both datasets train the same network; both networks are judged on other executions whose override was logged,
-and both answer what unseen sequences take: means over the seeds, and how much one seed moves them from another.
+override. The same network is trained on both datasets, and evaluated on other executions with a logged override and on
+expected cycle times of sequences that were never logged: means over the seeds, and the spread between seeds.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ REAL = SimulationOptions(ramp_down_per_s=2.5, ramp_up_per_s=2.5, latency_s=0.1, 
 
 
 def networks(cell: Logged, seeds: int) -> list[TrainedModel]:
-    """Return a network for each seed."""
+    """Return one network per seed."""
     return [train(cell.dataset, ModelSpec.of(problem="now", seed=seed)) for seed in range(seeds)]
 
 
@@ -40,10 +40,10 @@ def errors(models: list[TrainedModel], judge: Logged) -> list[float]:
 
 
 def expected_s(model: TrainedModel, cell: Logged, sequence: TaskSequence) -> float:
-    """Return what a sequence is expected to take; NaN where that is refused."""
+    """Return the expected cycle time of a sequence, s; NaN if it is refused."""
     try:
         return estimate(model, cell.dataset, [sequence])[0].expected_s
-    except EstimateError:  # a task of it was never seen at full speed, or not often enough
+    except EstimateError:  # one of its tasks was never or too rarely observed at full speed
         return np.nan
 
 

@@ -1,8 +1,8 @@
-"""kill -9 at random moments of every command that writes: afterwards the old result is there, or the new one.
+"""Kills every writing command with kill -9 at random times: afterwards, either the old or the new result must exist.
 
-Each command writes over an earlier result again and again; each time it is killed at a moment spread evenly over how
-long it takes when left alone. After each kill the result is read: it must be one of the two whole ones. At the end the
-command runs once to its end without help, and nothing else may lie beside its result.
+Each command repeatedly overwrites an earlier result and is killed at times spread evenly over its usual duration. After
+each kill the result is read: it must be one of the two complete ones. Finally the command runs once to its end, and no
+other files may remain next to its result.
 
     python benchmarks/kill_nine.py --times 200
 """
@@ -39,12 +39,12 @@ PRELOAD = [
 
 @dataclass(frozen=True)
 class Victim:
-    """A command to be killed: its words without and with a difference, and what it writes.
+    """A command to be killed.
 
     Attributes:
-        name: Of the command.
+        name: Name of the command.
         words: Two command lines for the same target, whose results differ.
-        target: What both write.
+        target: Path that both write.
     """
 
     name: str
@@ -54,17 +54,17 @@ class Victim:
 
 @dataclass
 class Count:
-    """What came of the kills of one command.
+    """Results of the kills of one command.
 
     Attributes:
-        name: Of the command.
-        took_s: How long it takes when left alone, s.
-        killed: Times that it was still running.
-        ended_first: Times that it was not.
-        old: Times that the earlier result was there.
-        new: Times that the new one was.
-        readings: Times that recordings were left beside the place, for the next run to go on from.
-        broken: What else was there.
+        name: Name of the command.
+        took_s: Usual duration of the command, s.
+        killed: Number of kills while it ran.
+        ended_first: Number of runs that ended before the kill.
+        old: Number of kills after which the earlier result existed.
+        new: Number of kills after which the new result existed.
+        readings: Number of kills that left recordings next to the target, which the next run reuses.
+        broken: Other states after a kill.
     """
 
     name: str
@@ -87,10 +87,10 @@ def _type(words: list[str]) -> None:
 
 
 class Terminal:
-    """Starts command lines in fresh processes that can be killed."""
+    """Runs command lines in new processes that can be killed."""
 
     def __init__(self) -> None:
-        """Where processes can be forked, from one that has imported everything and done nothing: cheap."""
+        """Prepare a process with all imports, from which others are forked quickly."""
         forks = "forkserver" in multiprocessing.get_all_start_methods()
         self._context = multiprocessing.get_context("forkserver" if forks else "spawn")
         if forks:
@@ -103,10 +103,10 @@ class Terminal:
         return process  # type: ignore[no-any-return]
 
     def run(self, words: list[str]) -> float:
-        """Run a command line to its end; return how long that took, s.
+        """Run a command line to its end; return its duration, s.
 
         Raises:
-            RuntimeError: It failed.
+            RuntimeError: The command failed.
         """
         begin = time.perf_counter()
         process = self.start(words)
@@ -117,11 +117,11 @@ class Terminal:
 
 
 def state_of(target: Path) -> str:
-    """Return a digest of a file or of a folder with all that is seen in it; empty if there is nothing."""
+    """Return a digest of a file, or of a folder with its contents; empty if it does not exist."""
     files = sorted(f for f in target.rglob("[!.]*") if f.is_file()) if target.is_dir() else [target][: target.exists()]
     if not files:
         return ""
-    if target.suffix == ".rrd":  # rerun gives the parts of a file other names every time
+    if target.suffix == ".rrd":  # rerun names the parts of a file differently every time
         return _content(target)
     whole = hashlib.sha256()
     for file in files:
@@ -135,7 +135,7 @@ def _content(replay: Path) -> str:
 
     try:
         parts = [(str(c.entity_path), c.num_rows, c.num_columns) for c in RrdReader(replay).stream()]
-    except Exception as error:  # whatever rerun says of a broken file
+    except Exception as error:  # any error of rerun for a broken file
         return f"broken: {error}"
     return hashlib.sha256(repr(sorted(parts)).encode()).hexdigest()
 
@@ -149,14 +149,14 @@ def _readings(target: Path) -> bool:
 
 
 def kill(victim: Victim, times: int, terminal: Terminal, settle: Callable[[Path], None], seed: int = 0) -> Count:
-    """Kill a command `times` times and look at what it left.
+    """Kill a command `times` times and return the resulting states.
 
     Args:
         victim: The command.
-        times: How often.
-        terminal: Where to type.
-        settle: What a reader of the result does first (`recover` for folders).
-        seed: Of the moments.
+        times: Number of kills.
+        terminal: Runs the command lines.
+        settle: First step of a reader of the result (`recover` for folders).
+        seed: Seed of the times.
     """
     chance = random.Random(seed)
     terminal.run(victim.words[1])
@@ -198,12 +198,12 @@ def kill(victim: Victim, times: int, terminal: Terminal, settle: Callable[[Path]
 
 @contextlib.contextmanager
 def victims(root: Path, terminal: Terminal, *, executions: int = 3, few: bool = False) -> Iterator[list[Victim]]:
-    """Make a small cell under `root` and yield every command that writes, each with a folder of its own.
+    """Make a small cell under `root` and yield every command that writes, each with a separate folder.
 
     Args:
         root: An empty folder.
-        terminal: Where to type.
-        executions: Of the cell.
+        terminal: Runs the command lines.
+        executions: Number of executions of the cell.
         few: Leave out the commands that need a second model or dataset.
     """
     from cyclekit.dataset.dataset import Dataset
@@ -249,7 +249,7 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3, few: bool = 
     yield [
         victim("simulate", ["box-picking", "--executions", "2"], ["box-picking", "--executions", "2", "--seed", "5"]),
         victim("ingest", [str(logs)], [robot]),
-        victim("ingest of other logs", [str(logs)], [str(others)]),  # each reads two logs of more than 1 MiB
+        victim("ingest of other logs", [str(logs)], [str(others)]),  # each reads two logs of more than 1 MiB each
         victim("convert to csv", [robot], [robot, "--rate", "50"], ".csv"),
         victim("convert to parquet", [robot], [robot, "--rate", "50"], ".parquet"),
         victim("train", train[1:-1], [*train[1:-1], "--seed", "1"]),
@@ -270,7 +270,7 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3, few: bool = 
 
 
 def main() -> None:
-    """Kill each command and print the count."""
+    """Kill each command and print the counts."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--times", type=int, default=20, help="kills per command")
     parser.add_argument("--only", nargs="*", help="these commands")

@@ -1,19 +1,21 @@
-"""What can be known from so many executions of an operator: the bound of Cramer and Rao beside what cyclekit does.
+"""Compares estimates from few executions of an operator with the Cramer-Rao bound.
 
     python benchmarks/known_operator.py --scenes scanner-visits,scanner-fields --executions 20 45 60 200
 
-Nothing but the operator is unknown: safety function and response are the simulator's own, and his true states are
-seen, with the age of the spell that a log begins in. The bound is the least standard deviation of an expected cycle
-time that is right on average, by what is known beforehand of how he is drawn:
+Only the operator is unknown: safety function and response are those of the simulator, and the operator's true states
+are observed, with the age of the spell in which a log begins. The bound is the minimum standard deviation of an
+unbiased estimate of the expected cycle time. It depends on which parameters of the operator are unknown:
 
-`numbers`: all but the mean time away and the share who only walk by. `+ choices`: nor how many stations a visit has and
-how often each is chosen. `+ times`: nor how long he is away and stays, by hazards in PARTS parts of each time.
-`+ order`: nor which station follows which, by the number of stations so far.
+`numbers`: only the mean time away and the share of operators who only walk by. `+ choices`: also the number of stations
+per visit and the probability of each. `+ times`: also the distributions of times away and at stations, by hazards in
+PARTS parts of each time. `+ order`: also the transition probabilities between stations, by the number of stations so
+far.
 
-It is g' I^-1 g / N, where I is the covariance of the scores of logged executions, and g that of the asked cycle and the
-score of its operator. The mean error is 0.8 of it. `cycles of the order`: so of a plain mean of as many cycles of that
-very order. `estimate` and `history`: what cyclekit does and the sum of logged task durations, measured, and how often
-the 95 % interval of the estimate's mean holds (for the logged operators alone).
+The squared bound is g' I^-1 g / N, where I is the covariance of the scores of logged executions, and g the covariance
+of the estimated cycle time and the score of its operator. The mean absolute error is 0.8 times the bound. `cycles of
+the order`: the same for a mean of as many cycles of that order. `estimate` and `history`: measured errors of cyclekit
+and of the sum of logged task durations, and the coverage of the estimate's 95 % interval of the mean (for the logged
+operators alone).
 """
 
 from __future__ import annotations
@@ -53,7 +55,7 @@ if TYPE_CHECKING:
 
 STEP_S, SPAN, LOGGED_ORDERS, PARTS, SEED, FIRST_ORDER = 0.1, 1700, 24, 6, 900, 10
 ONWARDS = (2 / 3, 1 / 2)
-"""How often the simulated operator goes on to another station after the first and the second one."""
+"""Probabilities that the simulated operator goes to another station after the first and the second one."""
 KNOWN = {
     "numbers": ("rate", "passes"),
     "+ choices": ("rate", "passes", "onwards", "chosen"),
@@ -64,9 +66,9 @@ KNOWN = {
 
 @dataclass(frozen=True)
 class Spells:
-    """What an operator did, one spell behind the other.
+    """Consecutive spells of an operator.
 
-    Kinds ("" = away, else the station), whether he walks there, begin and end, s since the log began.
+    Kinds ("" = away, else the station), whether the operator walks there, start and end, s since the start of the log.
     """
 
     kinds: tuple[str, ...]
@@ -76,7 +78,7 @@ class Spells:
 
 
 def drawn(scene: Scene, count: int) -> tuple[np.ndarray, np.ndarray, list[Spells]]:
-    """Return x_h, shape (count, SPAN, 3), m, the number of his last station (-1: away), and all spells."""
+    """Return x_h, shape (count, SPAN, 3), m, the index of the last station (-1 = away), and all spells."""
     at_s, names = np.arange(SPAN) * STEP_S, {name: n for n, name in enumerate(scene.stations)}
     xyz_m, doing, spells = np.empty((count, SPAN, 3)), np.full((count, SPAN), -1), []
     for k in range(count):
@@ -112,7 +114,7 @@ Score = defaultdict[tuple[str, ...], float]
 
 
 def score_of(scene: Scene, one: Spells, from_s: float, until_s: float) -> Score:
-    """Return the derivatives of the log-likelihood of what an operator did from then until then, by parameter."""
+    """Return the score (derivatives of the log-likelihood by parameter) of an operator between two times."""
     found: Score = defaultdict(float)
     names = [name for name in scene.stations if name not in ("door", "exit")]
     visit: list[str] = []
@@ -131,7 +133,7 @@ def score_of(scene: Scene, one: Spells, from_s: float, until_s: float) -> Score:
 
 
 def _add_spell(found: Score, scene: Scene, kind: str, ages_s: tuple[float, float], *, ended: bool) -> None:
-    """Add a spell seen from one age to another: by log-rates of its hazard, in PARTS parts of equal probability."""
+    """Add a spell observed between two ages: by log-rates of its hazard in PARTS parts of equal probability."""
     low_s, high_s = scene.stations[kind].dwell_s if kind else (scene.away_s[0], sum(scene.away_s))
     if kind:
         share = [min(max((age - low_s) / (high_s - low_s), 0.0), 1.0 - 1e-9) for age in ages_s]
@@ -146,7 +148,7 @@ def _add_spell(found: Score, scene: Scene, kind: str, ages_s: tuple[float, float
 
 
 def _add_choice(found: Score, scene: Scene, kind: str, visit: list[str], names: list[str]) -> None:
-    """Add where somebody went next."""
+    """Add the choice of the next station."""
     left = [name for name in names if name not in visit]
     on = ONWARDS[len(visit) - 1] if 1 <= len(visit) <= len(ONWARDS) else float(not visit)
     if not visit:
@@ -165,7 +167,7 @@ def _add_choice(found: Score, scene: Scene, kind: str, visit: list[str], names: 
 
 
 def bound(logged: Sequence[Score], cycles: Sequence[Score], took_s: np.ndarray, known: Sequence[str]) -> float:
-    """Return the least standard deviation of the mean of `took_s` from one logged execution, as part of it."""
+    """Return the bound of the standard deviation of the mean of `took_s` for one logged execution, relative to it."""
     keys = sorted({key for one in (*logged, *cycles) for key in one if key[0] in known})
     seen, whole = (np.array([[one.get(key, 0.0) for key in keys] for one in some]) for some in (logged, cycles))
     slope = whole.T @ (took_s - took_s.mean()) / len(took_s)
@@ -174,10 +176,10 @@ def bound(logged: Sequence[Score], cycles: Sequence[Score], took_s: np.ndarray, 
 
 
 class Cell:
-    """A scene whose safety function and response are known."""
+    """A scene with known safety function and response."""
 
     def __init__(self, name: str, work: Path) -> None:
-        """Take a scene; the nominal motions are of a small dataset in a folder."""
+        """Open a scene; its nominal motions are those of a small dataset in a folder."""
         self.scene, self.name, self.by_fields = BUILT_IN[name], name, not BUILT_IN[name].tracked
         kind = {"options": PLAIN, "seed": 3} if self.by_fields else {"options": HARD, "kind": "visits"}
         self.dataset = dataset_of(work, name, 12 if self.by_fields else 20, **kind)
@@ -186,21 +188,21 @@ class Cell:
         self.programs = [lay_out(one, self.nominal, self.dataset) for one in self.asked.values()]
 
     def rolled(self, programs: Sequence[Program], logs: Sequence[Stretch]) -> list[Rolled]:
-        """Return the cycles of programs beside operators of one length."""
+        """Return the cycles of programs with operators whose tracks have equal length."""
         if self.by_fields:
             return fields.rolled(self.name, programs, np.array([log.activity for log in logs]))
         every = range(len(logs))
         return visits.rolled(programs, logs, every, np.full(len(logs), len(logs[0].where)))
 
     def stretches(self, xyz_m: np.ndarray, doing: np.ndarray) -> list[Stretch]:
-        """Return operators as cyclekit would know them."""
+        """Return operators as cyclekit represents them."""
         if self.by_fields:
             doing = np.array([on_of(self.scene.fields, one) for one in xyz_m])
             xyz_m = np.zeros_like(xyz_m)
         return [Stretch(where, what) for where, what in zip(xyz_m, doing, strict=True)]
 
     def estimate(self, logs: Sequence[Stretch]) -> list[tuple[float, float, float]]:
-        """Return the mean of each order as cyclekit enters and continues these logs, and its 95 % interval, s."""
+        """Return cyclekit's mean of each order from these logs, and its 95 % interval, s."""
         if self.by_fields:
             states, owner, logged = fields.entered([log.activity for log in logs], PHASES)
             cycles = fields.rolled(self.name, self.programs, states, owner=owner, logged=logged)
@@ -216,7 +218,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class LoggedSets:
-    """Executions that were logged: each operator until his execution ended, his spells, and how long tasks took."""
+    """Logged executions: each operator until the end of the execution, the spells, and durations of tasks."""
 
     logs: list[Stretch]
     until_s: list[float]
@@ -227,7 +229,7 @@ class LoggedSets:
 
 
 def logged_sets(cell: Cell, count: int) -> LoggedSets:
-    """Return so many executions of LOGGED_ORDERS orders in turn, and the asked orders beside all these operators."""
+    """Return `count` executions of LOGGED_ORDERS orders in turn, and the judged orders with all these operators."""
     followed: list[TaskSequence] = []
     number = FIRST_ORDER
     while len(followed) < LOGGED_ORDERS:
@@ -253,7 +255,7 @@ def logged_sets(cell: Cell, count: int) -> LoggedSets:
 
 
 def history_s(cell: Cell, sets: LoggedSets, some: range) -> np.ndarray:
-    """Return the sums of logged mean durations of the asked orders, s."""
+    """Return the sums of logged mean durations of the judged orders, s."""
     total, count = Counter[str](), Counter[str]()
     for k in some:
         total.update(sets.took_s[k])
@@ -262,7 +264,7 @@ def history_s(cell: Cell, sets: LoggedSets, some: range) -> np.ndarray:
 
 
 def bounds_of(cell: Cell, sets: LoggedSets) -> dict[str, list[float]]:
-    """Return the bounds of each order from one execution, by what is known beforehand; last of a mean of cycles."""
+    """Return the bounds of each order for one execution by unknown parameters; the last is that of a mean of cycles."""
     logged = [score_of(cell.scene, one, 0.0, until) for one, until in zip(sets.spells, sets.until_s, strict=True)]
     found: dict[str, list[float]] = {known: [] for known in (*KNOWN, "cycles of the order")}
     for took_s in sets.true_s:
@@ -295,7 +297,7 @@ def main() -> None:
 
 
 def add_rows(table: Table, cell: Cell, sets: LoggedSets, bounds: dict[str, list[float]], size: int, count: int) -> None:
-    """Add a row for each length."""
+    """Add one row per length."""
     true_s = sets.true_s.mean(axis=1)
     parts = [range(first, first + size) for first in range(0, size * count, size)]
     found = np.array([cell.estimate([sets.logs[k] for k in some]) for some in parts]) / true_s[:, None]
@@ -309,7 +311,7 @@ def add_rows(table: Table, cell: Cell, sets: LoggedSets, bounds: dict[str, list[
 
 
 def _sizes(off: np.ndarray) -> list[str]:
-    """Return the mean size of errors, its standard error and their mean, %."""
+    """Return mean absolute error, its standard error, and bias, %."""
     sizes = np.abs(off).mean(), np.abs(off).std(ddof=1) / len(off) ** 0.5, off.mean()
     return [f"{100 * each:.2f}" for each in sizes]
 

@@ -1,8 +1,8 @@
-"""The ISO law: is it named where the scaling is continuous, with its numbers, and never where it has levels?
+"""The ISO law: whether it is found with its parameters if the scaling is continuous, and never if it has levels.
 
-Cells of the simulator are given the continuous law of speed and separation monitoring, with and without reaction time
-and ramps; others keep their staircases, seen through slow ramps. The logs tell neither. The limits of the method were
-chosen on box-picking and scanner-visits with seed 3.
+Some simulated cells have the continuous law of speed and separation monitoring, with and without reaction time and
+ramps; others have staircases with slow ramps. The logs contain neither. The limits of the method were chosen on
+box-picking and scanner-visits with seed 3.
 
     python benchmarks/law.py --work DIR --executions 60 --seed 11
 """
@@ -32,7 +32,7 @@ REAL = {"ramp_up_per_s": 0.1, "ramp_down_per_s": 1.0, "latency_s": 0.3}
 
 @dataclass(frozen=True)
 class Case:
-    """One cell: a law, or the scene's own staircase."""
+    """One cell: a law, or the scene's staircase."""
 
     scene: str
     law: IsoLaw | None
@@ -55,7 +55,7 @@ CASES = (
 
 
 def main() -> None:
-    """Simulate, look for the rule, print a row for each."""
+    """Simulate, find the rule, print one row per cell."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--executions", type=int, default=60)

@@ -1,9 +1,9 @@
-"""How often each method finds the levels of a speed scaling, on 600 seeded series whose levels are known.
+"""Share of 600 seeded series with known levels in which each method finds the levels of a speed scaling.
 
-Each series is 20 000 samples (33 minutes at 10 Hz) on five levels with holds of 3 to 12 s; noise 0.002 to 0.05, ramps
-that fill 0 to 26 % of the time, one level (0.25) with an equal share, 1 % or 0.1 % of it. A series counts where exactly
-five levels are found and each true one lies within 0.005 (and, beside it, 0.04) of a found one. The settings were
-chosen on seeds from 1000 on; what is reported here are other seeds.
+Each series has 20 000 samples (33 minutes at 10 Hz) on five levels with holds of 3 to 12 s; noise 0.002 to 0.05, ramps
+that fill 0 to 26 % of the time, one level (0.25) with an equal share, 1 % or 0.1 % of it. A series is correct if five
+levels are found and each true one is within 0.005 (also reported: 0.04) of a found one. The settings were chosen on
+seeds from 1000 on; the reported seeds are others.
 
     python benchmarks/levels.py --seeds 10
 """
@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rival_levels import register
-from sklearn.cluster import HDBSCAN  # noqa: F401 - importing it is no part of finding levels
+from sklearn.cluster import HDBSCAN  # noqa: F401 - the import is not timed
 from sklearn.mixture import GaussianMixture  # noqa: F401
 
 from cyclekit.scaling.levels import FINDERS, PLATEAU, find_staircase
@@ -37,7 +37,7 @@ SETTINGS = {"dbscan, eps .05, 5 samples": {"method": "dbscan", "eps": 0.05, "min
 
 
 def series(noise: float, ramp_s: float, share: float | None, seed: int) -> np.ndarray:
-    """Return one series: holds, ramps of `ramp_s` seconds per unit of change between them, noise on all."""
+    """Return one series: holds, ramps of `ramp_s` seconds per unit of change between them, and noise."""
     rng = np.random.default_rng(seed)
     usual = [i for i in range(len(LEVELS)) if share is None or i != RARE]
     missing = 0 if share is None else round(share * SAMPLES)
@@ -59,7 +59,7 @@ def series(noise: float, ramp_s: float, share: float | None, seed: int) -> np.nd
 def judged(
     methods: tuple[str, ...], case: tuple[float, float, str, int]
 ) -> list[tuple[str, float, bool, bool, bool, float]]:
-    """Return for every method: name, noise, P right, levels within 0.04, within 0.005, seconds."""
+    """Return for every method: name, noise, P correct, levels within 0.04, within 0.005, seconds."""
     noise, ramp_s, share, seed = case
     values, rows = series(noise, ramp_s, SHARE[share], seed), []
     for name in methods:
@@ -77,7 +77,7 @@ def judged(
 
 
 def main() -> None:
-    """Run all series and print one line per method."""
+    """Run all series and print one row per method."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--seeds", type=int, default=10, help="series per condition; there are 60 conditions")
     parser.add_argument("--first-seed", type=int, default=0)

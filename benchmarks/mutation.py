@@ -1,7 +1,7 @@
-"""Mutants of logs: harmed at random places in random ways, and read. What comes of them, by adapter.
+"""Reads logs with random damage; prints the outcomes by adapter.
 
-Logs of every kind that are written here, and those in the folder that CYCLEKIT_SAMPLES names. No exception may come out
-but our own, and no reading may take longer than 20 s.
+Logs of every kind written by the tests, and those in the folder CYCLEKIT_SAMPLES. Only cyclekit's errors may be raised,
+and no reading may take longer than 20 s.
 
     python benchmarks/mutation.py --each 120
 """
@@ -29,7 +29,7 @@ Found = tuple[str, str, str, float, str, int]
 
 
 def _of_log(task: tuple[str, str, dict[str, bytes], object, int]) -> list[Found]:
-    """Return adapter, outcome, what was done, seconds, why and peak MiB for each mutant of one log."""
+    """Return adapter, outcome, damage, seconds, reason and peak MiB for each mutant of one log."""
     from reliability.mutate import mutants
     from reliability.reading import read_log
 
@@ -54,7 +54,7 @@ def _of_log(task: tuple[str, str, dict[str, bytes], object, int]) -> list[Found]
 
 
 def tasks(folder: Path, each: int) -> list[tuple[str, str, dict[str, bytes], object, int]]:
-    """Return what is to be harmed: our own logs, and the samples where they are."""
+    """Return the logs to damage: those of the tests, and the samples if they exist."""
     from reliability.own_logs import own_logs
 
     from cyclekit.adapter import ReadOptions
@@ -73,7 +73,7 @@ def tasks(folder: Path, each: int) -> list[tuple[str, str, dict[str, bytes], obj
 
 
 def main() -> None:
-    """Harm, read, count."""
+    """Damage and read the logs, print the counts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--each", type=int, default=120, help="mutants of each log")
     parser.add_argument("--jobs", type=int, default=2, help="processes")

@@ -1,8 +1,8 @@
-"""Expected cycle time of sequences that never occurred in the logs, against fresh executions of them.
+"""Compares expected cycle times of sequences that were never logged with fresh executions.
 
 Simulates logs, ingests them, trains the `now` classifier and estimates some sequences that are not in the logs; then
-simulates each of them anew, with other operators, and prints expected against actual. Beside it stand two numbers
-that a plant has without cyclekit: the nominal time, and the sum of the logged means of the same tasks.
+simulates each of them with other operators. Also prints two numbers that a plant has without cyclekit: the nominal
+time, and the sum of the logged means of the same tasks.
 
     python benchmarks/new_sequences.py --executions 200 --fresh 200
 """
@@ -30,7 +30,7 @@ from cyclekit_sim import SimulationOptions, simulate, simulate_sequence
 
 
 def history_s(dataset: Dataset, sequence: TaskSequence) -> float:
-    """Return the sum of the logged mean durations of the sequence's tasks: what every plant can compute."""
+    """Return the sum of the logged mean durations of the sequence's tasks, s."""
     means = dataset.tasks().group_by("task").agg((pl.col("end_s") - pl.col("start_s")).mean().alias("s"))
     by_task = dict(means.iter_rows())
     return sum(by_task[task] for task in sequence.tasks)

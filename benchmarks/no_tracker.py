@@ -1,8 +1,8 @@
-"""Cells without a tracker: which signals are taken for people's, and is the rule on them the true one?
+"""Cells without a tracker: which signals are found to detect people, and whether the rule on them is the true one.
 
-Each cell logs the bits of its fields beside bits that tell of nobody: the gripper's feedback, passing parts, a lamp of
-slow speed, the program's own bit. A table as Markdown: fields found, signals taken wrongly, error of the delay, share
-of the lost time explained, held-out samples that the rule explains, and how far an edge on the robot's path is off.
+Each cell logs the bits of its fields and other bits: the gripper's feedback, passing parts, a lamp of slow speed, a bit
+of the program. Prints a Markdown table: fields found, signals chosen wrongly, error of the delay, share of the lost
+time explained, share of held-out samples that the rule explains, and error of an edge on the robot's path.
 
     python -m benchmarks.no_tracker --executions 20 --seeds 11 12 --out FOLDER
 """
@@ -35,11 +35,11 @@ CELLS: dict[str, tuple[str, SimulationOptions]] = {
     "scanner-fields, outputs not logged": ("scanner-fields", SimulationOptions(log_outputs=False)),
     "scanner-fields, held for 1 s": ("scanner-fields", SimulationOptions(hold_s=1.0)),
 }
-"""Each with its scene and options."""
+"""Scene and options by name of the cell."""
 
 
 def judged(logs: Path, dataset: Dataset) -> list[str]:
-    """Return the cells of one row: what was found, beside the truth."""
+    """Return the cells of one row, which compares the result with the truth."""
     facts = json.loads((logs / "truth" / "truth.json").read_text(encoding="utf-8"))
     by_events = dataset.card.operator_signals and not dataset.card.operator_signals[0].signal.startswith("digital")
     true = {one["name"] if by_events else f"digital-input {one['bit']}": one for one in facts["fields"]}
@@ -59,7 +59,7 @@ def judged(logs: Path, dataset: Dataset) -> list[str]:
 
 
 def edge_error(true: dict[str, dict[str, list[list[float]]]], rule: object) -> float:
-    """Return how far the nearest edges of the rule's rectangles are off at worst, m; infinite where one is missing."""
+    """Return the maximum distance of true edges from the nearest edges of the rule, m; infinite if one is missing."""
     worst = 0.0
     signals = [one for limit in rule.limits for one in limit.within.signals]  # type: ignore[attr-defined]
     for name, field in true.items():

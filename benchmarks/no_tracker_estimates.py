@@ -1,8 +1,8 @@
-"""Cycle times in cells without a tracker: the robot's log alone, or signals of people, beside the same cell's tracker.
+"""Cycle times in cells without a tracker (robot's log alone, or signals of people), compared with a tracker.
 
 A cell is simulated and ingested twice: with the tracker's log, and without it. Expected cycle times of sequences that
-were never logged are compared with fresh executions. Beside them stand history (sums of logged mean durations) and a
-Markov chain of slow-downs from task to task.
+were never logged are compared with fresh executions. Also printed: history (sums of logged mean durations) and a Markov
+chain of slow-downs from task to task.
 
     python benchmarks/no_tracker_estimates.py --scenes box-picking,scanner-visits --executions 60 --seeds 1 2
     python benchmarks/no_tracker_estimates.py --scenes scanner-fields,light-curtain --fresh 1000
@@ -37,15 +37,15 @@ if TYPE_CHECKING:
     from cyclekit.estimate.result import CycleEstimate
 
 WITHOUT_TRACKER = ("scanner-fields", "light-curtain")
-"""Scenes whose logs hold signals of people and no tracker."""
+"""Scenes whose logs contain signals of people and no tracker."""
 BY_SIGNALS = SimulationOptions(people="signals", latency_s=0.1, ramp_down_per_s=1.5, ramp_up_per_s=1.5)
-"""Of the other scenes with `--signals`."""
+"""Options of the other scenes with `--signals`."""
 OF_PEOPLE = ("operator.csv", "events.csv", "truth")
 MEAN_OF_SIZE = (2 / np.pi) ** 0.5
 
 
 def robot_alone(cell: Path) -> Dataset:
-    """Return the dataset of a cell made of its robot's logs alone; made once."""
+    """Return the dataset of a cell from its robot's logs alone; made once."""
     if not (cell / "blind" / "dataset.json").is_file():
         logs = cell / "robot-logs"
         shutil.copytree(cell / "logs", logs, ignore=shutil.ignore_patterns(*OF_PEOPLE))
@@ -59,7 +59,7 @@ def robot_alone(cell: Path) -> Dataset:
 
 
 def row(name: str, found: Mapping[str, tuple[float, float, float]], took: Mapping[str, np.ndarray]) -> str:
-    """Return the errors of expected cycle times, the coverage of 90 % intervals, and that of 95 % ones of the mean."""
+    """Return the errors of expected cycle times and the coverage of their 90 % intervals, as one row."""
     errors = [100 * (found[one][0] / took[one].mean() - 1) for one in took]
     inside = [np.mean((took[one] >= found[one][1]) & (took[one] <= found[one][2])) for one in took]
     shown = "" if np.isnan([found[one][1] for one in took]).any() else f"{100 * np.mean(inside):.0f}"
@@ -72,7 +72,7 @@ def of(found: list[CycleEstimate]) -> dict[str, tuple[float, float, float]]:
 
 
 def held(found: list[CycleEstimate], took: Mapping[str, np.ndarray]) -> str:
-    """Return in how many of the 95 % intervals of the mean it lies."""
+    """Return the number of 95 % intervals of the mean that contain the fresh mean."""
     inside = [one.expected_low_s <= took[one.name].mean() <= one.expected_high_s for one in found]
     return f"{sum(inside)} of {len(inside)}"
 
@@ -104,7 +104,7 @@ def compared(asked: argparse.Namespace, work: Path, scene: str, executions: int,
 
 
 def main() -> None:
-    """Run what is asked for."""
+    """Run the measurement."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--scenes", type=lambda text: text.split(","), default=["box-picking", "scanner-visits"])
     parser.add_argument("--executions", type=int, nargs="+", default=[60])

@@ -1,9 +1,9 @@
-"""One-step error of the learned speed scaling on held-out executions, beside rivals and the paper's figures.
+"""One-step error of the learned speed scaling on held-out executions, compared with rivals and the paper's numbers.
 
-Simulates box picking, ingests the logs as any logs, trains the networks of problem `now` with and without batch
-normalisation, and prints their mean squared errors. The paper's figures are from another simulation of such a cell,
-so they say how big the numbers are, not who is better; the rivals learned and were judged on the same rows as ours.
-Gradient boosting also gets the distance of robot and operator, which these networks do not.
+Simulates box picking, ingests the logs, trains the networks of problem `now` with and without batch normalisation, and
+prints their mean squared errors. The paper's numbers are from another simulation of such a cell, so they show the
+magnitude, not which is better; the rivals have the same training and test rows as the networks. Gradient boosting also
+has the distance of robot and operator as input, the networks have not.
 
     python benchmarks/one_step_mse.py --executions 200 --delta 0
 """
@@ -33,7 +33,7 @@ GOAL = 8.0
 
 
 def judged(dataset: Dataset, network: str, norm: str, seed: int, *, boosting: bool) -> tuple[Evaluation, float]:
-    """Train one network and judge it; also return the seconds that training took."""
+    """Return the evaluation of a newly trained network, and its training time, s."""
     begin = time.perf_counter()
     model = train(
         dataset,
@@ -44,7 +44,7 @@ def judged(dataset: Dataset, network: str, norm: str, seed: int, *, boosting: bo
 
 
 def table(dataset: Dataset, delta_m: float, seed: int) -> Table:
-    """Train everything and return the table."""
+    """Train all networks and return the table."""
     shown = Table("network", "norm", "MSE x1e4: best estimate", "step named", "paper x1e4", "training, s")
     rivals: list[tuple[str, float, str]] = []
     for network, norm in (
@@ -67,7 +67,7 @@ def table(dataset: Dataset, delta_m: float, seed: int) -> Table:
 
 
 def main() -> None:
-    """Simulate, ingest, train, judge, print."""
+    """Simulate, ingest, train, evaluate, print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--executions", type=int, default=200)
     parser.add_argument("--delta", type=float, default=0.0, help="tracker noise, m: 0, 0.02 or 0.05 as in the paper")

@@ -1,13 +1,13 @@
-"""The luck of the logged operators alone: how far means beside them are off, by how their tracks are entered.
+"""Sampling error of the logged operators alone: errors of means with them, by the starting times on their tracks.
 
     python benchmarks/operator_luck.py --operators 1200 --executions 20 60 --work FOLDER
 
-No logs are read and nothing is learned: the simulator's own safety function of `scanner-visits` and its response are
-known exactly, and so are the operators, as long as their executions lasted. Each set of operators is asked for orders
-half as long, as long and twice as long as those executions. `beginning`: each track from its beginning. `estimate`:
-all logs joined to circles, entered at even steps, as `estimate` does. `itself`: each log a circle of its own, entered
-at 8 instants. Truth is the mean beside all operators, entered at four instants of tracks that really go on. Chance is
-the mean error of a mean of so many cycles of the logged length.
+No logs are read and nothing is learned: the simulator's safety function of `scanner-visits` and its response are known
+exactly, and so are the operators for the duration of their executions. For each set of operators, orders half as long,
+as long and twice as long as those executions are simulated. `beginning`: each track from its start. `estimate`: all
+logs joined into loops, with evenly spaced starting times, as in `estimate`. `itself`: each log joined to its own start,
+with 8 starting times. Ground truth is the mean over all operators, with four starting times on tracks that continue.
+Chance is the mean absolute error of a mean of as many cycles of the logged length as were logged.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ RESPONSE = Dynamics(HARD.latency_s, HARD.ramp_down_per_s, HARD.ramp_up_per_s, HA
 
 
 def operators(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return x_h, shape (count, LENGTH, 3), m, and what each does, shape (count, LENGTH); -1 = away or unknown."""
+    """Return x_h, shape (count, LENGTH, 3), m, and the activities, shape (count, LENGTH); -1 = away or unknown."""
     scene, at_s = BUILT_IN[SCENE], np.arange(LENGTH) * STEP_S
     names = {name: number for number, name in enumerate(scene.stations)}
     xyz_m, doing = np.empty((count, LENGTH, 3)), np.full((count, LENGTH), -1)
@@ -63,7 +63,7 @@ def operators(count: int) -> tuple[np.ndarray, np.ndarray]:
 def rolled(
     programs: Sequence[Program], tracks: Sequence[Stretch], owner: Sequence[int], logged: np.ndarray
 ) -> list[Rolled]:
-    """Return the cycles of programs beside tracks of one length; `owner`: whose each is, `logged`: samples of it."""
+    """Return the cycles of programs with tracks of equal length; `owner`: their operators, `logged`: logged samples."""
     where, doing = (np.array(part) for part in zip(*((each.where, each.activity) for each in tracks), strict=True))
     names, kinds = tuple(f"{k:05}" for k in owner), tuple(BUILT_IN[SCENE].stations)
     people = OperatorTracks(where, doing, kinds, logged, names, STEP_S, phase_free=True)
@@ -71,7 +71,7 @@ def rolled(
 
 
 def of_set(programs: Sequence[Program], logs: Sequence[Stretch]) -> dict[str, tuple[list[Rolled], np.ndarray]]:
-    """Return the cycles of programs beside these operators, entered in each way, and their weights in resamples."""
+    """Return by way of entering the cycles of programs with these operators, and the weights of bootstrap samples."""
     lengths, own = [len(log.where) for log in logs], list(range(len(logs)))
     found = {}
     where, doing = Continuation(logs, STEP_S, phase_free=True).extend(logs, own, LENGTH - 1)

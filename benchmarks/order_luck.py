@@ -1,10 +1,10 @@
-"""What few logged operators cost a plan: orders chosen by some of the executions, judged by all the others.
+"""Loss of a plan from few logged operators: orders chosen on some executions and evaluated on the others.
 
     python benchmarks/order_luck.py --executions 200
 
-Every order of the jobs takes what the table of arrivals says it takes beside each logged operator. Some executions are
-drawn, the order that they favour is judged by the executions that were not drawn, and held against the order that is
-best by those. That best one has its own luck in it, so what is printed is somewhat more than an order really loses.
+The durations of every order of the jobs with each logged operator are those of the table of arrivals. The order that is
+fastest on a random subset of executions is evaluated on the others, and compared with the order that is fastest on
+those. The latter is chosen on its own test data, so the printed loss is somewhat larger than the true one.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ JOBS = {
 
 
 def durations(work: Path, scene: str, slots: slice, executions: int) -> np.ndarray:
-    """Return how long each order takes beside each logged operator, shape (orders, executions), s."""
+    """Return the duration of each order with each logged operator, shape (orders, executions), s."""
     cell = logged(work, scene, executions, seed=101)
     jobs = Jobs(tuple(BUILT_IN[scene].slots[slots]), "home", "home", "conveyor")
     orders = [tasks_of(jobs.places(order)) for order in every_order(jobs)]
@@ -52,7 +52,7 @@ def durations(work: Path, scene: str, slots: slice, executions: int) -> np.ndarr
 
 
 def lost(durations_s: np.ndarray, drawn: int, draws: int) -> dict[str, np.ndarray]:
-    """Return what the chosen order loses against the best by the others, %, shape (draws,), by what orders rank by."""
+    """Return by criterion the loss of the chosen order compared with the best on the other executions, %, (draws,)."""
     rng = np.random.default_rng(1)
     found: dict[str, list[float]] = {"mean": [], "mean + standard error": []}
     for _ in range(draws):
@@ -65,7 +65,7 @@ def lost(durations_s: np.ndarray, drawn: int, draws: int) -> dict[str, np.ndarra
 
 
 def main() -> None:
-    """Measure."""
+    """Measure and print a table."""
     parser = argparse.ArgumentParser(description="What few logged operators cost a plan.")
     parser.add_argument("--executions", type=int, default=60)
     parser.add_argument("--draws", type=int, default=1000)

@@ -1,11 +1,11 @@
-"""Rivals of the estimate and of the plan, as the literature has them; used by `answer.py`.
+"""Rivals of the estimate and of the plan from the literature; used by `answer.py`.
 
-markov   a Markov chain of slow-downs from task to task (the idea of Pellegrinelli and Pedrocchi 2017)
-greedy   the feasible task with the least predicted slow-down comes next (Faroni et al., arXiv 2512.17560), by the
-average-scaling network over the logged operators at the time that has passed
-monte    random continuations scored by that network, the first task of the best is taken (same paper)
-synergy  one coefficient per pair of robot task and operator task done at the same time, which stretches nominal
-durations (arXiv 2503.07238); orders compared against the logged operators' tasks
+markov   Markov chain of slow-downs from task to task (the idea of Pellegrinelli and Pedrocchi 2017)
+greedy   the next task is the feasible one with the least predicted slow-down (Faroni et al., arXiv 2512.17560), by the
+average-scaling network with the logged operators at the elapsed time
+monte    random continuations scored by that network; the next task is the first one of the best (same paper)
+synergy  one coefficient per pair of simultaneous robot and operator tasks, which stretches nominal durations
+(arXiv 2503.07238); orders are compared with the logged operators' tasks
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _NOMINAL: dict[str, dict[str, NominalTask]] = {}
 
 
 def nominal_of(dataset: Dataset) -> dict[str, NominalTask]:
-    """Return the nominal tasks, read once per dataset."""
+    """Return the nominal tasks, computed once per dataset."""
     if str(dataset.path) not in _NOMINAL:
         _NOMINAL[str(dataset.path)] = nominal_tasks(dataset)
     return _NOMINAL[str(dataset.path)]
@@ -45,9 +45,9 @@ def nominal_of(dataset: Dataset) -> dict[str, NominalTask]:
 def markov_s(dataset: Dataset, sequences: Sequence[TaskSequence]) -> list[float]:
     """Return the expected duration of each sequence by a chain over slow-down states, s.
 
-    A state is a quarter of the logged slow-downs (duration of the motion over nominal). Per task: the share of each
-    state and its mean slow-down; between tasks: transitions counted over all pairs of neighbours, weighted by how the
-    next task's own shares differ from the average's.
+    States are the quartiles of the logged slow-downs (duration of the motion over nominal). Each task has the share of
+    each state and its mean slow-down; transitions are counted over all pairs of consecutive tasks, weighted by the
+    ratio of the next task's shares to the average ones.
     """
     tasks = dataset.tasks().drop_nulls(["nominal_s", "safety_loss_s"]).sort("execution", "index")
     slow = 1 + (tasks["safety_loss_s"] / tasks["nominal_s"].clip(0.05)).to_numpy()
@@ -76,13 +76,13 @@ def markov_s(dataset: Dataset, sequences: Sequence[TaskSequence]) -> list[float]
 
 
 def _mean(values: np.ndarray, here: np.ndarray, everywhere: np.ndarray) -> float:
-    """Return the mean of values (N,) `here`, else everywhere; 0 where there are none, as nothing leads there."""
+    """Return the mean of values (N,) `here`, else `everywhere`; 0 without any, as the state is never reached."""
     some = values[here] if here.any() else values[everywhere]
     return float(some.mean()) if len(some) else 0.0
 
 
 def greedy_by_average(model: TrainedModel, dataset: Dataset, jobs: Jobs) -> tuple[str, ...]:
-    """Return the order of the greedy rule: next comes the visit with the least slow-down over its own tasks."""
+    """Return the order of the greedy rule: the next visit is that with the least slow-down over its tasks."""
     tracks, done, left = _tracks(dataset, jobs), (), list(jobs.visit)
     while left:
         chosen = min(jobs.next_of(left), key=lambda name: _slowdown(model, dataset, jobs, tracks, done, name))
@@ -94,7 +94,7 @@ def greedy_by_average(model: TrainedModel, dataset: Dataset, jobs: Jobs) -> tupl
 def monte_carlo_by_average(
     model: TrainedModel, dataset: Dataset, jobs: Jobs, *, draws: int = 10, seed: int = 0
 ) -> tuple[str, ...]:
-    """Return the order of the Monte Carlo rule: of random continuations the best one's first visit is taken."""
+    """Return the order of the Monte Carlo rule: the next visit is the first one of the best random continuation."""
     from cyclekit.estimate.plan.search import random_order
 
     rng = np.random.default_rng(seed)
@@ -109,7 +109,7 @@ def monte_carlo_by_average(
 
 
 def synergy_order(dataset: Dataset, jobs: Jobs, orders: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
-    """Return the order that pairwise coefficients say is the quickest."""
+    """Return the fastest order by pairwise coefficients."""
     samples = dataset.samples().drop_nulls(["robot_task", "human_task", "scaling"]).filter("robot_moving")
     pairs = samples.group_by("robot_task", "human_task").agg(pl.col("scaling").mean())
     stretch = {(r, h): 1 / max(s, 0.05) for r, h, s in pairs.iter_rows()}
@@ -139,7 +139,7 @@ def _tracks(dataset: Dataset, jobs: Jobs) -> OperatorTracks:
 def _slowdown(
     model: TrainedModel, dataset: Dataset, jobs: Jobs, tracks: OperatorTracks, done: tuple[str, ...], name: str
 ) -> float:
-    """Duration of the next visit over its nominal time, after the visits that are done."""
+    """Return the predicted duration of the next visit over its nominal time, after the visits done."""
     nominal = nominal_of(dataset)
     before, after = ((*jobs.places(order)[: -1 if jobs.end else None],) for order in (done or (name,), (*done, name)))
     through = lay_out(TaskSequence("next", tuple(after)), nominal, dataset)

@@ -1,11 +1,11 @@
-"""How memory grows with the dataset, in memory and in files: peak memory of training, under a limit if asked.
+"""Peak memory of training by size of the dataset, in memory and in files, optionally with a limit.
 
     python benchmarks/out_of_core.py --copies 20 80 320
 
-One simulated dataset is copied so many times into a larger one (each copy a session of its own). On it a model is
-trained for one epoch, and a sequence estimated, in processes of their own: once with everything in memory, once with
-only so many samples (CYCLEKIT_MEMORY_ROWS). Told is the largest anonymous memory; what mapped files hold is the
-system's to take back. With --limit-mb a process may not have more data than that: one that needs more ends.
+One simulated dataset is copied `--copies` times into a larger one (each copy a separate session). A model is trained on
+it for one epoch, and a sequence estimated, in separate processes: once with everything in memory, once with a limited
+number of samples (CYCLEKIT_MEMORY_ROWS). Printed is the peak anonymous memory; the system can reclaim memory of mapped
+files. With --limit-mb, a process that needs more data memory fails.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ train(Dataset.open(sys.argv[3]), ModelSpec.of(epochs=1))
 
 
 def enlarged(dataset: Path, copies: int, out: Path) -> Path:
-    """Write a dataset that holds another one several times; the recordings themselves are left out."""
+    """Write a dataset that contains another one several times, without the recordings."""
     card = json.loads((dataset / "dataset.json").read_text(encoding="utf-8"))
-    del card["files"], card["card_blake3"]  # of other samples
+    del card["files"], card["card_blake3"]  # checksums of the original samples
     frame, tasks = pl.read_parquet(dataset / "samples"), pl.read_parquet(dataset / "tasks.parquet")
     (out / "samples").mkdir(parents=True)
     entries = []
@@ -68,7 +68,7 @@ def enlarged(dataset: Path, copies: int, out: Path) -> Path:
 
 
 def peak_mb(words: list[str], rows: int, limit_mb: int) -> tuple[float, float, int]:
-    """Run a command line; return its largest anonymous memory (MB), seconds, and exit code."""
+    """Run a command line; return its peak anonymous memory (MB), seconds, and exit code."""
     environment = {**os.environ, "CYCLEKIT_MEMORY_ROWS": str(rows)}
     begin, most = time.perf_counter(), 0
     command = subprocess.Popen(
@@ -88,7 +88,7 @@ def peak_mb(words: list[str], rows: int, limit_mb: int) -> tuple[float, float, i
 
 
 def main() -> None:
-    """Measure, and print one line per size and way."""
+    """Measure, and print one row per size and way."""
     parse = argparse.ArgumentParser()
     parse.add_argument("--copies", type=int, nargs="+", default=[20, 80])
     parse.add_argument("--executions", type=int, default=40)

@@ -1,16 +1,16 @@
-"""The inferred speed override against the simulator's true one, beside other estimators of the same thing.
+"""Compares the inferred speed override, and those of rival estimators, with the simulator's true one.
 
     python benchmarks/override.py [--executions 40] [--rates 125,500] [--scenes box-picking,...]
 
 Each scene is simulated with ramps (2.5/s), a reaction time (0.1 s) and the encoder noise of a real UR5, once with the
-override in the log, which is the truth, and once without. The second log is ingested with a run without operator as
-reference, and again without one. Compared are the 10 Hz samples of moving robots with the row of the first log at the
-same time.
+override in the log, which is the ground truth, and once without. The second log is ingested with a reference run
+without operator, and again without one. The 10 Hz samples of moving robots are compared with the row of the first log
+at the same time.
 
-The rivals get more than cyclekit: the true begin and end of every motion, and the logged TCP velocity. They divide it
-by that of the reference run at equal arc length (`raw`), take the median of that over 0.2 s (`smoothed`), fit it by
-total variation (`tv`; exact, by the taut string), or by change points (`pelt`; optimal partitioning of piecewise
-constants).
+The rivals have more information than cyclekit: the true start and end of every motion, and the logged TCP velocity.
+They divide it by that of the reference run at equal arc length (`raw`), take the median of the ratio over 0.2 s
+(`smoothed`), fit it by total variation (`tv`; exact, by the taut string), or by change points (`pelt`; optimal
+partitioning into piecewise constants).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def cell(folder: Path, scene: str, count: int, rate: int, *, logged: bool, alone
 
 
 def told(logs: Path) -> dict[str, pl.DataFrame]:
-    """Return what the logs say of the override, by session."""
+    """Return the logged override by session."""
     found = {}
     for file in sorted(logs.glob("session_*/robot.csv")):
         log = pl.read_csv(file, separator=" ")
@@ -50,7 +50,7 @@ def told(logs: Path) -> dict[str, pl.DataFrame]:
 
 
 def errors(dataset: Dataset, truth: dict[str, pl.DataFrame]) -> tuple[np.ndarray, int]:
-    """Return the errors at the samples of moving robots that have an answer, and how many samples there are."""
+    """Return the errors at samples of moving robots with an inferred override, and the number of all such samples."""
     parts, count = [], 0
     samples = dataset.samples().filter("robot_moving")
     for name, log in truth.items():
@@ -77,7 +77,7 @@ def shown(name: str, found: np.ndarray, count: int, seconds: float | None = None
 def legs(
     logs: Path, truth: dict[str, pl.DataFrame]
 ) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Return every motion: task, time, arc length, TCP speed, true scaling."""
+    """Return task, time, arc length, TCP speed and true scaling of every motion."""
     tasks = pl.read_parquet(logs / "truth" / "tasks.parquet")
     tasks = tasks.join(
         pl.read_parquet(logs / "truth" / "executions.parquet").select("execution", "session"), on="execution"
@@ -105,7 +105,7 @@ def legs(
 
 
 def rivals(motions: list, reference: list, rate: int) -> dict[str, tuple[np.ndarray, int]]:
-    """Return the errors of each rival at 10 Hz, and how many samples there are."""
+    """Return the errors of each rival at 10 Hz, and the number of samples."""
     at_full = {task: (arc / arc[-1], speed) for task, _, arc, speed, _ in reference}
     found: dict[str, list[np.ndarray]] = {"raw": [], "smoothed": [], "tv": [], "pelt": []}
     count, step = 0, rate // 10
@@ -129,7 +129,7 @@ def rivals(motions: list, reference: list, rate: int) -> dict[str, tuple[np.ndar
 
 
 def tv(y: np.ndarray, weight: float) -> np.ndarray:
-    """Return argmin 1/2 |x - y|^2 + weight |Dx|_1: the taut string through the tube around the sums of y."""
+    """Return argmin 1/2 |x - y|^2 + weight |Dx|_1: the taut string through the tube around the cumulated sums of y."""
     total = np.concatenate([[0.0], np.cumsum(y)])
     low, high = total - weight, total + weight
     low[0] = high[0] = total[0]
@@ -158,7 +158,7 @@ def tv(y: np.ndarray, weight: float) -> np.ndarray:
 
 
 def pelt(y: np.ndarray, penalty: float) -> np.ndarray:
-    """Return the piecewise constant fit of least squares with a penalty for each piece (Killick et al. 2012)."""
+    """Return the piecewise constant least-squares fit with a penalty per piece (Killick et al. 2012)."""
     s1, s2 = np.concatenate([[0.0], np.cumsum(y)]), np.concatenate([[0.0], np.cumsum(y * y)])
     best, last = np.zeros(len(y) + 1), np.zeros(len(y) + 1, int)
     best[0], open_ = -penalty, np.array([0])
@@ -188,7 +188,7 @@ def main() -> None:
 
 
 def compare(folder: Path, scene: str, count: int, rate: int, reference: int) -> None:
-    """Print the table of one scene at one rate; the reference run has so many executions."""
+    """Print the table of one scene at one rate; `reference`: number of executions of the reference run."""
     logged = cell(folder / "logged", scene, count, rate, logged=True)
     silent = cell(folder / "logs", scene, count, rate, logged=False)
     empty = cell(folder / "empty", scene, reference, rate, logged=False, alone=True)

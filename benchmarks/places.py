@@ -1,9 +1,9 @@
-"""Tasks lost or invented in `scanner-visits`: override logged or not, places named or not, the cell shifted and turned.
+"""Tasks lost or invented in `scanner-visits`: override logged or not, places named or not, cell shifted and turned.
 
     python benchmarks/places.py --executions 25
 
-Each row simulates the cell anew. A task is lost where the truth has one and the dataset has none of these places in
-that position of its execution, invented the other way round; with unnamed places these are matched by their positions.
+Each row simulates the cell again. A true task is lost if the dataset has no task with these places at its index in the
+execution; the converse is an invented task. Unnamed places are matched by their positions.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ OUT = Console(width=120)
 
 
 def moved(shift_m: float, turn_deg: float) -> None:
-    """Move the scene in BUILT_IN: everything is shifted along all axes and turned about the robot's base."""
+    """Move the scene in BUILT_IN: shift it along all axes, and turn it about the robot's base."""
     scene = ORIGINAL
     c, s = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
 
@@ -43,7 +43,7 @@ ORIGINAL = BUILT_IN[SCENE]
 
 
 def counted(work: Path, executions: int, seed: int, *, logged: bool, named: bool) -> tuple[int, int, int]:
-    """Return how many tasks there were, and how many were lost and invented."""
+    """Return the numbers of true tasks, of lost and of invented ones."""
     options = dataclasses.replace(HARD, log_override=logged, log_outputs=False, encoder_noise_rad=2e-5)
     simulate(SCENE, work / "logs", executions=executions, seed=seed, options=options)
     cell = work / "logs" / "cell.toml"

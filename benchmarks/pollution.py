@@ -1,7 +1,7 @@
-"""Spoiled CSV logs by the categories of the Pollock benchmark: what comes of each, counted by category.
+"""Reads CSV logs polluted by the categories of the Pollock benchmark; counts the outcomes by category.
 
-Each file is a small log of one of eight writers, spoiled in one way (tests/reliability/pollute.py), read as a command
-reads it, and held against the clean log by time. Silently wrong must be 0.
+Each file is a small log of one of eight writers, polluted in one way (tests/reliability/pollute.py), read as by a
+command, and compared with the clean log by time. Silently wrong must be 0.
 
     python benchmarks/pollution.py
 """
@@ -27,7 +27,7 @@ _LOCATED = re.compile(r"\bline \d|\bcolumns? |\bheader\b")
 
 
 def _judge_kind(number: int) -> list[tuple[str, str, str, str, float]]:
-    """Return category, outcome, id, reason and seconds of each spoiled log of one writer."""
+    """Return category, outcome, id, reason and seconds of each polluted log of one writer."""
     from reliability.clean_logs import KINDS
     from reliability.judge import judge
     from reliability.pollute import every_polluted_file
@@ -42,7 +42,7 @@ def _judge_kind(number: int) -> list[tuple[str, str, str, str, float]]:
 
 
 def main() -> None:
-    """Judge all spoiled logs and print the counts."""
+    """Read all polluted logs and print the counts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     with get_context("spawn").Pool(parser.parse_args().jobs) as pool:

@@ -1,10 +1,10 @@
-"""The reaction time, read from the places of changes of level and by what explains the level, beside the true one.
+"""Compares two estimates of the reaction time with the true one: by the positions of level changes, and by the rule.
 
     python benchmarks/reaction_time.py [--scenes box-picking,laser-zones,scanner-visits] [--executions 15] [--seed 77]
 
-Each cell is simulated with a reaction time of 0, 0.1 or 0.3 s, with three responses, and ingested twice: as it is, and
-with the reaction time that the places tell kept back, so that `derive.reaction_time` has to find it. One response is
-read with the override left out of the logs, too.
+Each cell is simulated with a reaction time of 0, 0.1 or 0.3 s and three responses, and ingested twice: unchanged, and
+with the estimate by positions withheld, so that `derive.reaction_time` must find it. One response is also read from
+logs without the override.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 SCENES = ("box-picking", "laser-zones", "scanner-visits")
 LATENCIES_S = (0.0, 0.1, 0.3)
 RESPONSES = ((None, None, True), (1.0, 0.1, True), (5.0, 0.5, True), (1.0, 0.1, False))
-"""Braking and recovery per second (None: at once), and whether the override is logged."""
+"""Ramps down and up, 1/s (None = none), and whether the override is logged."""
 
 
 def read(
     scene: str, latency_s: float, response: tuple[float | None, float | None, bool], executions: int, seed: int
 ) -> tuple[float | None, float | None]:
-    """Return the reaction time by the places of changes, and by what explains the level."""
+    """Return the reaction time by the positions of changes, and that which explains the level best, s."""
     down, up, logged = response
     ramps = {} if down is None else {"ramp_down_per_s": down, "ramp_up_per_s": up}
     options = SimulationOptions(latency_s=latency_s, log_override=logged, **ramps)

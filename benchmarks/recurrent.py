@@ -1,11 +1,11 @@
-"""Why would an LSTM fail at the scaling 2 s ahead? The literature's networks, fed in the ways in which it can be done.
+"""Possible reasons for large errors of LSTMs at the scaling 2 s ahead: the paper's networks with several ways of input.
 
-as it should be        a second of history for each row, rows in random order
-in order of time       the same, but batches of rows that follow each other: what `shuffle=False` does
-rows as a sequence     no history: torch takes a batch (rows, inputs) for one sequence, and the rows are shuffled
-executions, N steps    each execution is one sequence, eight of them a step, Adam at 1e-3; after N steps
-forecast apart         LSTM-2 in two stages: the LSTM learns where the operator will be, the regressor the scaling now,
-                       and is then asked with the robot's place now and the operator's forecast place
+as it should be        one second of history per row, rows in random order
+in order of time       the same, but with batches of consecutive rows, as with `shuffle=False`
+rows as a sequence     no history: torch takes a batch (rows, inputs) of shuffled rows as one sequence
+executions, N steps    each execution is one sequence, eight per step, Adam at 1e-3; after N steps
+forecast apart         LSTM-2 in two stages: the LSTM learns the operator's future position, the regressor the present
+                       scaling; its inputs are then the robot's present and the operator's forecast position
 
 python benchmarks/recurrent.py --executions 100 --steps 600
 """
@@ -57,22 +57,22 @@ WAYS += [("lstm-1", "none", IN_ORDER), ("lstm-1", "batch", AS_SEQUENCE)]
 
 @dataclass(frozen=True)
 class Way:
-    """One network and how it is fed."""
+    """One network with one way of input."""
 
     spec: ModelSpec
     feed: str
 
     def run(self, network: nn.Module, rows: TrainingRows, part: torch.Tensor) -> torch.Tensor:
-        """Return what the network says about some rows, shape (B, 1)."""
+        """Return the network's output for some rows, shape (B, 1)."""
         x = rows.inputs(part, 0.0)
         if self.feed == AS_SEQUENCE and isinstance(network, Recurrent):
-            states, _ = network.lstm(x[:, -1])  # two dimensions: one sequence of B rows
+            states, _ = network.lstm(x[:, -1])  # two dimensions = one sequence of B rows
             out: torch.Tensor = network.rest(states)
             return out
         return network(x)
 
     def batches(self, rows: TrainingRows, steps: int) -> Iterator[torch.Tensor]:
-        """Yield as many batches as there are steps."""
+        """Yield one batch per step."""
         done = 0
         while done < steps:
             order = torch.arange(len(rows)) if self.feed == IN_ORDER else torch.randperm(len(rows))
@@ -83,7 +83,7 @@ class Way:
     def fitted(
         self, rows: TrainingRows, inputs: int, steps: int, scale: np.ndarray, *, forecast: bool = False
     ) -> nn.Module:
-        """Train on the scaling, or on nothing but the forecast."""
+        """Train on the scaling, or only on the forecast."""
         torch.manual_seed(self.spec.seed)
         network = build(self.spec, inputs, LEVELS, scale=scale)
         moved = Steps(network, self.spec.for_rows(len(rows)), DECAY, steps)
@@ -103,14 +103,14 @@ class Way:
 
 
 def mse(predict: Callable[[torch.Tensor], torch.Tensor], judge: TrainingRows) -> float:
-    """Return the error of what is predicted for parts of the rows."""
+    """Return the mean squared error of predictions for blocks of the rows."""
     with torch.inference_mode():
         out = torch.cat([predict(part) for part in torch.arange(len(judge)).split(BATCH)])
     return float(((out - judge.scaling) ** 2).mean())
 
 
 def forecast_apart(frames: Sequence[pl.DataFrame], steps: int, seed: int) -> tuple[float, float]:
-    """Return the MSE of LSTM-2 in two stages, and that of its second stage told where the operator will be."""
+    """Return the MSE of LSTM-2 in two stages, and that of its second stage with the true future position."""
     lstm = Way(ModelSpec.of("ahead", "lstm-2", 2.0, seed=seed).at_rate(10.0), RIGHT)
     now = Way(ModelSpec.of("now", "regressor", seed=seed), RIGHT)
     learn, test = (
@@ -138,7 +138,7 @@ def forecast_apart(frames: Sequence[pl.DataFrame], steps: int, seed: int) -> tup
 
 
 def whole_executions(learn: Samples, test: Samples, seed: int) -> Iterator[tuple[int, float]]:
-    """Train LSTM-1 on executions as sequences; yield the steps done and the MSE on held-out executions."""
+    """Train LSTM-1 on executions as sequences; yield the number of steps and the MSE on held-out executions."""
     mean, scale = standardisation(learn.X)
     torch.manual_seed(seed)
     network = build(ModelSpec.of("ahead", "lstm-1", 2.0), learn.X.shape[1], LEVELS)
@@ -171,7 +171,7 @@ def _sequence(rows: Samples, k: int, mean: np.ndarray, scale: np.ndarray) -> tup
 
 
 def main() -> None:
-    """Simulate, ingest, train every way, print."""
+    """Simulate, ingest, train in every way, print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--executions", type=int, default=100)
     parser.add_argument("--steps", type=int, default=600)

@@ -1,10 +1,10 @@
-"""The report of many executions: how long it takes and how large the page is.
+"""Time and size of the report of many executions.
 
     python benchmarks/report.py --executions 1000 --scene laser-zones
 
-Simulates, ingests and trains first (minutes; kept in --work and used again), then writes the page as the command does:
-about the logs alone, with the model judged, with two sequences, and with the check of the cycle times. The time is that
-of the whole command, start of the interpreter included.
+First simulates, ingests and trains (minutes; stored in --work and reused), then writes the page by the command: of the
+logs alone, with the evaluation of the model, with two sequences, and with the validation of the cycle times. The time
+is that of the whole command, including the start of the interpreter.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def cyclekit(*words: str | Path) -> tuple[float, float]:
 
 
 def made(work: Path, scene: str, executions: int) -> tuple[Path, Path]:
-    """Return dataset and model, made where they are not there yet."""
+    """Return dataset and model, made if they do not exist."""
     root = work / f"{scene}-{executions}"
     logs, dataset, model = root / "logs", root / "dataset", root / "model"
     if not dataset.exists():
@@ -59,7 +59,7 @@ def sequences(dataset: Dataset, file: Path) -> Path:
 
 
 def main() -> None:
-    """Measure."""
+    """Measure and print a table."""
     parser = argparse.ArgumentParser(description="The report of many executions: time and size.")
     parser.add_argument("--executions", type=int, default=1000)
     parser.add_argument("--scene", default="laser-zones")

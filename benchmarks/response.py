@@ -1,17 +1,17 @@
-"""The response of the safety system read from logs, beside the true one; and the cycle times that rest on it.
+"""Compares the response of the safety system read from logs with the true one, and cycle times that use it.
 
-Each cell is simulated with a recovery (rise) of 5, 10, 25, 100 or 500 % a second, braking at 100 % a second and a
-reaction time of 0, 0.1 or 0.3 s. Nothing of it is told. Levels are found in 10 Hz samples; rates and reaction time are
-read at the log's own rate, of which `--rates` keeps so many rows a second, or with `--percent` in whole percents.
-With `--inferred` the scaling is not logged, and all is read by `ingest`, from joint angles with the noise of a UR5.
+Each cell is simulated with a recovery (ramp up) of 5, 10, 25, 100 or 500 %/s, braking (ramp down) at 100 %/s and a
+reaction time of 0, 0.1 or 0.3 s; the logs do not contain these. Levels are found in 10 Hz samples; ramps and reaction
+time are read at the log's rate, reduced to `--rates` rows per second, or with `--percent` in whole percent. With
+`--inferred` the scaling is not logged; everything is read by `ingest` from joint angles with the noise of a UR5.
 
     python benchmarks/response.py [--executions 30] [--scenes box-picking,...] [--recovery 0.1,...] [--rates 10,30]
     python benchmarks/response.py --inferred [--rates 0,30]
     python benchmarks/response.py --cycles --recovery 0.1 --latency 0.3 --executions 100
 
 With `--cycles` the expected cycle times of sequences that were never logged are compared with fresh executions: by the
-network, by `auto` (the rule of the same training where there is one), and by history. `chance` is the mean error of who
-knows only the mean of as many cycles as were logged. `--rule-alone` trains no network; `--recovery 0` has no response.
+network, by `auto` (the rule of the same training, if there is one), and by history. `chance` is the mean error of the
+mean of as many cycles as were logged. `--rule-alone` trains no network; `--recovery 0` has no response.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ if TYPE_CHECKING:
 BRAKING = 1.0
 GAP_S = 1.0
 MEAN_OF_SIZE = (2 / np.pi) ** 0.5
-"""Mean size of what is normally distributed, in standard deviations."""
+"""Mean absolute value of a normal variable, standard deviations."""
 XYZ = {who: [f"{who}_{axis}_m" for axis in "xyz"] for who in ("robot", "human")}
 
 
 def options(recovery: float, latency_s: float) -> SimulationOptions:
-    """Return the response of one cell."""
+    """Return the simulation options of one cell."""
     return SimulationOptions(ramp_up_per_s=recovery, ramp_down_per_s=BRAKING, latency_s=latency_s)
 
 
@@ -76,7 +76,7 @@ def sessions(logs: Path, rate_hz: float | None, *, percent: bool) -> list[tuple[
 
 
 def levels_of(found: list[tuple[pl.DataFrame, list[tuple]]]) -> np.ndarray:
-    """Return the levels that are found in samples of the stretches, ten a second."""
+    """Return the levels found in 10 Hz samples of the stretches."""
     values, run = [], []
     for t_s, scaling in (part for _, parts in found for part in parts):
         at = np.searchsorted(t_s, np.arange(t_s[0], t_s[-1], 0.1)).clip(max=len(t_s) - 1)
@@ -86,7 +86,7 @@ def levels_of(found: list[tuple[pl.DataFrame, list[tuple]]]) -> np.ndarray:
 
 
 def read(logs: Path, rate_hz: float | None, *, percent: bool) -> tuple[np.ndarray, SafetyResponse]:
-    """Return the levels and the response that the logs show."""
+    """Return the levels and the response read from the logs."""
     found = sessions(logs, rate_hz, percent=percent)
     levels = levels_of(found)
     seen = []
@@ -98,7 +98,7 @@ def read(logs: Path, rate_hz: float | None, *, percent: bool) -> tuple[np.ndarra
 
 
 def inferred(logs: Path, rate_hz: float | None) -> tuple[np.ndarray, DynamicsCard]:
-    """Return the levels and the response that `ingest` reads in logs without a scaling."""
+    """Return the levels and the response that `ingest` reads from logs without a scaling."""
     with tempfile.TemporaryDirectory() as folder:
         thin = shutil.copytree(logs, Path(folder) / "logs")
         for file in thin.glob("session_*/robot.csv") if rate_hz else ():
@@ -117,7 +117,7 @@ def shown(value: float | None, digits: int, error: float | None = None) -> str:
 
 
 def responses(asked: argparse.Namespace, work: Path) -> None:
-    """Print what is read of every cell."""
+    """Print the response read in every cell."""
     print(
         "| cell | rate | recovery | reaction time, s | levels | recovery read | braking read | reaction time read, s |"
     )
@@ -152,7 +152,7 @@ def responses(asked: argparse.Namespace, work: Path) -> None:
 def models_of(
     asked: argparse.Namespace, work: Path, scene: str, given: SimulationOptions, kind: str, seed: int
 ) -> tuple[Dataset, dict[str, SafetyModel]]:
-    """Return the dataset of a cell and what is asked of it: network and rule of one training, or the rule alone."""
+    """Return the dataset of a cell and its models: network and rule of one training, or the rule alone."""
     of_cell: dict[str, Any] = {"seed": seed, "options": given, "kind": kind}
     if not asked.rule_alone:
         cell = logged(work, scene, asked.executions, rules=True, **of_cell)
@@ -206,7 +206,7 @@ def numbers(text: str) -> list[float]:
 
 
 def main() -> None:
-    """Run what is asked for."""
+    """Run the measurement."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument(
         "--scenes", type=lambda text: text.split(","), default=["box-picking", "laser-zones", "scanner-visits"]

@@ -1,10 +1,9 @@
-"""Ways of the literature to find levels that cyclekit itself does not offer: K-means by its elbow, HDBSCAN, mixtures.
+"""Level finders of the literature that cyclekit does not offer: K-means with the elbow, HDBSCAN, mixtures.
 
-The last two are from scikit-learn, on a part of the values that they can manage. Both need far more than linear time or
-memory. They see at most 4000 of the values: every so-manieth of the sorted ones, so that the distribution is kept and
-the same log always gives the same part; the other values get the label of the nearest one seen (HDBSCAN) or of the
-likeliest component (mixture). Other than the exact methods, a level held for less than one part in 4000 of the time can
-be lost here.
+The last two are from scikit-learn and need far more than linear time or memory. They use at most 4000 values, evenly
+spaced in the sorted ones, which preserves the distribution and is deterministic; the other values get the label of the
+nearest used one (HDBSCAN) or of the most probable component (mixture). Unlike the exact methods, they can miss a level
+held for less than 1/4000 of the time.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ if TYPE_CHECKING:
 SEEN = 4000
 MOST = 10
 _SMALLEST = 0.01
-"""Smallest cluster of HDBSCAN, as a part of the values; with the usual 5 samples it found dozens of levels."""
+"""Minimum cluster of HDBSCAN, as a share of the values; with the default of 5 samples it found dozens of levels."""
 
 
 def thinned(values: Vector, most: int = SEEN) -> Vector:
-    """Return at most `most` of the values, evenly from the sorted ones, shape (<= most,)."""
+    """Return at most `most` values, evenly spaced in the sorted ones, shape (<= most,)."""
     line = np.sort(values)
     return line if line.size <= most else line[np.linspace(0, line.size - 1, most).round().astype(np.int64)]
 
@@ -50,13 +49,13 @@ def by_hdbscan(values: Vector) -> Rows:
 
 
 def by_mixture(values: Vector) -> Rows:
-    """Return the likeliest component of every value in the Gaussian mixture with the least BIC, shape (T,)."""
+    """Return the most probable component of every value in the Gaussian mixture with the lowest BIC, shape (T,)."""
     from sklearn.mixture import GaussianMixture
     from threadpoolctl import threadpool_limits
 
     seen = thinned(values)
     most = min(MOST, np.unique(seen).size)
-    with threadpool_limits(1):  # of the libraries that came with it: its k-means shares sums out by their number
+    with threadpool_limits(1):  # libraries of scikit-learn, whose k-means splits sums by the number of threads
         fits: list[Any] = [GaussianMixture(k, random_state=0).fit(seen[:, None]) for k in range(1, most + 1)]
         best = min(fits, key=lambda fit: fit.bic(seen[:, None]))
         blocks = np.array_split(values, max(values.size // 100_000, 1))
@@ -64,9 +63,9 @@ def by_mixture(values: Vector) -> Rows:
 
 
 def by_elbow(points: Weighted, most: int = MOST) -> Rows:
-    """Return the cluster of every point for the number at the elbow of the squared error.
+    """Return the cluster of every point for the number of clusters at the elbow of the squared error.
 
-    The elbow is the k farthest below the line from the first error to the last (Satopaa et al. 2011, "Kneedle").
+    The elbow is the k farthest below the line from first to last error (Satopaa et al. 2011, "Kneedle").
     """
     divisions = kmeans_1d(points, most)
     error = np.array([error for _, error in divisions])
@@ -77,7 +76,7 @@ def by_elbow(points: Weighted, most: int = MOST) -> Rows:
 
 
 def register() -> None:
-    """Make the three known to `find_staircase` by name."""
+    """Register the three methods by name for `find_staircase`."""
     FINDERS["kmeans-elbow"] = lambda values, _eps, _least: by_elbow(points := condense(values))[points.of]
     FINDERS["hdbscan"] = lambda values, _eps, _least: by_hdbscan(values)
     FINDERS["gmm-bic"] = lambda values, _eps, _least: by_mixture(values)

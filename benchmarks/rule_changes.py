@@ -1,12 +1,12 @@
-"""Twelve changes of single numbers of a rule, told by `whatif`, against simulating the changed cell.
+"""Compares `whatif` estimates for twelve changes of single numbers of a rule with simulations of the changed cell.
 
     python benchmarks/rule_changes.py --executions 60 --fresh 40 --seeds 1 2 --work FOLDER
 
-Two cells with latency, ramps and hysteresis, tracker noise of 5 mm, and a log without scaling in `scanner-visits`: the
-rule is read from the logs (`rule_of`), and `whatif` changes one threshold, edge or part of the response of it. Truth is
-the simulator with the true function changed, beside the very tracks of the logged operators that the estimate rests on,
-and beside fresh operators. The first difference is what the method is off, the second adds the luck of which operators
-were logged.
+Two cells with latency, ramps, hysteresis and tracker noise of 5 mm; `scanner-visits` is logged without a scaling. The
+rule is read from the logs (`rule_of`), and `whatif` changes one threshold, edge or parameter of the response. Ground
+truth is the simulator with the true function changed in the same way, with the same tracks of logged operators as the
+estimate, and with fresh operators. The first difference is the error of the method; the second adds the sampling error
+of the logged operators.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ X_M, Y_M = (0.9, 2.3), (-0.6, 1.1)
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One change: as `whatif` is told it, and as the simulator is."""
+    """One change, as specified for `whatif` and for the simulator."""
 
     scene: str
     change: Change
@@ -58,7 +58,7 @@ class Case:
 
     @property
     def safety(self) -> SafetyFunction:
-        """The changed function."""
+        """Changed safety function of the simulator."""
         levels = LEVELS[self.scene]
         stairs = DistanceStaircase(levels, self.thresholds_m or NOW[self.scene])
         if self.scene == BOXES:
@@ -107,9 +107,10 @@ def cell_of(work: Path, scene: str, executions: int, seed: int) -> tuple[Dataset
 
 
 def of_cell(work: Path, asked: argparse.Namespace, scene: str, seed: int) -> dict[str, np.ndarray]:
-    """Return by change what it saves as part of the cycle: told, beside logged operators, fresh; (3, sequences).
+    """Return by change the saved share of the cycle, shape (3, sequences).
 
-    What was simulated is kept in the folder.
+    Rows: estimated, simulated with logged operators, simulated with fresh operators. Simulations are stored in the
+    folder.
     """
     dataset, rule = cell_of(work, scene, asked.executions, seed)
     wanted = unseen_sequences(dataset, scene, asked.sequences, first=JUDGED_SEED)

@@ -1,15 +1,14 @@
-"""Hidden rules: is the kind named, and how far off are thresholds and corners?
+"""Hidden rules: whether their kind is found, and the errors of thresholds and corners.
 
-Each cell of the simulator is given a safety function that no log tells; its truth lies beside the logs in
-`truth/truth.json`. The logs are ingested as any logs, and `find_rule` sees the dataset alone. A cell counts where the
-kind of rule is named, thresholds are within 1 cm and corners within 3 cm.
+Each simulated cell has a safety function that is only in `truth/truth.json`, not in the logs. `find_rule` gets only the
+dataset. A cell is correct if the kind of the rule is found, thresholds are within 1 cm and corners within 3 cm.
 
-In the tenth the left edge of the rectangle lies behind the distance, where few operators show it; in the eleventh the
-rectangle lies apart. Of a region of the robot the edges that the TCP crosses count as corners. The sixteenth goes by a
-bit in the events, beside one by which the robot tells that it is slow, and one of a gripper; then come four with a
-reaction time, three of them beside a hysteresis, which looks like more of it.
+In the tenth rule the left edge of the rectangle is beyond the distance, where few operators cross it; in the eleventh
+the rectangle is separate. Of a region of the robot, the edges crossed by the TCP count as corners. The sixteenth rule
+depends on a bit in the events, which also contain a bit for reduced speed and one of a gripper. Four rules with a
+reaction time follow, three of them with hysteresis, which has a similar effect.
 
-The limits of the method were chosen on the scenes as they are, with seed 3.
+The limits of the method were chosen on the unchanged scenes, with seed 3.
 
     python benchmarks/rules.py --work DIR --executions 60 --seed 11
 """
@@ -55,12 +54,12 @@ class Case:
 
     @property
     def kind(self) -> str:
-        """The kind that is to be named."""
+        """True kind of the rule."""
         return f"{self.family}, with hysteresis" if "hysteresis_m" in self.options else self.family
 
 
 def nearer(distance: str, *thresholds: tuple[float, float]) -> tuple[Limit, ...]:
-    """Return limits of a distance: scaling and threshold, m, of each."""
+    """Return limits on a distance from pairs of scaling and threshold, m."""
     return tuple(Limit(scaling, distance=distance, below_m=metres) for scaling, metres in thresholds)
 
 
@@ -70,7 +69,7 @@ def inside(scaling: float, rectangle: Rectangle) -> Limit:
 
 
 def with_signals(logs: Path, delay_s: float, seed: int) -> None:
-    """Write events: the bit that the speed answers to, one by which the robot tells that it is slow, and a gripper."""
+    """Write events: the bit on which the speed depends, a bit set by the robot at reduced speed, and a gripper."""
     rng = np.random.default_rng(seed)
     for session in sorted(logs.glob("session_*")):
         robot = pl.read_csv(session / "robot.csv", separator=" ", columns=["timestamp", "speed_scaling"])
@@ -98,11 +97,11 @@ BOX, TURNED = "rectangle on the floor", "turned rectangle on the floor"
 WHILE = "while the robot is in a rectangle on the floor"
 SIGNAL = "signal"
 CLOCK_S = 147.512
-"""The clock of the robot's log less that of the events', as the simulator writes them."""
+"""Time of the robot's log minus time of the events, as written by the simulator, s."""
 POLYGON = ((1.0, -0.3), (2.0, -0.6), (2.5, 0.2), (2.1, 1.0), (1.2, 0.9))
 REGION = Rectangle((0.15, 1.5), (-1.0, 1.0))
 FIELDS = (Limit(0.25, polygon_m=ring(1.75, 0.35, 0.6)), Limit(0.25, polygon_m=ring(2.2, -1.5, 0.6)))
-"""Two fields that no simple shape joins."""
+"""Two fields that no single simple shape can cover."""
 PANEL = Rectangle((1.25, 2.2), (-0.15, 0.8))
 MIXED = nearer("tcp", (0.0, 0.83), (0.3, 1.17), (0.7, 1.74))
 CASES = (
@@ -159,7 +158,7 @@ CASES = (
 
 
 def main() -> None:
-    """Simulate, find the rules, print a row for each."""
+    """Simulate, find the rules, print one row per cell."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--executions", type=int, default=60)
@@ -209,7 +208,7 @@ def logged(case: Case, folder: Path, asked: argparse.Namespace) -> Dataset:
 
 
 def threshold_off(case: Case, rule: RuleCard) -> float:
-    """Return how far the worst threshold is off, m; infinite where one is missing, -inf where there is none."""
+    """Return the maximum error of the thresholds, m; inf if one is missing, -inf if there are none."""
     margin_m, worst = case.options.get("hysteresis_m", 0.0), -np.inf
     for hidden in case.rule.limits:
         if hidden.below_m is None:
@@ -224,7 +223,7 @@ def threshold_off(case: Case, rule: RuleCard) -> float:
 
 
 def corner_off(case: Case, rule: RuleCard) -> float:
-    """Return how far the worst corner is off, m; as `threshold_off`."""
+    """Return the maximum error of the corners, m; inf and -inf as in `threshold_off`."""
     margin_m, worst = case.options.get("hysteresis_m", 0.0), -np.inf
     for hidden in case.rule.limits:
         if hidden.rectangle is None:
@@ -251,7 +250,7 @@ def _off(truth: Iterable[tuple[float, float]], found: list[tuple[float, float]] 
 
 
 def intervals(case: Case, rule: RuleCard) -> str:
-    """Count the 95 % intervals of thresholds, and of edges along the axes, that hold the truth."""
+    """Return the number of 95 % intervals of thresholds and axis-parallel edges that contain the truth, as text."""
     margin_m, hold = case.options.get("hysteresis_m", 0.0), list[bool]()
     for hidden in case.rule.limits:
         limit = _limit(hidden, rule)
@@ -267,7 +266,7 @@ def intervals(case: Case, rule: RuleCard) -> str:
 
 
 def _edges(hidden: Rectangle | None, region: RegionCard, by_m: float) -> list[tuple[MetresCard, float]]:
-    """Return edges along the axes, and where they are in truth."""
+    """Return axis-parallel edges with their true positions."""
     if hidden is None or hidden.turned_deg:
         return []
     truth = [at + by for at, by in zip((*hidden.x_m, *hidden.y_m), (-by_m, by_m, -by_m, by_m), strict=True)]

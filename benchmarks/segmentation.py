@@ -1,16 +1,15 @@
-"""Tasks and executions found in logs against the simulator's, and what a row costs as logs grow.
+"""Compares tasks and executions found in logs with the simulator's; CPU time per row for growing logs.
 
     python benchmarks/segmentation.py [--executions 1000] [--scenes box-picking,...] [--rates 125,500] [--no-outputs]
 
-Each scene is simulated with ramps (2.5/s), a reaction time (0.1 s) and the encoder noise of a real UR5, logged in one
-long run (`--per-log 100`: in one for every hundred executions); with the override in the log and without it; and both
-with dwells longer than any halt (`pick` 20 s). With `--no-outputs` the log holds neither the gripper's output nor the
-register, so that motion alone tells. Every task of the truth is looked for among the found ones: the same start and
-goal, under way at the same time. A true one that is not there is lost, a found one that is no true one is invented.
-Boundaries are departure and arrival.
+Each scene is simulated with ramps (2.5/s), a reaction time (0.1 s) and the encoder noise of a real UR5, in one long log
+(`--per-log 100`: one log per hundred executions), with and without the override, and with dwells longer than any
+protective stop (`pick` 20 s). With `--no-outputs` the log has neither the gripper's output nor the register, so that
+only the motion can be used. A true and a found task match if they have the same start and goal and overlap in time. An
+unmatched true task is lost, an unmatched found one is invented. Boundaries are departure and arrival.
 
-The second table ingests as many executions of box-picking as `--growth` names in one log each, without the override:
-processor time per row.
+The second table ingests the numbers of executions of box-picking in `--growth`, in one log each, without the override,
+and prints the CPU time per row.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ def logs_of(
     dwell_s: float | None = None,
     per_log: int | None = None,
 ) -> Path:
-    """Simulate a cell; one log holds so many executions, or all."""
+    """Simulate a cell, with a number of executions per log or all in one."""
     options = SimulationOptions(
         robot_rate_hz=rate, ramp_down_per_s=2.5, ramp_up_per_s=2.5, latency_s=0.1, encoder_noise_rad=2e-5,
         log_override=logged, log_outputs=outputs, executions_per_session=per_log or count, pick_s=dwell_s,
@@ -56,7 +55,7 @@ def logs_of(
 
 
 def truth_of(logs: Path) -> pl.DataFrame:
-    """Return the true tasks in the time of the dataset: that of the log's first row."""
+    """Return the true tasks in the dataset's time, which starts at the log's first row."""
     executions = pl.read_parquet(logs / "truth" / "executions.parquet").select("execution", "session")
     tasks = pl.read_parquet(logs / "truth" / "tasks.parquet").join(executions, on="execution")
     begins = {
@@ -74,7 +73,7 @@ def truth_of(logs: Path) -> pl.DataFrame:
 
 
 def compare(truth: pl.DataFrame, found: pl.DataFrame) -> tuple[int, int, np.ndarray]:
-    """Return how many tasks are lost, how many invented, and the errors of the boundaries of the others, (2 N,)."""
+    """Return the numbers of lost and invented tasks, and the boundary errors of the others, shape (2 N,), s."""
     ours = found.select(
         "task", session=pl.col("execution").str.split(".").list.first(), start="start_s", arrival="arrival_s"
     ).with_row_index("ours")  # fmt: skip
@@ -92,7 +91,7 @@ def compare(truth: pl.DataFrame, found: pl.DataFrame) -> tuple[int, int, np.ndar
 
 
 def measured(logs: Path, out: Path) -> tuple[Dataset, int, float]:
-    """Ingest; return the dataset, the robot's rows and the cpu seconds."""
+    """Ingest; return the dataset, the number of the robot's rows and the CPU time, s."""
     began = time.process_time()
     dataset = Dataset.open(ingest([logs], out).dataset)
     return dataset, sum(entry.rows.get("robot") or 0 for entry in dataset.recordings), time.process_time() - began

@@ -1,12 +1,12 @@
-"""The luck of logged courses of signals alone: how far means beside them are off, without logs and learning.
+"""Sampling error of logged signal courses alone: errors of means with them, without logs and learning.
 
     python benchmarks/signal_luck.py --scenes light-curtain,scanner-fields --sets 16 --executions 60 --seeds 779 780
 
-The simulator's own safety function of fields and its response are known exactly, and so are the courses of the bits, as
-long as their executions lasted. Each set of courses is asked for an order half as long, as long and twice as long as
-these executions, entered and continued as `estimate` does (`signals`) or at their beginnings alone (`one entry`);
-`history` is the sum of what tasks took in these executions. Truth is the mean beside 2000 courses that really go on.
-Chance is the error of a mean of so many independent cycles of that order.
+The simulator's safety function of fields and its response are known exactly, and so are the courses of the bits for the
+duration of their executions. For each set of courses, an order half as long, as long and twice as long as these
+executions is simulated, with the starting times and continuations of `estimate` (`signals`), or only from their starts
+(`one entry`); `history` is the sum of the mean task durations in these executions. Ground truth is the mean over 2000
+courses that continue. Chance is the error of a mean of as many independent cycles of that order as were logged.
 """
 
 from __future__ import annotations
@@ -49,29 +49,29 @@ MEAN_OF_SIZE = (2 / np.pi) ** 0.5
 
 
 class TrueFields:
-    """The simulator's safety function of a scene's fields, asked by which of them are on."""
+    """Simulator's safety function of a scene's fields, as a function of which of them are on."""
 
     problem, card, often, unseen_error, doubts, limits, why = "now", TrainingCard(), True, 0.0, (), (), ""
 
     def __init__(self, scene: str) -> None:
-        """Take the fields of a scene."""
+        """Read the fields of a scene."""
         self._fields = BUILT_IN[scene].fields
         self.states = tuple(str(number) for number in range(1 << len(self._fields)))
 
     def predict(self, x: np.ndarray) -> np.ndarray:
-        """Answer no positions."""
+        """Raise an error: the function does not depend on positions."""
         raise NotImplementedError
 
     def near_logged(self, robot_m: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """Return that every state is known."""
+        """Return True for every state."""
         return np.ones(len(state), dtype=np.bool_)
 
     def logged_states(self, dataset: object) -> Mapping[str, tuple[np.ndarray, np.ndarray]]:
-        """Return no logs."""
+        """Return an empty mapping: there are no logs."""
         return {}
 
     def scaling_in(self, robot_m: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """Return the scaling with the TCP there, (N, 3), m, in states, (N, 1)."""
+        """Return the scaling for TCP positions (N, 3), m, and states (N, 1)."""
         found = np.ones(len(state))
         for k, field in enumerate(self._fields):
             on = state[:, 0].astype(np.int64) >> k & 1 == 1
@@ -82,7 +82,7 @@ class TrueFields:
 
 
 def courses(scene: str, count: int, seed: int) -> np.ndarray:
-    """Return which fields are on beside so many operators, shape (count, LENGTH)."""
+    """Return which fields are on for `count` operators, shape (count, LENGTH)."""
     cell, at_s, found = BUILT_IN[scene], np.arange(LENGTH) * STEP_S, np.empty((count, LENGTH), np.int64)
     for k in range(count):
         rng = stream(seed, cell, OPERATOR, k, domain=FRESH)
@@ -100,7 +100,7 @@ def rolled(
     owner: Sequence[int] | None = None,
     logged: np.ndarray | None = None,
 ) -> list[Rolled]:
-    """Return the cycles of programs beside courses, shape (K, T); `owner`: whose each is, `logged`: samples of it."""
+    """Return the cycles of programs with courses, shape (K, T); `owner`: operator of each, `logged`: logged samples."""
     cell, model, count = BUILT_IN[scene], TrueFields(scene), len(states)
     names = tuple(f"{k:06}" for k in (range(count) if owner is None else owner))
     all_of_it = np.full(count, states.shape[1]) if logged is None else logged
@@ -111,7 +111,7 @@ def rolled(
 
 
 def entered(logs: Sequence[np.ndarray], phases: int) -> tuple[np.ndarray, list[int], np.ndarray]:
-    """Return courses entered at so many instants and continued, shape (K, LENGTH), whose they are, samples of these."""
+    """Return continued courses from several starting times, shape (K, LENGTH), their operators and logged samples."""
     pool = [Stretch(np.zeros((len(log), 3)), log) for log in logs]
     instants = _instants([len(log) for log in logs])[:phases]
     begun = [Stretch(log.where[at:], log.activity[at:]) for at in instants for log in pool]
@@ -151,7 +151,7 @@ def main() -> None:
 def of_seed(
     scene: str, asked: argparse.Namespace, seed: int, dataset: Dataset, wanted: Sequence[TaskSequence]
 ) -> dict[str, np.ndarray]:
-    """Return the means by each way, shape (sets, orders), s."""
+    """Return the mean cycle times by way, shape (sets, orders), s."""
     nominal, size = nominal_tasks(dataset), asked.executions
     followed: list[TaskSequence] = []
     number = 10

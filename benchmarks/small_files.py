@@ -1,10 +1,9 @@
-"""Ingest of a folder of very many small logs: what one costs, in one process and in two.
+"""Ingest of a folder of very many small logs: time per log, with one process and with two.
 
     python benchmarks/small_files.py [--files 2000]
 
-Each file is a second of a UR log (125 Hz, `record.py`), with its own day of robot time. The ways run in turn, each in a
-process of its own: nothing but reading the bytes, an ingest with one job and with two, and one that finds all of them
-read already.
+Each file is one second of a UR log (125 Hz, `record.py`), on a different day of robot time. The ways alternate, each in
+a separate process: only reading the bytes, an ingest with one job and with two, and an ingest that is up to date.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ READ = "import sys; from pathlib import Path; print(sum(len(f.read_bytes()) for 
 
 
 def write(folder: Path, files: int) -> None:
-    """Write the logs: in each the tool goes from one place to another and stands."""
+    """Write the logs: in each the TCP moves from one place to another and stops."""
     t = np.arange(HZ) / HZ
     way = np.clip(t / 0.6, 0.0, 1.0)
     for number in range(files):

@@ -1,9 +1,9 @@
-"""Plans for robot and operator from task lists: expected cycle times of orders never logged, and who waits for whom.
+"""Plans for robot and operator from task lists: expected cycle times of new orders, and wait conditions.
 
-Simulated: sets of logs with and without waits, rates, turns and drift, orders never logged, each against fresh
-executions. Recorded: a task list whose orders are left out one after the other. Rivals: a simple rate model (rates by
-least squares, no spread, no learned waits: a task starts when its agent's last one has ended and its planned start has
-come), the plan's own times, and the sum of the mean durations of the agent that takes longer.
+Simulated: sets of logs with and without waits, rates, turns and drift; orders that were never logged are compared with
+fresh executions. Recorded: a task list; each of its orders is left out in turn. Rivals: a simple rate model (rates by
+least squares, no spread, no learned waits: a task starts after its agent's previous one and its planned start), the
+planned times, and the sum of the mean durations of the agent that takes longer.
 
     python benchmarks/task_lists.py --work DIR [--executions 60 200] [--seeds 1 2 3]
     python benchmarks/task_lists.py --work DIR --list tasks.json
@@ -42,17 +42,17 @@ CELLS = {
     "waits, rates and drift": ListOptions(drift=0.25),
 }
 RIDGE = 3.0
-"""Repetitions at rate 1 that the simple rate model sees beside each task."""
+"""Weight of the prior of the simple rate model: repetitions at rate 1 added to each task."""
 WAITS = {("mount", "bring", 0), ("weld", "mount", 0)}
 
 
 def refuse(sequence: TaskSequence, error: Exception) -> None:
-    """Print what could not be answered."""
+    """Print a sequence that could not be estimated, and the reason."""
     OUT.print(f"{sequence.name}: {error}")
 
 
 def simple_rates(runs: list[Run], agents: dict[str, str]) -> TaskModelCard:
-    """Return the simple rate model: sum of rate x time beside each task = 1, by least squares with a small ridge."""
+    """Return the simple rate model: sum of rate x time with each task = 1, by least squares with a small ridge."""
     cards = []
     pairs = {(name, done.task) for run in runs for name, some in run.tasks.items() for done in some}
     for agent, task in sorted(pairs):
@@ -73,12 +73,12 @@ def simple_rates(runs: list[Run], agents: dict[str, str]) -> TaskModelCard:
 
 
 def chance_of(relative: list[Vector], counts: Vector, draws: int = 2000) -> float:
-    """Return the mean |error| that a perfect model has, as the orders have few executions: from their deviations.
+    """Return the mean |error| of a perfect model, which is not zero as the orders have few executions.
 
     Args:
-        relative: Deviations of the executions of each order with several from the estimates' errors' mean, as part.
-        counts: Executions of each order, shape (orders,).
-        draws: For each order.
+        relative: Relative errors of the estimates, minus their mean, of each order with several executions.
+        counts: Number of executions of each order, shape (orders,).
+        draws: Number of random draws per order.
     """
     rng = np.random.default_rng(0)
     pool = [each * np.sqrt(len(each) / (len(each) - 1)) for each in relative]
@@ -90,7 +90,7 @@ def chance_of(relative: list[Vector], counts: Vector, draws: int = 2000) -> floa
 
 
 def simulated(asked: argparse.Namespace) -> None:
-    """Print a row for each cell and number of executions."""
+    """Print one row per cell and number of executions."""
     table = Table("cell", "executions", "sets", "mean |error|, %", "worst, %", "simple rates, %", "history, %",
                   "CI holds", "90 % holds", "waits missed", "waits invented")  # fmt: skip
     for name, options in CELLS.items():
@@ -136,7 +136,7 @@ def simulated(asked: argparse.Namespace) -> None:
 
 
 def recorded(asked: argparse.Namespace) -> None:
-    """Leave out each order of a task list in turn, and compare the estimate of it with what it took."""
+    """Leave out each order of a task list in turn, and compare its estimate with the recorded durations."""
     folder = asked.work / asked.list.stem
     if not folder.is_dir():
         ingest([asked.list], folder)
@@ -178,7 +178,7 @@ def recorded(asked: argparse.Namespace) -> None:
 
 
 def _planned_end_s(run: Run, usual: dict[tuple[str, str], float]) -> float:
-    """Return the end of the plan: the last planned start with the usual duration of that task, s."""
+    """Return the end of the plan: the last planned start plus the usual duration of that task, s."""
     ends = [
         done.planned_s + usual[agent, done.task]
         for agent, some in run.tasks.items()
@@ -189,7 +189,7 @@ def _planned_end_s(run: Run, usual: dict[tuple[str, str], float]) -> float:
 
 
 def main() -> None:
-    """Measure what was asked for."""
+    """Run the measurement."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--list", type=Path)

@@ -1,11 +1,11 @@
 """Time to the same validation error: cyclekit's loop, a plain PyTorch DataLoader loop, scikit-learn's MLPClassifier.
 
-Each is trained from the same seeds on the same rows of an artificial cell (a staircase of the distance, 600 000 rows)
-and stopped when its error on 60 000 noise-free rows falls below the goal, which is looked at sixteen times an epoch
-(the DataLoader loop: eight) and not timed. cyclekit's rate rises and falls once over a number of epochs that is given
-beforehand: one is enough for this goal, five are for less error, and what a whole run takes and ends with is told too.
-The others have a constant rate, so no end. Runs are interleaved, and cpu seconds stand beside wall seconds, for a
-machine that others use too.
+Each is trained with the same seeds on the same rows of an artificial cell (a staircase of the distance, 600 000 rows)
+and stopped when its error on 60 000 noise-free rows falls below the goal; this is checked sixteen times per epoch (the
+DataLoader loop: eight) and not timed. cyclekit's learning rate rises and falls once over a fixed number of epochs: one
+is enough for this goal, five reach a lower error; time and final error of the whole run are also printed. The others
+have a constant rate and thus no fixed end. Runs alternate, and CPU time is printed with wall time, for a machine with
+other load.
 
     python benchmarks/training_speed.py --repeats 3 --goal 2e-3
     python benchmarks/training_speed.py --repeats 11 --near
@@ -45,7 +45,7 @@ LEVELS, THRESHOLDS_M = np.array([0, 0.25, 0.5, 0.75, 1.0]), (0.5, 0.9, 1.4, 2.0)
 
 
 def rows(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return standardised inputs (N, 6) and the step of each row (N,)."""
+    """Return standardised inputs (N, 6) and the level index of each row (N,)."""
     rng = np.random.default_rng(seed)
     human = rng.uniform([-2, -2, 0], [2, 2, 2], (count, 3))
     robot = rng.uniform([-0.8, -0.8, 0.1], [0.8, 0.8, 1.2], (count, 3))
@@ -55,14 +55,14 @@ def rows(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def mse(probabilities: np.ndarray, step: np.ndarray) -> float:
-    """Return the error of the mean of the levels."""
+    """Return the mean squared error of the softmax mean of the levels."""
     return float(np.mean((probabilities @ LEVELS - LEVELS[step]) ** 2))
 
 
 def cyclekit_loop(
     X: np.ndarray, step: np.ndarray, seed: int, epochs: int, **settings: str
 ) -> Iterator[Callable[..., np.ndarray]]:
-    """Train as `fitting` does: picks of one tensor, one rise and fall of the rate over all epochs."""
+    """Train as `fitting` does: random rows of one tensor, one rise and fall of the learning rate over all epochs."""
     torch.manual_seed(seed)
     spec = ModelSpec.of("now", "classifier", **settings).for_rows(len(X))  # type: ignore[arg-type]
     net = build(spec, 6, LEVELS.tolist())
@@ -117,9 +117,9 @@ def _of_torch(net: nn.Module, V: np.ndarray) -> np.ndarray:
 def timed(
     loop: Iterator[Callable[..., np.ndarray]], V: np.ndarray, truth: np.ndarray, goal: float, *, to_the_end: bool
 ) -> tuple[float, ...]:
-    """Return wall and cpu seconds until the goal, and of the whole run (if wanted) cpu seconds and its last error.
+    """Return wall and CPU time until the goal, s, and (if wanted) CPU time, s, and final error of the whole run.
 
-    A goal that is not reached within GIVE_UP_S cpu seconds takes infinitely long.
+    The times are infinite if the goal is not reached within GIVE_UP_S seconds of CPU time.
     """
     wall = cpu = 0.0
     reached, error = (float("inf"), float("inf")), float("nan")
@@ -138,7 +138,7 @@ def timed(
 
 
 def prediction_rate() -> tuple[float, float]:
-    """Return how many million rows a second, and a cpu second, the folded network predicts with numpy, best of 5."""
+    """Return million rows per second and per CPU second that the folded network predicts in numpy, best of 5."""
     rng = np.random.default_rng(0)
     sizes = [6, 64, 64, 64, 64, 5]
     layers = tuple(
@@ -181,7 +181,7 @@ def main() -> None:
     found = defaultdict(list)
     with threadpool_limits(options.threads):
         for way in ways.values():
-            next(way(0))  # imports and first calls are not counted
+            next(way(0))  # imports and first calls are not timed
         for seed, (name, way) in itertools.product(range(options.repeats), ways.items()):
             ends = name.startswith("cyclekit") and not options.near
             found[name].append(timed(way(seed), V, truth, options.goal, to_the_end=ends))

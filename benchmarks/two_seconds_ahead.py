@@ -1,11 +1,11 @@
-"""The scaling two seconds ahead: every predictor with the same inputs, beside what nobody can know.
+"""The scaling two seconds ahead: predictors with the same inputs, compared with the lower bound of the error.
 
     python benchmarks/two_seconds_ahead.py --scene box-picking --executions 200 --seed 2
 
-All learn from the same executions and are judged by the same held-out samples. `now`: positions and goals at that
-instant. `1 s`: positions and goals of the last second. `1 s, past`: also how long each goal has held, and the scaling
-of the last second. The floor branches the simulator from held-out states: same state, many futures; the mean variance
-of the scaling after two seconds is the error of whoever knows the state and the whole simulator.
+All have the same training executions and held-out samples. `now`: present positions and goals. `1 s`: positions and
+goals of the last second. `1 s, past`: also the time since each goal was set, and the scaling of the last second. For
+the lower bound, the simulator continues many times from each held-out state; the mean variance of the scaling after two
+seconds is the error of a predictor that knows the state and the whole simulator.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ NETWORKS = {
 
 
 class Cell:
-    """A simulated cell: its dataset, and rows to learn from and to judge by."""
+    """A simulated cell: its dataset, with training and test rows."""
 
     def __init__(self, scene: str, executions: int, seed: int, steps: int, work: Path) -> None:
-        """Simulate and ingest it, unless that was done before."""
+        """Simulate and ingest the cell, unless that was done before."""
         place = work / f"{scene}-{executions}-{seed}"
         if not (place / "dataset").is_dir():
             simulate(scene, place / "logs", executions=executions, seed=seed)
@@ -62,7 +62,7 @@ class Cell:
         self.learn, self.test = split_executions(self.names, seed=seed)
 
     def rows(self, *, past: bool) -> tuple[Samples, Samples]:
-        """Return the rows to learn from and to judge by, with a history of a second."""
+        """Return training and test rows with a history of one second."""
         history = ModelSpec.of("ahead", "boosting").at_rate(self.dataset.rate_hz).history or (1, 1)
         frames = (self.dataset.samples(list(names)) for names in (self.learn, self.test))
         rate_hz = self.dataset.rate_hz
@@ -84,29 +84,29 @@ class Cell:
         return metrics.mse_mean
 
     def boosted(self, inputs: str) -> float:
-        """Grow the trees of every comparison on some inputs."""
+        """Train gradient boosting on some inputs and return its MSE."""
         learn, judge = self.rows(past=inputs == "1 s, past")
         if inputs == "now":
             learn, judge = (_only_now(rows) for rows in (learn, judge))
         return _mse(grow(learn, seed=self.seed).predict(judge), judge)
 
     def persistence(self) -> float:
-        """Say that the scaling stays as it is."""
+        """Return the MSE of predicting the present scaling."""
         _, judge = self.rows(past=True)
         return _mse(judge.X[:, judge.inputs.index("scaling")].astype(np.float64), judge)
 
     def constant(self) -> float:
-        """Say the mean."""
+        """Return the MSE of predicting the mean."""
         learn, judge = self.rows(past=False)
         return _mse(np.full(len(judge), learn.scaling.mean()), judge)
 
     def floor(self) -> float:
-        """Return the mean variance over the futures of held-out states."""
+        """Return the mean variance over simulated continuations of held-out states."""
         numbers = [self.names.index(name) for name in self.test]
         return float(spread_ahead(self.scene, self.seed, self.count, numbers, HORIZON_S).mean())
 
     def entries(self) -> dict[str, tuple[str, Callable[[], float]]]:
-        """Return what is compared, by name: its inputs, and what finds its error."""
+        """Return the predictors by name: inputs, and the function that returns the MSE."""
         found: dict[str, tuple[str, Callable[[], float]]] = {}
         for name, (inputs, settings) in NETWORKS.items():
             found[name] = inputs, partial(self.network, settings)
@@ -127,7 +127,7 @@ def _mse(predicted: NDArray[np.float64], judge: Samples) -> float:
 
 
 def main() -> None:
-    """Find every error that is not in the work folder yet, and print them all."""
+    """Compute every error that is not yet in the work folder, and print all."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--scene", default="box-picking")
     parser.add_argument("--executions", type=int, default=200)

@@ -1,7 +1,8 @@
-"""The comparative analysis of the source paper, done again: every network, beside rivals and noise floors.
+"""Reproduces the comparative analysis of the source paper: every network, with rivals and noise floors.
 
-`plan` says what is trained, `cells` simulates it, `runs` trains and keeps each result in a file of its own, `floors`
-computes what nobody can beat from the true safety function, `tables` and `figures` draw. `python -m benchmarks.paper`.
+`plan` lists the trainings, `cells` simulates, `runs` trains and stores each result in a separate file, `floors`
+computes lower bounds of the error from the true safety function, `tables` and `figures` draw. Run by
+`python -m benchmarks.paper`.
 """
 
 from __future__ import annotations

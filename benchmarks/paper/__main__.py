@@ -1,7 +1,7 @@
-"""The paper's comparison, done again on simulated cells: `python -m benchmarks.paper --help`, in the repository's root.
+"""Reproduces the paper's comparison on simulated cells: `python -m benchmarks.paper --help`, in the repository's root.
 
-Simulates, trains every network of the paper, and writes its tables and figures beside rivals and floors. What was done
-before is kept: a run goes on where it stopped.
+Simulates, trains every network of the paper, and writes its tables and figures with rivals and noise floors. Existing
+results are reused: an interrupted run can be continued.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from cyclekit.storage.atomic import write_text
 
 
 def main(words: list[str] | None = None) -> int:
-    """Run the comparison; return 1 where it was refused or something could not be trained.
+    """Run the comparison; return 1 if it was refused or a training failed.
 
     Args:
-        words: Arguments; None takes those of the process.
+        words: Arguments; None = those of the process.
     """
     asked = _arguments().parse_args(words)
     settings = Settings(asked.executions, asked.seeds, asked.scenes, asked.steps, asked.only, asked.done)

@@ -1,4 +1,4 @@
-"""The simulated cells that everything is judged on, each made once."""
+"""Makes the simulated cells of the comparison, each once."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 
 
 def prepared(executions: int, scene: str, seed: int, folder: Path) -> None:
-    """Simulate and ingest one scene unless that was done; keep the truth beside the dataset, and drop the logs.
+    """Simulate and ingest one scene unless that was done; keep dataset and truth, and delete the logs.
 
     Args:
-        executions: How many.
-        scene: Name of the cell.
-        seed: Of the simulation.
-        folder: Gets `dataset` and `truth.json`.
+        executions: Number of executions.
+        scene: Name of the scene.
+        seed: Seed of the simulation.
+        folder: Folder for `dataset` and `truth.json`.
     """
     from cyclekit_sim import simulate
 

@@ -1,4 +1,4 @@
-"""How right a model is: true against predicted, by distance, and how far its probabilities hold."""
+"""Figures of a model's error: true against predicted scaling, by distance, and reliability of its probabilities."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FEW = 20
 
 
 def draw_heatmap(path: Path, rows: NDArray[np.int64]) -> None:
-    """Draw how many rows of each true scaling got which prediction, logarithmic.
+    """Draw a heatmap of the number of rows by true and predicted scaling, logarithmic.
 
     Args:
         path: File to write.
@@ -53,7 +53,7 @@ def draw_staircase(path: Path, result: Mapping[str, Any]) -> None:
 
 
 def draw_reliability(path: Path, found: Mapping[str, Any]) -> None:
-    """Draw confidence against accuracy of a classifier; on the diagonal its probabilities hold.
+    """Draw accuracy over confidence of a classifier; on the diagonal its probabilities are calibrated.
 
     Args:
         path: File to write.

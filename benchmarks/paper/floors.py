@@ -1,7 +1,7 @@
-"""What noise leaves to be known: the true safety function asked with a noisy position, and the best answer to that.
+"""Noise floors of the error: the true safety function at the noisy position, and the Bayes estimate.
 
-The plug-in takes the noisy position for the true one. The Bayes estimate is E[s | noisy position] under a flat prior of
-the true position: the mean of the levels under the noise around what was seen, in closed form.
+The plug-in estimate uses the noisy position as the true one. The Bayes estimate is E[s | noisy position] under a flat
+prior of the true position: the mean of the levels under the noise around the measured position, in closed form.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ def plug_in(safety: Mapping[str, Any], robot_m: Vector, human_m: Vector) -> Vect
     """Return the true scaling for these positions, shape (N,).
 
     Args:
-        safety: As `truth.json` of a simulation describes it: a staircase of the distance, or zones on the floor.
-        robot_m: Shape (N, 3).
-        human_m: Shape (N, 3).
+        safety: Safety function from `truth.json` of a simulation: a staircase of the distance, or zones on the floor.
+        robot_m: Positions of the TCP, shape (N, 3), m.
+        human_m: Positions of the operator, shape (N, 3), m.
     """
     levels = np.array(safety["levels"])
     if safety["kind"] == "DistanceStaircase":
@@ -49,8 +49,8 @@ def bayes(safety: Mapping[str, Any], robot_m: Vector, human_m: Vector, delta_m: 
 
     Args:
         safety: As in `plug_in`.
-        robot_m: Shape (N, 3), exact.
-        human_m: Shape (N, 3), with white noise.
+        robot_m: Exact positions of the TCP, shape (N, 3), m.
+        human_m: Positions of the operator with white noise, shape (N, 3), m.
         delta_m: Standard deviation of that noise per axis, m.
     """
     if delta_m == 0:
@@ -60,7 +60,7 @@ def bayes(safety: Mapping[str, Any], robot_m: Vector, human_m: Vector, delta_m: 
         apart = np.linalg.norm(robot_m - human_m, axis=1)
         beyond = [1 - _within(apart, threshold, delta_m) for threshold in safety["thresholds_m"]]
         return np.asarray(levels[0] + np.diff(levels) @ np.array(beyond))
-    # Zones lie within each other, the slower one inside: then a step is the innermost zone he stands in.
+    # Zones are nested, slower ones inside: the level is that of the innermost zone that contains the operator.
     scaling = np.full(len(human_m), levels[-1])
     zones = sorted(_zones(safety), key=lambda zone: -int(zone["step"]))
     steps = [int(zone["step"]) for zone in zones]
@@ -80,9 +80,9 @@ def _zones(safety: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _within(apart: Vector, radius: float, delta: float) -> Vector:
-    """Return the probability that a point with noise around one `apart` from the centre lies within `radius`.
+    """Return the probability that a point with noise around one at distance `apart` from the centre is within `radius`.
 
-    The distance over delta is non-central chi with three degrees of freedom, whose distribution has a closed form.
+    Distance / delta is non-central chi with three degrees of freedom, whose distribution function has a closed form.
     """
     ratio, mean = radius / delta, np.maximum(apart / delta, 1e-9)
     density = np.exp(-((mean - ratio) ** 2) / 2) - np.exp(-((mean + ratio) ** 2) / 2)

@@ -1,4 +1,4 @@
-"""What the paper compares, and what stands beside it: one `Entry` per number of a table."""
+"""Numbers of the comparison, those of the paper and additional ones: one `Entry` per number of a table."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ DELTAS_M = (0.0, 0.02, 0.05)
 AHEAD_S, AVERAGES_S = 2.0, (14.0, 19.0)
 PLAIN, SLOWER = (("norm", "none"),), (("optimiser", "adamw"),)
 OURS = (("features", "distance"), ("norm", "none"))
-"""Ours for the scaling now; for what lies ahead, where he is now says less, and LSTMs see positions only."""
+"""Our settings for the present scaling; ahead, the present distance helps less, and LSTMs have positions only."""
 RIVALS = ("persistence", "distance staircase", "gradient boosting", "MLP")
 RIVALS_AHEAD = (*RIVALS, "gradient boosting, last second")
-"""What lies ahead is also asked of trees that see what recurrent networks see: a second of history."""
+"""Rivals for the scaling ahead: also trees with the inputs of recurrent networks, one second of history."""
 FLOORS = ("true staircase, noisy position", "Bayes estimate, flat prior")
 PAPER = {
     ("now", 0.0, "classifier"): 3.32e-4,
@@ -39,8 +39,8 @@ class Entry:
         problem: `now`, `ahead` or `average`.
         horizon_s: 0 for `now`.
         delta_m: Noise of the operator's position, standard deviation per axis, m.
-        name: Of a network, or one of `RIVALS_AHEAD` and `FLOORS`.
-        settings: What of `ModelSpec` differs from the default, as sorted pairs; empty for rivals and floors.
+        name: Name of a network, or one of `RIVALS_AHEAD` and `FLOORS`.
+        settings: Values of `ModelSpec` that differ from the default, as sorted pairs; empty for rivals and floors.
     """
 
     problem: str
@@ -51,19 +51,19 @@ class Entry:
 
     @property
     def is_network(self) -> bool:
-        """Whether it is to be trained here."""
+        """Whether the entry is a network to train."""
         return self.name not in (*RIVALS_AHEAD, *FLOORS)
 
     @property
     def shown(self) -> str:
-        """What it is called in a table."""
+        """Name in a table."""
         said = {"norm=none": "no normalisation", "optimiser=adamw": "AdamW", "features=distance": "distance"}
         differs = [said.get(f"{key}={value}", f"{key} {value}") for key, value in self.settings]
         return ", ".join([self.name, *sorted(differs)])
 
     @property
     def key(self) -> str:
-        """A file name without suffix."""
+        """File name of the result, without suffix."""
         words = [self.problem, f"{self.horizon_s:g}s", f"{self.delta_m:g}m", self.name.replace(",", ""), *(
             f"{key}-{value}" for key, value in self.settings
         )]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Rivals that learn from the same rows as the networks and are judged by the same rows."""
+"""Rivals with the same training and test rows as the networks."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 
 def predict_by(name: str, learn: Samples, judge: Samples, levels: Sequence[float], now: Vector) -> Vector:
-    """Return what a rival predicts for `judge`, shape (N,).
+    """Return the predictions of a rival for `judge`, shape (N,).
 
     Args:
         name: One of `plan.RIVALS_AHEAD`.
-        learn: Rows to learn from.
-        judge: Rows to predict.
-        levels: Staircase levels, ascending.
-        now: The last scaling known before each row of `judge`, shape (N,).
+        learn: Training rows.
+        judge: Test rows.
+        levels: Levels of the staircase, ascending.
+        now: Last known scaling before each row of `judge`, shape (N,).
     """
     if name == "persistence":
         return now
@@ -51,6 +51,6 @@ def _perceptron(learn: Samples, judge: Samples) -> Vector:
     import warnings
 
     with warnings.catch_warnings(), threadpool_limits(1):
-        warnings.simplefilter("ignore")  # it says that it could go on
+        warnings.simplefilter("ignore")  # a warning that it has not converged
         net.fit((learn.X - mean) / scale, learn.scaling)
         return np.clip(np.asarray(net.predict((judge.X - mean) / scale), np.float64), 0.0, 1.0)

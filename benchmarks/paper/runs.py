@@ -1,4 +1,4 @@
-"""Train and judge everything of the plan; each result is a file of its own, so a run goes on where it stopped."""
+"""Trains and evaluates all entries of the plan; each result is a separate file, so a run can be continued."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ _CELLS = 25
 
 @dataclass(frozen=True)
 class Settings:
-    """What to run.
+    """Settings of a run.
 
     Attributes:
-        executions: Per scene and seed.
-        seeds: Of simulation, noise, split and training.
-        scenes: Which cells.
-        steps: Steps of every training, None for the default of training.
+        executions: Number of executions per scene and seed.
+        seeds: Seeds of simulation, noise, split and training.
+        scenes: Names of the scenes.
+        steps: Number of steps of every training; None = default.
         only: Only entries whose key contains this text; empty = all.
-        done: Only what was done before: nothing is run.
+        done: Use existing results only, run nothing.
     """
 
     executions: int = 1000
@@ -61,7 +61,7 @@ class Settings:
 
 
 class NoisyDataset(Dataset):
-    """A dataset as a worse tracker would have logged it: white noise on the operator, the same every time."""
+    """A dataset with white noise on the operator's position, the same at every read."""
 
     def __init__(self, dataset: Dataset, delta_m: float, seed: int) -> None:
         """Add noise of `delta_m` per axis, m."""
@@ -84,17 +84,17 @@ class NoisyDataset(Dataset):
 def benchmark_paper(
     settings: Settings, out: Path, prepare: Prepare, progress: Progress, engine: Engine = LOCAL
 ) -> tuple[list[dict[str, Any]], list[str]]:
-    """Run what is missing; return every result, and what was refused and why.
+    """Run the missing entries; return all results, and the failed entries with their reasons.
 
-    A training that fails keeps nothing else from being done, and is tried again the next time.
+    A failed training does not stop the others, and is repeated the next time.
 
     Args:
-        settings: What to run.
-        out: Folder; `out/results` holds a JSON file per number.
-        prepare: Simulates and ingests `scene` with `seed` into `dataset` of a folder, and puts `truth.json` beside it,
-            unless both are there.
-        progress: Told the fraction done and what is being done.
-        engine: Where the work is done: first each missing dataset, then each missing number, is a task.
+        settings: Settings of the run.
+        out: Output folder; `out/results` holds one JSON file per number.
+        prepare: Simulates and ingests `scene` with `seed` into `dataset` of a folder, and writes `truth.json` there,
+            unless both exist.
+        progress: Called with the share done and the present work.
+        engine: Engine for the tasks: first each missing dataset, then each missing number.
     """
     wanted = [
         _Wanted(scene, seed, entry)
@@ -128,7 +128,7 @@ def benchmark_paper(
 
 @dataclass(frozen=True)
 class _Wanted:
-    """One number of the plan."""
+    """One number of the plan to compute."""
 
     scene: str
     seed: int
@@ -150,7 +150,7 @@ def _prepared(prepare: Prepare, out: Path, executions: int, cell: tuple[str, int
 
 @one_thread()
 def _judge(settings: Settings, out: Path, each: _Wanted) -> None:
-    """Find one number and write it down; the cell of the last one is kept for the next."""
+    """Compute one number and write its file; the last cell is cached for the next call."""
     entry = each.entry
     place = _folder(out, each.scene, settings.executions, each.seed) / "dataset"
     cell = _cell(place, entry.delta_m, each.seed, settings.steps)
@@ -166,7 +166,7 @@ def _cell(place: Path, delta_m: float, seed: int, steps: int | None) -> _Cell:
 
 
 class _Cell:
-    """One scene, seed and noise: what is trained and judged on it."""
+    """Data of one scene, seed and noise for training and evaluation."""
 
     def __init__(self, place: Path, delta_m: float, seed: int, steps: int | None) -> None:
         self.dataset = NoisyDataset(Dataset.open(place), delta_m, seed)
@@ -193,12 +193,12 @@ class _Cell:
     def _spec(self, entry: Entry) -> ModelSpec:
         settings: dict[str, Any] = {"features": "positions", **dict(entry.settings)}  # as in the literature
         if self.steps is not None:
-            rows = self.dataset.samples().height * 0.72  # what two divisions leave to learn from
+            rows = self.dataset.samples().height * 0.72  # share left for training after two splits
             settings["epochs"] = max(round(self.steps / max(rows // 1024, 1)), 1)
         return ModelSpec.of(entry.problem, entry.name, entry.horizon_s or None, seed=self.seed, **settings)
 
     def _split(self) -> tuple[list[str], list[str]]:
-        """Return the executions that networks learn from (validation included), and those that all are judged by."""
+        """Return the training executions (with those for validation), and the test executions."""
         from cyclekit.learning.windows import split_executions
 
         learn, test = split_executions(self.dataset.executions["execution"].to_list(), seed=self.seed)

@@ -1,4 +1,4 @@
-"""The results as Markdown tables and figures: means and spread over seeds, beside the paper's numbers."""
+"""Writes the results as Markdown tables and figures: means and spread over seeds, with the paper's numbers."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _averages(results: Results) -> str:
 def _table(
     title: str, results: Results, columns: Sequence[tuple[str, float, float]], heads: Sequence[str], scale: float
 ) -> str:
-    """Return one table; a row per network, rival or floor that has any result."""
+    """Return one table with a row per network, rival or floor with results."""
     named: dict[str, Entry] = {}
     for entry in entries():
         if (entry.problem, entry.horizon_s, entry.delta_m) in columns:
@@ -83,7 +83,7 @@ def _is(result: dict[str, Any], problem: str, horizon_s: float, delta_m: float, 
 
 
 def _spread(values: Sequence[float], digits: int = 2) -> str:
-    """Return mean ± standard deviation over seeds; the value alone where there is one seed."""
+    """Return mean ± standard deviation over seeds; the value alone for one seed."""
     if not values:
         return _MISSING
     mean = f"{np.mean(values):.{digits}f}"
@@ -91,10 +91,10 @@ def _spread(values: Sequence[float], digits: int = 2) -> str:
 
 
 def put_into(page: Path, text: str) -> None:
-    """Put the tables between the two marks of a Markdown file.
+    """Write the tables between the two marks of a Markdown file.
 
     Raises:
-        ConfigError: The marks are not there.
+        ConfigError: The file does not contain the marks.
     """
     whole = page.read_text(encoding="utf-8") if page.is_file() else ""
     if BEGIN not in whole or END not in whole:
@@ -105,7 +105,7 @@ def put_into(page: Path, text: str) -> None:
 
 
 def write_figures(results: Results, folder: Path) -> None:
-    """Draw the paper's figures for every scene: staircase, heatmaps, and how far probabilities hold."""
+    """Draw the paper's figures for every scene: staircase, heatmaps, and reliability of probabilities."""
     folder.mkdir(parents=True, exist_ok=True)
     for result in results:
         if result["seed"] != results[0]["seed"]:

@@ -7,16 +7,17 @@ fast sample fits equally well: the middle is used, with both as bounds.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
+from msgspec import structs
 
-from cyclekit.dataset.cards.rule import MetresCard, RectangleCard, RegionCard
+from cyclekit.dataset.cards.rule import MetresCard, RectangleCard, RegionCard, SignalCard
 from cyclekit.learning.rules.positions import Positions
 from cyclekit.learning.rules.regions import NOWHERE, inside, turned
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     Edges = tuple[MetresCard | None, MetresCard | None]
 
+Condition = TypeVar("Condition", RegionCard, SignalCard)
 
 _ROUNDS, _ABOUT_ROWS = 8, 1500
 _COARSE_DEG, _FINE_DEG = 5.0, (2.0, 0.7, 0.25, 0.1)
@@ -146,6 +148,31 @@ def best_box(
         boxes = [np.array([_bounds(edges) for edges in start])]
     found = [_improved(values, axes, gain, box) for box in boxes]
     return max(found, key=lambda one: one[0])[1]
+
+
+def has_edges(rectangle: RectangleCard) -> bool:
+    """Return whether any edge of a rectangle is known."""
+    return any(edge is not None for edge in (*rectangle.along, *rectangle.across))
+
+
+def without_idle_edges(condition: Condition, wrong: Callable[[Condition], float], least: float) -> Condition:
+    """Return a condition without the edges of the TCP's rectangle that explain almost nothing.
+
+    Args:
+        condition: Region or signal; its rectangle is removed with the last edge.
+        wrong: Returns the total weight of the rows that a condition explains wrongly.
+        least: Minimum weight that an edge must explain.
+    """
+    for side, number in ((side, number) for side in ("along", "across") for number in (0, 1)):
+        if (robot := condition.robot) is None:
+            break
+        edges = list(getattr(robot, side))
+        edges[number] = None
+        wider = structs.replace(robot, **{side: tuple(edges)})
+        tried = structs.replace(condition, robot=wider if has_edges(wider) else None)
+        if wrong(tried) < wrong(condition) + least:
+            condition = tried
+    return condition
 
 
 def best_rectangle(angle_rad: float, rows: LimitRows, start: RectangleCard | None = None) -> RectangleCard | None:

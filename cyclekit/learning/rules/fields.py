@@ -15,7 +15,7 @@ from msgspec import structs
 from cyclekit.dataset.cards.rule import MetresCard, RectangleCard, RegionCard, RuleCard, SignalCard
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.learning.labelling import commanded_in_time, without_slider
-from cyclekit.learning.rules.cuts import best_box
+from cyclekit.learning.rules.cuts import best_box, without_idle_edges
 from cyclekit.learning.rules.families.family import Family
 from cyclekit.learning.rules.fitting import fit_limits
 from cyclekit.learning.rules.ladder import NOISY_EXPLAINS, RuleSearch, drawn
@@ -139,32 +139,14 @@ def _with_place(name: str, rows: LimitRows, left: Bools) -> list[SignalCard]:
         return [everywhere]
     along, across = ((_middle(low), _middle(high)) for low, high in found)
     boxed = structs.replace(everywhere, robot=RectangleCard(along=along, across=across))
-    return [everywhere, _without_idle(boxed, rows.where(left))]
+    there = rows.where(left)
+    least = max(FEW_ROWS, GAIN * float(there.weight.sum()))
+    return [everywhere, without_idle_edges(boxed, lambda one: there.wrong(RegionCard(signals=(one,))), least)]
 
 
 def _middle(edge: MetresCard | None) -> MetresCard | None:
     """Return an edge without bounds: the gap between samples around it is no confidence interval."""
     return None if edge is None else MetresCard(value=edge.value)
-
-
-def _without_idle(signal: SignalCard, rows: LimitRows) -> SignalCard:
-    """Return a signal without the edges of its rectangle that explain almost nothing."""
-    least = max(FEW_ROWS, GAIN * float(rows.weight.sum()))
-
-    def wrong(one: SignalCard) -> float:
-        return rows.wrong(RegionCard(signals=(one,)))
-
-    for side, number in ((side, number) for side in ("along", "across") for number in (0, 1)):
-        if (robot := signal.robot) is None:
-            break
-        edges = list(getattr(robot, side))
-        edges[number] = None
-        wider = structs.replace(robot, **{side: tuple(edges)})
-        bounded = any(edge is not None for edge in (*wider.along, *wider.across))
-        tried = structs.replace(signal, robot=wider if bounded else None)
-        if wrong(tried) < wrong(signal) + least:
-            signal = tried
-    return signal
 
 
 FIELDS = Family(_fit, may_lag=False)

@@ -13,6 +13,7 @@ from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, Recta
 from cyclekit.learning.rules.cuts import LimitRows
 from cyclekit.learning.rules.distances import TO_LINK, TO_TCP, to_links
 from cyclekit.learning.rules.families import FAMILIES
+from cyclekit.learning.rules.families.robot import ROBOT
 from cyclekit.learning.rules.ladder import RuleSearch, find_rule
 from cyclekit.learning.rules.of_dataset import less_late
 from cyclekit.learning.rules.positions import Positions
@@ -258,6 +259,23 @@ def test_a_region_of_the_robot_is_named_alone_and_beside_a_field(field: Any, fam
     assert region.robot.across[1] is not None
     assert region.robot.across[1].value == pytest.approx(0.25, abs=0.01)
     assert "the TCP is in the rectangle x from 0." in sentences(found.rule)[0]
+
+
+@pytest.mark.parametrize("everywhere", [False, True])
+def test_no_rectangle_of_the_robot_is_kept_if_its_edges_explain_nothing(everywhere: bool) -> None:
+    robot, human, _ = walks(away=True)
+    there = np.isfinite(human[:, 0]) if everywhere else in_box(human, 0.0)
+    rows = LimitRows(Positions({}, human[:, :2], robot[:, :2]), there, np.ones(len(human)))
+    name = "presence" if everywhere else "rectangle on the floor"
+    region = ROBOT[f"{name} while the robot is in a rectangle on the floor"].fit(rows, None)
+    assert region.robot is None
+    assert rows.wrong(region) == 0.0
+
+
+def test_a_robot_that_is_always_slow_has_no_region() -> None:
+    robot, human, _ = walks()
+    rows = LimitRows(Positions({}, human[:, :2], robot[:, :2]), np.ones(len(human), np.bool_), np.ones(len(human)))
+    assert ROBOT["robot in a rectangle on the floor"].fit(rows, None) == RegionCard()
 
 
 @pytest.mark.slow

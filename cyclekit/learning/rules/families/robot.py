@@ -6,10 +6,9 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec import structs
 
 from cyclekit.dataset.cards.rule import RectangleCard, RegionCard
-from cyclekit.learning.rules.cuts import best_box
+from cyclekit.learning.rules.cuts import best_box, has_edges, without_idle_edges
 from cyclekit.learning.rules.families.family import Family
 from cyclekit.learning.rules.regions import turned
 
@@ -34,21 +33,10 @@ def _fit(rows: LimitRows, start: RegionCard | None, *, operator: bool, field: bo
         return RegionCard()
     robot = RectangleCard(along=found[0], across=found[1])
     rectangles = (RectangleCard(along=found[2], across=found[3]),) if field else ()
-    return _without_idle(rows, RegionCard(anywhere=operator and not field, rectangles=rectangles, robot=robot))
-
-
-def _without_idle(rows: LimitRows, region: RegionCard) -> RegionCard:
-    """Return the region without the edges of the TCP's rectangle that explain almost nothing."""
-    least = max(_FEW_ROWS, _GAIN * float(rows.weight.sum()))
-    for side, number in ((side, number) for side in ("along", "across") for number in (0, 1)):
-        if (robot := region.robot) is None:
-            break
-        edges = list(getattr(robot, side))
-        edges[number] = None
-        open_there = structs.replace(region, robot=structs.replace(robot, **{side: tuple(edges)}))
-        if rows.wrong(open_there) < rows.wrong(region) + least:
-            region = open_there
-    return region
+    region = RegionCard(
+        anywhere=operator and not field, rectangles=rectangles, robot=robot if has_edges(robot) else None
+    )
+    return without_idle_edges(region, rows.wrong, max(_FEW_ROWS, _GAIN * float(rows.weight.sum())))
 
 
 def _edges(*rectangles: RectangleCard) -> list[Edges]:

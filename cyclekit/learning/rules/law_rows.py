@@ -12,6 +12,7 @@ from cyclekit.dataset.time_grid import stretches
 from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE
 from cyclekit.learning.labelling import without_slider
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
+from cyclekit.learning.rules.earlier import earlier
 from cyclekit.learning.rules.links import to_nearest_link
 from cyclekit.scaling.ways import RampRates
 
@@ -80,11 +81,8 @@ class LawRows:
         """Return values (N,) as they were `by_s` earlier, shape (N,); NaN before the start of the stretch."""
         if by_s <= 0.0:
             return values
-        time = self.t_s + 1e7 * self.run
-        after = np.clip(np.searchsorted(time, time - by_s), 1, len(time) - 1)
-        part = (time - by_s - time[after - 1]) / np.maximum(time[after] - time[after - 1], 1e-9)
-        moved = values[after - 1] + part * (values[after] - values[after - 1])
-        return np.where((self.run[after - 1] == self.run) & (part >= 0.0), moved, np.nan)
+        moved, early = earlier(values, self.t_s, self.run, by_s)
+        return np.where(early, np.nan, moved)
 
 
 def law_rows(dataset: Dataset, executions: Sequence[str]) -> LawRows | None:

@@ -13,6 +13,7 @@ from cyclekit.dataset.time_grid import stretches
 from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE
 from cyclekit.learning.labelling import commanded_in_time, without_slider
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
+from cyclekit.learning.rules.earlier import earlier
 from cyclekit.learning.rules.links import to_nearest_link
 from cyclekit.learning.rules.positions import Positions
 from cyclekit.learning.rules.signals import signals_of
@@ -162,7 +163,7 @@ def rows_of(
     t_s = frame["t_s"].to_numpy()
     seen_s = t_s - latency_s
     if latency_s:
-        places, early = _earlier(places, t_s, seen_s, run)
+        places, early = earlier(places, t_s, run, latency_s)
         level[early] = -1
     names = frame["execution"].to_numpy()
     order = {name: number for number, name in enumerate(executions)}
@@ -191,20 +192,3 @@ def _alone(level: NDArray[np.int64] | NDArray[np.float64], stretch: NDArray[np.i
     around = (seen[:, :1] == seen[:, [1, 3, 4]]).all(axis=1) & (stretch[:-4] == stretch[4:])
     found[2:-2] = around & (seen[:, 2] != seen[:, 0])
     return found
-
-
-def _earlier(
-    places: NDArray[np.float64], t_s: Vector, seen_s: Vector, run: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], Bools]:
-    """Return the positions at `seen_s`, shape (N, 6), and where these times lie before the stretch, shape (N,)."""
-    first = np.flatnonzero(np.diff(run, prepend=-1))
-    begin_s = np.repeat(t_s[first], np.diff(np.append(first, len(run))))
-    after = np.clip(np.searchsorted(t_s + _apart(run), seen_s + _apart(run)), 1, len(t_s) - 1)
-    share = (seen_s - t_s[after - 1]) / np.maximum(t_s[after] - t_s[after - 1], 1e-9)
-    moved = places[after - 1] + np.clip(share, 0.0, 1.0)[:, None] * (places[after] - places[after - 1])
-    return moved, seen_s < begin_s - 1e-9
-
-
-def _apart(run: NDArray[np.int64]) -> Vector:
-    """Return offsets that separate the times of stretches, s, so that one search covers all."""
-    return np.asarray(run * 1e7)

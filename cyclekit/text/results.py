@@ -45,8 +45,9 @@ class Result:
     def __repr__(self) -> str:
         """Return the result as a few lines of text, as shown in a console."""
         lines = [one_line(line) for line in self._said()]
-        kept = lines if len(lines) <= SHOWN_LINES else [*lines[: SHOWN_LINES - 1], f"... and {len(lines) - 7} more"]
-        return f"{type(self).__name__}: " + "\n  ".join(kept)
+        if len(lines) > SHOWN_LINES:
+            lines[SHOWN_LINES - 1 :] = [f"... and {len(lines) - SHOWN_LINES + 1} more"]
+        return f"{type(self).__name__}: " + "\n  ".join(lines)
 
     def _repr_html_(self) -> str:
         """Return the result as a small HTML table for a notebook; names from logs are escaped."""

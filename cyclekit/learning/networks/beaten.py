@@ -13,6 +13,7 @@ import numpy as np
 from cyclekit.errors import command_line
 from cyclekit.learning.networks.kinds import NETWORKS, networks_for
 from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.networks.weights import distance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -161,5 +162,4 @@ def staircase_at(thresholds: Floats, levels: Sequence[float], rows: Samples) -> 
 
 def distance_of(rows: Samples) -> Floats:
     """Return ||x_r - x_h|| of every row, shape (N,), m; infinite without an operator."""
-    apart = np.linalg.norm((rows.X[:, 0:3] - rows.X[:, 3:6]).astype(np.float64), axis=1)
-    return np.asarray(np.where(np.isnan(apart), np.inf, apart))
+    return distance(rows.X, np.inf)[:, 0].astype(np.float64)

@@ -105,11 +105,10 @@ def _with_distance(nodes: list[Any], constants: list[Any]) -> str:
     """Add the nodes that append ||x_r - x_h|| to the positions; return the name of the result."""
     from onnx import helper, numpy_helper
 
-    apart = np.zeros((12, 3), np.float32)
-    apart[:3], apart[3:6] = np.eye(3), -np.eye(3)
+    apart = np.concatenate([np.eye(3), -np.eye(3)]).astype(np.float32)
     bounds = {"begin": [0], "end": [6], "columns": [1]}
     constants += [numpy_helper.from_array(np.array(v, np.int64), name) for name, v in bounds.items()]
-    constants.append(numpy_helper.from_array(apart[:6], "apart"))
+    constants.append(numpy_helper.from_array(apart, "apart"))
     nodes += [
         helper.make_node("Slice", ["positions", "begin", "end", "columns"], ["both"]),
         helper.make_node("MatMul", ["both", "apart"], ["way"]),

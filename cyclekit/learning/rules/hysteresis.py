@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 Z95 = 1.96
 """Half-width of a 95 % interval, standard errors."""
 FAR_OFF = 4.0
+"""Maximum plausible margin, in medians of all margins of the rule."""
 SUREST_M = 0.001
 """Minimum standard error of a threshold or edge, m."""
 

@@ -148,14 +148,14 @@ def _readings(target: Path) -> bool:
     return any(target.with_name(f".{target.name}.read").glob("*/entry.json"))
 
 
-def kill(victim: Victim, times: int, terminal: Terminal, settle: Callable[[Path], None], seed: int = 0) -> Count:
+def kill(victim: Victim, times: int, terminal: Terminal, clean_up: Callable[[Path], None], seed: int = 0) -> Count:
     """Kill a command `times` times and return the resulting states.
 
     Args:
         victim: The command.
         times: Number of kills.
         terminal: Runs the command lines.
-        settle: First step of a reader of the result (`recover` for folders).
+        clean_up: First step of a reader of the result (`recover` for folders).
         seed: Seed of the times.
     """
     chance = random.Random(seed)
@@ -179,7 +179,7 @@ def kill(victim: Victim, times: int, terminal: Terminal, settle: Callable[[Path]
         process.kill()
         process.join()
         count.readings += _readings(victim.target)
-        settle(victim.target)
+        clean_up(victim.target)
         left = state_of(victim.target)
         if left not in whole:
             count.broken.append(f"kill {number}: {left[:8] or 'nothing'}")

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
-from cyclekit.storage.inside import inside as inside  # for adapters of folders: a path from a name in the data
+from cyclekit.storage.safe_path import safe_path
 from cyclekit.storage.scratch import Scratch as Scratch  # for adapters that need a copy of a log
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 Role = Literal["robot", "people", "events", "tasks"]
 ClockKind = Literal["epoch", "uptime", "relative"]
 RowKind = Literal["line", "row", "message", "frame"]
+inside = safe_path  # for adapters of folders: a path from a name in the data
 TABLES = ("robot", "people", "events", "task_list", "safety", "skeletons", "stamps")
 """Fields of `Recording` that hold tables; ingest stores each under its name."""
 

@@ -19,7 +19,7 @@ from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, LogError, OutputError, command_line
 from cyclekit.ingest.discover import CELL_FILE, cell_for, find_all, suggest_cell
 from cyclekit.storage.atomic import write_text
-from cyclekit.storage.mistaken import MODEL_CARD
+from cyclekit.storage.identify import MODEL_CARD
 from cyclekit.storage.outputs import check_writable
 from cyclekit.text.results import Result
 

@@ -26,7 +26,7 @@ from cyclekit.dataset.opening import opened_card
 from cyclekit.dataset.recorded_tables import RecordedTables
 from cyclekit.dataset.signals import logged_bits
 from cyclekit.errors import DatasetError, UnknownName, command_line
-from cyclekit.storage.mistaken import DATASET_CARD
+from cyclekit.storage.identify import DATASET_CARD
 from cyclekit.storage.remote.folders import local
 from cyclekit.text.results import html_table
 

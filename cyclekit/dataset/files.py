@@ -14,8 +14,8 @@ from cyclekit.dataset.checksums import change, changes, reading, unreadable
 from cyclekit.dataset.footers import check_rows, sample_files
 from cyclekit.dataset.shared_index import INDEX, RECORDING, shared_rows
 from cyclekit.errors import DatasetError
-from cyclekit.storage.inside import inside
-from cyclekit.storage.memory import free_bytes
+from cyclekit.storage.memory import memory_limit_bytes
+from cyclekit.storage.safe_path import safe_path
 from cyclekit.text.columns import in_one_line
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ class DatasetFiles:
         Raises:
             DatasetError: They need more memory than is free, or are no tables.
         """
-        free = free_bytes()
+        free = memory_limit_bytes()
         if free is None or not files:
             return
         with reading(files[0], self._path):
@@ -240,7 +240,7 @@ class DatasetFiles:
         Raises:
             OutsideFolder: The name, which comes from the card, leads out of the dataset.
         """
-        return inside(self._path, *name.split("/"))
+        return safe_path(self._path, *name.split("/"))
 
     def _checked(self, name: str, spans: Sequence[tuple[int, int]] | None) -> Path:
         file = self._file(name)

@@ -11,7 +11,7 @@ from cyclekit.dataset.cards import BadCard, dataset_card, parse_json, read_conte
 from cyclekit.dataset.footers import check_tables
 from cyclekit.errors import DatasetError, command_line
 from cyclekit.storage.atomic import recover
-from cyclekit.storage.mistaken import DATASET_CARD, toml_for, what_is
+from cyclekit.storage.identify import DATASET_CARD, kind_of_path, kind_of_toml
 from cyclekit.text.plain_text import all_in_one_line, needs_it
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def opened_card(path: Path) -> DatasetCard:
 
 def _no_dataset(path: Path) -> DatasetError:
     """Return the error for a place without a dataset; it names what the place is."""
-    found = what_is(path)
+    found = kind_of_path(path)
     if found == "nothing":
         make = command_line("ingest", "LOGS", "--out", path)
         return DatasetError(f"{path}: no such folder", cure=f"Check the path, or make a dataset: {make}")
@@ -61,7 +61,7 @@ def _no_dataset(path: Path) -> DatasetError:
         ingest = command_line("ingest", path, "--out", "DATASET")
         return DatasetError(seen, cure=f"If it holds logs, make a dataset of them: {ingest}")
     if found == "a TOML file":
-        name, taken_by = toml_for(path)
+        name, taken_by = kind_of_toml(path)
         return DatasetError(seen, cure=f"It looks like {name}: {taken_by}")
     return DatasetError(seen, cure=f"Make one: {command_line('ingest', 'LOGS', '--out', 'DATASET')}")
 

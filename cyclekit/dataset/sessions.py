@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.dataset.cards import LogCard, RecordingCard, note
 from cyclekit.errors import ConfigError
-from cyclekit.storage.inside import fitting
+from cyclekit.storage.safe_path import fitting
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -18,7 +18,7 @@ import polars as pl
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError
-from cyclekit.storage.inside import inside
+from cyclekit.storage.safe_path import safe_path
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ def _file(logs: Path, shown: str) -> Path:
     """Return the log in the folder of logs, or `logs` itself if it is that log."""
     if logs.is_file() and logs.name == Path(shown).name:
         return logs
-    return inside(logs, *shown.split("/"), follow_links=True)  # links in the user's own folder may lead out of it
+    return safe_path(logs, *shown.split("/"), follow_links=True)  # links in the user's own folder may lead out of it
 
 
 def _line(file: Path, number: int | None) -> str | None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from cyclekit.dataset.cards import SplitCard
 from cyclekit.errors import OutsideFolder
 from cyclekit.learning.evaluation.drift import Drift, drift_between
-from cyclekit.storage.inside import inside
+from cyclekit.storage.safe_path import safe_path
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -58,7 +58,7 @@ def _written(shown: str, bases: Sequence[Path]) -> dt.date | None:
     for base in bases:
         for first in range(len(parts)):
             try:
-                file = inside(base, *parts[first:], follow_links=True)
+                file = safe_path(base, *parts[first:], follow_links=True)
             except OutsideFolder:
                 continue
             if file.is_file():

@@ -12,8 +12,8 @@ from msgspec import Meta
 from cyclekit.config.toml_file import followed, list_at, read_toml, refuse_twice, table_at
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.storage.files import resolved
-from cyclekit.storage.inside import unfit
 from cyclekit.storage.remote.folders import is_url, join
+from cyclekit.storage.safe_path import unfit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -23,7 +23,7 @@ from cyclekit.errors import ConfigError, CyclekitError, LogError
 from cyclekit.ingest.alike import as_one, kind_of
 from cyclekit.ingest.registry import Registered, adapter_named, drafted, find_logs, why_unknown
 from cyclekit.storage.files import resolved
-from cyclekit.storage.inside import fitting, leads_out, real
+from cyclekit.storage.safe_path import fitting, leads_out, real
 from cyclekit.text.plain_text import one_line
 
 if TYPE_CHECKING:

@@ -50,7 +50,7 @@ from cyclekit.learning.coupling.visits import courses_of
 from cyclekit.learning.coupling.waits import with_waits_named
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.parallel.one_thread import one_thread
-from cyclekit.storage.atomic import built, locked, settle, unsettled, write_parquet, write_text
+from cyclekit.storage.atomic import built, clean_up, locked, needs_clean_up, write_parquet, write_text
 from cyclekit.storage.parquet import StoredTable
 from cyclekit.storage.remote.cache import cached, of_file_url
 from cyclekit.storage.remote.folders import is_url, mirrored, published
@@ -120,10 +120,10 @@ def ingest(
 def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -> IngestReport:
     how, count = wanted.how, len(wanted.logs)
     shelf = Shelf(out, "skeletons" if how.skeletons else "plain")
-    if not unsettled(out) and not shelf.is_left and (card := _up_to_date(out, wanted)):
+    if not needs_clean_up(out) and not shelf.is_left and (card := _up_to_date(out, wanted)):
         return report_of(out, card, new=0, kept=count, unchanged=True)
     with locked(out):
-        settle(out)
+        clean_up(out)
         if card := _up_to_date(out, wanted):
             shelf.clear()
             return report_of(out, card, new=0, kept=count, unchanged=True)

@@ -18,9 +18,9 @@ from cyclekit import schema
 from cyclekit.adapter import DraftingAdapter, Recording, StreamingAdapter
 from cyclekit.dataset.dataset import CARD
 from cyclekit.errors import BrokenAdapter, CyclekitError, LogError, UnknownFormat, UnknownName, command_line
-from cyclekit.storage.ahead import ahead
-from cyclekit.storage.inside import leads_out
-from cyclekit.storage.mistaken import MODEL_CARD, toml_for
+from cyclekit.storage.identify import MODEL_CARD, kind_of_toml
+from cyclekit.storage.prefetch import prefetch
+from cyclekit.storage.safe_path import leads_out
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -71,7 +71,7 @@ class Registered:
             yield self.adapter.read(path, options)
             return
         parts = self.adapter.stream(path, options)
-        yield from parts if path.is_file() and path.stat().st_size < SMALL_BYTES else ahead(parts)
+        yield from parts if path.is_file() and path.stat().st_size < SMALL_BYTES else prefetch(parts)
 
 
 def _proven(part: object) -> Recording:
@@ -267,7 +267,7 @@ def why_unknown(path: Path) -> UnknownFormat:
             path, "this is a Git LFS pointer, not the log itself", cure="Fetch the content first: git lfs pull"
         )
     if path.suffix.lower() == ".toml":
-        name, taken_by = toml_for(path)
+        name, taken_by = kind_of_toml(path)
         return UnknownFormat(
             path, f"a TOML file, not a log; it looks like {name}", cure=f"Use it like this: {taken_by}"
         )

@@ -9,7 +9,7 @@ from cyclekit.dataset.cards import BadCard, checked, plain, read_json
 from cyclekit.errors import ModelError, command_line
 from cyclekit.learning.networks.saved import check_model_output
 from cyclekit.storage.atomic import recover, staged
-from cyclekit.storage.mistaken import MODEL_CARD
+from cyclekit.storage.identify import MODEL_CARD
 from cyclekit.storage.remote.folders import local, published
 from cyclekit.text.plain_json import json_text
 from cyclekit.text.plain_text import all_in_one_line

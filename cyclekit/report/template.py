@@ -20,7 +20,7 @@ from markupsafe import Markup
 from cyclekit.errors import CyclekitError
 from cyclekit.report import figures
 from cyclekit.report.texts import load_texts
-from cyclekit.storage.inside import inside, unfit
+from cyclekit.storage.safe_path import safe_path, unfit
 from cyclekit.text.plain_text import visible
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ class Template:
         Raises:
             OutsideFolder: The name leads out of the folder, so the page would show a file that it should not.
         """
-        file = inside(self.folder, *names) if self.folder else None
+        file = safe_path(self.folder, *names) if self.folder else None
         return file if file is not None and file.is_file() else None
 
     def _extra(self, *names: str) -> str:

@@ -22,7 +22,7 @@ from cyclekit.segmentation.motion import (
     moving_slider,
     slope,
 )
-from cyclekit.storage.ahead import ahead
+from cyclekit.storage.prefetch import prefetch
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -214,7 +214,7 @@ def pieces(run: Run, first: int = 0, last: int | None = None, *, overlap: int = 
     """
     last = run.rows - 1 if last is None else last
     blocks = _pieces(run, first, last, overlap)
-    return ahead(blocks) if last - first >= BLOCK_ROWS else blocks
+    return prefetch(blocks) if last - first >= BLOCK_ROWS else blocks
 
 
 def _pieces(run: Run, first: int, last: int, overlap: int) -> Iterator[tuple[int, RobotRun]]:

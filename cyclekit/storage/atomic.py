@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 COMPLETE = ".complete"
 _MANY = 64
-_CURE = "Check the folder, its permissions and the free space."
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)  # without locks
 
 
@@ -67,14 +66,14 @@ def replaced(file: Path) -> Iterator[Path]:
         CyclekitError: The path cannot be written.
     """
     if file.exists() and not file.is_file():
-        with _told(file), _poured(file) as temporary:
+        with write_errors(file), _streamed(file) as temporary:
             yield temporary
         return
-    with _told(file):
+    with write_errors(file):
         file = Path(os.path.realpath(file))
-    with _told(file), locked(file, wait_s=5.0):
+    with write_errors(file), locked(file, wait_s=5.0):
         _sweep(file, "tmp")
-        temporary = _beside(file, "tmp")
+        temporary = _new_sibling(file, "tmp")
         try:
             yield temporary
             _to_disk(temporary)
@@ -85,7 +84,7 @@ def replaced(file: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _poured(place: Path) -> Iterator[Path]:
+def _streamed(place: Path) -> Iterator[Path]:
     """Yield a temporary path to write; its content is then copied to a device or pipe."""
     if place.is_dir():
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(place))
@@ -104,25 +103,25 @@ def staged(path: Path) -> Iterator[Path]:
         BusyPlace: Another process is writing there.
         CyclekitError: The path cannot be written.
     """
-    with _told(path):
+    with write_errors(path):
         path = resolved(path)  # "." has no name for temporary folders, and links must be kept
-    with _told(path), locked(path):
-        settle(path)
+    with write_errors(path), locked(path):
+        clean_up(path)
         with built(path) as staging:
             yield staging
 
 
 @contextmanager
 def built(path: Path) -> Iterator[Path]:
-    """Same as `staged`, for a caller that holds the lock of `path` and has called `settle`.
+    """Same as `staged`, for a caller that holds the lock of `path` and has called `clean_up`.
 
     The swap takes two renames. A process killed between them leaves the complete new folder under its temporary name,
     and `recover` finishes the swap when the folder is next opened.
     """
-    with _told(path):
+    with write_errors(path):
         path = resolved(path)
-    staging = _beside(path, "new")
-    with _told(path):
+    staging = _new_sibling(path, "new")
+    with write_errors(path):
         try:
             staging.mkdir(parents=True)
             yield staging
@@ -152,7 +151,7 @@ def recover(path: Path) -> None:
             folder.rename(path)
 
 
-def settle(path: Path) -> None:
+def clean_up(path: Path) -> None:
     """Finish or undo the swaps of killed processes at `path`; the caller holds its lock."""
     path = resolved(path)
     recover(path)
@@ -165,7 +164,7 @@ def settle(path: Path) -> None:
     _sweep(path, "old")
 
 
-def unsettled(path: Path) -> bool:
+def needs_clean_up(path: Path) -> bool:
     """Return whether temporary folders of a killed or running process exist next to `path`."""
     return any(_leftovers(resolved(path), kind) for kind in ("new", "old"))
 
@@ -178,9 +177,9 @@ def locked(path: Path, *, wait_s: float = 0.2) -> Iterator[None]:
         BusyPlace: Another process still holds the lock after `wait_s`.
         CyclekitError: The folder of `path` cannot be written.
     """
-    with _told(path):
+    with write_errors(path):
         path = resolved(path)
-        lock = beside(path, "lock")
+        lock = hidden_sibling(path, "lock")
         path.parent.mkdir(parents=True, exist_ok=True)
         held = FileLock(lock, wait_s, thread_local=False, poll_interval=0.02, on_acquired=_sign)
         try:
@@ -215,25 +214,26 @@ def _holder(lock: Path) -> str:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def write_errors(path: Path) -> Iterator[None]:
+    """Convert errors of the file system within the block to a `CyclekitError` that names the path."""
     try:
         yield
     except OSError as error:
         msg = f"{path}: cannot be written ({error.strerror or error})"
-        raise CyclekitError(msg, cure=_CURE) from error
+        raise CyclekitError(msg, cure="Check the folder, its permissions and the free space.") from error
 
 
-def beside(path: Path, kind: str) -> Path:
+def hidden_sibling(path: Path, kind: str) -> Path:
     """Return the path of a hidden file of ours next to `path`; a long name is shortened."""
     return path.with_name(f".{shortened(path.name)}.{kind}")
 
 
-def _beside(path: Path, kind: str) -> Path:
-    return beside(path, f"{kind}-{os.getpid()}-{secrets.token_hex(3)}")
+def _new_sibling(path: Path, kind: str) -> Path:
+    return hidden_sibling(path, f"{kind}-{os.getpid()}-{secrets.token_hex(3)}")
 
 
 def _leftovers(path: Path, kind: str) -> list[Path]:
-    begin = beside(path, f"{kind}-").name
+    begin = hidden_sibling(path, f"{kind}-").name
     try:
         return sorted(entry for entry in path.parent.iterdir() if entry.name.startswith(begin))
     except OSError:
@@ -266,7 +266,7 @@ def _all_to_disk(folder: Path) -> None:
 
 def _swap(staging: Path, path: Path) -> None:
     if path.exists():
-        path.rename(_beside(path, "old"))
+        path.rename(_new_sibling(path, "old"))
     with suppress(FileNotFoundError):  # a reader has already finished the swap
         _patiently(lambda: staging.rename(path))
     with suppress(OSError):

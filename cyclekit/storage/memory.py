@@ -13,7 +13,7 @@ from pathlib import Path
 _CGROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
 
-def free_bytes() -> int | None:
+def memory_limit_bytes() -> int | None:
     """Return the maximum memory of this process, bytes (under a `ulimit`, what is left of it); None = unknown."""
     known = [count for count in (_machine(), _container(), _process()) if count is not None]
     return min(known, default=None)

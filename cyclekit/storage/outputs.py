@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import ConfigError, CyclekitError
-from cyclekit.storage.remote.folders import is_url, reach
+from cyclekit.storage.atomic import write_errors
+from cyclekit.storage.remote.folders import check_reachable, is_url
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-_CURE = "Check the folder, its permissions and the free space."
 
 
 def check_writable(place: Path | str | None, kinds: Sequence[str] = ()) -> None:
@@ -36,7 +35,7 @@ def check_writable(place: Path | str | None, kinds: Sequence[str] = ()) -> None:
         shown = f"the ending {ending!r} is not known" if ending else "its name has no ending that gives the format"
         raise ConfigError(f"{place}: {shown}", cure=f"End its name in {' or '.join(kinds)}.")
     if is_url(place):
-        reach(str(place))
+        check_reachable(str(place))
     elif (path := Path(place)).is_dir():
         raise CyclekitError(f"{path}: is a folder", cure="Give the name of a file in it.")
     else:
@@ -53,7 +52,7 @@ def check_writable_folder(place: Path | str) -> None:
         CyclekitError: It is a file, or cannot be written.
     """
     if is_url(place):
-        reach(str(place))
+        check_reachable(str(place))
         return
     path = Path(place)
     if path.exists() and not path.is_dir():
@@ -63,10 +62,8 @@ def check_writable_folder(place: Path | str) -> None:
 
 def _try(path: Path, folder: Path) -> None:
     """Write a temporary file into the nearest existing folder."""
-    try:
+    with write_errors(path):
         while not folder.exists():
             folder = folder.parent
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except OSError as error:
-        raise CyclekitError(f"{path}: cannot be written ({error.strerror or error})", cure=_CURE) from error

@@ -19,7 +19,7 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cyclekit.storage.behind import Behind
+from cyclekit.storage.background import BackgroundWriter
 from cyclekit.storage.files import regular
 from cyclekit.storage.parquet_layout import layout_of
 
@@ -65,7 +65,7 @@ class TableWriter:
         self.rows, self._pieces, self._waiting, self._path = 0, list[pl.DataFrame](), 0, file
         self._types = tuple((name, column.dtype) for name, column in columns.items())
         self._types += tuple((name, pl.Float64()) for name in more)
-        self._made_by, self._behind = made_by, Behind()
+        self._made_by, self._background = made_by, BackgroundWriter()
         self._parquet: pq.ParquetWriter | None = None
         self._file: IO[bytes] | None = None
 
@@ -86,7 +86,7 @@ class TableWriter:
         try:
             if self._waiting or self.rows == 0:
                 self._put(self._waiting)
-            self._behind.end()
+            self._background.end()
             with _as_os_error(self._path):
                 if self._parquet is not None:
                     self._parquet.close()
@@ -99,7 +99,7 @@ class TableWriter:
     def abandon(self) -> None:
         """Stop writing; the file is incomplete, and the caller removes it."""
         with suppress(Exception):
-            self._behind.end()
+            self._background.end()
         if self._parquet is not None:
             self._parquet.is_open = False  # else its finalizer would try to complete the file, and fail
         if self._file is not None:
@@ -121,7 +121,7 @@ class TableWriter:
         self._pieces, self._waiting = ([rest] if rest.height else []), rest.height
         part = frame[:count]
         if self.rows > GROUP_ROWS:
-            self._behind.begin(partial(self._write_out, part))
+            self._background.begin(partial(self._write_out, part))
         else:  # no thread for a small table
             self._write_out(part)
 

@@ -19,7 +19,7 @@ from cyclekit import schema
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, UnknownName
 from cyclekit.ingest.ingest import ingest
-from cyclekit.storage.atomic import settle, staged, write_text
+from cyclekit.storage.atomic import clean_up, staged, write_text
 
 if TYPE_CHECKING:
     from simulated_cells import SimulatedCell
@@ -193,7 +193,7 @@ def test_a_process_killed_between_the_two_renames_has_finished_all_the_same(copi
     copied.rename(copied.with_name(".dataset.old-1-abc"))
     assert Dataset.open(copied).card.name == "the new one"
     assert not copied.with_name(".dataset.new-1-abc").exists()
-    settle(copied)  # as the next ingest does
+    clean_up(copied)  # as the next ingest does
     assert [file.name for file in copied.parent.iterdir()] == ["dataset"]
 
 
@@ -202,7 +202,7 @@ def test_a_process_killed_before_the_first_rename_is_finished_by_the_next_ingest
     changed_card(finished, name="the new one")
     (finished / ".complete").touch()
     assert Dataset.open(copied).card.name == "box-picking"
-    settle(copied)
+    clean_up(copied)
     assert Dataset.open(copied).card.name == "the new one"
     assert [file.name for file in copied.parent.iterdir()] == ["dataset"]
     assert not (copied / ".complete").exists()

@@ -62,13 +62,13 @@ def test_more_samples_than_memory_takes_are_one_message_and_no_abort(forged: Pat
 
 @pytest.mark.parametrize("read", [lambda d: d.samples(), lambda d: d.samples(d.executions["execution"].to_list()[:1])])
 def test_all_samples_and_one_long_execution_are_measured(forged: Path, read, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("cyclekit.dataset.files.free_bytes", lambda: 1_000_000_000)
+    monkeypatch.setattr("cyclekit.dataset.files.memory_limit_bytes", lambda: 1_000_000_000)
     with pytest.raises(DatasetError, match=r"8,000,\d+ rows of \d+ columns need \d.\d GB of memory"):
         read(Dataset.open(forged))
 
 
 def test_a_short_execution_of_a_long_dataset_is_read(forged: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("cyclekit.dataset.files.free_bytes", lambda: 1_000_000_000)
+    monkeypatch.setattr("cyclekit.dataset.files.memory_limit_bytes", lambda: 1_000_000_000)
     dataset = Dataset.open(forged)
     assert 10 < dataset.samples([dataset.executions["execution"][1]]).height < 10_000
 
@@ -80,7 +80,7 @@ def test_long_texts_are_measured_as_they_unpack(tmp_path: Path, monkeypatch):
             robot_task=pl.format("{}{}", pl.int_range(pl.len()), pl.lit("x" * 30_000))
         )
         rows.write_parquet(file, compression="uncompressed")
-    monkeypatch.setattr("cyclekit.dataset.files.free_bytes", lambda: 10_000_000)
+    monkeypatch.setattr("cyclekit.dataset.files.memory_limit_bytes", lambda: 10_000_000)
     with pytest.raises(DatasetError, match=r"GB of memory, and this process may take 0\.0 GB"):
         dataset.samples()
 
@@ -109,7 +109,7 @@ def test_a_recording_with_more_rows_than_the_card_says_is_refused(tmp_path: Path
 def test_the_least_of_the_limits_counts(monkeypatch: pytest.MonkeyPatch):
     for name, count in {"_machine": 8_000, "_container": None, "_process": 3_000}.items():
         monkeypatch.setattr(memory, name, lambda count=count: count)
-    assert memory.free_bytes() == 3_000
+    assert memory.memory_limit_bytes() == 3_000
 
 
 def test_a_limit_of_a_container_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -21,7 +21,7 @@ from cyclekit.dataset.cards import BadCard, LogCard, checked, plain, read_json
 from cyclekit.errors import ConfigError, LogError
 from cyclekit.ingest.read.read_log import QUARANTINE
 from cyclekit.ingest.read.reuse import as_read, link_files, named_anew
-from cyclekit.storage.atomic import beside
+from cyclekit.storage.atomic import hidden_sibling
 from cyclekit.storage.files import resolved
 from cyclekit.storage.parquet import TableWriter, parts_of
 
@@ -47,7 +47,7 @@ class Shelf:
             options: Further settings on which the stored content depends; other settings give another recording.
         """
         out = resolved(out)
-        self._folder, self._gone = beside(out, "read"), beside(out, "read-gone")
+        self._folder, self._gone = hidden_sibling(out, "read"), hidden_sibling(out, "read-gone")
         self._options = options
 
     def find(self, log: Log) -> Path | None:

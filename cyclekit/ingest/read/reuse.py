@@ -14,8 +14,8 @@ from cyclekit.dataset.cards.recording import LogClock
 from cyclekit.dataset.shared_index import INDEX, shared_rows
 from cyclekit.errors import OutsideFolder
 from cyclekit.ingest.read.read_log import QUARANTINE
-from cyclekit.storage.inside import inside
 from cyclekit.storage.parquet import TableWriter, parts_of
+from cyclekit.storage.safe_path import safe_path
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
@@ -42,13 +42,13 @@ def is_whole(entry: LogCard, old: Path, damaged: Container[str] = ()) -> bool:
     names = [INDEX, *shared] if shared else [f"recordings/{entry.id}/{name}.parquet" for name in entry.tables]
     names += [_ALL] if entry.rows_set_aside else []
     try:
-        return all(inside(old, *name.split("/")).is_file() and name not in damaged for name in names)
+        return all(safe_path(old, *name.split("/")).is_file() and name not in damaged for name in names)
     except OutsideFolder:  # a path outside of the dataset was not written by cyclekit
         return False
 
 
 def _tables(entry: LogCard, old: Path) -> list[Path]:
-    return [inside(old, "recordings", entry.id, f"{name}.parquet") for name in entry.tables]
+    return [safe_path(old, "recordings", entry.id, f"{name}.parquet") for name in entry.tables]
 
 
 def take_over(entry: LogCard, log: Log, old: Path, staging: Path) -> LogCard:

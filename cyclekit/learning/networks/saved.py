@@ -30,7 +30,7 @@ from cyclekit.learning.signal_inputs import as_inputs
 from cyclekit.learning.windows import GROUPS, inputs_of
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.storage.atomic import recover, staged
-from cyclekit.storage.mistaken import MODEL_CARD, toml_for, what_is
+from cyclekit.storage.identify import MODEL_CARD, kind_of_path, kind_of_toml
 from cyclekit.storage.outputs import check_writable_folder
 from cyclekit.storage.remote.folders import is_url, local, published
 from cyclekit.text.plain_text import all_in_one_line
@@ -299,7 +299,7 @@ def load_model(place: Path | str) -> TrainedModel:
 
 def _no_model(path: Path) -> ModelError:
     """Return the error for a path without a model, naming what is there."""
-    found = what_is(path)
+    found = kind_of_path(path)
     if found == "nothing":
         train = command_line("train", "DATASET", "--out", path)
         return ModelError(f"{path}: no such folder", cure=f"Check the path, or train a model: {train}")
@@ -309,7 +309,7 @@ def _no_model(path: Path) -> ModelError:
     if found == "a dataset":
         return ModelError(seen, cure=f"Train a model on it: {command_line('train', path, '--out', 'MODEL')}")
     if found == "a TOML file":
-        name, taken_by = toml_for(path)
+        name, taken_by = kind_of_toml(path)
         return ModelError(seen, cure=f"It looks like {name}: {taken_by}")
     return ModelError(seen, cure=f"Train one: {command_line('train', 'DATASET', '--out', 'MODEL')}")
 

@@ -58,7 +58,7 @@ def _failures() -> tuple[type[Exception], ...]:
 
 
 @contextmanager
-def said(url: str, what: str) -> Iterator[None]:
+def storage_errors(url: str, what: str) -> Iterator[None]:
     """Convert errors of Arrow within the block to a `StorageError` that names the URL."""
     try:
         yield

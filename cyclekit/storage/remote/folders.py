@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING
 from cyclekit.errors import NothingPublished, OutsideFolder, StorageError
 from cyclekit.storage.atomic import locked
 from cyclekit.storage.atomic import write_text as write_file
-from cyclekit.storage.inside import inside
 from cyclekit.storage.remote.cache import WAIT_S, cached, known_parts, of_file_url
-from cyclekit.storage.remote.file_system import AT_ONCE, URL, content, fetch, files_below, opened, put, said
+from cyclekit.storage.remote.file_system import AT_ONCE, URL, content, fetch, files_below, opened, put, storage_errors
 from cyclekit.storage.remote.parts import fetched, publish
+from cyclekit.storage.safe_path import safe_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -64,14 +64,14 @@ def local(place: Path | str) -> Path:
     return folder
 
 
-def reach(url: str) -> None:
+def check_reachable(url: str) -> None:
     """Access a file system once, so that a wrong address or key is detected before the work.
 
     Raises:
         StorageError: The URL cannot be reached.
     """
     if of_file_url(url) is None:
-        with said(url, "reached"):
+        with storage_errors(url, "reached"):
             system, path = opened(url)
             system.get_file_info(path)
 
@@ -110,7 +110,7 @@ def mirrored(place: Path | str) -> Path:
     if (path := of_file_url(url)) is not None:
         return path
     (system, base), target = opened(url), cached(url, "logs")
-    with said(url, "read"), locked(target, wait_s=WAIT_S):
+    with storage_errors(url, "read"), locked(target, wait_s=WAIT_S):
         files = {_named(target, info.path[len(base) :], url): info for info in files_below(system, base)}
         for file in [file for file in target.rglob("*") if file.is_file() and file not in files]:
             file.unlink()
@@ -123,7 +123,7 @@ def mirrored(place: Path | str) -> Path:
 
 def _named(folder: Path, key: str, url: str) -> Path:
     try:
-        return inside(folder, *(name for name in key.split("/") if name))
+        return safe_path(folder, *(name for name in key.split("/") if name))
     except OutsideFolder as error:
         raise StorageError(url, error.cause, cure="Rename that object, or give an address without it.") from error
 
@@ -151,7 +151,7 @@ def read_text(place: str) -> str | None:
         path = local(place)
         return path.read_text(encoding="utf-8") if path.is_file() else None
     system, key = opened(place)
-    with said(place, "read"):
+    with storage_errors(place, "read"):
         found = content(system, key)
     return None if found is None else found.decode()
 
@@ -166,5 +166,5 @@ def write_text(place: str, text: str) -> None:
         write_file(local(place), text)
         return
     system, key = opened(place)
-    with said(place, "written"):
+    with storage_errors(place, "written"):
         put(system, key, text.encode())

@@ -12,7 +12,7 @@ from typing import Annotated
 import msgspec
 
 from cyclekit.errors import StorageError
-from cyclekit.storage.inside import unfit
+from cyclekit.storage.safe_path import unfit
 
 MANIFEST = "manifest.json"
 FORMAT, VERSION = "cyclekit-folder", 1

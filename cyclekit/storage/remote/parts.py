@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from cyclekit.errors import CyclekitError, StorageError
-from cyclekit.storage.atomic import built, locked, settle, write_text
-from cyclekit.storage.inside import inside, leads_out
+from cyclekit.storage.atomic import built, clean_up, locked, write_text
 from cyclekit.storage.remote.cache import WAIT_S, cached, known_parts
-from cyclekit.storage.remote.file_system import AT_ONCE, content, fetch, files_below, opened, put, said, send
+from cyclekit.storage.remote.file_system import AT_ONCE, content, fetch, files_below, opened, put, send, storage_errors
 from cyclekit.storage.remote.manifest import (
     FORMAT,
     MANIFEST,
@@ -29,6 +28,7 @@ from cyclekit.storage.remote.manifest import (
     part_of,
     read_known,
 )
+from cyclekit.storage.safe_path import leads_out, safe_path
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -40,7 +40,7 @@ _GRACE = dt.timedelta(days=1)
 
 
 def _manifest(system: FileSystem, base: str, url: str) -> Manifest | None:
-    with said(url, "read"):
+    with storage_errors(url, "read"):
         text = content(system, f"{base}/{MANIFEST}", MAX_BYTES)
     return None if text is None else parsed(text, url)
 
@@ -55,7 +55,7 @@ def fetched(url: str) -> Path | None:
         if manifest is None:
             return None
         with locked(folder, wait_s=WAIT_S):
-            settle(folder)
+            clean_up(folder)
             here = read_known(known.read_text("utf-8", "replace")) if known.is_file() and folder.is_dir() else {}
             if here == manifest.files:
                 return folder
@@ -76,12 +76,12 @@ def _build(url: str, files: Files, folder: Path, here: Files) -> None:
 
         def place(name: str) -> None:
             entry, names = files[name], name.split("/")
-            with said(url, "read"):
-                target = inside(making, *names)
+            with storage_errors(url, "read"):
+                target = safe_path(making, *names)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 if here.get(name) == entry:
                     with contextlib.suppress(OSError):
-                        os.link(inside(folder, *names), target)
+                        os.link(safe_path(folder, *names), target)
                         return
                 fetch(system, f"{base}/{entry.part}", target, entry)
 
@@ -98,7 +98,7 @@ def publish(folder: Path, url: str) -> None:
     before = _manifest(system, base, url)
     there = {entry.part for entry in before.files.values()} if before else set[str]()
     files = _files(folder)
-    with said(url, "written"), ThreadPoolExecutor(AT_ONCE) as pool:
+    with storage_errors(url, "written"), ThreadPoolExecutor(AT_ONCE) as pool:
         entries = dict(zip(files, pool.map(_entry, files, files.values()), strict=True))
         _check(entries, folder)
         missing = [name for name, entry in entries.items() if entry.part not in there]

@@ -21,7 +21,7 @@ _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 _UNFIT = re.compile('[\x00-\x1f\x7f-\x9f\ud800-\udfff/\\\\:*?"<>|]')
 
 
-def inside(folder: Path, *names: str, follow_links: bool = False) -> Path:
+def safe_path(folder: Path, *names: str, follow_links: bool = False) -> Path:
     """Return the path of a file or folder within a folder.
 
     Args:

@@ -22,7 +22,7 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.ingest.registry import adapter_named
 from cyclekit.replay import write_replay
 from cyclekit.report.template import Template
-from cyclekit.storage.inside import fitting, inside, unfit
+from cyclekit.storage.safe_path import fitting, safe_path, unfit
 
 if TYPE_CHECKING:
     from simulated_cells import SimulatedCell
@@ -53,13 +53,13 @@ NAMES = st.one_of(
 @pytest.mark.parametrize("name", EVIL)
 def test_a_name_that_is_none_or_leads_elsewhere_is_refused(name: str, tmp_path: Path):
     with pytest.raises(OutsideFolder, match="cannot be used as the name of a file") as caught:
-        inside(tmp_path, "recordings", name, "robot.parquet")
+        safe_path(tmp_path, "recordings", name, "robot.parquet")
     assert str(caught.value).replace("\n", "").isprintable()
 
 
 @pytest.mark.parametrize("name", ["a", "day 1", "take.1", ".hidden", "Läufe", "console", "10.30"])
 def test_a_plain_name_is_a_plain_path(name: str, tmp_path: Path):
-    assert inside(tmp_path, name, "x.parquet") == tmp_path / name / "x.parquet"
+    assert safe_path(tmp_path, name, "x.parquet") == tmp_path / name / "x.parquet"
 
 
 @given(NAMES)
@@ -67,7 +67,7 @@ def test_a_plain_name_is_a_plain_path(name: str, tmp_path: Path):
 def test_whatever_the_name_the_path_is_in_the_folder_or_there_is_none(name: str):
     folder = Path("folder").absolute()
     try:
-        path = inside(folder, name)
+        path = safe_path(folder, name)
     except OutsideFolder as error:
         refused = error
     else:
@@ -95,11 +95,11 @@ def test_links_within_the_folder_are_followed_and_others_only_when_that_is_meant
     (folder / "near").symlink_to(folder / "real")
     (folder / "far").symlink_to(outside)
     (folder / "round").symlink_to(folder / "round")
-    assert inside(folder, "near", "x").read_text() == "x"
-    assert inside(folder, "far", "x", follow_links=True).read_text() == "x"
-    assert inside(folder, "round") == folder / "round"
+    assert safe_path(folder, "near", "x").read_text() == "x"
+    assert safe_path(folder, "far", "x", follow_links=True).read_text() == "x"
+    assert safe_path(folder, "round") == folder / "round"
     with pytest.raises(OutsideFolder, match="a link there leads out of the folder"):
-        inside(folder, "far", "x")
+        safe_path(folder, "far", "x")
 
 
 @pytest.fixture

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cyclekit.storage.ahead import ahead
+from cyclekit.storage.prefetch import prefetch
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
 def test_all_items_come_in_order():
-    assert list(ahead(iter(range(100)))) == list(range(100))
-    assert list(ahead(iter([]))) == []
-    assert list(ahead(iter([None, None]))) == [None, None]
+    assert list(prefetch(iter(range(100)))) == list(range(100))
+    assert list(prefetch(iter([]))) == []
+    assert list(prefetch(iter([None, None]))) == [None, None]
 
 
 def test_the_next_item_is_begun_before_the_present_one_is_done_with():
@@ -28,7 +28,7 @@ def test_the_next_item_is_begun_before_the_present_one_is_done_with():
         begun.set()
         yield 2
 
-    taken = ahead(items())
+    taken = prefetch(items())
     assert next(taken) == 1
     assert begun.wait(10.0)  # without asking for it
     assert list(taken) == [2]
@@ -40,7 +40,7 @@ def test_an_error_comes_in_place_of_its_item():
         msg = "damaged"
         raise ValueError(msg)
 
-    taken = ahead(items())
+    taken = prefetch(items())
     assert next(taken) == 1
     with pytest.raises(ValueError, match="damaged"):
         next(taken)
@@ -58,7 +58,7 @@ def test_one_who_stops_early_leaves_no_thread_and_nothing_open():
             ended.append(threading.get_ident())
 
     before = threading.active_count()
-    taken = ahead(items())
+    taken = prefetch(items())
     assert next(taken) == 0
     taken.close()  # type: ignore[attr-defined]
     assert len(ended) == 1

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-class Behind:
+class BackgroundWriter:
     """Runs calls in a background thread, started with the first call and stopped by `end`."""
 
     def __init__(self) -> None:
@@ -22,7 +22,7 @@ class Behind:
     def begin(self, call: Callable[[], None]) -> None:
         """Start a call as soon as the one before is done; raise the error of that one, if any."""
         self._wait()
-        self._worker = self._worker or ThreadPoolExecutor(1, "behind")
+        self._worker = self._worker or ThreadPoolExecutor(1, "background")
         self._call = self._worker.submit(call)
 
     def end(self) -> None:

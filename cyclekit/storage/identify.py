@@ -21,7 +21,7 @@ _TAKEN_BY = {
 _CELL_FILE = ("a cell file", ("ingest", "LOGS", "--cell", "{}", "--out", "DATASET"))
 
 
-def what_is(path: Path) -> str:
+def kind_of_path(path: Path) -> str:
     """Return a short description of what is at a path: `a dataset`, `a model`, `a folder of models`, ..."""
     if path.is_dir():
         if (path / DATASET_CARD).is_file():
@@ -34,7 +34,7 @@ def what_is(path: Path) -> str:
     return "a TOML file" if path.suffix.lower() == ".toml" else "a file"
 
 
-def toml_for(path: Path) -> tuple[str, str]:
+def kind_of_toml(path: Path) -> tuple[str, str]:
     """Return the kind of a TOML file, and the command that takes it."""
     try:
         keys = tomllib.loads(path.read_text(encoding="utf-8-sig"))

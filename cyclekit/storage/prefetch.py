@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 
 
-def ahead(items: Iterator[Item]) -> Iterator[Item]:
+def prefetch(items: Iterator[Item]) -> Iterator[Item]:
     """Yield the items in order, each prefetched in another thread while the one before it is processed.
 
     The whole iterator, including its end, runs in that thread, since a file or database may be bound to the thread that
     opened it. Its errors are raised to the caller at the item they replace.
     """
-    with ThreadPoolExecutor(1, "ahead") as worker:
+    with ThreadPoolExecutor(1, "prefetch") as worker:
         try:
             coming = worker.submit(next, items, worker)  # the worker is the sentinel for "no more items"
             while (item := coming.result()) is not worker:

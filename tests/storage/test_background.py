@@ -6,15 +6,15 @@ import threading
 
 import pytest
 
-from cyclekit.storage.behind import Behind
+from cyclekit.storage.background import BackgroundWriter
 
 
 def test_calls_are_made_in_order_in_another_thread_and_none_is_left():
     before, made = threading.active_count(), list[tuple[int, int]]()
-    behind = Behind()
+    writer = BackgroundWriter()
     for number in range(20):
-        behind.begin(lambda number=number: made.append((number, threading.get_ident())))
-    behind.end()
+        writer.begin(lambda number=number: made.append((number, threading.get_ident())))
+    writer.end()
     assert [number for number, _ in made] == list(range(20))
     assert threading.get_ident() not in {thread for _, thread in made}
     assert threading.active_count() == before
@@ -22,10 +22,10 @@ def test_calls_are_made_in_order_in_another_thread_and_none_is_left():
 
 def test_the_caller_goes_on_meanwhile():
     go, waited = threading.Event(), list[bool]()
-    behind = Behind()
-    behind.begin(lambda: waited.append(go.wait(10.0)))
+    writer = BackgroundWriter()
+    writer.begin(lambda: waited.append(go.wait(10.0)))
     go.set()  # if `begin` waited for its call, nobody would set it in time
-    behind.end()
+    writer.end()
     assert waited == [True]
 
 
@@ -35,9 +35,9 @@ def test_an_error_is_raised_at_the_next_call_or_at_the_end(at_once: bool):
         raise OSError(28, "No space left on device", "robot.parquet")
 
     before = threading.active_count()
-    behind = Behind()
-    behind.begin(fails)
+    writer = BackgroundWriter()
+    writer.begin(fails)
     with pytest.raises(OSError, match="No space left"):
-        behind.end() if at_once else behind.begin(list.clear)
-    behind.end()
+        writer.end() if at_once else writer.begin(list.clear)
+    writer.end()
     assert threading.active_count() == before

@@ -30,6 +30,7 @@ from cyclekit.derive.session_end import Finished, Left, finish
 from cyclekit.derive.session_look import look_at
 from cyclekit.derive.session_samples import Made, samples_of
 from cyclekit.derive.session_signals import is_tracked, looked_for, mixed, some_executions
+from cyclekit.derive.tracker_frame import frame_notes
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
 from cyclekit.people.silence import absences, is_empty
@@ -122,7 +123,7 @@ def derive(
     if is_much(groups) or any(run.is_inferred for run in robot.runs):
         forget()  # free the memory for samples and scaling of many hours
     runs = {work.session.name: list(work.runs.values()) for work in works}
-    return _finished(passes, made, files, runs, robot, cell, folder, read, stored)
+    return _finished(passes, made, files, runs, robot, cell, folder, sources, read, stored)
 
 
 def _finished(
@@ -133,6 +134,7 @@ def _finished(
     robot: RobotInSessions,
     cell: Cell,
     folder: Path,
+    sources: Mapping[str, Source | None],
     read: Read,
     stored: Stored,
 ) -> Derived:
@@ -185,6 +187,7 @@ def _finished(
             *mixed(made, watched),
             *_empty_trackers(made, gone),
             *_unseen(finished),
+            *frame_notes(made, [one.changes for one in finished], levels, folder, sources, read, cell),
         ],
     )
 

@@ -227,6 +227,14 @@ def with_goals(samples: pl.DataFrame, goals: Sequence[str | None], spots: Mappin
     return samples.with_columns(*columns, pl.Series("human_task", goals, dtype=pl.String))
 
 
+def person_tracks(
+    recordings: Sequence[RecordingCard], sources: Mapping[str, Source | None], read: Read
+) -> list[PersonTrack]:
+    """Return the tracks of all people in the logs of a session, in session time and base frame."""
+    logs = [_log(entry, read, sources[entry.id]) for entry in recordings if "people" in entry.tables]
+    return [track for log in logs for track in log.tracks]
+
+
 def _operator_logs(
     session: Session, sources: Mapping[str, Source | None], read: Read
 ) -> tuple[list[_Log], tuple[Vector, list[str]]]:

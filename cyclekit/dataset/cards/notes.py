@@ -166,6 +166,16 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "the clock may be off by that; record events at uneven intervals, or give sync_events"
     ),
     "clock-events-unmatched": "only {used} of {events} events align its clock: the others have no match",
+    # frames
+    "frame-assumed": (
+        "the tracker's pose is not given, so its axes are taken as those of the robot base; the slow-downs do not "
+        "confirm that: give frame in cell.toml (cyclekit calibrate measures it)"
+    ),
+    "frame-doubtful": (
+        "the tracker's frame is probably wrong: the robot slows at distances that differ by {spread_m:.2f} m (median), "
+        "but only by {then_m:.2f} m if the positions move by {moved_m:.2f} m; check frame in cell.toml; "
+        "proposed: {line}"
+    ),
     # operator
     "tracks-linked": (
         "{ids} track ids in {frames} frames last only a frame or two: linked by motion into {tracks} tracks"

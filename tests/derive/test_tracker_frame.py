@@ -1,0 +1,43 @@
+"""A cell file that forgets the tracker's pose: the slow-downs show it, and propose the pose."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import pytest
+
+from cyclekit import ingest_logs
+from cyclekit.dataset.dataset import Dataset
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from simulated_cells import Cells
+
+
+def notes_without_frame(logs: Path, folder: Path) -> dict[str, dict[str, object]]:
+    """Ingest logs by their cell file without its frame; return the dataset's notes by code."""
+    cell = folder / "cell.toml"
+    lines = (logs / "cell.toml").read_text(encoding="utf-8").splitlines()
+    cell.write_text("\n".join(line for line in lines if not line.startswith("frame = ")), encoding="utf-8")
+    ingest_logs(logs, out=folder / "dataset", cell=cell)
+    return {one.code: dict(one.values) for one in Dataset.open(folder / "dataset").card.warnings}
+
+
+def test_a_forgotten_frame_is_proposed_from_the_slow_downs(cells: Cells, tmp_path: Path):
+    logs = cells.logs("box-picking", 8)
+    line = str(notes_without_frame(logs, tmp_path)["frame-doubtful"]["line"])
+    found = [float(number) for number in re.findall(r"-?\d+\.\d+", line)]
+    assert found[:2] == pytest.approx([1.4, -2.6], abs=0.1)
+    assert found[3] == pytest.approx(35.0, abs=1.5)
+
+
+def test_where_zones_decide_the_speed_a_forgotten_frame_is_said_to_be_unconfirmed(cells: Cells, tmp_path: Path):
+    assert "frame-assumed" in notes_without_frame(cells.logs("laser-zones", 6), tmp_path)
+
+
+@pytest.mark.parametrize(("scene", "executions"), [("box-picking", None), ("laser-zones", 6)])
+def test_a_frame_of_the_cell_file_that_is_right_gets_no_note(cells: Cells, scene: str, executions: int | None):
+    codes = {one.code for one in cells(scene, executions).dataset.card.warnings}
+    assert not codes & {"frame-assumed", "frame-doubtful"}

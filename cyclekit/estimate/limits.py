@@ -124,6 +124,8 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
             f"in {len(slider)} executions the speed slider was below 100 %, which cost up to {max(slider):.1%} of them"
         )
         found.append(f"{most}; the estimate is for full slider")
+    if any(one.code == "frame-doubtful" for one in dataset.card.warnings) and not isinstance(model, OnStates):
+        found.append("the tracker's frame is probably wrong (`cyclekit inspect DATASET` proposes another one)")
     if any(record.clock.method == ASSUMED for record in dataset.recordings):
         found.append("the clocks of robot and tracker are assumed to start together, not aligned")
     if any(record.clock.method in ("coarse", "start-text") for record in dataset.recordings):

@@ -46,6 +46,8 @@ if TYPE_CHECKING:
     from cyclekit.learning.networks.spec import ModelSpec
     from cyclekit.schema import Progress
 
+OF_FRAMES = {"frame-assumed", "frame-doubtful"}
+"""Codes of notes of the dataset that make every distance, and so the model, doubtful."""
 OF_STAIRCASES = {
     "levels-many",
     "levels-wide",
@@ -145,6 +147,7 @@ def _card(
     warnings = [
         *found.notes,
         *mixed(dataset),
+        *(one for one in dataset.card.warnings if one.code in OF_FRAMES),
         *(note("model-data", text=text) for text in said_of_height(found.seen)),
         *found.staircase.warnings,
         *_other_opinion(dataset, found.seen, found.staircase),

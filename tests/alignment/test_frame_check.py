@@ -1,4 +1,4 @@
-"""The check of a tracker's frame: people who cross distances around a moving TCP, seen in a turned and shifted frame."""
+"""The check of a tracker's frame: people cross distances around a moving TCP, seen in a rotated and shifted frame."""
 
 from __future__ import annotations
 

@@ -9,6 +9,9 @@ import pytest
 
 from cyclekit import ingest_logs
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.limits import limits_of_logs
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import train
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,6 +34,14 @@ def test_a_forgotten_frame_is_proposed_from_the_slow_downs(cells: Cells, tmp_pat
     found = [float(number) for number in re.findall(r"-?\d+\.\d+", line)]
     assert found[:2] == pytest.approx([1.4, -2.6], abs=0.1)
     assert found[3] == pytest.approx(35.0, abs=1.5)
+
+
+def test_a_model_and_an_estimate_without_the_frame_carry_the_warning(cells: Cells, tmp_path: Path):
+    notes_without_frame(cells.logs("box-picking", 8), tmp_path)
+    dataset = Dataset.open(tmp_path / "dataset")
+    model = train(dataset, ModelSpec.of("now", "classifier", epochs=1))
+    assert "frame-doubtful" in {one.code for one in model.card.warnings}
+    assert any("frame is probably wrong" in text for text in limits_of_logs(dataset, model))
 
 
 def test_where_zones_decide_the_speed_a_forgotten_frame_is_said_to_be_unconfirmed(cells: Cells, tmp_path: Path):

@@ -88,7 +88,7 @@ def _of_logs(asked: argparse.Namespace, seed: int) -> dict[str, np.ndarray]:
     known = np.array([part.std() / len(part) ** 0.5 for part in truth]) / means
     cycle = float(np.mean([part.std() / part.mean() for part in truth]))
     OUT.print(f"{asked.scene}, {asked.executions} logged (seed {seed}), {len(wanted)} sequences, {asked.fresh} fresh "
-              f"each; standard errors: of a fresh mean {100 * known.mean():.2f} %, of the mean of so many independent "
+              f"each; standard errors: of a fresh mean {100 * known.mean():.2f} %, of the mean of as many independent "
               f"cycles as were logged {100 * cycle / asked.executions**0.5:.2f} %")  # fmt: skip
     began = time.process_time()
     check = check_rollout(cell.model, cell.dataset)
@@ -103,7 +103,7 @@ def _of_logs(asked: argparse.Namespace, seed: int) -> dict[str, np.ndarray]:
 
     began = time.process_time()
     rolled = by("rollout", check=check)
-    OUT.print(f"{len(wanted)} sequences against {rolled[0].tracks} tracks: {time.process_time() - began:.1f} s cpu")
+    OUT.print(f"{len(wanted)} sequences with {rolled[0].tracks} tracks: {time.process_time() - began:.1f} s cpu")
     found = {"rollout": np.array([entry.expected_s for entry in rolled])}
     for name in ("history", "nominal", *(["average"] if asked.average else [])):
         found[name] = np.array([entry.expected_s for entry in by(name)])
@@ -182,7 +182,7 @@ def orders(asked: argparse.Namespace) -> None:
         best = [(_mean_s(asked, jobs, order, asked.fresh), order) for _, order in screened[:6]]
         chosen["best of all"] = min(best)[1]
         means = [mean for mean, _ in screened]
-        OUT.print(f"all {len(some)} orders, {asked.screen} fresh executions each beside the same operators: "
+        OUT.print(f"all {len(some)} orders, {asked.screen} fresh executions each with the same operators: "
                   f"{means[0]:.2f} to {means[-1]:.2f} s, mean {np.mean(means):.2f}; the best 6 again "
                   f"by {asked.fresh}")  # fmt: skip
     table = Table("order by", "fresh mean s", "+- 95 %", "order")
@@ -284,7 +284,7 @@ def dynamics(asked: argparse.Namespace) -> None:
             )
             own_s, *_ = beside_own(model, cell.dataset, executions, nominal, tracks)
             off = 100 * (own_s / took - 1)
-            OUT.print(f"{name}, {'told' if told else 'not told'}: mean |error| {np.abs(off).mean():.2f} %, "
+            OUT.print(f"{name}, response {'known' if told else 'unknown'}: mean |error| {np.abs(off).mean():.2f} %, "
                       f"mean {off.mean():+.2f} % +- {1.96 * off.std() / len(off) ** 0.5:.2f}")  # fmt: skip
 
 

@@ -213,9 +213,9 @@ def main() -> None:
     parser.add_argument("--work", type=Path)
     asked = parser.parse_args()
     table = Table(title=f"{asked.scene}: error of the expected cycle time, %")
-    for column in ("executions", "length", "sets", "mean |error|", "bias", "worst", "CI of mean holds", "90 % holds",
-                   "below it", "spread of that", "rollout", "true function", "history", "Markov chain", "share",
-                   "chance", "truth", "s each"):  # fmt: skip
+    for column in ("executions", "length", "sets", "mean |error|", "bias", "worst", "CI coverage", "90 % coverage",
+                   "below", "SD of coverage", "rollout", "true function", "history", "Markov chain",
+                   "weight of history", "chance", "truth", "s per order"):  # fmt: skip
         table.add_column(column, justify="right")
     with tempfile.TemporaryDirectory() as folder:
         work = asked.work or Path(folder)

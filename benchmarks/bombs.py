@@ -25,7 +25,7 @@ def main() -> None:
     from reliability.bombs import BOMBS, SLOW
     from reliability.hostile import context, ingest_hostile
 
-    table, fresh = Table("bomb", "comes to", "s", "peak, MiB", "fault"), context()
+    table, fresh = Table("bomb", "result", "s", "peak, MiB", "fault"), context()
     for name, make in BOMBS.items():
         if words.only in name and not (words.quick and name in SLOW):
             outcome = ingest_hostile(make, fresh, limit_s=120.0)

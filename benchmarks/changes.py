@@ -191,7 +191,9 @@ def main() -> None:
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         sets = [of_set(asked.work or Path(folder), asked, seed) for seed in asked.seeds]
-    table = Table("change", "saves %", "beside logged operators %", "off: mean, worst", "+-", "fresh %", "luck")
+    table = Table(
+        "change", "saved %", "logged operators %", "error: mean, worst", "+-", "fresh operators %", "difference"
+    )
     for number, (change, *_) in enumerate(CASES):
         told, beside, fresh, error = 100 * np.concatenate([rows[number] for rows in sets], axis=1)
         off = told - beside

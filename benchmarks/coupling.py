@@ -54,8 +54,8 @@ KINDS = {
     "half": SimulationOptions(coupling=0.5),
     "uncoupled": SimulationOptions(coupling=0.0),
 }
-HEAD = ("cell", "logged", "mean |error|, %", "bias, %", "worst, %", "no conditions, %", "history, %", "CI holds",
-        "90 % holds", "robot waits, s", "operator waits, s", "missed", "invented")  # fmt: skip
+HEAD = ("cell", "logged", "mean |error|, %", "bias, %", "worst, %", "no conditions, %", "history, %", "CI coverage",
+        "90 % coverage", "robot waits, s", "operator waits, s", "missed", "invented")  # fmt: skip
 
 
 @dataclasses.dataclass

@@ -132,7 +132,7 @@ def main() -> None:
         load = f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
         about = f"{given.rows} rows, median of {given.repeats}, load at the end {load}"
         print(f"{Path(log).stat().st_size / 1e9:.2f} GB, {about}\n")
-        print("| way | s | least s | cpu s | peak MiB | work alone, s | least s | cpu s |")
+        print("| way | s | minimum, s | CPU s | peak MiB | work alone, s | minimum, s | CPU s |")
         print("|---|---|---|---|---|---|---|---|")
         for name, each in found.items():
             seconds, cpu, peak, alone, alone_cpu = np.median(np.array(each), axis=0)

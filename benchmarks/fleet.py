@@ -78,7 +78,7 @@ def main() -> None:
         print(
             f"{asked.cells} cells of {asked.executions} executions, logs {logs_mb:.0f} MB, {asked.jobs} {asked.engine}"
         )
-        print(f"exit code {command.returncode}, {took_s:.0f} s, {took_s / asked.cells:.1f} s a cell")
+        print(f"exit code {command.returncode}, {took_s:.0f} s, {took_s / asked.cells:.1f} s per cell")
         print(f"driver: {max(driver_mb[: 2 * tenth]):.0f} MB in the first fifth, {max(driver_mb):.0f} MB at most")
         print(f"driver and its workers: {all_mb:.0f} MB at most")
 

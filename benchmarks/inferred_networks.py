@@ -77,7 +77,7 @@ def main() -> None:
     ask.add_argument("--seeds", type=int, default=3)
     given = ask.parse_args()
     print(
-        "| scene | executions | MSE x1e4 | inferred | change | by seed | cycle moves | worst | by seed | answered |\n"
+        "| scene | executions | MSE x1e4 | inferred | change | by seed | time change | worst | by seed | estimated |\n"
         "|---|---|---|---|---|---|---|---|---|---|"
     )
     for scene in given.scenes.split(","):

@@ -278,7 +278,7 @@ def main() -> None:
     from cyclekit.storage.atomic import recover
 
     terminal = Terminal()
-    table = Table("command", "runs for", "killed", "ended before", "old", "new", "readings left", "broken")
+    table = Table("command", "duration", "killed", "ended before", "old", "new", "recordings left", "broken")
     with tempfile.TemporaryDirectory() as folder, victims(Path(folder), terminal) as found:
         for victim in found:
             if only is None or victim.name in only:

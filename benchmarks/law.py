@@ -64,7 +64,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, nargs="*", default=range(1, len(CASES) + 1))
     asked = parser.parse_args()
     shown = Table(
-        "scene", "true", "response", "named", "within 2 %", "lengths off, m", "in interval", "latency off, s", "s"
+        "scene", "true", "response", "found", "within 2 %", "length errors, m", "coverage", "latency error, s", "s"
     )
     for number in asked.cases:
         case = CASES[number - 1]

@@ -82,7 +82,9 @@ def main() -> int:
     parser.add_argument("--cells", nargs="+", default=list(CELLS), choices=list(CELLS))
     parser.add_argument("--out", type=Path, required=True)
     asked = parser.parse_args()
-    print("| cell | seed | fields found | taken wrongly | delay off, s | explained | rule explains | edge off, m | s |")
+    print(
+        "| cell | seed | fields found | wrong signals | delay error, s | explained | by the rule | edge error, m | s |"
+    )
     print("|---|---|---|---|---|---|---|---|---|")
     for name in asked.cells:
         scene, options = CELLS[name]

@@ -116,8 +116,8 @@ def main() -> None:
     parser.add_argument("--epochs", type=int, help="of the network; where a rule answers in its place, 1 will do")
     parser.add_argument("--work", type=Path, help="folder in which cells are kept")
     asked = parser.parse_args()
-    print("| cell | executions | seed | estimate | error, % | bias, % | worst, % | in the 90 % intervals, % "
-          "| mean in its 95 % interval | chance, % |")  # fmt: skip
+    print("| cell | executions | seed | estimate | error, % | bias, % | worst, % | 90 % coverage, % "
+          "| CI coverage | chance, % |")  # fmt: skip
     print("|---|---|---|---|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         for scene in asked.scenes:

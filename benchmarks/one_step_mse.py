@@ -45,7 +45,7 @@ def judged(dataset: Dataset, network: str, norm: str, seed: int, *, boosting: bo
 
 def table(dataset: Dataset, delta_m: float, seed: int) -> Table:
     """Train all networks and return the table."""
-    shown = Table("network", "norm", "MSE x1e4: best estimate", "step named", "paper x1e4", "training, s")
+    shown = Table("network", "norm", "MSE x1e4: best estimate", "most probable level", "paper x1e4", "training, s")
     rivals: list[tuple[str, float, str]] = []
     for network, norm in (
         ("classifier", "batch"),

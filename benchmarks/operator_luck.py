@@ -113,8 +113,8 @@ def main() -> None:
                      everyone, np.full(asked.operators, LENGTH))[0].duration_s  # fmt: skip
     logs = [Stretch(xyz_m[k, :end], doing[k, :end]) for k, end in enumerate(np.ceil(cycle_s / STEP_S).astype(int))]
     spread = float(spans[0][1].duration_s.std() / true_s[1])
-    table = Table("executions", "sets", "length", "entered", "mean |error|, %", "deviation, %", "chance, %",
-                  "CI of mean holds")  # fmt: skip
+    table = Table("executions", "sets", "length", "start", "mean |error|, %", "deviation, %", "chance, %",
+                  "CI coverage")  # fmt: skip
     for count in asked.executions:
         sets = [of_set(programs, logs[first : first + count]) for first in range(0, len(logs) - count + 1, count)]
         for number, name in enumerate(wanted):

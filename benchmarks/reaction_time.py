@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument("--executions", type=int, default=15)
     parser.add_argument("--seed", type=int, default=77)
     asked = parser.parse_args()
-    table = Table("scene", "down, up per s", "override", "true, s", "by places, s", "by level, s")
+    table = Table("scene", "down, up per s", "override", "true, s", "by positions, s", "by rule, s")
     for scene, latency_s, response in product(asked.scenes, LATENCIES_S, RESPONSES):
         found = read(scene, latency_s, response, asked.executions, asked.seed)
         ramps = "at once" if response[0] is None else f"{response[0]:g}, {response[1]:g}"

@@ -184,7 +184,7 @@ def main() -> None:
         dataset = Dataset.open(place)
         split = split_executions(dataset.executions["execution"].to_list(), seed=options.seed)
         frames = [dataset.samples(list(names)) for names in split]
-    shown = Table("network", "normalisation", "fed", "MSE x1e3", "cpu s", title="the scaling 2 s ahead, held out")
+    shown = Table("network", "normalisation", "input", "MSE x1e3", "CPU s", title="the scaling 2 s ahead, held out")
     for network, norm, feed in WAYS:
         spec = ModelSpec.of("ahead", network, 2.0, norm=norm, seed=options.seed)  # type: ignore[arg-type]
         way = Way(spec.at_rate(10.0), feed)

@@ -70,7 +70,7 @@ def main() -> None:
     file = sequences(dataset, asked.work / "sequences.toml")
     hours = float(dataset.executions["duration_s"].sum()) / 3600
     title = f"{asked.scene}: {dataset.executions.height} executions, {dataset.samples().height} samples, {hours:.1f} h"
-    table = Table("what", "wall, s", "processor, s", "size, MB", f"< {GOAL_S:.0f} s and < 5 MB", title=title)
+    table = Table("page", "wall, s", "CPU, s", "size, MB", f"< {GOAL_S:.0f} s and < 5 MB", title=title)
     judged = ["--model", model]
     asks = {
         "the logs alone": [],

@@ -118,9 +118,7 @@ def shown(value: float | None, digits: int, error: float | None = None) -> str:
 
 def responses(asked: argparse.Namespace, work: Path) -> None:
     """Print the response read in every cell."""
-    print(
-        "| cell | rate | recovery | reaction time, s | levels | recovery read | braking read | reaction time read, s |"
-    )
+    print("| cell | rate | recovery | reaction time, s | levels | recovery found | braking found | reaction found, s |")
     print("|---|---|---|---|---|---|---|---|")
     for scene in asked.scenes:
         for recovery in asked.recovery:
@@ -169,7 +167,7 @@ def cycles(asked: argparse.Namespace, work: Path) -> None:
     """Print the errors of expected cycle times."""
     print(
         "| cell | executions | seed | recovery | reaction time, s | model | answers | mean error, % | bias, % "
-        "| worst, % | in the 90 % intervals, % | chance, % |"
+        "| worst, % | 90 % coverage, % | chance, % |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|---|---|")
     for scene, recovery, latency_s, seed in product(asked.scenes, asked.recovery, asked.latency, asked.seeds):

@@ -150,7 +150,7 @@ def main() -> None:
     parser.add_argument("--fresh", type=int, default=40)
     parser.add_argument("--work", type=Path)
     asked = parser.parse_args()
-    table = Table("scene", "change", "saves %", "beside logged %", "off: mean, worst", "beside fresh %", "luck")
+    table = Table("scene", "change", "saved %", "logged %", "error: mean, worst", "fresh %", "difference")
     with tempfile.TemporaryDirectory() as folder:
         for scene in asked.scenes:
             sets = [of_cell(asked.work or Path(folder), asked, scene, seed) for seed in asked.seeds]

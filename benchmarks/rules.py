@@ -169,11 +169,11 @@ def main() -> None:
     shown = Table(
         "hidden rule",
         "scene",
-        "named",
-        "explains",
-        "thresholds off, m",
-        "corners off, m",
-        "intervals that hold",
+        "kind found",
+        "explained",
+        "threshold error, m",
+        "corner error, m",
+        "interval coverage",
         "CPU s",
     )
     for number in asked.cases:

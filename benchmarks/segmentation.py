@@ -124,7 +124,7 @@ def main() -> None:
     ask.add_argument("--no-outputs", action="store_true")
     given = ask.parse_args()
     print(
-        "| scene | Hz | override | executions | tasks | lost | invented | in 0.1 s | median s | worst s | us a row |\n"
+        "| scene | Hz | override | executions | tasks | lost | invented | in 0.1 s | median s | worst s | us/row |\n"
         "|---|---|---|---|---|---|---|---|---|---|---|"
     )
     for scene in given.scenes.split(","):
@@ -140,7 +140,7 @@ def main() -> None:
                 )
                 print(row_of(case, scene, count, rate, simulated), flush=True)
     if given.growth:
-        print("\n| scene | executions in one log | rows | cpu us a row |\n|---|---|---|---|")
+        print("\n| scene | executions in one log | rows | CPU us per row |\n|---|---|---|---|")
         for count in map(int, given.growth.split(",")):
             with tempfile.TemporaryDirectory() as scratch:
                 logs = logs_of(Path(scratch) / "logs", "box-picking", count, 125, logged=False)

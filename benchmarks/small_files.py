@@ -51,7 +51,7 @@ def main() -> None:
             "ingest, two jobs": [*ingest, "--jobs", "2"],
         }
         size = sum(file.stat().st_size for file in logs.iterdir())
-        print(f"{files} files, {size / 1e6:.0f} MB\n\n| way | s | cpu s | ms a file, cpu | peak MiB |")
+        print(f"{files} files, {size / 1e6:.0f} MB\n\n| way | s | CPU s | CPU ms per file | peak MiB |")
         print("|---|---|---|---|---|")
         for name, words in ways.items():
             if "jobs" in name:

@@ -92,7 +92,7 @@ def chance_of(relative: list[Vector], counts: Vector, draws: int = 2000) -> floa
 def simulated(asked: argparse.Namespace) -> None:
     """Print one row per cell and number of executions."""
     table = Table("cell", "executions", "sets", "mean |error|, %", "worst, %", "simple rates, %", "history, %",
-                  "CI holds", "90 % holds", "waits missed", "waits invented")  # fmt: skip
+                  "CI coverage", "90 % coverage", "waits missed", "waits invented")  # fmt: skip
     for name, options in CELLS.items():
         for executions in asked.executions:
             rows, missed, invented = [], 0, 0

@@ -185,7 +185,7 @@ def main() -> None:
         for seed, (name, way) in itertools.product(range(options.repeats), ways.items()):
             ends = name.startswith("cyclekit") and not options.near
             found[name].append(timed(way(seed), V, truth, options.goal, to_the_end=ends))
-    columns = ("way", "wall s", "cpu s", "times the first", "whole run, cpu s", "its MSE x 1e4")
+    columns = ("way", "wall s", "CPU s", "factor to the first", "whole run, CPU s", "its MSE x 1e4")
     shown = Table(*columns, title=f"to a validation MSE of {options.goal:g}")
     first = median(each[1] for each in next(iter(found.values())))
     for name, times in found.items():

@@ -99,7 +99,7 @@ def put_into(page: Path, text: str) -> None:
     whole = page.read_text(encoding="utf-8") if page.is_file() else ""
     if BEGIN not in whole or END not in whole:
         msg = f"{page}: no place for the tables"
-        raise ConfigError(msg, cure=f"Write two lines where they shall stand: {BEGIN} and {END}")
+        raise ConfigError(msg, cure=f"Write two lines at their position: {BEGIN} and {END}")
     before, _, rest = whole.partition(BEGIN)
     write_text(page, f"{before}{BEGIN}\n\n{text}\n{END}{rest.partition(END)[2]}")
 

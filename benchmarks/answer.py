@@ -339,14 +339,18 @@ def main() -> None:
     runs |= {"dynamics": dynamics, "drift": drifts, "speed": speed}
     parser.add_argument("what", nargs="?", choices=[*runs, "all"], default="all")
     parser.add_argument("--scene", default="box-picking")
-    parser.add_argument("--executions", type=int, help="logged; 200, or 60 where all is measured")
-    parser.add_argument("--sequences", type=int, help="20, or 4 where all is measured")
-    parser.add_argument("--fresh", type=int, help="executions of each; 500, or 60 where all is measured")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[101], help="of the logs; `sequences` takes several")
-    parser.add_argument("--screen", type=int, default=25, help="fresh executions of each of all orders")
-    parser.add_argument("--half", action="store_true", help="plan every other slot only: all orders can be tried")
+    parser.add_argument("--executions", type=int, help="logged executions; default 200, or 60 for all measurements")
+    parser.add_argument("--sequences", type=int, help="default 20, or 4 for all measurements")
+    parser.add_argument("--fresh", type=int, help="fresh executions of each; default 500, or 60 for all")
+    parser.add_argument(
+        "--seeds", type=int, nargs="+", default=[101], help="seeds of the logs; several only for `sequences`"
+    )
+    parser.add_argument("--screen", type=int, default=25, help="fresh executions per order when all are compared")
+    parser.add_argument(
+        "--half", action="store_true", help="plan only every other slot, so that all orders can be tried"
+    )
     parser.add_argument("--alone", action="store_true", help="plan without the rivals")
-    parser.add_argument("--average", action="store_true", help="also train and ask the average-scaling network")
+    parser.add_argument("--average", action="store_true", help="also train and use the average-scaling network")
     parser.add_argument("--work", type=Path, help="folder for cells and fresh executions; else a temporary one")
     asked = parser.parse_args()
     usual = (60, 4, 60) if asked.what == "all" else (200, 20, 500)

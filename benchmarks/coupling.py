@@ -256,7 +256,9 @@ def main() -> None:
     parser.add_argument("--orders", type=int, default=8)
     parser.add_argument("--fresh", type=int, default=1000)
     parser.add_argument("--each", action="store_true", help="also print each order")
-    parser.add_argument("--plans", action="store_true", help="instead: the order that plan chooses beside all others")
+    parser.add_argument(
+        "--plans", action="store_true", help="instead: compare the order chosen by plan with all others"
+    )
     asked = parser.parse_args()
     if asked.plans:
         found = Table("cell", "logged, set", "orders", "best, s", "chosen, s", "slower, %", "worst, %", "expected, s")

@@ -281,7 +281,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=lambda text: text.split(","), default=["scanner-visits", "scanner-fields"])
     parser.add_argument("--executions", type=int, nargs="+", default=[20, 45, 60, 200])
     parser.add_argument("--operators", type=int, default=8000)
-    parser.add_argument("--sets", type=int, default=120, help="at most")
+    parser.add_argument("--sets", type=int, default=120, help="maximum number of sets")
     parser.add_argument("--work", type=Path)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

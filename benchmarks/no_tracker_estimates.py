@@ -109,12 +109,12 @@ def main() -> None:
     parser.add_argument("--scenes", type=lambda text: text.split(","), default=["box-picking", "scanner-visits"])
     parser.add_argument("--executions", type=int, nargs="+", default=[60])
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--sequences", type=int, default=5, help="never logged")
+    parser.add_argument("--sequences", type=int, default=5, help="number of sequences, never logged")
     parser.add_argument("--fresh", type=int, default=500, help="fresh executions of each")
-    parser.add_argument("--no-tracker", action="store_true", help="leave the same cell with its tracker out")
-    parser.add_argument("--signals", action="store_true", help="the bits of fields in place of the tracker")
-    parser.add_argument("--epochs", type=int, help="of the network; where a rule answers in its place, 1 will do")
-    parser.add_argument("--work", type=Path, help="folder in which cells are kept")
+    parser.add_argument("--no-tracker", action="store_true", help="leave out the same cell with its tracker")
+    parser.add_argument("--signals", action="store_true", help="bits of fields instead of the tracker")
+    parser.add_argument("--epochs", type=int, help="epochs of the network; 1 is enough if a rule replaces it")
+    parser.add_argument("--work", type=Path, help="folder for cells")
     asked = parser.parse_args()
     print("| cell | executions | seed | estimate | error, % | bias, % | worst, % | 90 % coverage, % "
           "| CI coverage | chance, % |")  # fmt: skip

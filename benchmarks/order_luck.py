@@ -69,7 +69,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="What few logged operators cost a plan.")
     parser.add_argument("--executions", type=int, default=60)
     parser.add_argument("--draws", type=int, default=1000)
-    parser.add_argument("--work", type=Path, help="folder for cells; else a temporary one")
+    parser.add_argument("--work", type=Path, help="folder for cells; default: a temporary one")
     asked = parser.parse_args()
     title = f"{asked.executions} logged, {asked.draws} draws: mean loss % (one in ten loses more than)"
     table = Table("jobs", "orders", "chosen by", "mean", "mean + standard error", title=title)

@@ -120,7 +120,7 @@ def main() -> None:
     ask.add_argument("--rates", default="125,500")
     ask.add_argument("--cases", default="logged,inferred,logged and long dwells,inferred and long dwells")
     ask.add_argument("--growth", default="10,100,1000", help="executions of the second table; empty = no such table")
-    ask.add_argument("--per-log", type=int, help="executions a log; all in one if not said")
+    ask.add_argument("--per-log", type=int, help="executions per log; default: all in one")
     ask.add_argument("--no-outputs", action="store_true")
     given = ask.parse_args()
     print(

@@ -159,7 +159,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--goal", type=float, default=2e-3)
     parser.add_argument("--rows", type=int, default=600_000)
-    parser.add_argument("--near", action="store_true", help="only one epoch of ours beside scikit-learn")
+    parser.add_argument("--near", action="store_true", help="compare only one epoch of cyclekit with scikit-learn")
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
     torch.set_num_threads(options.threads)

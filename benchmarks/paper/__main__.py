@@ -61,11 +61,11 @@ def _arguments() -> argparse.ArgumentParser:
     add("--executions", type=int, default=1000, help="executions per scene and seed")
     add("--seeds", type=_seeds, default=(1, 2, 3), help="seeds, with commas between")
     add("--scenes", type=_scenes, default=SCENES, help="scenes, with commas between")
-    add("--steps", type=int, help="steps of every training; default: what suits")
+    add("--steps", type=int, help="steps of every training; default: by the data")
     add("--only", default="", help="only numbers whose name, as in OUT/results, contains this")
-    add("--done", action="store_true", help="run nothing; tables and figures of what is there")
+    add("--done", action="store_true", help="run nothing; tables and figures of existing results")
     add("--page", type=Path, help="also put the tables into the marked place of this Markdown file")
-    add("--jobs", type=int, help="so many datasets, then numbers, at the same time")
+    add("--jobs", type=int, help="number of datasets, then of entries, processed at the same time")
     return parser
 
 

@@ -26,7 +26,7 @@ def ingest(
     jobs: Jobs = None,
     ray_address: RayAddress = None,
     rate: Annotated[
-        float | None, typer.Option(help="Samples a second; default: that of the cell file, or 10.", metavar="HZ")
+        float | None, typer.Option(help="Samples per second; default: the cell file's, or 10.", metavar="HZ")
     ] = None,
     pseudonymise: Annotated[
         bool, typer.Option("--pseudonymise", help="Keep no track ids and no wall-clock time (docs/privacy.md).")

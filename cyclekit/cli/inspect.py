@@ -20,7 +20,7 @@ def inspect(
         Path | None, typer.Argument(help="With --write-cell: the new file to write it to.", metavar="[CELL.toml]")
     ] = None,
     cell: Annotated[
-        Path | None, typer.Option(help="Cell file that says how logs are read; default: the one beside them.")
+        Path | None, typer.Option(help="Cell file with settings for the logs; default: cell.toml next to them.")
     ] = None,
     write_cell: Annotated[
         bool, typer.Option("--write-cell", help="Print a cell file for these logs; a draft for unknown tables.")

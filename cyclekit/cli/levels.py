@@ -19,7 +19,7 @@ EXAMPLE = "cyclekit levels dataset --picture levels.svg"
 def levels(
     dataset: DatasetPlace,
     method: Annotated[
-        str, typer.Option(help="plateau (values held in time), or by bare values dbscan or kmeans-silhouette.")
+        str, typer.Option(help="plateau (values held over time); dbscan or kmeans-silhouette (values only).")
     ] = "plateau",
     picture: Annotated[Path | None, typer.Option(help="Also draw them: a .svg, .png or .pdf file.")] = None,
     json: Json = False,

@@ -30,14 +30,14 @@ def replay(
     at: Annotated[
         str, typer.Option(help="What plays first: slowdown (the costliest), error (the model's worst), or a time.")
     ] = "slowdown",
-    open_after: Annotated[bool, typer.Option("--open", help="Open the recording in the Rerun viewer, there.")] = False,
+    open_after: Annotated[bool, typer.Option("--open", help="Open the recording in the Rerun viewer.")] = False,
     serve_after: Annotated[
         bool, typer.Option("--serve", help="Serve it to a browser on this machine, until Ctrl-C.")
     ] = False,
     bind: Annotated[
         str,
         typer.Option(
-            help="Address that --serve listens on; any other than this shows the recording to all who reach it."
+            help="Address of --serve; any other than this one shows the recording to everybody who can reach it."
         ),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --serve; 0 takes a free one.")] = 9090,

@@ -45,7 +45,7 @@ def train(
     ] = None,
     model: Annotated[
         Literal["auto", "network"],
-        typer.Option(help="auto: a rule answers where a simple one explains the commanded level; else the network."),
+        typer.Option(help="auto: a rule, if a simple one explains the commanded level; else the network."),
     ] = "auto",
     people: Annotated[
         Literal["auto", "positions", "signals"],
@@ -74,7 +74,7 @@ def train(
     balance: Annotated[
         Literal["none", "classes"], typer.Option(help="classes: rare levels weigh as much as common ones.")
     ] = "none",
-    noise: Annotated[float, typer.Option(min=0.0, help="Train for a tracker that is noisier by this, m.")] = 0.0,
+    noise: Annotated[float, typer.Option(min=0.0, help="Additional tracker noise to train for, m.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the split and of the training.")] = 0,
     seeds: Annotated[
         str | None, typer.Option(help="Several seeds, separated by commas: one model each, OUT/seed-N.")

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 _OFFSET_S = 1e7
 """Offset between the times of stretches, s, so that one search covers all."""
-_ROUNDING_S = 1e-9
+_ROUNDING_S, _SAME = 1e-9, 1e-6
 
 
 def earlier(
@@ -22,7 +22,7 @@ def earlier(
     """Return values as they were `by_s` earlier, and which of these times lie before the start of the stretch.
 
     Args:
-        values: Shape (N,) or (N, K); interpolated linearly, NaN next to NaN.
+        values: Shape (N,) or (N, K); interpolated linearly, NaN between samples one of which is NaN.
         t_s: Time, ascending within each stretch, shape (N,), s.
         run: Number of the unbroken stretch, ascending, shape (N,).
         by_s: Not negative.
@@ -35,6 +35,8 @@ def earlier(
     before = np.maximum(after - 1, 0)
     before = np.where(run[before] == run, before, after)
     part = (then_s - t_s[before]) / np.maximum(t_s[after] - t_s[before], _ROUNDING_S)
-    part = np.clip(part, 0.0, 1.0).reshape(-1, *[1] * (values.ndim - 1))
-    moved = values[before] + part * (values[after] - values[before])
+    part = np.clip(part, 0.0, 1.0)
+    moved = values[before] + part.reshape(-1, *[1] * (values.ndim - 1)) * (values[after] - values[before])
+    at_sample = np.abs(part - np.rint(part)) < _SAME  # the other sample may be NaN
+    moved[at_sample] = values[np.where(part < 0.5, before, after)[at_sample]]
     return moved, then_s < t_s[np.searchsorted(run, run)] - _ROUNDING_S

@@ -18,6 +18,16 @@ def test_values_are_interpolated_within_each_stretch() -> None:
     assert early.tolist() == [True, False, False, True, False, False]
 
 
+@pytest.mark.parametrize("by_s", [0.1, 0.2, 0.3])
+def test_a_time_of_a_sample_gives_its_value_whatever_is_next_to_it(by_s: float) -> None:
+    t_s = 1000.0 + np.arange(50) / 10
+    values = np.where(np.arange(50) % 2 == 0, np.nan, np.arange(50))
+    found, early = earlier(values, t_s, np.full(50, 7), by_s)
+    shift = round(10 * by_s)
+    assert early.tolist() == [True] * shift + [False] * (50 - shift)
+    assert found[shift:] == pytest.approx(values[:-shift], nan_ok=True)
+
+
 def test_a_time_at_the_start_of_a_stretch_is_known_whatever_the_stretch_before_holds() -> None:
     values = np.column_stack([VALUES, np.where(RUN == 0, np.nan, VALUES)])
     found, early = earlier(values, T_S, RUN, 0.125)

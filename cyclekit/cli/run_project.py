@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from cyclekit.fleet.project import ProjectRun
 
 EXAMPLE = "cyclekit run"
+SHOWN = 8
+"""Maximum number of warnings in the terminal."""
 
 
 def run(
@@ -33,6 +35,9 @@ def run(
     terminal = Terminal(json=json, quiet=quiet)
     with terminal.progress("running") as progress:
         found = run_project(project, progress=progress)
+    terminal.warnings(found.warnings[:SHOWN])
+    if len(found.warnings) > SHOWN:
+        terminal.remark(f"{len(found.warnings) - SHOWN} more warnings: cyclekit inspect {found.project.dataset}")
     for row in found.failed:
         terminal.remark(f"failed: {row.stage}: {row.text}")
     terminal.done(found.to_dict(), _said(found))

@@ -18,7 +18,7 @@ from cyclekit.api.report import write_report
 from cyclekit.api.train import train_task_times
 from cyclekit.config.project import PROJECT_FILE, Project, load_project
 from cyclekit.config.sequences import load_sequences
-from cyclekit.dataset.cards import plain
+from cyclekit.dataset.cards import plain, texts
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import ModelError, NothingPublished, UnknownName
 from cyclekit.fleet.read import FleetCell
@@ -97,11 +97,13 @@ class ProjectRun(Result):
         file: The project file.
         project: The project.
         rows: Result of each stage, in order.
+        warnings: Limits of the dataset and the model that a user must know.
     """
 
     file: Path
     project: Project
     rows: tuple[StageResult, ...]
+    warnings: tuple[str, ...] = ()
 
     @property
     def failed(self) -> tuple[StageResult, ...]:
@@ -110,7 +112,12 @@ class ProjectRun(Result):
 
     def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
-        return {"project": str(self.file), "failed": len(self.failed), "rows": self._frame_rows()}
+        return {
+            "project": str(self.file),
+            "failed": len(self.failed),
+            "rows": self._frame_rows(),
+            "warnings": list(self.warnings),
+        }
 
     def _frame_rows(self) -> list[dict[str, object]]:
         return [{"stage": row.stage, "state": row.state, "text": row.text} for row in self.rows]
@@ -157,7 +164,19 @@ def run_project(
     for kind, place in places.items():
         check_output(place, kind, inputs, option=f"{file}")
     rows = work_on(cell, stages=tuple(stages), known=PROJECT_STAGES, progress=progress)
-    return ProjectRun(file, told, tuple(rows))
+    return ProjectRun(file, told, tuple(rows), _warnings(cell))
+
+
+def _warnings(cell: FleetCell) -> tuple[str, ...]:
+    """Return the warnings of dataset, recordings and model, each once."""
+    dataset, model = dataset_of(cell), _model(cell)
+    found = []
+    if dataset is not None:
+        found += texts(dataset.card.warnings)
+        found += [f"{one.shown}: {text}" for one in dataset.card.recordings for text in one.said]
+    if isinstance(model, TrainedModel):
+        found += texts(model.card.warnings)
+    return tuple(dict.fromkeys(found))
 
 
 def _project(work: CellAtWork) -> Project:

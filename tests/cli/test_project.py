@@ -196,6 +196,18 @@ def test_run_does_what_changed_and_nothing_else(begun: Path, sequences: Path, cy
     assert states(failed) == first | {"estimate": "failed"}  # the page is written without estimates
 
 
+def test_run_shows_the_warnings_of_dataset_and_model(
+    begun: Path, sequences: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell
+) -> None:
+    shutil.copy(sequences, "sequences.toml")
+    said = [f"limit {number}" for number in range(11)]
+    monkeypatch.setattr("cyclekit.fleet.project.texts", lambda _: said)
+    typed = cyclekit("run", "--json")
+    assert typed.document["warnings"] == said
+    assert "warning: limit 0" in typed.err
+    assert "3 more warnings: cyclekit inspect" in typed.err
+
+
 def states(typed) -> dict[str, str]:
     return {row["stage"]: row["state"] for row in typed.document["rows"]}
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from cyclekit.adapter import Draft
 
 CELL_FILE = "cell.toml"
-_MOST_ALIKE, _MOST_TRIED = 5, 500
+_MAX_ALIKE, _MAX_TRIED = 5, 500
 _OF_USE = {"x", "joints", "scaling", "signal"}
 """Keys of which a draft for a table in a folder must have at least one; otherwise the table is probably no log."""
 
@@ -129,7 +129,7 @@ def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> tuple[d
             if known or away or not is_text or not path.is_file() or not path.stat().st_size:
                 continue
             unread.append(shown)
-            if tried >= _MOST_TRIED or kinds[kind_of(shown)] >= _MOST_ALIKE:
+            if tried >= _MAX_TRIED or kinds[kind_of(shown)] >= _MAX_ALIKE:
                 continue
             tried += 1
             try:

@@ -12,7 +12,7 @@ from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, MissingColumns
 from cyclekit_adapters.formats import mapped_csv, ur_rtde
 from cyclekit_adapters.text.delimited import INDEX, TextLayout, read_rows
-from cyclekit_adapters.text.header_line import MOST_COLUMNS, layout_below
+from cyclekit_adapters.text.header_line import MAX_COLUMNS, layout_below
 
 COMMA = TextLayout(("t", "x", "y"), ",", header_lines=1)
 BLANK = replace(COMMA, delimiter=" ")
@@ -210,7 +210,7 @@ def test_a_log_whose_every_cell_is_quoted_is_read(tmp_path, ur):
 
 def test_a_header_of_a_million_columns_is_refused(tmp_path):
     path = tmp_path / "log.csv"
-    path.write_text(",".join(f"c{i}" for i in range(MOST_COLUMNS + 1)) + "\n")
+    path.write_text(",".join(f"c{i}" for i in range(MAX_COLUMNS + 1)) + "\n")
     with pytest.raises(DamagedLog, match="more than 100,000 columns"):
         layout_below(path)
 

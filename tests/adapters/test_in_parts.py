@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(in_parts, "MANY", 1000)
+    monkeypatch.setattr(in_parts, "MIN_ROWS", 1000)
     monkeypatch.setattr(text_blocks, "BLOCK_BYTES", 4096)
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cyclekit_adapters.tasks.task_columns import Said
     from cyclekit_adapters.tasks.task_json import Record
 
-MOST = 5_000_000
+MAX_TASKS = 5_000_000
 """Maximum number of tasks in one list, which is held in memory as a whole."""
 _ASIDE = pl.Schema({"source_row": pl.Int64(), "reason": pl.String()})
 
@@ -71,8 +71,8 @@ class _TaskList:
     def read(self, path: Path, options: ReadOptions) -> Recording:
         said = said_of(options)
         cells = _cells(path, said)
-        if cells.frame.height >= MOST:
-            raise DamagedLog(path, f"more than {MOST:,} tasks: too many for one list", cure="Split it.")
+        if cells.frame.height >= MAX_TASKS:
+            raise DamagedLog(path, f"more than {MAX_TASKS:,} tasks: too many for one list", cure="Split it.")
         found = task_table(path, cells.frame, cells.columns, said, decimal_comma=cells.decimal_comma)
         aside = pl.DataFrame(cells.aside, schema=_ASIDE, orient="row")
         return Recording(
@@ -118,7 +118,7 @@ def _of_json(path: Path, said: Said) -> _Cells:
         raise DamagedLog(path, f"not valid JSON ({records.broken})", cure="Copy it again.")
     columns = require(path, names, said.columns)
     records = JsonRecords(path)
-    table = table_of(iter(records), tuple(dict.fromkeys(columns.values())), MOST)
+    table = table_of(iter(records), tuple(dict.fromkeys(columns.values())), MAX_TASKS)
     frame = table.select("source_row", *(pl.col(name).alias(key) for key, name in columns.items()))
     aside: list[tuple[int | None, str]] = []
     if records.broken is not None:
@@ -133,7 +133,7 @@ def _of_xes(path: Path, said: Said) -> _Cells:
         raise ConfigError(f"{path}: {name} in [sources.map] names a column, and XES has none", cure="Remove it.")
     records = XesRecords(path)
     aside: list[tuple[int | None, str]] = []
-    table = table_of(_started(iter(records), aside), FIELDS, MOST)
+    table = table_of(_started(iter(records), aside), FIELDS, MAX_TASKS)
     if table.is_empty() and aside:
         cause = "its events say when tasks were completed and not when they started (lifecycle:transition)"
         raise DamagedLog(path, cause, cure="Export start events too.")

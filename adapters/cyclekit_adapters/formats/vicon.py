@@ -18,7 +18,7 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit_adapters.text.delimited import TextRows, delimiter_of, fields_of, row_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import head_lines, head_of
-from cyclekit_adapters.tracking.frame_clock import FRAME, MOST_HZ, FrameClock, positive
+from cyclekit_adapters.tracking.frame_clock import FRAME, MAX_HZ, FrameClock, positive
 from cyclekit_adapters.tracking.joints import points_of
 from cyclekit_adapters.tracking.markers import (
     People,
@@ -50,7 +50,7 @@ class _ViconCsv:
         title, rate, names, axes = (fields_of(line, delimiter)[0].strip() for line in lines)
         return (
             title in TITLES
-            and positive(rate, below=MOST_HZ) is not None
+            and positive(rate, below=MAX_HZ) is not None
             and (axes == FRAME or (title, names) == _EVENTS)
         )
 

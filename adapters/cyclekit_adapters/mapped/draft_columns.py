@@ -56,7 +56,7 @@ _STATE_NAMES = {"state", "status", "mode", "running", "run", "playing"}
 _YES_NO = {"true": "playing", "1": "playing", "false": "stopped", "0": "stopped"}
 _YES_NO_NAMES = {"running", "run", "playing"}
 """Names of columns that hold whether the program runs."""
-_MOST_STATES = 30
+_MAX_STATES = 30
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ def states(table: DraftTable, names: Mapping[str, Name]) -> list[tuple[str, dict
         if not name.says(_STATE_NAMES) or name.says(("safety", "joint", "gripper", "human")):
             continue
         cells = Counter(cell.strip() for cell in table.cells[name.column] if cell.strip())
-        if not cells or len(cells) > _MOST_STATES:
+        if not cells or len(cells) > _MAX_STATES:
             continue
         words = _STATES | (_YES_NO if name.says(_YES_NO_NAMES) else {})
         known = {word: state for word in cells if (state := words.get(word.lower().replace("_", " ")))}

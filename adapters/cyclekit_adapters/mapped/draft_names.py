@@ -105,7 +105,7 @@ OTHER = {
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-zäöüß]+|[A-Z]+|\d+|%|°|µs")
 _ONE_WORD = re.compile(r"TCP|RIst|RSol")  # would otherwise be split in two
 _BRACKETED = re.compile(r"[\[(<{]\s*([A-Za-zµ°%]+)\s*[\])>}]\s*(?:#\d+)?$|/\s*([A-Za-zµ°%]+)$")
-_BESIDE_AXIS = {"", "act", "actual", "curr", "ist"} | PLACE | POSITION | ROBOT | PERSON
+_AXIS_PREFIXES = {"", "act", "actual", "curr", "ist"} | PLACE | POSITION | ROBOT | PERSON
 """Words that occur joined with an axis: `toolx`, `xpos`."""
 _SMALL_UNITS = {"m", "s", "in"}  # a unit only as the last word of a name
 
@@ -176,13 +176,13 @@ def _axis(words: list[str]) -> tuple[str | None, list[str]]:
     found = [(at, *split) for at, word in enumerate(words) if (split := _split_axis(word))]
     if len(found) != 1:
         return None, words
-    at, axis, beside = found[0]
-    return axis, [*words[:at], *([beside] if beside else []), *words[at + 1 :]]
+    at, axis, joined = found[0]
+    return axis, [*words[:at], *([joined] if joined else []), *words[at + 1 :]]
 
 
 def _split_axis(word: str) -> tuple[str, str] | None:
     """Return the axis at one end of a word and the rest, if the rest is a word that occurs joined with an axis."""
-    for axis, beside in ((word[-1:], word[:-1]), (word[:1], word[1:])):
-        if axis in ("x", "y", "z") and beside in _BESIDE_AXIS:
-            return axis, beside
+    for axis, joined in ((word[-1:], word[:-1]), (word[:1], word[1:])):
+        if axis in ("x", "y", "z") and joined in _AXIS_PREFIXES:
+            return axis, joined
     return None

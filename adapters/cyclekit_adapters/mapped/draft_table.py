@@ -30,7 +30,7 @@ LINES = 2000
 """Maximum number of lines read."""
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "|", "\\s+": "whitespace"}
 _LINES_SEARCHED = 50
-_MOST_COLUMNS = 2000
+_MAX_COLUMNS = 2000
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d+|\.)?|[.,]\d+)(?:[eE][+-]?\d+)?")
 _NUMERIC = 0.9  # minimum share of numbers in a numeric column
 
@@ -135,7 +135,7 @@ class _Rows:
 
 def _rows_by(lines: Sequence[str], mark: str) -> _Rows | None:
     rows = _Rows(mark, [[cell.strip() for cell in fields_of(line, mark)] for line in lines])
-    usable = 1 < rows.width <= _MOST_COLUMNS and rows.numbers
+    usable = 1 < rows.width <= _MAX_COLUMNS and rows.numbers
     return rows if usable and len(rows.body) >= 0.5 * (len(rows.lines) - _LINES_SEARCHED) else None
 
 

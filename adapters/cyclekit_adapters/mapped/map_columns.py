@@ -36,7 +36,7 @@ ONE = (
     "quality",
 )
 """Keys that take one column."""
-MANY = ("time", "scaling", "joints", "tags")
+SEVERAL = ("time", "scaling", "joints", "tags")
 """Keys that take one or several columns."""
 _NUMBER = re.compile(r"#([1-9]\d{0,5})")
 _RANGE = re.compile(r"#([1-9]\d{0,5})\.\.#?([1-9]\d{0,5})")
@@ -81,7 +81,7 @@ def columns_of(path: Path, mapping: CsvMap, names: Sequence[str], widths: Mappin
     for key in ONE:
         if (entry := getattr(mapping, key)) is not None:
             found[key] = finder.one(key, entry)
-    for key in MANY:
+    for key in SEVERAL:
         found[key] = tuple(dict.fromkeys(name for entry in getattr(mapping, key) for name in finder.many(entry)))
     return Columns(replace(mapping, **found), tuple(finder.names), finder.lists)  # type: ignore[arg-type]  # by key
 

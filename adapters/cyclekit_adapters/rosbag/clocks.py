@@ -42,7 +42,7 @@ BACKLOG = 0.05
 NO_LINE = "header and recorder's clock drift apart faster than clocks do, and no line fits them"
 AGREE_S = 0.1
 """Maximum difference, s, at which the clocks of topics count as one."""
-_LEAST_S, _LEAST_MESSAGES = 20.0, 100  # a rate from fewer is noise
+_MIN_S, _MIN_MESSAGES = 20.0, 100  # a rate from fewer is noise
 _PARTS = 16
 
 
@@ -163,7 +163,7 @@ def _choice(source: StampSource, asked: How | None) -> Chosen:
 
 def _long_enough(source: StampSource) -> bool:
     """Return whether the recording is long enough to determine a clock rate."""
-    return _span_s(source) >= _LEAST_S and source.stamp_s.size >= _LEAST_MESSAGES
+    return _span_s(source) >= _MIN_S and source.stamp_s.size >= _MIN_MESSAGES
 
 
 def _span_s(source: StampSource) -> float:

@@ -23,9 +23,9 @@ _RULE = "=" * 80 + "\n"
 _COMMON = (Stores.ROS2_HUMBLE, Stores.ROS1_NOETIC)
 _DISTRIBUTIONS = {"humble": Stores.ROS2_HUMBLE, "foxy": Stores.ROS2_FOXY}
 _WIDTH = {"string": 4, "8": 1, "16": 2, "32": 4, "64": 8, "bool": 1, "byte": 1, "char": 1}
-_MOST_DEFINED = 1 << 20  # bytes of the text of a definition
-_MOST_STEPS = 100_000  # fields of the smallest message of a type
-_STEPS_PER_BYTE = 8  # with more, a definition has fields without content
+_MAX_DEFINITION = 1 << 20  # bytes of the text of a definition
+_MAX_FIELDS = 100_000  # fields of the smallest message of a type
+_FIELDS_PER_BYTE = 8  # with more, a definition has fields without content
 
 
 class NoDefinition(ValueError):
@@ -63,7 +63,7 @@ class Types:
         if kind in self._sound:
             return
         steps, size = self._least(kind, (), {})
-        if steps > _MOST_STEPS or steps > _STEPS_PER_BYTE * (size + 64):
+        if steps > _MAX_FIELDS or steps > _FIELDS_PER_BYTE * (size + 64):
             raise NoDefinition(f"the definition of {kind} has {steps} fields in {size} bytes: no message has that")
         self._sound.add(kind)
 
@@ -119,7 +119,7 @@ def _types(kind: str, definition: str, notation: str, coding: str, digest: str) 
         layout = known(kind, definition)
         common = well_known(_DISTRIBUTIONS[layout.distribution]).fields
         return Types(read_text(layout.text, kind, common).fields if layout.text else common)
-    if definition and len(definition) <= _MOST_DEFINED:
+    if definition and len(definition) <= _MAX_DEFINITION:
         expected = digest if coding == "ros1" else ""
         if notation == "msg":
             try:

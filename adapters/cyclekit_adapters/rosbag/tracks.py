@@ -39,7 +39,7 @@ class JointStates:
     scaling: Array | None = None
 
 
-_MOST_PINS = 53
+_MAX_PINS = 53
 Value = Array | JointStates | Persons | list[str] | npt.NDArray[np.bool_]
 
 
@@ -225,7 +225,7 @@ def _bits(group: Group, name: str) -> Array:
     found = np.zeros(group.rows.size, np.int64)
     for place in range(len(group.first(name))):
         pin, state = (_scalars(group, name, place, part).astype(np.int64) for part in ("pin", "state"))
-        found |= np.where(pin < _MOST_PINS, (state > 0).astype(np.int64) << np.minimum(pin, _MOST_PINS), 0)
+        found |= np.where(pin < _MAX_PINS, (state > 0).astype(np.int64) << np.minimum(pin, _MAX_PINS), 0)
     return found.astype(np.float64)
 
 

@@ -26,7 +26,7 @@ NO_START = "\x1fno start"
 """Key of a record whose task completes without a start."""
 _LONGEST_TAG = 1 << 20
 _DEEPEST = 64
-_MOST_EVENTS = 1 << 20
+_MAX_EVENTS = 1 << 20
 """Maximum number of events of one trace, which is held in memory as a whole."""
 _PIECE = 1 << 16
 _ENDS = {"complete": None, "ate_abort": "failed", "pi_abort": "failed", "withdraw": "failed", "abort": "failed"}
@@ -171,8 +171,8 @@ class _Document:
         if name == "event" and self._event is not None:
             self._events.append(self._event)
             self._event = None
-            if len(self._events) > _MOST_EVENTS:
-                raise DamagedLog(self._path, f"a trace of more than {_MOST_EVENTS} events", cure="Split it.")
+            if len(self._events) > _MAX_EVENTS:
+                raise DamagedLog(self._path, f"a trace of more than {_MAX_EVENTS} events", cure="Split it.")
         elif name == "trace":
             self._close_trace()
 

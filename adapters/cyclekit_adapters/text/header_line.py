@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-MOST_COLUMNS = 100_000
+MAX_COLUMNS = 100_000
 """Maximum number of columns: no logger writes more, and reading a million would take gigabytes."""
 _COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 _POINT = re.compile(r"[+-]?\d+\.\d+(?:[eE][+-]?\d+)?")
@@ -47,8 +47,8 @@ def names_in(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
     """
     if "\0" in line:
         raise DamagedLog(path, "its header holds NUL bytes: it is damaged, or not a text file", cure="Check the copy.")
-    if line.count(delimiter) >= MOST_COLUMNS:
-        cause = f"a header of more than {MOST_COLUMNS:,} columns: no logger writes that"
+    if line.count(delimiter) >= MAX_COLUMNS:
+        cause = f"a header of more than {MAX_COLUMNS:,} columns: no logger writes that"
         raise DamagedLog(path, cause, cure="Check what the file is.")
     return header_names(line, delimiter)
 

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from cyclekit.adapter import Recording
     from cyclekit_adapters.text.delimited import TextRows
 
-MANY, HARDLY_ANY = 1_000_000, 0.01
-"""A log of more than MANY rows is refused if its share of usable rows is below HARDLY_ANY: the format is wrong."""
+MIN_ROWS, MIN_USABLE_SHARE = 1_000_000, 0.01
+"""A log of more than MIN_ROWS rows is refused if fewer than this share are usable: its format is wrong."""
 _PARTS_IN_A_BLOCK = 4
 
 
@@ -42,7 +42,7 @@ def in_parts(
         finish: Adds to the last part what is known only at the end.
 
     Raises:
-        DamagedLog: No row is usable, or less than a share HARDLY_ANY of more than MANY rows.
+        DamagedLog: No row is usable, or less than a share MIN_USABLE_SHARE of more than MIN_ROWS rows.
     """
     last: Recording | None = None
     rows_read, usable, unknown = 0, 0, 0
@@ -55,8 +55,8 @@ def in_parts(
         unknown += rows.not_finite
         if aside is None and refused.height:
             aside = refused
-        if rows_read > MANY and usable < rows_read * HARDLY_ANY and aside is not None:
-            raise _hardly_any(path, rows_read, usable, aside)
+        if rows_read > MIN_ROWS and usable < rows_read * MIN_USABLE_SHARE and aside is not None:
+            raise _barely_usable(path, rows_read, usable, aside)
         if last is not None:
             yield last
         last = part
@@ -86,7 +86,7 @@ def _together(blocks: Iterable[TextRows]) -> Iterator[TextRows]:
         yield joined(waiting)
 
 
-def _hardly_any(path: Path, rows_read: int, usable: int, aside: pl.DataFrame) -> DamagedLog:
+def _barely_usable(path: Path, rows_read: int, usable: int, aside: pl.DataFrame) -> DamagedLog:
     line, reason = aside.row(0)
     cause = f"only {usable} of its first {rows_read} rows can be used; the first bad row (line {line}): {reason}"
     return DamagedLog(path, cause, cure="Check what the file is; to read its good rows, cut them out of it.")

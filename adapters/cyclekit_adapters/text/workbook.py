@@ -24,23 +24,23 @@ if TYPE_CHECKING:
     from typing import IO
 
 ZIP = b"PK\x03\x04"
-MOST_RATIO = 200
+MAX_RATIO = 200
 """Maximum compression ratio: sheets of numbers reach about 10; a workbook beyond this is no log."""
-MOST_CELLS = 10_000_000
+MAX_CELLS = 10_000_000
 """Maximum number of filled cells of a sheet, which is held in memory as a whole; export a longer log as text."""
 _SPARSE = 8  # maximum ratio of spanned to filled cells, for a sheet that is not small
 _SMALL = 2_000_000
-_MOST_TEXT = 1 << 28
+_MAX_TEXT = 1 << 28
 _LONGEST_TAG = 1 << 20
 _CHUNK = 1 << 20
-_MOST_PARTS = 10_000
+_MAX_PARTS = 10_000
 _KEPT = re.compile(
     r"\[Content_Types\]\.xml|_rels/.*|xl/(?:_rels/.*|worksheets/[^/]+|[^/]+)\.(?:xml|rels)", re.IGNORECASE
 )
 _SHARED_INDEX = re.compile(rb"""\bt="s"[^<>]*><(?:\w+:)?v>(\d{1,9})<""")
 _ITEM = re.compile(rb"<(?:\w+:)?si\b.*?</(?:\w+:)?si>", re.DOTALL)
 _AROUND_EQUALS = re.compile(rb"\s*=\s*")
-_MOST_LETTERS, _MOST_DIGITS = 3, 7
+_MAX_LETTERS, _MAX_DIGITS = 3, 7
 
 
 @dataclass
@@ -65,15 +65,15 @@ class _Weighed:
 
 def _farthest(text: bytes) -> tuple[int, int]:
     """Return the greatest row and column in attributes `r="C7"` or `r="7"`; 0 if there is none."""
-    raw = np.frombuffer(text + b" " * (_MOST_LETTERS + _MOST_DIGITS + 3), np.uint8)
+    raw = np.frombuffer(text + b" " * (_MAX_LETTERS + _MAX_DIGITS + 3), np.uint8)
     at = np.flatnonzero((raw[2:] == ord('"')) & (raw[1:-1] == ord("=")) & (raw[:-2] == ord("r"))) + 3
     columns, rows = np.zeros(len(at), np.int64), np.zeros(len(at), np.int64)
-    for _ in range(_MOST_LETTERS):
+    for _ in range(_MAX_LETTERS):
         letter = raw[at] & 0xDF  # upper case
         is_letter = (letter >= ord("A")) & (letter <= ord("Z"))
         columns = np.where(is_letter, 26 * columns + letter - 64, columns)
         at = at + is_letter
-    for _ in range(_MOST_DIGITS):
+    for _ in range(_MAX_DIGITS):
         is_digit = (raw[at] >= ord("0")) & (raw[at] <= ord("9"))
         rows = np.where(is_digit, 10 * rows + raw[at] - ord("0"), rows)
         at = at + is_digit
@@ -89,7 +89,7 @@ def is_workbook(path: Path) -> bool:
             if file.read(4) != ZIP:
                 return False
         with zipfile.ZipFile(path) as archive:
-            return any(name.lower() == "xl/workbook.xml" for name in archive.namelist()[:_MOST_PARTS])
+            return any(name.lower() == "xl/workbook.xml" for name in archive.namelist()[:_MAX_PARTS])
     except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError):
         return False
 
@@ -119,9 +119,9 @@ def safe_copy(path: Path) -> bytes:
 
 def _copy_parts(path: Path, archive: zipfile.ZipFile, kept: zipfile.ZipFile) -> None:
     parts = {info.filename: info for info in archive.infolist() if _KEPT.fullmatch(info.filename)}
-    most = max(path.stat().st_size, 1 << 16) * MOST_RATIO
-    if len(archive.infolist()) > _MOST_PARTS or sum(info.file_size for info in parts.values()) > most:
-        cause = f"it unpacks to more than {MOST_RATIO} times its size: it is not a log"
+    most = max(path.stat().st_size, 1 << 16) * MAX_RATIO
+    if len(archive.infolist()) > _MAX_PARTS or sum(info.file_size for info in parts.values()) > most:
+        cause = f"it unpacks to more than {MAX_RATIO} times its size: it is not a log"
         raise DamagedLog(path, cause, cure="Check where the file comes from.")
     texts, sheets = list[int](), dict[str, _Weighed]()
     for name, info in parts.items():
@@ -138,7 +138,7 @@ def _copy_parts(path: Path, archive: zipfile.ZipFile, kept: zipfile.ZipFile) -> 
             sheets[name] = weighed
     for name, sheet in sheets.items():
         _require_size(path, sheet)
-        if max(texts, default=0) * sheet.shared > _MOST_TEXT:
+        if max(texts, default=0) * sheet.shared > _MAX_TEXT:
             with archive.open(name) as source:
                 indices = [int(at) for text in _whole_tags(path, source, b">") for at in _SHARED_INDEX.findall(text)]
             _require_texts(path, sheet, indices, texts)
@@ -162,7 +162,7 @@ def _whole_tags(path: Path, source: IO[bytes], end: bytes) -> Iterator[bytes]:
 def _require_size(path: Path, sheet: _Weighed) -> None:
     """Refuse a sheet that would need more memory than any log."""
     span = max(sheet.rows, 1) * max(sheet.columns, 1)
-    if sheet.cells > MOST_CELLS or span > max(_SMALL, min(_SPARSE * sheet.cells, 2 * MOST_CELLS)):
+    if sheet.cells > MAX_CELLS or span > max(_SMALL, min(_SPARSE * sheet.cells, 2 * MAX_CELLS)):
         cause = f"a sheet of {sheet.rows:,} rows and {sheet.columns:,} columns with {sheet.cells:,} cells filled"
         raise LogError(path, f"{cause}: too large", cure="Export the sheet as CSV, which is read at any size.")
 
@@ -170,6 +170,6 @@ def _require_size(path: Path, sheet: _Weighed) -> None:
 def _require_texts(path: Path, sheet: _Weighed, indices: list[int], texts: list[int]) -> None:
     """Refuse a sheet whose cells refer to long texts so often that they fill the memory."""
     known = len(indices) == sheet.shared and max(indices, default=-1) < len(texts)
-    if not known or sum(texts[index] for index in indices) > _MOST_TEXT:
+    if not known or sum(texts[index] for index in indices) > _MAX_TEXT:
         cause = "its texts are longer than those of any log"
         raise LogError(path, cause, cure="Export the sheet as CSV, which is read at any size.")

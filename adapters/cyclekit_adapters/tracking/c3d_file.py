@@ -28,7 +28,7 @@ _KEY = 0x50
 _INTEL, _DEC, _MIPS = 84, 85, 86
 _CURE = "Write the file again, or check the copy."
 _SIZES = {-1: 1, 1: 1, 2: 2, 4: 4}
-_MANY = 65535  # maximum number of frames or points in 16 bits
+_MAX_COUNT = 65535  # maximum number of frames or points in 16 bits
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ def _points(file: _Open, processor: int, parameters: _Parameters, texts: dict[tu
 
     markers, block = int(stated("USED", count)), int(stated("DATA_START", block))
     rate_hz, scale = float(stated("RATE", header_rate)), float(stated("SCALE", header_scale))
-    if not 0 < markers <= _MANY or block < 2 or not 0.0 < rate_hz < 1e6 or not np.isfinite(scale) or scale == 0.0:
+    if not 0 < markers <= _MAX_COUNT or block < 2 or not 0.0 < rate_hz < 1e6 or not np.isfinite(scale) or scale == 0.0:
         cause = "no positions: no points" if markers == 0 else "its header contradicts itself"
         raise DamagedLog(path, f"{cause} ({markers} points at {rate_hz:g} Hz from block {block})", cure=_CURE)
     frames = _frames_stated(parameters, processor, int(stated("FRAMES", max(last - first + 1, 0))))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 FRAME, TIME = "Frame", "Time"
-MOST_HZ = 1e6
+MAX_HZ = 1e6
 """Maximum plausible rate in a header, Hz."""
 _LOOKED_AT = 1000  # rows
 

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 LANDMARKS = 33
 _FACE, _SHOULDERS, _HIPS, _FEET = slice(0, 11), slice(11, 13), slice(23, 25), slice(27, 33)
-_OPPOSITE, _MOST = 0.15, 0.8
+_OPPOSITE, _MIN_SHARE = 0.15, 0.8
 _PICTURE = (-1.0, 2.0)
 """Range of coordinates as fractions of the image, including what MediaPipe extrapolates outside of it."""
-_MOST_OF_ALL = 1e9  # a larger number is garbled
+_MAX_VALUE = 1e9  # a larger number is garbled
 _FEW = 3  # rows, of many numbers each
 _LEAD, _TRAIL = 4, 1
 """Maximum number of columns before and after the landmarks: frame, time, label."""
@@ -32,7 +32,7 @@ def depths_around_hips(left: NDArray[np.float64], right: NDArray[np.float64]) ->
     """Return whether the depths of two hips, shape (N,), are opposite in most rows, so relative to their centre."""
     size = np.abs(left) + np.abs(right)
     seen = np.isfinite(size) & (size > 0.0)
-    return bool(seen.any() and np.mean((np.abs(left + right) <= _OPPOSITE * size)[seen]) >= _MOST)
+    return bool(seen.any() and np.mean((np.abs(left + right) <= _OPPOSITE * size)[seen]) >= _MIN_SHARE)
 
 
 def in_picture(above: NDArray[np.float64], below: NDArray[np.float64]) -> bool:
@@ -42,7 +42,7 @@ def in_picture(above: NDArray[np.float64], below: NDArray[np.float64]) -> bool:
     if not seen.any():
         return False
     inside = ((both > _PICTURE[0]) & (both < _PICTURE[1])).all(axis=0)
-    return bool(np.mean((inside & (below - above > 0.02))[seen]) >= _MOST)
+    return bool(np.mean((inside & (below - above > 0.02))[seen]) >= _MIN_SHARE)
 
 
 def is_pose(points: NDArray[np.float64]) -> bool:
@@ -63,7 +63,7 @@ def _is_body(points: NDArray[np.float64]) -> bool:
     face = np.linalg.norm(np.ptp(points[:, _FACE, :2], axis=1), axis=1)
     shoulders = np.linalg.norm(points[:, 11] - points[:, 12], axis=1)
     seen = size > 0.0
-    return bool(seen.any() and np.mean(((face < 0.4 * size) & (shoulders > 0.05 * size))[seen]) >= _MOST)
+    return bool(seen.any() and np.mean(((face < 0.4 * size) & (shoulders > 0.05 * size))[seen]) >= _MIN_SHARE)
 
 
 def may_be_nameless(width: int, rows: int) -> bool:
@@ -113,4 +113,4 @@ def _number(cell: str) -> float:
         value = float(cell)
     except ValueError:
         return np.nan
-    return value if abs(value) < _MOST_OF_ALL else np.nan
+    return value if abs(value) < _MAX_VALUE else np.nan

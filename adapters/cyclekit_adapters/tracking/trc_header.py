@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog, nearest
 from cyclekit_adapters.text.delimited import TextLayout, delimiter_of, fields_of
-from cyclekit_adapters.text.header_line import MOST_COLUMNS, has_decimal_comma
+from cyclekit_adapters.text.header_line import MAX_COLUMNS, has_decimal_comma
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines
-from cyclekit_adapters.tracking.frame_clock import FRAME, MOST_HZ, TIME, FrameClock, positive
+from cyclekit_adapters.tracking.frame_clock import FRAME, MAX_HZ, TIME, FrameClock, positive
 from cyclekit_adapters.tracking.length_unit import METRES, unit_of
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def read_header(path: Path, rate_hz: float | None) -> TrcHeader:
     comma = has_decimal_comma(rows, delimiter)
     columns = (FRAME, TIME, *(f"#{i}" for i in range(3 * len(names))))
     layout = TextLayout(columns, delimiter, begin, decimal_comma=comma, encoding=encoding)
-    rate = positive(about.get("DataRate", ""), below=MOST_HZ) or rate_hz
+    rate = positive(about.get("DataRate", ""), below=MAX_HZ) or rate_hz
     points = [tuple(cell.replace(",", ".") if comma else cell for cell in row) for row in cells]
     return TrcHeader(about, names, layout, _clock(points, rate), unit, tuple(points))
 
@@ -109,8 +109,8 @@ def _unit(path: Path, about: dict[str, str]) -> str:
 
 
 def _names(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
-    if line.count(delimiter) >= MOST_COLUMNS:
-        cause = f"line 4: more than {MOST_COLUMNS:,} columns: no tracker writes that"
+    if line.count(delimiter) >= MAX_COLUMNS:
+        cause = f"line 4: more than {MAX_COLUMNS:,} columns: no tracker writes that"
         raise DamagedLog(path, cause, cure="Check what the file is.")
     cells = [cell.strip() for cell in (line.split() if delimiter == " " else fields_of(line, delimiter))]
     named = [cell for cell in cells if cell]

@@ -16,7 +16,7 @@ from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit_adapters.text.delimited import TextLayout, delimiter_of, fields_of
 from cyclekit_adapters.text.header_line import has_decimal_comma
 from cyclekit_adapters.text.text_blocks import blocks_of, file_encoding
-from cyclekit_adapters.tracking.frame_clock import MOST_HZ, positive
+from cyclekit_adapters.tracking.frame_clock import MAX_HZ, positive
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -148,7 +148,7 @@ def _section(log: Sections, begin: list[bytes]) -> Section:
         raise DamagedLog(log.path, cause, cure=f"{EXPORT}.")
     delimiter = delimiter_of(header[3], ",;\t")
     rows = [[cell.strip() for cell in fields_of(line, delimiter)] for line in header]
-    rate_hz = positive(rows[1][0], below=MOST_HZ)
+    rate_hz = positive(rows[1][0], below=MAX_HZ)
     if rate_hz is None:
         cause = f"line {log.first + 1}: no rate in the line below {log.title}: {rows[1][0][:40]!r}"
         raise DamagedLog(log.path, cause, cure=f"{EXPORT}.")

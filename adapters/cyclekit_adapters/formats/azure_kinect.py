@@ -22,8 +22,9 @@ from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.mapped.source_map import words
 from cyclekit_adapters.text.json_parts import BrokenJson, json_pieces, number, parts, points
 from cyclekit_adapters.text.text_blocks import head_of
+from cyclekit_adapters.text.text_rows import SET_ASIDE
 from cyclekit_adapters.tracking.joints import joint_rows
-from cyclekit_adapters.tracking.sightings import Sightings, only
+from cyclekit_adapters.tracking.person_counts import PersonCounts, only
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,7 +46,6 @@ _SDK = (
 )
 """Joints in the order of the SDK."""
 _OBJECT = re.compile(r"\s*\{")
-_SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
 
 
 @dataclass
@@ -74,18 +74,18 @@ class _AzureKinectJson:
         dump, cut = _dump(path)
         names = _names(path, dump)
         table, fallback = _table(path, dump, names)
-        seen = Sightings()
+        seen = PersonCounts()
         seen.add(table)
         seen.require(path, options.body)
-        said = [*cut]
+        found = [*cut]
         if not dump.names:
-            said.append("the file does not name its joints: order of the SDK assumed, PELVIS first")
+            found.append("the file does not name its joints: order of the SDK assumed, PELVIS first")
         if len(seen.rows) > 1 and options.body is None:
-            said.append(f"{len(seen.rows)} tracks; a person who is lost and found again gets a new id")
+            found.append(f"{len(seen.rows)} tracks; a person who is lost and found again gets a new id")
         if fallback:
-            said.append(f"{fallback} of {table.height} bodies have no PELVIS: the middle of the spine is used instead")
+            found.append(f"{fallback} of {table.height} bodies have no PELVIS: the middle of the spine is used instead")
         if unplaced := len(dump.bodies) - table.height:
-            said.append(f"{unplaced} bodies have no usable joint and are left out")
+            found.append(f"{unplaced} bodies have no usable joint and are left out")
         return Recording(
             people=conform(only(table, options.body), PEOPLE),
             skeletons=_skeletons(dump, names, options.body) if options.skeletons else None,
@@ -93,8 +93,8 @@ class _AzureKinectJson:
             up="y",
             rows_are="frame",
             rows_read=dump.frames,
-            set_aside=pl.DataFrame(dump.aside, schema=_SET_ASIDE, orient="row"),
-            warnings=tuple(said),
+            set_aside=pl.DataFrame(dump.aside, schema=SET_ASIDE, orient="row"),
+            warnings=tuple(found),
             facts={
                 **dump.about,
                 "point": "PELVIS",

@@ -15,6 +15,7 @@ import polars as pl
 
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, nearest
+from cyclekit_adapters.text.text_rows import SET_ASIDE
 from cyclekit_adapters.tracking.c3d_file import C3dFile, is_c3d, read_c3d
 from cyclekit_adapters.tracking.length_unit import METRES, unit_of
 from cyclekit_adapters.tracking.markers import (
@@ -25,8 +26,8 @@ from cyclekit_adapters.tracking.markers import (
     people_table,
     skeleton_table,
 )
-from cyclekit_adapters.tracking.sightings import Sightings
-from cyclekit_adapters.tracking.standing import LOOKED_AT, way_up
+from cyclekit_adapters.tracking.person_counts import PersonCounts
+from cyclekit_adapters.tracking.vertical_axis import FRAMES_USED, vertical_axis
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -51,13 +52,13 @@ class _C3d:
         t_s = ((log.first_frame - 1 + rows) / log.rate_hz).cast(pl.Float64)
         places = places * metres
         table = people_table(people, places, t_s, rows)
-        seen = Sightings()
+        seen = PersonCounts()
         seen.add(table)
-        said = marker_warnings(people, seen)
+        messages = marker_warnings(people, seen)
         cut = log.frames_stated - len(places)
         if cut:
-            said.append(f"the file is cut: {cut} of {log.frames_stated} frames are missing at its end")
-        shown, told = (up, "from the cell file") if up else _up(log, names, places, said)
+            messages.append(f"the file is cut: {cut} of {log.frames_stated} frames are missing at its end")
+        shown, told = (up, "from the cell file") if up else _up(log, names, places, messages)
         return Recording(
             people=table,
             skeletons=skeleton_table(people, names, places, t_s, rows) if options.skeletons else None,
@@ -65,8 +66,8 @@ class _C3d:
             up=cast('Literal["y", "z"]', shown),
             rows_are="frame",
             rows_read=len(rows),
-            set_aside=pl.DataFrame(schema={"source_row": pl.Int64(), "reason": pl.String()}),
-            warnings=tuple(said),
+            set_aside=pl.DataFrame(schema=SET_ASIDE),
+            warnings=tuple(messages),
             facts={
                 "rate_hz": f"{log.rate_hz:g}",
                 "unit": unit,
@@ -86,21 +87,21 @@ def _markers(log: C3dFile) -> tuple[tuple[str, ...], NDArray[np.float64]]:
     return tuple(log.labels[index] for index in kept), log.points[:, kept]
 
 
-def _up(log: C3dFile, names: tuple[str, ...], places_m: NDArray[np.float64], said: list[str]) -> tuple[str, str]:
-    """Return the vertical axis and the evidence; add warnings about it to `said`."""
+def _up(log: C3dFile, names: tuple[str, ...], places_m: NDArray[np.float64], messages: list[str]) -> tuple[str, str]:
+    """Return the vertical axis and the evidence; add warnings about it to `messages`."""
     screen = log.text("POINT", "Y_SCREEN").upper().replace(" ", "")
     if shown := {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen):
         return shown, "by POINT:Y_SCREEN"
-    found = way_up(names, places_m[:LOOKED_AT])
+    found = vertical_axis(names, places_m[:FRAMES_USED])
     up, how = (
         (found, "since heads are above feet")
         if found in ("y", "z")
         else ("z", "the default of most systems; not in the file")
     )
     if screen:
-        said.append(f"POINT:Y_SCREEN is {screen[:9]}, neither +Y nor +Z: {up} assumed to be up; check `up`")
+        messages.append(f"POINT:Y_SCREEN is {screen[:9]}, neither +Y nor +Z: {up} assumed to be up; check `up`")
     elif found == "neither":
-        said.append("heads are not above feet along y or z: z assumed to be up; check `up`")
+        messages.append("heads are not above feet along y or z: z assumed to be up; check `up`")
     return up, how
 
 

@@ -171,8 +171,8 @@ def _of_xml(path: Path) -> _Trace:
             document.parser.Parse(piece.encode("utf-8", "replace"), False)
         document.parser.Parse(b"", True)
     except expat.ExpatError as error:
-        said = f"the document is cut or garbled at line {error.lineno}: what is behind it is lost"
-        document.trace.warnings.append(said)
+        message = f"the document is cut or garbled at line {error.lineno}: what is behind it is lost"
+        document.trace.warnings.append(message)
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path.") from error
     return document.trace
@@ -215,8 +215,8 @@ class _Document:
     def _take(self) -> None:
         times, values = (self._lists.get(tag, "").split(",") for tag in ("Timestamps", "Values"))
         if len(times) != len(values):
-            said = f"{self._name}: {len(times)} times and {len(values)} values, so it is left out"
-            self.trace.warnings.append(said)
+            message = f"{self._name}: {len(times)} times and {len(values)} values, so it is left out"
+            self.trace.warnings.append(message)
             return
         samples = self.trace.samples.setdefault(self._name, _Samples())
         for row, (time, value) in enumerate(zip(times, values, strict=True)):

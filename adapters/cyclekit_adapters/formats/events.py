@@ -9,7 +9,7 @@ refused. Values remain text.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -18,23 +18,22 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import ConfigError, DamagedLog, LogError
 from cyclekit.schema import EVENTS, conform
 from cyclekit_adapters.mapped.source_map import words
-from cyclekit_adapters.robots.written_clock import zone_in
+from cyclekit_adapters.robots.controller_time import BackwardSteps
 from cyclekit_adapters.tasks.event_table import UNITS, EventTable, TimeColumn, counted_in, event_table
+from cyclekit_adapters.tasks.row_times import T_S, timed
 from cyclekit_adapters.tasks.safety_columns import is_safety_log
 from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.tasks.task_columns import is_task_list
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import file_encoding, head_of
-from cyclekit_adapters.text.written_time import written_seconds
+from cyclekit_adapters.text.written_time import checked_zone
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
 _WHERE = "[sources.map] of an event log"
-T_S = "\x1ft_s"  # a name that no column of a file has
-_WHEN = "\x1fwhen"
 
 
 class _EventCsv:
@@ -47,15 +46,15 @@ class _EventCsv:
         return whole(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
-        unit, zone = _said(options)
+        unit, zone = _settings(options)
         table = _table(path, unit)
-        times, seen, states = table.times, _Seen(), StateChanges()
+        times, steps, states = table.times, BackwardSteps(T_S), StateChanges()
         clock = "epoch" if times.clock == "epoch" or (zone and _has_date(times)) else "relative"
 
         def make(rows: TextRows) -> Recording:
             rows = timed(rows, times, zone)
             events = states.changes(rows.frame, T_S, table.signals) if table.signals else _long(rows.frame, table)
-            seen.clock(rows.frame[T_S])
+            steps.add(rows.frame)
             return Recording(
                 events=events,
                 clock=clock,  # type: ignore[arg-type]  # one of two words
@@ -70,7 +69,7 @@ class _EventCsv:
                 "time": f"{' and '.join(times.columns)}: {times.why}",
                 "columns": ", ".join(table.names[:60]),
             }
-            return replace(last, warnings=tuple(_warnings(times, zone, seen)), facts=facts)
+            return replace(last, warnings=tuple(_warnings(times, zone, steps.count)), facts=facts)
 
         texts = [*(times.columns if times.pattern else ()), *table.signals]
         texts += [name for name in (table.signal, table.value) if name is not None]
@@ -88,7 +87,7 @@ class _EventCsv:
         yield from in_parts(path, blocks, make, finish)
 
 
-def _said(options: ReadOptions) -> tuple[str | None, str | None]:
+def _settings(options: ReadOptions) -> tuple[str | None, str | None]:
     """Return the unit and time zone of times given in the cell file."""
     rest = dict(options.map)
     rest.pop("time_zone", None)
@@ -96,7 +95,7 @@ def _said(options: ReadOptions) -> tuple[str | None, str | None]:
     if options.role not in (None, "events"):
         other = "task-list" if options.role == "tasks" else "csv"
         raise ConfigError(f"an event log cannot be read as {options.role}", cure=f'Map it with adapter = "{other}".')
-    return unit, zone_in(options.map, _WHERE)
+    return unit, checked_zone(options.map.get("time_zone"), _WHERE)
 
 
 def _table(path: Path, unit: str | None) -> EventTable:
@@ -112,26 +111,12 @@ def _table(path: Path, unit: str | None) -> EventTable:
         raise DamagedLog(path, cause, cure='Map its columns with adapter = "csv".')
     times = table.times
     if unit is not None and not times.pattern:
-        times = counted_in(times.columns, unit, "from the cell file", [], times.shown)
+        times = counted_in(times.columns, unit, "from the cell file", [], times.sample)
     if times.seconds is None:
-        cause = f"the times of column {times.columns[0]!r} ({times.shown[:40]!r}) are ambiguous: {times.why}"
+        cause = f"the times of column {times.columns[0]!r} ({times.sample[:40]!r}) are ambiguous: {times.why}"
         cure = 'Give time_unit in [sources.map], or map the columns with adapter = "csv" and its time_format.'
         raise LogError(path, cause, cure=cure)
     return replace(table, times=times)
-
-
-def timed(rows: TextRows, times: TimeColumn, zone: str | None) -> TextRows:
-    """Add the time in seconds (column `T_S`); a row with a time in another format is set aside."""
-    frame = rows.frame
-    if not times.pattern:
-        return replace(rows, frame=frame.with_columns((pl.col(times.columns[0]) * times.seconds).alias(T_S)))
-    text = pl.concat_str(pl.col(times.columns), separator=" ").str.replace(r"([+-]\d{2})(\d{2})$", "$1:$2")
-    plain = text.str.replace(",", ".", literal=True).str.replace(". ", " ", literal=True)  # 01.05.2024, 10:00
-    frame = frame.with_columns(text.alias(_WHEN), written_seconds(plain, times.pattern, zone).alias(T_S))
-    bad = frame[T_S].is_null()
-    first = frame.filter(bad)[_WHEN][:1].to_list()
-    rows = replace(rows, frame=frame).without(bad, f"its time has another format ({first[0][:40]!r})" if first else "")
-    return replace(rows, frame=rows.frame.drop(_WHEN))
 
 
 def _long(frame: pl.DataFrame, table: EventTable) -> pl.DataFrame:
@@ -139,36 +124,21 @@ def _long(frame: pl.DataFrame, table: EventTable) -> pl.DataFrame:
     return conform(frame.select(pl.col(T_S).alias("t_s"), signal, value, "source_row"), EVENTS)
 
 
-@dataclass
-class _Seen:
-    """Number of backward time steps so far."""
-
-    back: int = 0
-    _last_s: float | None = None
-
-    def clock(self, t_s: pl.Series) -> None:
-        """Add the times of a block."""
-        if t_s.is_empty():
-            return
-        self.back += int((t_s < t_s.shift(1, fill_value=self._last_s)).sum())
-        self._last_s = float(t_s[-1])
-
-
 def _has_date(times: TimeColumn) -> bool:
     return "%d" in times.pattern or times.pattern == "iso"
 
 
-def _warnings(times: TimeColumn, zone: str | None, seen: _Seen) -> list[str]:
-    said = []
+def _warnings(times: TimeColumn, zone: str | None, steps_back: int) -> list[str]:
+    messages = []
     if "fractions" in times.why:
-        said.append(
+        messages.append(
             "the unit of time is not stated: seconds assumed, because the numbers have fractions; check time_unit"
         )
     if times.pattern and times.clock != "epoch" and zone is None:
-        said.append("its times have no time zone, so they cannot be aligned with other logs; give time_zone")
-    if seen.back:
-        said.append(f"time steps back {seen.back} time(s)")
-    return said
+        messages.append("its times have no time zone, so they cannot be aligned with other logs; give time_zone")
+    if steps_back:
+        messages.append(f"time steps back {steps_back} time(s)")
+    return messages
 
 
 ADAPTER: StreamingAdapter = _EventCsv()

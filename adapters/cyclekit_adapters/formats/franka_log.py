@@ -17,7 +17,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.robots.controller_time import Once
+from cyclekit_adapters.robots.controller_time import RepeatFilter
 from cyclekit_adapters.robots.panda_arm import JOINTS, flange_position_m
 from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
@@ -49,10 +49,10 @@ class _FrankaLogCsv:
         if missing := {_TIME, *_ANGLES}.difference(names):
             raise MissingColumns(path, missing, names, "Write the log with franka::logToCSV, whole.")
         speeds = [name for name in _SPEEDS if name in names]
-        once = Once(_TIME)
+        repeats = RepeatFilter(_TIME)
 
         def make(rows: TextRows) -> Recording:
-            rows = once.rows(_milliseconds(path, rows))
+            rows = repeats.rows(_milliseconds(path, rows))
             return Recording(
                 robot=_robot(rows.frame, speeds),
                 clock="uptime",
@@ -63,8 +63,8 @@ class _FrankaLogCsv:
             )
 
         def finish(last: Recording) -> Recording:
-            said = (
-                *once.warnings(),
+            messages = (
+                *repeats.warnings(),
                 "the TCP is the flange, computed from the joint angles: no hand and no tool is included",
                 "the speed scaling is not logged in this format",
             )
@@ -73,7 +73,7 @@ class _FrankaLogCsv:
                 "tcp": "flange by forward kinematics of state.q, Denavit-Hartenberg parameters of Panda and FR3",
                 "not_read": "cmd.O_T_EE_d: a command, the identity under a joint or torque controller",
             }
-            return replace(last, warnings=said, facts=facts)
+            return replace(last, warnings=messages, facts=facts)
 
         numbers = [_TIME, *_ANGLES, *speeds]
         blocks = read_blocks(path, layout, numbers=numbers, required=[_TIME], any_of=_ANGLES)

@@ -24,7 +24,7 @@ from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import file_encoding, head_of
 from cyclekit_adapters.tracking.joints import joint_rows, points_of
 from cyclekit_adapters.tracking.linking import Linker
-from cyclekit_adapters.tracking.sightings import Sightings, only
+from cyclekit_adapters.tracking.person_counts import PersonCounts, only
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -52,7 +52,7 @@ class _Kinect2Csv:
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         words(options, "Kinect v2", {})
         layout = _layout(path)
-        bodies, seen = _Bodies(), Sightings()
+        bodies, seen = _Bodies(), PersonCounts()
         last = pl.DataFrame()
 
         def tables(named: pl.DataFrame) -> dict[str, pl.DataFrame]:
@@ -192,17 +192,17 @@ class _Bodies:
         return frame.with_columns(pl.Series("person", names, dtype=pl.String()))
 
 
-def _warnings(bodies: _Bodies, seen: Sightings) -> list[str]:
-    said = []
+def _warnings(bodies: _Bodies, seen: PersonCounts) -> list[str]:
+    messages = []
     if bodies.several:
-        said.append("several bodies have the same time and no id: they are linked by motion")
+        messages.append("several bodies have the same time and no id: they are linked by motion")
     if bodies.inferred:
-        said.append(f"the base of the spine is inferred, not seen, in {bodies.inferred} of {bodies.rows} rows")
+        messages.append(f"the base of the spine is inferred, not seen, in {bodies.inferred} of {bodies.rows} rows")
     if bodies.unseen:
-        said.append(f"the base of the spine is not tracked in {bodies.unseen} of {bodies.rows} rows")
+        messages.append(f"the base of the spine is not tracked in {bodies.unseen} of {bodies.rows} rows")
     if seen.back:
-        said.append("time does not increase throughout: the rows were edited or joined")
-    return said
+        messages.append("time does not increase throughout: the rows were edited or joined")
+    return messages
 
 
 ADAPTER: StreamingAdapter = _Kinect2Csv()

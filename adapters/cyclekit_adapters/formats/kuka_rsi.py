@@ -20,12 +20,12 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.robots.controller_time import Once, Spread
+from cyclekit_adapters.robots.controller_time import Range, RepeatFilter
 from cyclekit_adapters.robots.host_clock import HostClock
-from cyclekit_adapters.robots.written_clock import zone_in
 from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
+from cyclekit_adapters.text.written_time import checked_zone
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -83,11 +83,11 @@ class _KukaRsiCsv:
         time = columns.require(path, layout.names)
         values = [*columns.place.values(), *columns.joints.values()]
         numbers = [time, *values, *([_LATE] if _LATE in layout.names else [])]
-        once, late, cycles = Once(time), Spread((_LATE,)), list[float]()
+        repeats, late, cycles = RepeatFilter(time), Range((_LATE,)), list[float]()
         host = next((HostClock(name, zone) for name in layout.names if name.lower() == _HOST), None)
 
         def make(rows: TextRows) -> Recording:
-            rows = once.rows(rows)
+            rows = repeats.rows(rows)
             late.add(rows.frame)
             cycles.append(_number(rows.frame[time].diff().median()))
             stamps = None if host is None else host.stamps(rows.frame[time] * _MS, rows.frame[host.column])
@@ -107,13 +107,13 @@ class _KukaRsiCsv:
                 "cycle": f"{cycles[0]:g} ms",
                 "point": "RIst: the active tool in the base of the RSI configuration, mm",
             }
-            said = [
-                *once.warnings(),
+            messages = [
+                *repeats.warnings(),
                 *([] if columns.place else [_NO_PLACE]),
                 *_warnings(layout.names, late.most.get(_LATE, 0.0)),
                 *_no_zone(host),
             ]
-            return replace(last, warnings=tuple(said), facts=facts | _host_fact(host))
+            return replace(last, warnings=tuple(messages), facts=facts | _host_fact(host))
 
         texts = [host.column] if host else []
         blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=[time], any_of=values)
@@ -127,7 +127,7 @@ def _zone(options: ReadOptions) -> str | None:
         if key != "time_zone":
             cure = 'Known: time_zone. Columns of your own are mapped with adapter = "csv".'
             raise UnknownName(where, "key", key, ["time_zone"], cure=cure)
-    return zone_in(options.map, where)
+    return checked_zone(options.map.get("time_zone"), where)
 
 
 def _no_zone(host: HostClock | None) -> list[str]:
@@ -153,15 +153,15 @@ def _robot(frame: pl.DataFrame, time: str, columns: _Columns) -> pl.DataFrame:
 
 
 def _warnings(names: tuple[str, ...], late: float) -> list[str]:
-    said = ["the speed scaling is unknown: RSI does not log it"]
-    said += [
+    messages = ["the speed scaling is unknown: RSI does not log it"]
+    messages += [
         f'column {name!r} is not read: map it with adapter = "csv" (scaling, scaling_max = 100)'
         for name in names
         if any(override in name.upper() for override in _OVERRIDES)
     ]
     if late:
-        said.append(f"the controller counts up to {late:g} late packets: the client was too slow there")
-    return said
+        messages.append(f"the controller counts up to {late:g} late packets: the client was too slow there")
+    return messages
 
 
 def _number(value: object) -> float:

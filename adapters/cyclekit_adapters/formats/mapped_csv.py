@@ -23,11 +23,11 @@ from cyclekit_adapters.mapped.draft_table import sheet_draft_table, text_draft_t
 from cyclekit_adapters.mapped.map_columns import Columns, columns_of, unresolved
 from cyclekit_adapters.mapped.map_table import MapTable, text_table
 from cyclekit_adapters.mapped.mapped_time import T_S, name_their_zone, require_epoch, timed
-from cyclekit_adapters.robots.controller_time import Back, Once, Spread
+from cyclekit_adapters.mapped.sheets import sheet_table
+from cyclekit_adapters.robots.controller_time import BackwardSteps, Range, RepeatFilter
 from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.list_cells import ListCells, first_width
-from cyclekit_adapters.text.sheets import sheet_table
 from cyclekit_adapters.text.text_rows import TextRows, Wanted
 from cyclekit_adapters.text.workbook import is_workbook
 
@@ -64,7 +64,7 @@ class _MappedCsv:
             raise MissingColumns(path, ["time"], names, cure)
         zoned = name_their_zone(table.first_rows, names, mapping)
         clock = mapping.clock_kind(zoned=zoned)
-        once, seen, back = Once(T_S), _Seen(mapping, role), Back(T_S, mapping.person)
+        repeats, seen, back = RepeatFilter(T_S), _Seen(mapping, role), BackwardSteps(T_S, mapping.person)
         events = StateChanges(mapping.names)
         canonicals: dict[str, Callable[[pl.DataFrame, CsvMap], pl.DataFrame]]
         canonicals = {"robot": _robot, "people": _people, "events": partial(_events, events)}
@@ -77,7 +77,7 @@ class _MappedCsv:
             if clock == "epoch":
                 require_epoch(path, rows.frame, mapping)
             if role == "robot":
-                rows = once.rows(rows, "repeats the time of the row before it")
+                rows = repeats.rows(rows, "repeats the time of the row before it")
             else:
                 back.add(rows.frame)
             rows = replace(rows, frame=seen.without_missing(rows.frame))
@@ -96,7 +96,7 @@ class _MappedCsv:
 
         def finish(last: Recording) -> Recording:
             facts = {"columns": ", ".join(name[:80] for name in names[:60]), **table.facts}
-            return replace(last, warnings=(*seen.warnings(once.back, clock), *back.warnings()), facts=facts)
+            return replace(last, warnings=(*seen.warnings(repeats.back, clock), *back.warnings()), facts=facts)
 
         yield from in_parts(path, table.blocks(names, wanted), make, finish)
 
@@ -113,7 +113,7 @@ def _found(path: Path, mapping: CsvMap, role: Role) -> tuple[MapTable, Columns]:
     if missing := unresolved(entries, table.names):
         raise MissingColumns(path, missing, table.names, table.cure(entries, mapping))
     cells = {name: [row[at] for row in table.first_rows if at < len(row)] for at, name in enumerate(table.names)}
-    widths = {name: width for name, told in cells.items() if (width := first_width(told)) is not None}
+    widths = {name: width for name, columns in cells.items() if (width := first_width(columns)) is not None}
     return table, columns_of(path, mapping, table.names, widths)
 
 
@@ -145,12 +145,12 @@ def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[st
     number_time, text_time = ([], time) if mapping.time_format else (time, [])
     places = mapping.places()
     if role == "events":
-        told = [column for column in (mapping.signal, mapping.value) if column]
-        if len(told) < 2 and not mapping.tags:
+        columns = [column for column in (mapping.signal, mapping.value) if column]
+        if len(columns) < 2 and not mapping.tags:
             cure = "Name both columns, or in tags the columns that are a signal each."
             raise ConfigError(f"{WHERE}: events need the keys signal and value", cure=cure)
-        texts = [*text_time, *told, *mapping.tags, *([mapping.quality] if mapping.quality else [])]
-        return number_time, list(dict.fromkeys(texts)), [*time, *told[:1]]
+        texts = [*text_time, *columns, *mapping.tags, *([mapping.quality] if mapping.quality else [])]
+        return number_time, list(dict.fromkeys(texts)), [*time, *columns[:1]]
     if places and not {"x", "y"}.issubset(places):
         raise ConfigError(f"{WHERE}: a position needs at least x and y", cure="Name the columns of both.")
     if role == "people":
@@ -239,7 +239,7 @@ class _Seen:
     unsure: int = 0
 
     def __post_init__(self) -> None:
-        self.spread = Spread((*self.mapping.scaling, *([self.mapping.slider] if self.mapping.slider else [])))
+        self.spread = Range((*self.mapping.scaling, *([self.mapping.slider] if self.mapping.slider else [])))
 
     def without_missing(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return rows with null for missing values: a position with all numbers missing, or any other missing number.

@@ -26,7 +26,7 @@ from cyclekit_adapters.text.text_blocks import file_encoding, head_of
 from cyclekit_adapters.tracking.frame_clock import FRAME, TIME, FrameClock
 from cyclekit_adapters.tracking.joints import all_joints, joint_rows, points_of
 from cyclekit_adapters.tracking.markers import is_pelvis
-from cyclekit_adapters.tracking.sightings import Sightings
+from cyclekit_adapters.tracking.person_counts import PersonCounts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -80,7 +80,7 @@ class _MotiveCsv:
         metres = _metres(path, header)
         people = _people_of(path, header, options.body)
         bones = _bones(header, options.body) if options.skeletons else {}
-        clock, seen = header.clock, Sightings()
+        clock, seen = header.clock, PersonCounts()
 
         def make(rows: TextRows) -> Recording:
             t_s = clock.seconds(rows.frame)
@@ -102,8 +102,8 @@ class _MotiveCsv:
         def finish(last: Recording) -> Recording:
             facts = {key: value for key, value in header.about.items() if value}
             facts |= {"tracked": ", ".join(people), "names_in_file": ", ".join(name for _, name in header.points)}
-            said = (*clock.warnings(), *_warnings(header, people, seen, options.body))
-            return replace(last, warnings=said, facts=facts)
+            messages = (*clock.warnings(), *_warnings(header, people, seen, options.body))
+            return replace(last, warnings=messages, facts=facts)
 
         points = [*people.values(), *(list(joints.values()) for joints in bones.values())]
         cells = dict.fromkeys(name for track in points for point in track for name in point)
@@ -263,27 +263,27 @@ def _track(frame: pl.DataFrame, name: str, points: _Points, metres: float) -> pl
     return frame.select("t_s", pl.lit(name).alias("person"), "source_row", **axes)
 
 
-def _warnings(header: _Header, people: dict[str, _Points], seen: Sightings, body: str | None) -> list[str]:
-    said = []
+def _warnings(header: _Header, people: dict[str, _Points], seen: PersonCounts, body: str | None) -> list[str]:
+    messages = []
     kinds = {kind for kind, _ in header.points}
     if body is None and len(people) > 1:
-        said.append(f"{len(people)} bodies tracked ({', '.join(people)}): name the operator with `body`")
+        messages.append(f"{len(people)} bodies tracked ({', '.join(people)}): name the operator with `body`")
     if body is None and not kinds & {_BODY, _BONE} and any(name.startswith("Unlabeled") for name in people):
-        said.append("only unlabelled markers: one marker may be split over several tracks")
+        messages.append("only unlabelled markers: one marker may be split over several tracks")
     things = [name for kind, name in header.points if kind == _BODY]
     if body is None and things and _BONE in kinds:
-        said.append(
+        messages.append(
             f"the skeleton is the person: rigid bodies ({', '.join(things)}) are left out; name one with `body`"
         )
     solved = {name for kind, name in header.points if kind in _SOLVED} - {n for k, n in header.points if k == _MARKER}
     if solved.intersection(people):
-        said.append("some positions are computed, because no camera saw the marker there: export measured markers")
+        messages.append("some positions are computed, because no camera saw the marker there: export measured markers")
     if any(len(points) > 1 for points in people.values()):
-        said.append("the person's position is the middle of the visible markers; it jumps when one is hidden")
-    said += seen.hidden()
+        messages.append("the person's position is the middle of the visible markers; it jumps when one is hidden")
+    messages += seen.unseen_messages()
     if seen.back:
-        said.append("time does not increase throughout: the rows were edited or joined")
-    return said
+        messages.append("time does not increase throughout: the rows were edited or joined")
+    return messages
 
 
 ADAPTER: StreamingAdapter = _MotiveCsv()

@@ -18,7 +18,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.robots.controller_time import Once
+from cyclekit_adapters.robots.controller_time import RepeatFilter
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
@@ -76,10 +76,10 @@ class _NistUr:
             missing = {_TIME, *_ANGLES}.difference(layout.names)
             raise MissingColumns(path, missing, layout.names, "Record the time, and joint angles or the tool.")
         wanted = [_TIME, *(name for group in groups for name in group)]
-        once, turning = Once(_TIME), _Turning(_ANGLES in groups and _SPEEDS in groups, units)
+        repeats, turning = RepeatFilter(_TIME), _Turning(_ANGLES in groups and _SPEEDS in groups, units)
 
         def make(rows: TextRows) -> Recording:
-            rows = once.rows(_as_numbers(rows, wanted))
+            rows = repeats.rows(_as_numbers(rows, wanted))
             turning.add(rows.frame)
             return Recording(
                 robot=_robot(rows.frame, groups, units),
@@ -95,8 +95,8 @@ class _NistUr:
                 "layout": "names in the first line" if layout.header_lines else "rows in brackets, names by position",
                 "units": ", ".join(str(options.map.get(key, next(iter(known)))) for key, known in _UNITS.items()),
             }
-            said = [*once.warnings(), *_warnings(options), *turning.warnings()]
-            return replace(last, warnings=tuple(said), facts=facts)
+            messages = [*repeats.warnings(), *_warnings(options), *turning.warnings()]
+            return replace(last, warnings=tuple(messages), facts=facts)
 
         blocks = read_blocks(path, layout, numbers=[], texts=wanted)
         try:
@@ -181,10 +181,10 @@ def _robot(frame: pl.DataFrame, groups: Sequence[Sequence[str]], units: Mapping[
 
 
 def _warnings(options: ReadOptions) -> list[str]:
-    said = ["the speed scaling is not logged in this format"]
+    messages = ["the speed scaling is not logged in this format"]
     if unsaid := [key for key in _UNITS if key not in options.map]:
-        said.append(f"the file states no units: s, m, rad and rad/s assumed; check {', '.join(unsaid)}")
-    return said
+        messages.append(f"the file states no units: s, m, rad and rad/s assumed; check {', '.join(unsaid)}")
+    return messages
 
 
 @dataclass

@@ -25,7 +25,7 @@ from cyclekit_adapters.text.header_line import layout_below
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import head_of
 from cyclekit_adapters.tracking.joints import joint_rows, points_of
-from cyclekit_adapters.tracking.sightings import Sightings, only
+from cyclekit_adapters.tracking.person_counts import PersonCounts, only
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,7 +53,7 @@ class _NuitrackCsv:
         layout = replace(layout_below(path, _DELIMITERS), quotes=True)
         points = _points(path, layout)
         joints = _joints(layout.names) if options.skeletons else points
-        tracks, seen = _Tracks(*_first_rows(path, layout)), Sightings()
+        tracks, seen = _Tracks(*_first_rows(path, layout)), PersonCounts()
 
         def make(rows: TextRows) -> Recording:
             rows = tracks.once(rows)
@@ -173,19 +173,19 @@ def _skeletons(frame: pl.DataFrame, joints: list[str], body: str | None) -> pl.D
     return joint_rows(frame["timestamp"] * _MICRO, frame["person"], names, points, frame["source_row"])
 
 
-def _warnings(tracks: _Tracks, seen: Sightings, body: str | None) -> list[str]:
-    said = []
+def _warnings(tracks: _Tracks, seen: PersonCounts, body: str | None) -> list[str]:
+    messages = []
     if len(tracks.cameras) > 1:
         count = len(tracks.cameras)
-        said.append(f"{count} cameras, each in its own frame: name one body with `body`, or split the file")
+        messages.append(f"{count} cameras, each in its own frame: name one body with `body`, or split the file")
     if body is None and len(seen.rows) > 1:
-        said.append(f"{len(seen.rows)} tracks; a person who is lost and found again gets a new id")
+        messages.append(f"{len(seen.rows)} tracks; a person who is lost and found again gets a new id")
     people = seen.rows if body is None else {body: seen.rows.get(body, 0)}
     if hidden := sum(seen.unseen.get(person, 0) for person in people):
-        said.append(f"no position in {hidden} of {sum(people.values())} rows")
+        messages.append(f"no position in {hidden} of {sum(people.values())} rows")
     if seen.back:
-        said.append(f"time steps back {seen.back} time(s)")
-    return said
+        messages.append(f"time steps back {seen.back} time(s)")
+    return messages
 
 
 ADAPTER: StreamingAdapter = _NuitrackCsv()

@@ -25,19 +25,18 @@ from cyclekit_adapters.text.text_blocks import blocks_of, file_encoding, head_of
 from cyclekit_adapters.tracking.landmark_tables import landmarks_in
 from cyclekit_adapters.tracking.pedestrian_header import (
     METRES,
+    check_metres,
     header_of,
     looks_like_frames,
-    metres_if_they_can_be,
     read_header,
 )
-from cyclekit_adapters.tracking.sightings import Sightings, only
+from cyclekit_adapters.tracking.person_counts import PersonCounts, only
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from cyclekit_adapters.tracking.landmark_tables import landmarks_in
-from cyclekit_adapters.tracking.pedestrian_header import PedestrianHeader
+    from cyclekit_adapters.tracking.pedestrian_header import PedestrianHeader
 
 _ORDERS = ("frame id x y", "id frame x y", "frame id x y z", "id frame x y z")
 _SPREAD_M = 500.0
@@ -60,8 +59,8 @@ class _Pedestrians:
         if not rate_hz or rate_hz <= 0.0:
             cause = "it counts frames and states no rate: times are unknown"
             raise LogError(path, cause, cure="Give rate_hz (frames per second) in the source of the cell file.")
-        unit = chosen.get("unit") or header.unit or metres_if_they_can_be(path, header, rate_hz)
-        seen, reach = Sightings(), _Reach()
+        unit = chosen.get("unit") or header.unit or check_metres(path, header, rate_hz)
+        seen, reach = PersonCounts(), _Reach()
 
         def make(rows: TextRows) -> Recording:
             people = _table(rows.frame, rate_hz, METRES[unit])
@@ -129,16 +128,18 @@ def _table(frame: pl.DataFrame, rate_hz: float, metres: float) -> pl.DataFrame:
 
 
 def _warnings(header: PedestrianHeader, reach_m: float, rate_hz: float, options: ReadOptions) -> list[str]:
-    said = []
+    found = []
     if header.rate_hz and options.rate_hz and abs(header.rate_hz - options.rate_hz) > 1e-9 * rate_hz:
-        said.append(f"the header's rate ({header.rate_hz:g} Hz) is used, not the cell file's ({options.rate_hz:g} Hz)")
+        found.append(f"the header's rate ({header.rate_hz:g} Hz) is used, not the cell file's ({options.rate_hz:g} Hz)")
     if not header.titled and "columns" not in options.map:
-        said.append("the columns have no names: frame, id, x, y assumed")
+        found.append("the columns have no names: frame, id, x, y assumed")
     if header.unit is None and "unit" not in options.map:
-        said.append("no unit is stated: metres assumed for x and y; check `unit`")
+        found.append("no unit is stated: metres assumed for x and y; check `unit`")
     if reach_m > _SPREAD_M:
-        said.append(f"positions reach {reach_m:.0f} m: they may be in centimetres, millimetres or pixels; check `unit`")
-    return said
+        found.append(
+            f"positions reach {reach_m:.0f} m: they may be in centimetres, millimetres or pixels; check `unit`"
+        )
+    return found
 
 
 ADAPTER: StreamingAdapter = _Pedestrians()

@@ -137,11 +137,11 @@ def _columns(names: tuple[str, ...]) -> dict[str, str]:
 
 
 def _warnings(options: ReadOptions) -> list[str]:
-    said = [f"the log has no clock: times are row / {options.rate_hz:g} Hz, and a missing row shifts all later ones"]
+    found = [f"the log has no clock: times are row / {options.rate_hz:g} Hz, and a missing row shifts all later ones"]
     if "length_unit" not in options.map:
-        said.append("the file states no unit: metres assumed; check length_unit in [sources.map]")
-    said.append("the speed scaling is not logged in this format")
-    return said
+        found.append("the file states no unit: metres assumed; check length_unit in [sources.map]")
+    found.append("the speed scaling is not logged in this format")
+    return found
 
 
 ADAPTER: StreamingAdapter = _PoseCsv()

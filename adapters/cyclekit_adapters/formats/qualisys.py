@@ -30,8 +30,8 @@ from cyclekit_adapters.tracking.markers import (
     marker_words,
     recording_of,
 )
+from cyclekit_adapters.tracking.person_counts import PersonCounts
 from cyclekit_adapters.tracking.qualisys_header import BODIES, KEYS, QualisysHeader, read_header
-from cyclekit_adapters.tracking.sightings import Sightings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -59,7 +59,7 @@ class _QualisysTsv:
         used = people.used(skeletons=options.skeletons)
         here, names = people.among(used), [header.names[index] for index in used]
         cells = [cell for index in used for cell in header.cells[index]]
-        seen, events = Sightings(), [_events(header)] if header.events else []
+        seen, events = PersonCounts(), [_events(header)] if header.events else []
 
         def make(rows: TextRows) -> Recording:
             t_s = header.clock.seconds(rows.frame)
@@ -69,16 +69,16 @@ class _QualisysTsv:
             return replace(part, events=events.pop() if events else empty(EVENTS)) if header.events else part
 
         def finish(last: Recording) -> Recording:
-            said = [*header.clock.warnings(), *marker_warnings(people, seen), *_filled(header, people)]
+            messages = [*header.clock.warnings(), *marker_warnings(people, seen), *_filled(header, people)]
             if seen.back:
-                said.append("time does not increase throughout: the rows were edited or joined")
+                messages.append("time does not increase throughout: the rows were edited or joined")
             facts = {
                 **header.facts(),
                 "unit": "mm, defined by the format",
                 "up": f"{up}, from the cell file" if up else "z, the default of QTM; not in the file",
                 **marker_facts(people, header.names),
             }
-            return replace(last, warnings=tuple(said), facts=facts)
+            return replace(last, warnings=tuple(messages), facts=facts)
 
         numbers = [*header.clock.names, *cells]
         blocks = read_blocks(path, header.layout, numbers=numbers, required=header.clock.required)

@@ -10,19 +10,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
-from zoneinfo import available_timezones
 
 import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import ConfigError, LogError, UnknownName
 from cyclekit.schema import SAFETY, conform
-from cyclekit_adapters.formats.events import T_S, timed
+from cyclekit_adapters.robots.controller_time import BackwardSteps
 from cyclekit_adapters.tasks.event_table import TIME_NAMES, UNITS, TimeColumn, counted_in, stem_of, times_of
+from cyclekit_adapters.tasks.row_times import T_S, timed
 from cyclekit_adapters.tasks.safety_columns import LENGTHS, WHERE, SafetyColumns, is_safety_log, mapped_columns
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, fields_of, header_names, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
+from cyclekit_adapters.text.written_time import checked_zone
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,31 +41,22 @@ class _Seen:
     """Counts over the rows so far.
 
     Attributes:
-        most: Maximum override as written.
+        max_override: Maximum override as written.
         outside: Number of rows with an override below zero or above full speed.
         far_m: Maximum distance, m.
-        back: Number of backward time steps.
     """
 
-    most: float = 0.0
+    max_override: float = 0.0
     outside: int = 0
     far_m: float = 0.0
-    back: int = 0
-    _last_s: float | None = None
-
-    def add(self, t_s: pl.Series) -> None:
-        """Add the times of a block."""
-        if t_s.len():
-            self.back += int((t_s < t_s.shift(1, fill_value=self._last_s)).sum())
-            self._last_s = float(t_s[-1])
 
 
 @dataclass(frozen=True)
-class _Said:
-    """Settings of the cell file: full speed as written (`sure`: it is given), unit and zone of times, and columns."""
+class _Settings:
+    """Settings of the cell file: full speed (`full_given`: the file states it), unit and zone of times, columns."""
 
     full: float
-    sure: bool
+    full_given: bool
     unit: str | None
     zone: str | None
     columns: dict[str, object]
@@ -80,20 +72,22 @@ class _SafetyCsv:
         return whole(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
-        said = _said(options)
+        settings = _settings(options)
         line = next(iter(head_lines(path)), "")
         delimiter = delimiter_of(line, ",;\t")
         names = _names(line, delimiter)
-        columns = mapped_columns(path, names, said.columns)
-        times = _times(path, names, columns.time, delimiter, said)
-        zoned = times.clock == "epoch" or (said.zone is not None and times.pattern not in ("", "%H:%M", "%H:%M:%S%.f"))
-        seen = _Seen()
+        columns = mapped_columns(path, names, settings.columns)
+        times = _times(path, names, columns.time, delimiter, settings)
+        zoned = times.clock == "epoch" or (
+            settings.zone is not None and times.pattern not in ("", "%H:%M", "%H:%M:%S%.f")
+        )
+        seen, steps = _Seen(), BackwardSteps(T_S)
 
         def make(rows: TextRows) -> Recording:
-            rows = timed(rows, times, said.zone)
-            seen.add(rows.frame[T_S])
+            rows = timed(rows, times, settings.zone)
+            steps.add(rows.frame)
             return Recording(
-                safety=_table(rows.frame, columns, said.full, seen),
+                safety=_table(rows.frame, columns, settings.full, seen),
                 clock="epoch" if zoned else "relative",
                 rows_are="line",
                 rows_read=rows.rows_read,
@@ -101,10 +95,9 @@ class _SafetyCsv:
             )
 
         def finish(last: Recording) -> Recording:
-            _check(path, columns, said, seen)
-            return replace(
-                last, warnings=tuple(_warnings(times, seen, zoned=zoned)), facts=_facts(columns, times, said)
-            )
+            _check(path, columns, settings, seen)
+            warnings = tuple(_warnings(times, seen, steps.count, zoned=zoned))
+            return replace(last, warnings=warnings, facts=_facts(columns, times, settings))
 
         numbers = [*columns.overrides, *(name for name in (columns.distance, columns.deviation) if name)]
         texts = [name for name in (columns.execution, columns.time if times.pattern else None) if name]
@@ -131,7 +124,7 @@ def _names(line: str, delimiter: str) -> tuple[str, ...]:
     return tuple(name.strip('"') for name in header_names(line, delimiter))
 
 
-def _said(options: ReadOptions) -> _Said:
+def _settings(options: ReadOptions) -> _Settings:
     if options.role is not None:
         cure = 'Leave role out, or map it with adapter = "csv".'
         raise ConfigError(f"a safety log cannot be read as {options.role}", cure=cure)
@@ -143,32 +136,24 @@ def _said(options: ReadOptions) -> _Said:
         )
     if unit is not None and unit not in UNITS:
         raise UnknownName(WHERE, "time_unit", str(unit), UNITS)
-    if zone is not None and zone not in available_timezones():
-        raise UnknownName(
-            WHERE,
-            "time_zone",
-            str(zone),
-            available_timezones(),
-            cure="Use a name of the IANA list, for example Europe/Rome.",
-        )
-    sure = "override_max" in options.map
-    return _Said(float(str(full)), sure, None if unit is None else str(unit), None if zone is None else str(zone), rest)
+    unit = None if unit is None else str(unit)
+    return _Settings(float(str(full)), "override_max" in options.map, unit, checked_zone(zone, WHERE), rest)
 
 
-def _times(path: Path, names: tuple[str, ...], column: str, delimiter: str, said: _Said) -> TimeColumn:
+def _times(path: Path, names: tuple[str, ...], column: str, delimiter: str, settings: _Settings) -> TimeColumn:
     at = names.index(column)
     rows = [fields_of(line, delimiter) for line in head_lines(path, _FIRST)[1:]]
-    shown = [text for row in rows if at < len(row) and (text := row[at].strip().strip('"')).lower() not in _UNKNOWN]
-    if not shown:
+    sample = [text for row in rows if at < len(row) and (text := row[at].strip().strip('"')).lower() not in _UNKNOWN]
+    if not sample:
         raise LogError(path, "a header and no rows", cure="Record again, or remove the file.")
     comma = delimiter != ","
-    times = times_of((column,), shown, stem_of(column, TIME_NAMES)[1], decimal_comma=comma)
-    if times is not None and said.unit is not None and not times.pattern:
-        numbers = [float(text.replace(",", ".") if comma else text) for text in shown]
-        times = counted_in((column,), said.unit, "from the cell file", numbers, shown[0])
+    times = times_of((column,), sample, stem_of(column, TIME_NAMES)[1], decimal_comma=comma)
+    if times is not None and settings.unit is not None and not times.pattern:
+        numbers = [float(text.replace(",", ".") if comma else text) for text in sample]
+        times = counted_in((column,), settings.unit, "from the cell file", numbers, sample[0])
     if times is None or times.seconds is None:
         why = f": {times.why}" if times else ""
-        cause = f"the times of column {column!r} ({shown[0][:40]!r}) are ambiguous{why}"
+        cause = f"the times of column {column!r} ({sample[0][:40]!r}) are ambiguous{why}"
         raise LogError(path, cause, cure='Give time_unit = "s" (ms, us, ns) in [sources.map].')
     return times
 
@@ -177,7 +162,7 @@ def _table(frame: pl.DataFrame, columns: SafetyColumns, full: float, seen: _Seen
     """Return table SAFETY of some rows, with the override as a fraction."""
     known = {"source_row": pl.col("source_row"), "t_s": pl.col(T_S)}
     for name in columns.overrides:
-        seen.most = max(seen.most, float(frame[name].max() or 0.0))  # type: ignore[arg-type]  # a number
+        seen.max_override = max(seen.max_override, float(frame[name].max() or 0.0))  # type: ignore[arg-type]  # a number
     if columns.overrides:
         parts = [pl.when(pl.col(name).is_between(0.0, full)).then(pl.col(name) / full) for name in columns.overrides]
         inside = pl.all_horizontal(pl.col(name).is_between(0.0, full) for name in columns.overrides)
@@ -196,18 +181,18 @@ def _table(frame: pl.DataFrame, columns: SafetyColumns, full: float, seen: _Seen
     return conform(frame.select(value.alias(name) for name, value in known.items()), SAFETY)
 
 
-def _check(path: Path, columns: SafetyColumns, said: _Said, seen: _Seen) -> None:
+def _check(path: Path, columns: SafetyColumns, settings: _Settings, seen: _Seen) -> None:
     """Refuse an override that may be percent or a fraction.
 
     Raises:
         LogError: It never exceeds 1, and override_max is not given.
     """
-    if columns.overrides and not said.sure and 0.0 < seen.most <= 1.0:
-        cause = f"the override never exceeds {seen.most:g}: it may be percent or a fraction"
+    if columns.overrides and not settings.full_given and 0.0 < seen.max_override <= 1.0:
+        cause = f"the override never exceeds {seen.max_override:g}: it may be percent or a fraction"
         raise LogError(path, cause, cure="Give override_max = 1 (or 100) in [sources.map].")
 
 
-def _warnings(times: TimeColumn, seen: _Seen, *, zoned: bool) -> Iterator[str]:
+def _warnings(times: TimeColumn, seen: _Seen, steps_back: int, *, zoned: bool) -> Iterator[str]:
     if "fractions" in times.why:
         yield "the unit of time is not stated: seconds assumed, because the numbers have fractions; check time_unit"
     if times.pattern and not zoned:
@@ -216,12 +201,12 @@ def _warnings(times: TimeColumn, seen: _Seen, *, zoned: bool) -> Iterator[str]:
         yield f"the override is below 0 or above full speed in {seen.outside} rows: unknown there"
     if seen.far_m > FAR_M:
         yield f"distances reach {seen.far_m:.0f} m: check the unit and give length_unit"
-    if seen.back:
-        yield f"time steps back {seen.back} time(s)"
+    if steps_back:
+        yield f"time steps back {steps_back} time(s)"
 
 
-def _facts(columns: SafetyColumns, times: TimeColumn, said: _Said) -> dict[str, str]:
-    unit = "percent" if said.full > 1.0 else "fraction"
+def _facts(columns: SafetyColumns, times: TimeColumn, settings: _Settings) -> dict[str, str]:
+    unit = "percent" if settings.full > 1.0 else "fraction"
     facts = {"time": f"{columns.time}: {times.why}"}
     facts |= {"override": f"{' * '.join(columns.overrides)}: {unit}"} if columns.overrides else {}
     length = next(name for name, metres in LENGTHS.items() if metres == columns.metres)

@@ -16,23 +16,23 @@ import polars as pl
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import ConfigError, DamagedLog
 from cyclekit_adapters.tasks.task_cells import task_table
-from cyclekit_adapters.tasks.task_columns import is_task_list, require, said_of
+from cyclekit_adapters.tasks.task_columns import is_task_list, require, settings_of
 from cyclekit_adapters.tasks.task_json import JsonRecords, json_names, table_of
 from cyclekit_adapters.tasks.xes import FIELDS, NO_START, XesRecords, is_xes
 from cyclekit_adapters.text.delimited import TextLayout, delimiter_of, header_names, read_rows
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
+from cyclekit_adapters.text.text_rows import SET_ASIDE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from cyclekit.adapter import RowKind
-    from cyclekit_adapters.tasks.task_columns import Said
+    from cyclekit_adapters.tasks.task_columns import Settings
     from cyclekit_adapters.tasks.task_json import Record
 
 MAX_TASKS = 5_000_000
 """Maximum number of tasks in one list, which is held in memory as a whole."""
-_ASIDE = pl.Schema({"source_row": pl.Int64(), "reason": pl.String()})
 
 
 @dataclass(frozen=True)
@@ -69,28 +69,28 @@ class _TaskList:
         return is_xes(head) if first == "<" else is_task_list(_header(head.partition("\n")[0])[0])
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        said = said_of(options)
-        cells = _cells(path, said)
+        settings = settings_of(options)
+        cells = _cells(path, settings)
         if cells.frame.height >= MAX_TASKS:
             raise DamagedLog(path, f"more than {MAX_TASKS:,} tasks: too many for one list", cure="Split it.")
-        found = task_table(path, cells.frame, cells.columns, said, decimal_comma=cells.decimal_comma)
-        aside = pl.DataFrame(cells.aside, schema=_ASIDE, orient="row")
+        found = task_table(path, cells.frame, cells.columns, settings, decimal_comma=cells.decimal_comma)
+        aside = pl.DataFrame(cells.aside, schema=SET_ASIDE, orient="row")
         return Recording(
             task_list=found.rows,
             clock=found.clock,
             rows_are=cells.rows_are,
             rows_read=cells.rows_read,
-            set_aside=pl.concat([aside, found.set_aside.cast(_ASIDE)]).sort("source_row"),
+            set_aside=pl.concat([aside, found.set_aside.cast(pl.Schema(SET_ASIDE))]).sort("source_row"),
             warnings=(*cells.warnings, *found.warnings),
             facts={"written as": cells.written, **found.facts},
         )
 
 
-def _cells(path: Path, said: Said) -> _Cells:
+def _cells(path: Path, settings: Settings) -> _Cells:
     first = head_of(path).lstrip("\ufeff \t\r\n")[:1]
     if first in ("{", "["):
-        return _of_json(path, said)
-    return _of_xes(path, said) if first == "<" else _of_table(path, said)
+        return _of_json(path, settings)
+    return _of_xes(path, settings) if first == "<" else _of_table(path, settings)
 
 
 def _header(line: str) -> tuple[tuple[str, ...], str]:
@@ -99,9 +99,9 @@ def _header(line: str) -> tuple[tuple[str, ...], str]:
     return tuple(name.strip().strip('"') for name in names), delimiter
 
 
-def _of_table(path: Path, said: Said) -> _Cells:
+def _of_table(path: Path, settings: Settings) -> _Cells:
     names, delimiter = _header(next(iter(head_lines(path)), ""))
-    columns = require(path, names, said.columns)
+    columns = require(path, names, settings.columns)
     layout = TextLayout(names, delimiter, 1, encoding=file_encoding(path) or "utf-8", quotes=True)
     texts = list(dict.fromkeys(columns.values()))
     rows = read_rows(path, layout, numbers=[], texts=texts)
@@ -110,13 +110,13 @@ def _of_table(path: Path, said: Said) -> _Cells:
     return _Cells(frame, columns, rows.rows_read, "line", "a table", aside, decimal_comma=delimiter != ",")
 
 
-def _of_json(path: Path, said: Said) -> _Cells:
+def _of_json(path: Path, settings: Settings) -> _Cells:
     records = JsonRecords(path)
     first = list(islice(iter(records), 200))
     names = tuple(dict.fromkeys(key for record in first for key in record))
     if not names and records.broken is not None:
         raise DamagedLog(path, f"not valid JSON ({records.broken})", cure="Copy it again.")
-    columns = require(path, names, said.columns)
+    columns = require(path, names, settings.columns)
     records = JsonRecords(path)
     table = table_of(iter(records), tuple(dict.fromkeys(columns.values())), MAX_TASKS)
     frame = table.select("source_row", *(pl.col(name).alias(key) for key, name in columns.items()))
@@ -127,9 +127,9 @@ def _of_json(path: Path, said: Said) -> _Cells:
     return _Cells(frame, columns, frame.height, "row", "JSON", aside, passed)
 
 
-def _of_xes(path: Path, said: Said) -> _Cells:
-    if said.columns:
-        name = next(iter(said.columns))
+def _of_xes(path: Path, settings: Settings) -> _Cells:
+    if settings.columns:
+        name = next(iter(settings.columns))
         raise ConfigError(f"{path}: {name} in [sources.map] names a column, and XES has none", cure="Remove it.")
     records = XesRecords(path)
     aside: list[tuple[int | None, str]] = []

@@ -28,9 +28,9 @@ from cyclekit_adapters.tracking.markers import (
     marker_words,
     recording_of,
 )
-from cyclekit_adapters.tracking.sightings import Sightings
-from cyclekit_adapters.tracking.standing import way_up
+from cyclekit_adapters.tracking.person_counts import PersonCounts
 from cyclekit_adapters.tracking.trc_header import FIRST, TrcHeader, read_header
+from cyclekit_adapters.tracking.vertical_axis import vertical_axis
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -59,7 +59,7 @@ class _Trc:
         here, names = people.among(used), [header.names[index] for index in used]
         cells = [cell for index in used for cell in header.cells(index)]
         up, why = (told, "from the cell file") if told else _up(header)
-        seen, metres = Sightings(), METRES[header.unit]
+        seen, metres = PersonCounts(), METRES[header.unit]
 
         def make(rows: TextRows) -> Recording:
             t_s = header.clock.seconds(rows.frame)
@@ -69,14 +69,16 @@ class _Trc:
             return part
 
         def finish(last: Recording) -> Recording:
-            said = [*header.clock.warnings(), *marker_warnings(people, seen), *_cut(header, seen)]
+            messages = [*header.clock.warnings(), *marker_warnings(people, seen), *_cut(header, seen)]
             if seen.back:
-                said.append("time does not increase throughout: the rows were edited or joined")
+                messages.append("time does not increase throughout: the rows were edited or joined")
             if not told and why.startswith(_UNCLEAR):
-                said.append(f"up is not in the file: {why}")
+                messages.append(f"up is not in the file: {why}")
             facts = {"rate_hz": header.about.get("DataRate", "not stated"), "unit": f"{header.unit}, from the header"}
             return replace(
-                last, warnings=tuple(said), facts=facts | {"up": f"{up}, {why}", **marker_facts(people, header.names)}
+                last,
+                warnings=tuple(messages),
+                facts=facts | {"up": f"{up}, {why}", **marker_facts(people, header.names)},
             )
 
         blocks = read_blocks(path, header.layout, numbers=[*header.clock.names, *cells], required=header.clock.required)
@@ -88,7 +90,7 @@ _UNCLEAR = "heads are not above feet"
 
 def _up(header: TrcHeader) -> tuple[str, str]:
     """Return the vertical axis and the evidence: heads above feet, else the default of OpenSim."""
-    found = way_up(header.names, _points(header) * METRES[header.unit])
+    found = vertical_axis(header.names, _points(header) * METRES[header.unit])
     if found == "neither":
         return "y", f"{_UNCLEAR} along y or z: y assumed, the default of OpenSim; check `up`"
     return (found, "since heads are above feet") if found else ("y", "the default of OpenSim; not in the file")
@@ -120,7 +122,7 @@ def _require_a_place(path: Path, people: pl.DataFrame | None) -> None:
         raise LogError(path, cause, cure=cure)
 
 
-def _cut(header: TrcHeader, seen: Sightings) -> list[str]:
+def _cut(header: TrcHeader, seen: PersonCounts) -> list[str]:
     rows = max(seen.rows.values(), default=0)
     missing = header.frames_stated - rows
     return [f"line 3 states {header.frames_stated} frames, {missing} of them are missing"] if missing > 0 else []

@@ -152,8 +152,8 @@ def _header(path: Path) -> _Header:
     for begin, end in zip(begins, [*begins[1:], len(cells)], strict=True):
         signals = list[str]()
         for i in range(begin + 1, end):
-            shown = (row[i] for row in rows if i < len(row))
-            fits = not is_real(types[i]) if types else are_states(shown)
+            sample = (row[i] for row in rows if i < len(row))
+            fits = not is_real(types[i]) if types else are_states(sample)
             (signals if fits else real).append(columns[i])
         groups.append(_Group(columns[begin], tuple(signals)))
     if not any(group.channels for group in groups):
@@ -182,12 +182,12 @@ def _types(lines: list[str], mark: str, names: list[str]) -> list[str]:
 
 def _is_row(line: str, mark: str) -> bool:
     cells = [cell.strip() for cell in line.split(mark)]
-    told = [cell for cell in cells if cell]
+    non_empty = [cell for cell in cells if cell]
     return (
         len(cells) > 1
-        and bool(told)
-        and _NUMBER.fullmatch(told[0]) is not None
-        and all(_NUMBER.fullmatch(cell) or are_states([cell]) for cell in told)
+        and bool(non_empty)
+        and _NUMBER.fullmatch(non_empty[0]) is not None
+        and all(_NUMBER.fullmatch(cell) or are_states([cell]) for cell in non_empty)
     )
 
 

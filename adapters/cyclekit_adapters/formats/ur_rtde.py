@@ -21,9 +21,9 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.robots.controller_time import Once, Spread
+from cyclekit_adapters.robots.controller_time import Range, RepeatFilter
 from cyclekit_adapters.robots.rtde_binary import BinaryLayout, binary_layout, is_binary, read_binary_rows
-from cyclekit_adapters.robots.written_clock import WrittenClock, zone_in
+from cyclekit_adapters.robots.written_clock import WrittenClock
 from cyclekit_adapters.tasks.input_events import InputEvents
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
@@ -31,6 +31,7 @@ from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.list_cells import ListCells
 from cyclekit_adapters.text.text_blocks import head_lines, head_of
 from cyclekit_adapters.text.text_layout import fields_of
+from cyclekit_adapters.text.written_time import checked_zone
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -76,10 +77,10 @@ class _UrRtdeCsv:
         needed = [_INPUTS] if inputs is not None else []
         wanted = list(dict.fromkeys([*_fields(register, joints, options.columns), *needed]))
         clock = _clock(path, layout, options)
-        once, seen = Once("timestamp"), _Seen()
+        repeats, seen = RepeatFilter("timestamp"), _Seen()
 
         def make(rows: TextRows) -> Recording:
-            rows = once.rows(clock.seconds(lists.rows(rows)))
+            rows = repeats.rows(clock.seconds(lists.rows(rows)))
             seen.add(rows.frame)
             return Recording(
                 robot=_robot(rows.frame, register, joints),
@@ -96,10 +97,10 @@ class _UrRtdeCsv:
                 "writer": _writer(layout),
                 "register": register if register in layout.names else "not recorded",
                 "time": clock.fact(),
-                "repeated_rows": str(once.repeated),
+                "repeated_rows": str(repeats.repeated),
                 "speed_scaling": "speed_scaling * target_speed_fraction while runtime_state is 2 (playing)",
             }
-            return replace(last, warnings=(*clock.warnings(), *once.warnings(), *seen.warnings(names)), facts=facts)
+            return replace(last, warnings=(*clock.warnings(), *repeats.warnings(), *seen.warnings(names)), facts=facts)
 
         yield from in_parts(path, _blocks(path, layout, wanted, tuple(lists.wanted), clock), make, finish)
 
@@ -126,7 +127,7 @@ def _clock(path: Path, layout: TextLayout | BinaryLayout, options: ReadOptions) 
     at = layout.names.index("timestamp")
     rows = [fields_of(line, layout.delimiter) for line in head_lines(path, layout.header_lines + _LOOKED_AT)]
     cells = [row[at].strip().strip('"') for row in rows[layout.header_lines :] if len(row) > at]
-    return WrittenClock.told_by(cells, "timestamp", zone_in(options.map, _MAP))
+    return WrittenClock.from_cells(cells, "timestamp", checked_zone(options.map.get("time_zone"), _MAP))
 
 
 def _lists(names: Sequence[str]) -> dict[str, dict[int, str]]:
@@ -253,7 +254,7 @@ class _Seen:
     """
 
     played: bool | None = None
-    spread: Spread = field(default_factory=lambda: Spread(tuple(_FRACTIONS)))
+    spread: Range = field(default_factory=lambda: Range(tuple(_FRACTIONS)))
 
     def add(self, frame: pl.DataFrame) -> None:
         if "runtime_state" in frame.columns:
@@ -261,19 +262,19 @@ class _Seen:
         self.spread.add(frame)
 
     def warnings(self, recorded: Sequence[str]) -> list[str]:
-        said = []
+        messages = []
         if absent := [name for name in (*_FRACTIONS, "runtime_state") if name not in recorded]:
-            said.append(f"{', '.join(absent)} not recorded: the speed scaling is unknown")
+            messages.append(f"{', '.join(absent)} not recorded: the speed scaling is unknown")
         elif self.played is False:
-            said.append("the program runs in no row (runtime_state is never 2): the speed scaling is unknown")
-        said += [
+            messages.append("the program runs in no row (runtime_state is never 2): the speed scaling is unknown")
+        messages += [
             f"{name} exceeds 1 in some rows: unknown there"
             for name in _FRACTIONS
             if self.spread.most.get(name, 0.0) > 1.0 + _SLACK
         ]
         if not set(_POSITION).issubset(recorded):
-            said.append("actual_TCP_pose not recorded: only joint angles are known")
-        return said
+            messages.append("actual_TCP_pose not recorded: only joint angles are known")
+        return messages
 
 
 ADAPTER: StreamingAdapter = _UrRtdeCsv()

@@ -208,14 +208,14 @@ def _robot(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def _warnings(signals: dict[str, _Signal], lead: _Signal) -> list[str]:
-    said = ["the speed scaling is not logged in this format"]
+    messages = ["the speed scaling is not logged in this format"]
     end_s = lead.end_s or 0.0
-    said += [
+    messages += [
         f"{signal.name}.csv ends at {signal.end_s:.3f} s, {lead.name}.csv at {end_s:.3f} s: unknown in between"
         for signal in signals.values()
         if signal.end_s is not None and signal.end_s < end_s - 0.1
     ]
-    return said
+    return messages
 
 
 ADAPTER: StreamingAdapter = _UrSplitFolder()

@@ -29,7 +29,7 @@ from cyclekit_adapters.tracking.markers import (
     marker_words,
     recording_of,
 )
-from cyclekit_adapters.tracking.sightings import Sightings
+from cyclekit_adapters.tracking.person_counts import PersonCounts
 from cyclekit_adapters.tracking.vicon_sections import METRES, TITLES, TRAJECTORIES, WITH_PLACES, open_section
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class _ViconCsv:
         here, names = people.among(used), [known[index] for index in used]
         places = list(section.places.values())
         cells = [cell for index in used for cell in places[index]]
-        clock, seen = FrameClock((FRAME,), section.rate_hz, 1), Sightings()
+        clock, seen = FrameClock((FRAME,), section.rate_hz, 1), PersonCounts()
 
         def make(rows: TextRows) -> Recording:
             t_s = clock.seconds(rows.frame)
@@ -76,10 +76,10 @@ class _ViconCsv:
             return recording_of(here, names, points, t_s, rows, seen, options=options, up=which)
 
         def finish(last: Recording) -> Recording:
-            said = marker_warnings(people, seen)
+            messages = marker_warnings(people, seen)
             if seen.back:
-                said.append("frames do not increase throughout: the rows were edited or joined")
-            said += _not_read(log)
+                messages.append("frames do not increase throughout: the rows were edited or joined")
+            messages += _not_read(log)
             facts = {
                 "rate_hz": f"{section.rate_hz:g}",
                 "unit": next(name for name, metres in METRES.items() if metres == section.metres),
@@ -88,7 +88,7 @@ class _ViconCsv:
                 "sections": ", ".join(log.titles),
                 **marker_facts(people, known),
             }
-            return replace(last, warnings=tuple(said), facts=facts)
+            return replace(last, warnings=tuple(messages), facts=facts)
 
         blocks = row_blocks(lines, section.layout, numbers=[FRAME, *cells], required=[FRAME], first_line=log.first)
         yield from in_parts(path, blocks, make, finish)
@@ -113,15 +113,15 @@ def _people(path: Path, section: str, names: Sequence[str], options: ReadOptions
 
 def _not_read(log: Sections) -> list[str]:
     """Return warnings with the other sections that hold positions."""
-    said = []
+    messages = []
     if log.titles.count(log.title) > 1:
-        said.append(f"a second section {log.title} is not read: split the file before it to read it too")
+        messages.append(f"a second section {log.title} is not read: split the file before it to read it too")
     others = [title for title in WITH_PLACES if title in log.titles and title != log.title]
     if others:
-        said.append(
+        messages.append(
             f'section {log.title} is read, {", ".join(others)} is not: section = "{others[0]}" in [sources.map]'
         )
-    return said
+    return messages
 
 
 _EVENTS = ("Events", "Subject")  # this section has names where others have axes

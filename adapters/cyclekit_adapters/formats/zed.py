@@ -24,9 +24,10 @@ from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.mapped.source_map import words
 from cyclekit_adapters.text.json_parts import BrokenJson, json_pieces, parts
 from cyclekit_adapters.text.text_blocks import head_of
+from cyclekit_adapters.text.text_rows import SET_ASIDE
 from cyclekit_adapters.tracking.joints import all_joints, joint_rows
 from cyclekit_adapters.tracking.linking import link
-from cyclekit_adapters.tracking.sightings import Sightings, only
+from cyclekit_adapters.tracking.person_counts import PersonCounts, only
 from cyclekit_adapters.tracking.zed_body import JOINTS, ZedBody, body_of, seconds_of
 from cyclekit_adapters.tracking.zed_frame import AXES, UNITS, axes_of, metres_of
 
@@ -82,7 +83,7 @@ class _ZedJson:
         turn, up, axes_said = axes_of(path, upward, chosen.get("axes"))
         tracks = _tracks(dump.bodies, metres)
         table = _table(tracks, metres * turn)
-        seen = Sightings()
+        seen = PersonCounts()
         seen.add(table)
         seen.require(path, options.body)
         joints = sorted({body.joints for body in dump.bodies})
@@ -93,20 +94,17 @@ class _ZedJson:
             up=up,
             rows_are="frame",
             rows_read=dump.frames,
-            set_aside=pl.DataFrame(dump.aside, schema=_SET_ASIDE, orient="row"),
+            set_aside=pl.DataFrame(dump.aside, schema=SET_ASIDE, orient="row"),
             warnings=(*cut, *_warnings(dump, tracks, seen, options.body)),
             facts={
                 "body_format": ", ".join(f"BODY_{count}" for count in joints),
                 "point": "middle of both hips, else position" if joints == [18] else "pelvis, else position",
                 "unit": unit_said,
                 "axes": axes_said,
-                "ids": tracks.said,
+                "ids": tracks.ids_from,
                 "frames_without_bodies": str(dump.empty),
             },
         )
-
-
-_SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
 
 
 def _dump(path: Path, *, skeletons: bool) -> tuple[_Dump, list[str]]:
@@ -162,11 +160,11 @@ def _refuse_without_bodies(path: Path, dump: _Dump) -> None:
 
 @dataclass(frozen=True)
 class _Tracks:
-    """Bodies that become rows, the person of each, and what to report about their ids."""
+    """Bodies that become rows, the person of each, and the origin of their ids."""
 
     bodies: list[ZedBody]
     people: list[str]
-    said: str
+    ids_from: str
     linked: int = 0
 
 
@@ -226,23 +224,23 @@ def _ids_are_real(bodies: list[ZedBody]) -> bool:
     return once and "" not in ids and (len(bodies) == 1 or len(bodies) >= 2 * len(ids))
 
 
-def _warnings(dump: _Dump, tracks: _Tracks, seen: Sightings, body: str | None) -> list[str]:
-    said = []
+def _warnings(dump: _Dump, tracks: _Tracks, seen: PersonCounts, body: str | None) -> list[str]:
+    found = []
     if unplaced := len(dump.bodies) - len(tracks.bodies):
-        said.append(f"{unplaced} bodies have neither pelvis nor position and are left out")
+        found.append(f"{unplaced} bodies have neither pelvis nor position and are left out")
     if resting := sum(item.resting for item in dump.bodies):
-        said.append(f"{resting} bodies are in the SDK's rest pose, not yet fitted: their `position` is used instead")
+        found.append(f"{resting} bodies are in the SDK's rest pose, not yet fitted: their `position` is used instead")
     if hidden := sum(item.hidden for item in tracks.bodies):
-        said.append(f"{hidden} bodies are searched for, not seen: their positions are unknown")
+        found.append(f"{hidden} bodies are searched for, not seen: their positions are unknown")
     if len({item.clock for item in dump.bodies}) > 1:
-        said.append("some timestamps count from 1970 and some do not")
+        found.append("some timestamps count from 1970 and some do not")
     if len({item.joints for item in dump.bodies}) > 1:
-        said.append("the number of keypoints changes within the file")
+        found.append("the number of keypoints changes within the file")
     if tracks.linked:
-        said.append(f"ids are new in every frame: bodies are linked by motion into {tracks.linked} tracks")
+        found.append(f"ids are new in every frame: bodies are linked by motion into {tracks.linked} tracks")
     if body is None and len(seen.rows) > 1:
-        said.append(f"{len(seen.rows)} tracks; name the operator's with `body` if it is always the same")
-    return said
+        found.append(f"{len(seen.rows)} tracks; name the operator's with `body` if it is always the same")
+    return found
 
 
 ADAPTER: Adapter = _ZedJson()

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, cast
 
 from cyclekit.errors import ConfigError, UnknownName
+from cyclekit_adapters.text.written_time import checked_zone
 
 if TYPE_CHECKING:
     from cyclekit.adapter import ClockKind, ReadOptions, Role
@@ -162,14 +163,7 @@ def _agree(mapping: CsvMap, rate_hz: float | None) -> None:
         cure = 'Add both: quality = "Quality", good = ["GOOD", "192"].'
         raise ConfigError(f"{WHERE}: quality and good go together", cure=cure)
     _agree_on_time(mapping, rate_hz)
-    if mapping.time_zone is not None and mapping.time_zone not in _zones():
-        raise UnknownName(
-            WHERE,
-            "time_zone",
-            mapping.time_zone,
-            _zones(),
-            cure="Use a name of the IANA list, for example Europe/Rome.",
-        )
+    checked_zone(mapping.time_zone, WHERE)
 
 
 def _agree_on_time(mapping: CsvMap, rate_hz: float | None) -> None:
@@ -188,12 +182,6 @@ def _agree_on_time(mapping: CsvMap, rate_hz: float | None) -> None:
     if len(parts) > 1 and len(units) == 1:
         cure = 'Add time_format, for example "%d.%m.%Y %H:%M:%S", or the unit of each: time_unit = ["s", "ns"].'
         raise ConfigError(f"{WHERE}: several columns of time without format and units", cure=cure)
-
-
-def _zones() -> set[str]:
-    from zoneinfo import available_timezones
-
-    return available_timezones()
 
 
 def _checked(key: str, value: object) -> object:

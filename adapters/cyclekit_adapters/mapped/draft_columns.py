@@ -140,23 +140,23 @@ def length_unit(values: np.ndarray, said: set[str | None], *, person: bool) -> t
     named = said & {"m", "mm", "cm", "in"}
     if len(named) == 1:
         return str(named.pop()), "its name says so", True
-    told = values[np.isfinite(values)]
-    far = float(np.abs(told).max()) if len(told) else 0.0
-    shown = f"{told.min():.4g} to {told.max():.4g}" if len(told) else "no values"
+    known = values[np.isfinite(values)]
+    far = float(np.abs(known).max()) if len(known) else 0.0
+    span = f"{known.min():.4g} to {known.max():.4g}" if len(known) else "no values"
     metres, millimetres = (30.0, 3000.0) if person else (5.0, 300.0)
-    if 0.0 < far <= metres and (told % 1 != 0).any():
-        return "m", f"values {shown}", True
+    if 0.0 < far <= metres and (known % 1 != 0).any():
+        return "m", f"values {span}", True
     if far >= millimetres:
-        return "mm", f"values {shown}", True
-    return ("m" if far < metres else "mm"), f"values {shown}: m, cm, mm and in are possible", False
+        return "mm", f"values {span}", True
+    return ("m" if far < metres else "mm"), f"values {span}: m, cm, mm and in are possible", False
 
 
 def joints(table: DraftTable, names: Mapping[str, Name]) -> list[FoundColumns]:
     """Return the joint angles of arms, the best first."""
     groups: dict[tuple[str, ...], list[Name]] = {}
     for name in _numeric(table, names):
-        told = name.says(JOINT) or (name.says(_VECTORS) and not name.says(PLACE | PERSON))
-        if not name.is_other and name.number is not None and told:
+        is_joint = name.says(JOINT) or (name.says(_VECTORS) and not name.says(PLACE | PERSON))
+        if not name.is_other and name.number is not None and is_joint:
             groups.setdefault(name.words, []).append(name)
     found = [numbered for group in groups.values() if len(numbered := _consecutive(group)) in _LENGTHS_OF_ARMS]
     found += [named] if (named := _named_joints(_numeric(table, names))) else []
@@ -189,14 +189,14 @@ def angle_unit(values: np.ndarray, said: set[str | None]) -> tuple[str, str, boo
     named = said & {"rad", "deg"}
     if len(named) == 1:
         return str(named.pop()), "its name says so", True
-    told = values[np.isfinite(values)]
-    most = float(np.abs(told).max()) if len(told) else 0.0
-    shown = f"values {told.min():.4g} to {told.max():.4g}" if len(told) else "no values"
+    known = values[np.isfinite(values)]
+    most = float(np.abs(known).max()) if len(known) else 0.0
+    span = f"values {known.min():.4g} to {known.max():.4g}" if len(known) else "no values"
     if most > 12.6:
-        return "deg", shown, True
-    if 0.5 < most <= 6.4 and (told % 1 != 0).any():
-        return "rad", shown, True
-    return ("rad" if most < 6.4 else "deg"), f"{shown}: rad and deg are possible", False
+        return "deg", span, True
+    if 0.5 < most <= 6.4 and (known % 1 != 0).any():
+        return "rad", span, True
+    return ("rad" if most < 6.4 else "deg"), f"{span}: rad and deg are possible", False
 
 
 def _named_joints(numeric: Sequence[Name]) -> tuple[Name, ...]:
@@ -241,17 +241,17 @@ def scalings(table: DraftTable, names: Mapping[str, Name]) -> list[FoundColumns]
 
 
 def _full_speed(values: np.ndarray, said: str | None) -> tuple[str, str, bool]:
-    told = values[np.isfinite(values)]
-    most = float(told.max()) if len(told) else 0.0
-    shown = f"values {told.min():.4g} to {most:.4g}" if len(told) else "no values"
-    within = len(told) > 0 and told.min() >= 0.0
+    known = values[np.isfinite(values)]
+    most = float(known.max()) if len(known) else 0.0
+    span = f"values {known.min():.4g} to {most:.4g}" if len(known) else "no values"
+    within = len(known) > 0 and known.min() >= 0.0
     if said == "%":
         return "100", "its name says percent", within and most <= 100.1
     if within and 1.5 < most <= 100.1:
-        return "100", f"{shown}: percent", True
-    if within and most <= 1.001 and (told % 1 != 0).any():
-        return "1", f"{shown}: a fraction", True
-    return ("1" if most <= 1.5 else "100"), f"{shown}: a fraction and percent are possible", False
+        return "100", f"{span}: percent", True
+    if within and most <= 1.001 and (known % 1 != 0).any():
+        return "1", f"{span}: a fraction", True
+    return ("1" if most <= 1.5 else "100"), f"{span}: a fraction and percent are possible", False
 
 
 def states(table: DraftTable, names: Mapping[str, Name]) -> list[tuple[str, dict[str, str], list[str]]]:
@@ -273,9 +273,9 @@ def person_columns(table: DraftTable, names: Mapping[str, Name]) -> list[str]:
     """Return columns that identify a person: few distinct values, each in many rows."""
     found = []
     for name in names.values():
-        told = [cell for cell in table.cells[name.column] if cell.strip()]
+        known = [cell for cell in table.cells[name.column] if cell.strip()]
         named = name.says(IDS) and not name.says(OTHER_IDS) and not name.axis and name.number is None
-        if named and told and len(set(told)) <= max(1, len(told) // 2):
+        if named and known and len(set(known)) <= max(1, len(known) // 2):
             found.append(name.column)
     return found
 

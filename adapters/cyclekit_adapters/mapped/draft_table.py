@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit_adapters.mapped.sheets import Workbook, rows_of
 from cyclekit_adapters.text.header_line import has_decimal_comma
 from cyclekit_adapters.text.list_cells import parts_of
-from cyclekit_adapters.text.sheets import Workbook, rows_of
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines
 from cyclekit_adapters.text.text_layout import fields_of, unique
 from cyclekit_adapters.text.text_rows import UNKNOWN
@@ -67,10 +67,8 @@ class DraftTable:
     @cached_property
     def texts(self) -> dict[str, list[str]]:
         """Other non-empty columns, without their empty cells."""
-        told = {name: [cell.strip() for cell in cells] for name, cells in self.cells.items()}
-        return {
-            name: kept for name, cells in told.items() if name not in self.numbers and (kept := [c for c in cells if c])
-        }
+        texts = {name: [text for cell in cells if (text := cell.strip())] for name, cells in self.cells.items()}
+        return {name: kept for name, kept in texts.items() if kept and name not in self.numbers}
 
 
 def text_draft_table(path: Path) -> DraftTable | None:
@@ -128,9 +126,9 @@ class _Rows:
 
     def _names(self, cells: list[str]) -> bool:
         """Return whether cells may be column names: one per column, apart from a leading `#`, and few numbers."""
-        told = [cell for cell in cells if cell]
+        non_empty = [cell for cell in cells if cell]
         commented = self.mark == "\\s+" and cells[:1] in (["#"], ["%"])
-        return len(cells) - commented == self.width and len(told) > 1 and _count(told) < 0.3 * len(told)
+        return len(cells) - commented == self.width and len(non_empty) > 1 and _count(non_empty) < 0.3 * len(non_empty)
 
 
 def _rows_by(lines: Sequence[str], mark: str) -> _Rows | None:
@@ -146,9 +144,9 @@ def _table(rows: _Rows, keys: dict[str, object]) -> DraftTable:
         names: tuple[str, ...] = tuple(f"#{number}" for number in range(1, rows.width + 1))
         keys |= {"columns": list(names)} | ({"skip_rows": first} if first else {})
     else:
-        said = rows.lines[rows.header]
-        commented = rows.mark == "\\s+" and said[:1] in (["#"], ["%"])
-        names = unique(said[1:] if commented else said)
+        header = rows.lines[rows.header]
+        commented = rows.mark == "\\s+" and header[:1] in (["#"], ["%"])
+        names = unique(header[1:] if commented else header)
         keys |= {"columns": list(names), "skip_rows": rows.header + 1} if commented else {}
         keys |= {"skip_rows": rows.header} if rows.header and not commented else {}
     units = rows.lines[rows.units] if rows.units is not None else []
@@ -174,8 +172,8 @@ def _taken_apart(name: str, cells: list[str]) -> list[tuple[str, list[str]]]:
     if not lists or widths.most_common(1)[0][0] < 2:
         return [(name, cells)]
     width = widths.most_common(1)[0][0]
-    told = [parts if (parts := parts_of(cell)) and len(parts) == width else [""] * width for cell in cells]
-    return [(f"{name}[{place}]", [parts[place] for parts in told]) for place in range(width)]
+    split = [parts if (parts := parts_of(cell)) and len(parts) == width else [""] * width for cell in cells]
+    return [(f"{name}[{place}]", [parts[place] for parts in split]) for place in range(width)]
 
 
 def _trimmed(cells: list[str]) -> list[str]:
@@ -204,5 +202,5 @@ def _number(cell: str, *, comma: bool) -> float | None:
 
 
 def _is_numeric(values: Sequence[float | None]) -> bool:
-    told = [value for value in values if value is None or not np.isnan(value)]
-    return bool(told) and sum(value is not None for value in told) >= _NUMERIC * len(told)
+    not_nan = [value for value in values if value is None or not np.isnan(value)]
+    return bool(not_nan) and sum(value is not None for value in not_nan) >= _NUMERIC * len(not_nan)

@@ -15,7 +15,7 @@ import polars as pl
 
 from cyclekit_adapters.mapped.csv_map import SECONDS
 from cyclekit_adapters.mapped.draft_names import COUNTS, OTHER, SET_POINT, TIME_UNITS, Name
-from cyclekit_adapters.text.written_time import written_seconds
+from cyclekit_adapters.text.written_time import EPOCH_S, written_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     Vector = NDArray[np.float64]
 
-_EPOCH_S = (9.4e8, 4.1e9)  # 2000 to 2099
 _STEP_S = (0.0002, 1.2)
 """Range of sampling intervals of motion logs, s (5 kHz and slower)."""
 _SLOWER_S = 60.0
@@ -117,9 +116,9 @@ def _counted(table: DraftTable, name: Name) -> FoundTime | None:
     named = name.is_time or (name.unit in TIME_UNITS and not name.words)
     if not named or name.says(OTHER) or name.says(SET_POINT - {"d"}):
         return None
-    said = name.unit if name.unit in TIME_UNITS else None
-    units, epoch, why = _units(values, said)
-    agree = said is None or units == (said,)
+    unit = name.unit if name.unit in TIME_UNITS else None
+    units, epoch, why = _units(values, unit)
+    agree = unit is None or units == (unit,)
     return FoundTime((name.column,), units, epoch=epoch, why=why, sure=agree) if units else None
 
 
@@ -131,18 +130,18 @@ def _by_steps_alone(table: DraftTable, column: str) -> FoundTime | None:
     return FoundTime((column,), units, epoch=epoch, why=f"{why}; it rises in every row", sure=False) if units else None
 
 
-def _units(values: Vector, said: str | None) -> tuple[tuple[str, ...], bool, str]:
+def _units(values: Vector, unit: str | None) -> tuple[tuple[str, ...], bool, str]:
     """Return the possible units, whether they count since 1970, and the evidence."""
     steps = np.diff(values[np.isfinite(values)])
     step = float(np.median(steps[steps > 0]))
-    if said and _LIKELY_S[0] <= step * SECONDS[said] <= _LIKELY_S[1]:
-        return (said,), _is_epoch(values, said), f"its name says {said}; steps of {step:g} are {_shown(step, said)}"
+    if unit and _LIKELY_S[0] <= step * SECONDS[unit] <= _LIKELY_S[1]:
+        return (unit,), _is_epoch(values, unit), f"its name says {unit}; steps of {step:g} are {_shown(step, unit)}"
     since = [unit for unit in SECONDS if _is_epoch(values, unit) and step * SECONDS[unit] <= _SLOWER_S]
     if len(since) == 1:
         return (since[0],), True, f"{since[0]} since 1970, by its size; steps of {_shown(step, since[0])}"
     usual = [unit for unit in SECONDS if _STEP_S[0] <= step * SECONDS[unit] <= _STEP_S[1]]
     slower = [unit for unit in SECONDS if _STEP_S[1] < step * SECONDS[unit] <= _SLOWER_S]
-    fits = [*usual, *slower, *([said] if said and said not in (*usual, *slower) else [])]
+    fits = [*usual, *slower, *([unit] if unit and unit not in (*usual, *slower) else [])]
     likely = ", ".join(f"{_shown(step, unit)} if {unit}" for unit in fits)
     return tuple(fits), False, f"steps of {step:g}: {likely}"
 
@@ -154,14 +153,14 @@ def _shown(step: float, unit: str) -> str:
 
 def _is_epoch(values: Vector, unit: str) -> bool:
     middle = float(np.nanmedian(values)) * SECONDS[unit]
-    return _EPOCH_S[0] <= middle <= _EPOCH_S[1]
+    return EPOCH_S[0] <= middle <= EPOCH_S[1]
 
 
 def _rises(values: Vector) -> bool:
     """Return whether numbers rise and almost never fall (below 1 % of steps, for restarts)."""
-    told = values[np.isfinite(values)]
-    steps = np.diff(told)
-    return len(steps) > 0 and len(told) > 0.9 * len(values) and bool((steps < 0).mean() < 0.01 and (steps > 0).any())
+    known = values[np.isfinite(values)]
+    steps = np.diff(known)
+    return len(steps) > 0 and len(known) > 0.9 * len(values) and bool((steps < 0).mean() < 0.01 and (steps > 0).any())
 
 
 def _written(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
@@ -178,18 +177,18 @@ def _written(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
 
 def _patterned(table: DraftTable, columns: tuple[str, ...]) -> FoundTime | None:
     rows = zip(*(table.cells[name][:_LOOKED_AT] for name in columns), strict=True)
-    shown = [text for cells in rows if (text := " ".join(cell.strip() for cell in cells).strip())]
-    if not shown:
+    samples = [text for cells in rows if (text := " ".join(cell.strip() for cell in cells).strip())]
+    if not samples:
         return None
-    frame = pl.DataFrame({"text": [text.replace(",", ".") for text in shown]})
-    zoned = all(_ZONED.search(text) for text in shown)
+    frame = pl.DataFrame({"text": [text.replace(",", ".") for text in samples]})
+    zoned = all(_ZONED.search(text) for text in samples)
     fits = []
     for pattern in _PATTERNS:
         when = frame.select(written_seconds(pl.col("text"), pattern, None, zoned=zoned and pattern == "iso"))
-        if when.to_series().null_count() <= 0.02 * len(shown):
+        if when.to_series().null_count() <= 0.02 * len(samples):
             fits.append(pattern)
     if not fits:
         return None
     dated = fits[0] != "%H:%M:%S%.f"
-    why = f"written as {shown[0][:30]!r}"
+    why = f"written as {samples[0][:30]!r}"
     return FoundTime(columns, patterns=tuple(fits), epoch=zoned and dated, zoned=zoned, why=why)

@@ -14,7 +14,7 @@ import polars as pl
 from cyclekit.errors import LogError
 from cyclekit_adapters.mapped.csv_map import EXCEL, FRAME, SECONDS, CsvMap
 from cyclekit_adapters.text.delimited import INDEX, TextRows
-from cyclekit_adapters.text.written_time import excel_seconds, written_seconds
+from cyclekit_adapters.text.written_time import EPOCH_S, excel_seconds, written_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 T_S = "\x1ft_s"  # a name that no column of a file has
 _JOINED = "\x1fwhen"
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
-_EPOCH_S = (9.4e8, 4.1e9)  # the years 2000 to 2099
 
 
 def name_their_zone(first_rows: Sequence[Sequence[str]], names: Sequence[str], mapping: CsvMap) -> bool:
@@ -44,7 +43,7 @@ def require_epoch(path: Path, frame: pl.DataFrame, mapping: CsvMap) -> None:
         LogError: The median of the times in `frame` is not within the years 2000 to 2099.
     """
     middle = frame[T_S].drop_nulls().sort()[len(frame) // 2 :].to_list()[:1]
-    if not middle or _EPOCH_S[0] <= middle[0] <= _EPOCH_S[1]:
+    if not middle or EPOCH_S[0] <= middle[0] <= EPOCH_S[1]:
         return
     unit = " and ".join(map(repr, mapping.time_unit))
     told = f"time_format is {mapping.time_format!r}" if mapping.time_format else f"time_unit is {unit}"

@@ -22,7 +22,7 @@ REPEATED = "repeats the controller sample before it"
 
 
 @dataclass
-class Once:
+class RepeatFilter:
     """Sets repeated times aside, block after block of one log.
 
     Attributes:
@@ -66,18 +66,18 @@ class Once:
 
     def warnings(self) -> list[str]:
         """Return warnings about backward steps of the clock and about repeated rows."""
-        said = []
+        messages = []
         if self.back:
-            said.append(
+            messages.append(
                 f"the controller's clock steps back {self.back} time(s): it was restarted, each part is a separate run"
             )
         if self.repeated:
-            said.append(f"{self.repeated} rows repeat the controller sample before them and are left out")
-        return said
+            messages.append(f"{self.repeated} rows repeat the controller sample before them and are left out")
+        return messages
 
 
 @dataclass
-class Back:
+class BackwardSteps:
     """Counter of backward time steps, block after block of one log; rows may share a time.
 
     Attributes:
@@ -113,14 +113,14 @@ class Back:
     def warnings(self) -> list[str]:
         """Return a warning with the number of backward steps."""
         likely = "rows out of order, or several recordings in one file"
-        said = [f"time steps back {self.count} time(s): {likely}"] if self.count else []
+        messages = [f"time steps back {self.count} time(s): {likely}"] if self.count else []
         if self.days and not self.count:
-            said.append(f"time steps back by more than a day {self.days} time(s): {likely}")
-        return said
+            messages.append(f"time steps back by more than a day {self.days} time(s): {likely}")
+        return messages
 
 
 @dataclass
-class Spread:
+class Range:
     """Minimum and maximum of some columns, block after block; None while all values are unknown."""
 
     columns: tuple[str, ...]

@@ -16,6 +16,7 @@ import polars as pl
 
 from cyclekit.errors import DamagedLog, LogError
 from cyclekit_adapters.text.delimited import INDEX, TextRows, header_names
+from cyclekit_adapters.text.text_rows import SET_ASIDE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -27,7 +28,6 @@ _TYPES = {"DOUBLE": ">f8", "INT32": ">i4", "UINT32": ">u4", "UINT64": ">u8", "UI
 _LINE_BYTES = 1 << 20  # far more than all RTDE fields together
 _LONGEST_UPTIME_S = 1e9  # thirty years: a larger value comes from shifted bytes
 _ROWS = 1 << 16  # rows per block
-_SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str]
         columns = {name: part[place].astype(np.float64) for name, place in fields.items()}
         frame = pl.DataFrame({"source_row": number, INDEX: number, **columns})
         finite = [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in numbers]
-        rows = TextRows(frame.with_columns(finite), len(part), pl.DataFrame(schema=_SET_ASIDE))
+        rows = TextRows(frame.with_columns(finite), len(part), pl.DataFrame(schema=SET_ASIDE))
         wrong = ~rows.frame[time].is_between(0.0, _LONGEST_UPTIME_S).fill_null(value=False)
         yield rows.without(wrong, f"{time} is not a plausible controller time")
     if rest:
@@ -108,7 +108,7 @@ def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str]
         none = pl.DataFrame(
             schema={"source_row": pl.Int64(), INDEX: pl.Int64(), **dict.fromkeys(numbers, pl.Float64())}
         )
-        yield TextRows(none, 1, pl.DataFrame([(whole, cut)], schema=_SET_ASIDE, orient="row"))
+        yield TextRows(none, 1, pl.DataFrame([(whole, cut)], schema=SET_ASIDE, orient="row"))
 
 
 def _mapped(path: Path, layout: BinaryLayout, first: int, count: int) -> NDArray[np.void]:

@@ -9,23 +9,20 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
-from zoneinfo import available_timezones
 
 import polars as pl
 
-from cyclekit.errors import UnknownName
-from cyclekit_adapters.text.written_time import written_seconds
+from cyclekit_adapters.text.written_time import EPOCH_S, written_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from cyclekit_adapters.text.delimited import TextRows
 
 _DATED = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
 _ZONED = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 _NUMBER = re.compile(r"\d+(\.\d*)?([eE]\+?\d+)?")
-_SINCE_1970 = {1.0: (9.4e8, 4.1e9), 1e-3: (9.4e11, 4.1e12), 1e-6: (9.4e14, 4.1e15), 1e-9: (9.4e17, 4.1e18)}
-"""Unit in s -> range of the years 2000 to 2099 in that unit; no controller has an uptime of thirty years."""
+_UNITS_S = (1.0, 1e-3, 1e-6, 1e-9)
 
 
 @dataclass(frozen=True)
@@ -47,7 +44,7 @@ class WrittenClock:
     second: float = 1.0
 
     @classmethod
-    def told_by(cls, cells: Sequence[str], column: str, zone: str | None) -> WrittenClock:
+    def from_cells(cls, cells: Sequence[str], column: str, zone: str | None) -> WrittenClock:
         """Return the kind of time from the first cells of the time column, as texts without quotes."""
         written = [cell for cell in cells if _DATED.match(cell)]
         if 2 * len(written) > len(cells):
@@ -56,8 +53,8 @@ class WrittenClock:
         pointed = [cell.replace(",", ".") for cell in cells]
         numbers = sorted(float(cell) for cell in pointed if _NUMBER.fullmatch(cell))
         middle = numbers[len(numbers) // 2] if numbers else 0.0
-        for second, (least, most) in _SINCE_1970.items():
-            if least <= middle <= most:
+        for second in _UNITS_S:
+            if EPOCH_S[0] <= middle * second <= EPOCH_S[1]:  # no controller has an uptime of thirty years
                 return cls(column, "epoch", second=second)
         return cls(column, "uptime")
 
@@ -87,16 +84,3 @@ class WrittenClock:
         if self.kind == "uptime":
             return "seconds since the controller was started"
         return f"the PC's clock{f' in {self.zone}' if self.zone else ''}"
-
-
-def zone_in(said: Mapping[str, object], where: str) -> str | None:
-    """Return the time zone given in the cell file.
-
-    Raises:
-        UnknownName: There is no such zone.
-    """
-    zone = said.get("time_zone")
-    if zone is not None and zone not in available_timezones():
-        cure = "Use a name of the IANA list, for example Europe/Rome."
-        raise UnknownName(where, "time_zone", str(zone), available_timezones(), cure=cure)
-    return None if zone is None else str(zone)

@@ -98,7 +98,7 @@ class ChunkedFile:
     chunks: list[Chunk] = field(default_factory=list)
     last_ns: int | None = None
     _broken: set[int] = field(default_factory=set)
-    _said: set[str] = field(default_factory=set)
+    _reported: set[str] = field(default_factory=set)
     _piece: bytes = b""
 
     def refuse_bombs(self) -> None:
@@ -161,10 +161,10 @@ class ChunkedFile:
 
     def drop(self, chunk: Chunk, reason: object) -> None:
         """Report once that a chunk, or the rest of it, is not used."""
-        said = f"chunk at byte {chunk.place}: {reason}"
-        if said not in self._said:
-            self._said.add(said)
-            self.set_aside.append(said)
+        message = f"chunk at byte {chunk.place}: {reason}"
+        if message not in self._reported:
+            self._reported.add(message)
+            self.set_aside.append(message)
 
     def blocks(self, wanted: set[int]) -> Iterator[Mapping[int, Payloads]]:
         """Yield the messages of the wanted channels in file order, about BLOCK_BYTES at a time."""

@@ -143,10 +143,10 @@ class Bag:
                     if verdict is None:
                         lost[channel.topic] = f"its type {channel.kind} is defined neither in the bag nor in ROS"
                     elif verdict.channel is None:
-                        lost[channel.topic] = verdict.said
+                        lost[channel.topic] = verdict.reason
                     else:
                         file.channels[number] = verdict.channel
-                        self.layouts[channel.topic] = verdict.said
+                        self.layouts[channel.topic] = verdict.reason
         return lost
 
     def set_aside(self) -> list[str]:
@@ -181,7 +181,7 @@ def opened(path: Path) -> Iterator[Bag]:
     bag = Bag(path, list(files), warnings=list(folder.warnings))
     for found, file in zip(files, folder.files, strict=False):
         named = f"{file.name}: " if len(folder.files) > 1 else ""
-        bag.warnings += [named + said for said in found.warnings]
+        bag.warnings += [named + message for message in found.warnings]
         for number, channel in sorted(found.channels.items()):
             bag.topics[channel.topic] = channel.kind
             bag.counts[channel.topic] = bag.counts.get(channel.topic, 0) + found.counts.get(number, 0)
@@ -218,5 +218,5 @@ def damaged(path: Path, error: Exception) -> DamagedLog:
     cure = f"{_AGAIN}."
     if isinstance(error, sqlite3.Error):
         cure = f"{_AGAIN}, or recover what there is: sqlite3 {path.name} .recover"
-    said = " ".join(str(part) for part in error.args) or repr(error)
-    return DamagedLog(path, f"the bag is damaged ({type(error).__name__}: {said[:120]})", cure=cure)
+    message = " ".join(str(part) for part in error.args) or repr(error)
+    return DamagedLog(path, f"the bag is damaged ({type(error).__name__}: {message[:120]})", cure=cure)

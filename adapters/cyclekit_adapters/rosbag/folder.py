@@ -47,8 +47,8 @@ def folder_of(path: Path) -> Folder:
     except OutsideFolder as error:
         raise DamagedLog(path, f"metadata.yaml: {error.cause}", cure="Copy the recording again.") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        said = f"metadata.yaml cannot be read ({type(error).__name__}): every bag in the folder is read"
-        folder.warnings.append(said)
+        warning = f"metadata.yaml cannot be read ({type(error).__name__}): every bag in the folder is read"
+        folder.warnings.append(warning)
         named = present
     folder.files = list(dict.fromkeys(file for file in named if file.is_file()))
     missing = [file.name for file in named if not file.is_file()]

@@ -140,12 +140,12 @@ def trace(types: Types, kind: str, raw: bytes, *, cdr: bool) -> tuple[MessageLay
     types.check(kind)
     walk = _Walk(types, raw, cdr=cdr)
     try:
-        said = walk.message(kind, ())
+        content = walk.message(kind, ())
     except UnicodeDecodeError as error:
         raise NoLayout("a text is not UTF-8") from error
     if len(raw) - walk.position > (3 if cdr else 0):
         raise NoLayout("the message is not as long as its definition says")
-    return walk.layout, said
+    return walk.layout, content
 
 
 class _Walk:
@@ -162,11 +162,11 @@ class _Walk:
             self.layout.fixed.append((0, 2))
 
     def message(self, kind: str, path: Path) -> SimpleNamespace:
-        said = SimpleNamespace()
+        content = SimpleNamespace()
         for name, description in self.types.fields[kind]:
             if self.cdr or name != FILLER:
-                setattr(said, name, self.field(description, (*path, name)))
-        return said
+                setattr(content, name, self.field(description, (*path, name)))
+        return content
 
     def field(self, description: Description, path: Path) -> Any:  # noqa: ANN401 - a field is what its type says
         self.steps += 1

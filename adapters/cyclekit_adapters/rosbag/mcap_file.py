@@ -58,11 +58,11 @@ class _Records:
         fits = not start.size or int(start[-1]) + _HEAD <= buffer.size
         heads = gather(buffer, start, _HEAD if fits else 9)
         size = column(heads, 1, "<u8") - (_HEAD - 9)
-        said = (heads[:, 0] == _MESSAGE) & (size >= 0)
+        is_message = (heads[:, 0] == _MESSAGE) & (size >= 0)
         other: list[int] = []
-        if not said.all():
-            other = start[~said].tolist()
-            start, size, heads = start[said], size[said], heads[said]
+        if not is_message.all():
+            other = start[~is_message].tolist()
+            start, size, heads = start[is_message], size[is_message], heads[is_message]
         heads = heads if fits else gather(buffer, start, _HEAD)
         return Messages(column(heads, 9, "<u2"), column(heads, 15, "<u8"), start + _HEAD, size, other)
 
@@ -250,24 +250,24 @@ def _open(log: BufferedReader, survey: _Survey, chunk: Chunk) -> None:
 
 def _how_much(found: ChunkedFile, log: BufferedReader, cut: int, end: int) -> str:
     """Return a description of what a cut bag has lost, as far as known."""
-    said = f"its last {end - cut} of {end} bytes cannot be read"
+    message = f"its last {end - cut} of {end} bytes cannot be read"
     if _closed(log, end):
-        return f"the bag is damaged at byte {cut}: {said}; copy the bag again if the original is whole"
-    said = f"the bag is cut: {said}"
+        return f"the bag is damaged at byte {cut}: {message}; copy the bag again if the original is whole"
+    message = f"the bag is cut: {message}"
     if any(chunk.cut for chunk in found.chunks):
-        said = (
+        message = (
             f"the bag is cut: it ends within a chunk, at byte {end}, and the checksum of that chunk cannot be checked"
         )
     if found.last_ns is None:
-        return said
-    said += f"; messages up to {moment(found.last_ns)} are recovered, later ones are lost"
+        return message
+    message += f"; messages up to {moment(found.last_ns)} are recovered, later ones are lost"
     log.seek(cut)
     head = log.read(9 + 16)
     if len(head) == 25 and head[0] == _CHUNK:
         lost_ns = struct.unpack_from("<Q", head, 17)[0] - found.last_ns  # last time of the cut chunk
         if 0 < lost_ns < 10**13:
-            said += f" (at least {lost_ns / 1e9:.1f} s)"
-    return f"{said}; copy the bag again if the original is whole"
+            message += f" (at least {lost_ns / 1e9:.1f} s)"
+    return f"{message}; copy the bag again if the original is whole"
 
 
 def _crc(log: BufferedReader, begin: int, end: int) -> int:

@@ -65,22 +65,22 @@ class TypeTexts:
 
     def digest(self, kind: str) -> str:
         """Return the hash that identifies a definition in ROS 1."""
-        said = [f"{self.digest(of)} {line}" if of in self.lines else line for line, of in self.lines[kind]]
-        return hashlib.md5("\n".join(said).encode(), usedforsecurity=False).hexdigest()
+        lines = [f"{self.digest(of)} {line}" if of in self.lines else line for line, of in self.lines[kind]]
+        return hashlib.md5("\n".join(lines).encode(), usedforsecurity=False).hexdigest()
 
 
-def read_text(text: str, kind: str, beside: Mapping[str, Fields] = TIMES) -> TypeTexts:
+def read_text(text: str, kind: str, known: Mapping[str, Fields] = TIMES) -> TypeTexts:
     """Return the types defined in a text.
 
     Args:
         text: The definition of `kind`, followed by those of the types in it.
         kind: Full name, `package/msg/Type`.
-        beside: Types that may be used without definition.
+        known: Types that may be used without definition.
 
     Raises:
         Unfamiliar: The text is not in the plain form, or uses an undefined type.
     """
-    found = TypeTexts(dict(beside))
+    found = TypeTexts(dict(known))
     for number, part in enumerate(_RULE.split(text.replace("\r\n", "\n"))):
         name, body = (kind, part) if number == 0 else _headed(part)
         if not _NAME.fullmatch(name):

@@ -48,7 +48,7 @@ class Persons:
         names: Shape (N, K), empty for no person.
         places: Positions, shape (N, K, 3), m; NaN = not seen.
         frames: Frame of each entry, empty if it has none; length K, or no entries at all.
-        said: Reason for unknown positions.
+        reason: Reason for unknown positions.
         joints: Name of the joint, shape (N, K); None for people.
         bodies: Joints of these people, if requested.
     """
@@ -56,7 +56,7 @@ class Persons:
     names: Names
     places: Array
     frames: tuple[str, ...] = ()
-    said: str = ""
+    reason: str = ""
     joints: Names | None = None
     bodies: Persons | None = None
 
@@ -84,8 +84,8 @@ def persons(kind: str, group: Group, *, skeletons: bool = False) -> Persons:
     }
     read = readers.get(kind, _zed)
     found = _joined(group, [read(group, at, number) for number, at in enumerate(entries)], _frames(group, entries))
-    said = {TRACKED: "people said to be occluded", ZED: "objects not in tracking state OK"}
-    found = replace(found, said=said.get(ZED if kind == ZED_EARLIER else kind, ""))
+    reasons = {TRACKED: "people said to be occluded", ZED: "objects not in tracking state OK"}
+    found = replace(found, reason=reasons.get(ZED if kind == ZED_EARLIER else kind, ""))
     if skeletons and kind in (MARKERS, ZED, ZED_EARLIER):
         bodies = _marker_joints(group, entries, found) if kind == MARKERS else _zed_joints(group, entries, found)
         return replace(found, bodies=bodies)

@@ -105,7 +105,7 @@ def _add_named(contents: Contents, frames: Frames, topic: str, prefix: str, colu
         before, after = _add(contents, frames, topic, prefix, part, value, columns)
         lost += after - before
         if before:
-            hidden, why = hidden + before, value.said or "no position"
+            hidden, why = hidden + before, value.reason or "no position"
     _say_lost(contents, topic, lost)
     _say_nobody(contents, topic, nobody)
     hidden -= nobody

@@ -20,6 +20,7 @@ from cyclekit_adapters.rosbag.people_tables import people_table, skeletons_table
 from cyclekit_adapters.rosbag.roles import Roles, roles_in
 from cyclekit_adapters.rosbag.tables import events_table, robot_table
 from cyclekit_adapters.rosbag.tracks import Contents, collect
+from cyclekit_adapters.text.text_rows import SET_ASIDE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -152,4 +153,4 @@ def _set_aside(bag: Bag) -> pl.DataFrame:
     order = {topic: bag.order(topic) for topic, _, _ in bag.undecodable}
     rows += [(int(order[topic][number]), reason) for topic, number, reason in bag.undecodable]
     rows += [(None, reason) for reason in bag.set_aside()]  # a damaged chunk has no row
-    return pl.DataFrame(rows, schema={"source_row": pl.Int64(), "reason": pl.String()}, orient="row")
+    return pl.DataFrame(rows, schema=SET_ASIDE, orient="row")

@@ -271,8 +271,8 @@ def _last(log: BufferedReader, found: ChunkedFile) -> None:
             return
 
 
-def _how_much(found: ChunkedFile, said: str) -> str:
+def _how_much(found: ChunkedFile, message: str) -> str:
     """Return a description of what a cut bag has lost, as far as known."""
     if found.last_ns is not None:
-        said += f"; messages up to {moment(found.last_ns)} are recovered, later ones are lost"
-    return f"{said}; copy the bag again if the original is whole"
+        message += f"; messages up to {moment(found.last_ns)} are recovered, later ones are lost"
+    return f"{message}; copy the bag again if the original is whole"

@@ -77,8 +77,8 @@ class SqliteFile:
                 done += len(rows)
                 yield self._batch(rows)
         except sqlite3.DatabaseError as error:
-            said = f"{self.channels[number].topic}: a page of the bag is damaged ({error}); the others are read"
-            self.set_aside += [said] if said not in self.set_aside else []
+            message = f"{self.channels[number].topic}: a page of the bag is damaged ({error}); the others are read"
+            self.set_aside += [message] if message not in self.set_aside else []
             broken[number] = _last_row(bag, number, done)
 
     def _batch(self, rows: list[tuple[object, object]]) -> _Batch:
@@ -135,9 +135,9 @@ def look(path: Path) -> SqliteFile:
         Damage: The file is a database, but no bag.
     """
     found = SqliteFile(path)
-    beside = path.with_name(path.name + "-wal")
-    if beside.is_file() and beside.stat().st_size:
-        found.copy = _recovered(found, beside)
+    journal = path.with_name(path.name + "-wal")
+    if journal.is_file() and journal.stat().st_size:
+        found.copy = _recovered(found, journal)
     try:
         with closing(_connect(found.copy or path)) as bag:
             found.channels = _channels(bag)
@@ -147,22 +147,22 @@ def look(path: Path) -> SqliteFile:
     return found
 
 
-def _recovered(found: SqliteFile, beside: Path) -> Path | None:
+def _recovered(found: SqliteFile, journal: Path) -> Path | None:
     """Return a copy of the bag into which sqlite merged the log of a killed recorder; None if that fails."""
     scratch = Scratch()
     folder = scratch.path
     weakref.finalize(found, scratch.remove)
     copy = Path(folder, found.path.name)
     try:
-        for file in (found.path, beside):
+        for file in (found.path, journal):
             shutil.copyfile(file, Path(folder, file.name))
         with closing(sqlite3.connect(copy)) as bag:
             bag.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
     except (sqlite3.Error, OSError):
-        said = f"the recorder was killed: the content of {beside.name} is not in the bag and cannot be read"
-        found.warnings.append(said)
+        message = f"the recorder was killed: the content of {journal.name} is not in the bag and cannot be read"
+        found.warnings.append(message)
         return None
-    found.warnings.append(f"the recorder was killed: the content of {beside.name} is read too")
+    found.warnings.append(f"the recorder was killed: the content of {journal.name} is read too")
     return copy
 
 
@@ -250,12 +250,12 @@ def _salvage(found: SqliteFile, error: sqlite3.DatabaseError) -> None:
     if not counts:
         raise error
     found.counts = dict(counts)
-    said = f"the bag is cut or damaged ({error}): {missing} of its pages are missing; " if missing else ""
-    said = said or f"the bag is cut or damaged ({error}); "
+    message = f"the bag is cut or damaged ({error}): {missing} of its pages are missing; " if missing else ""
+    message = message or f"the bag is cut or damaged ({error}); "
     between = numbers - sum(counts.values())
-    said += f"messages up to {moment(last_ns)} are recovered"
-    said += f", except {between} in between," if between > 0 else ","
-    found.warnings.append(f"{said} later ones are lost")
+    message += f"messages up to {moment(last_ns)} are recovered"
+    message += f", except {between} in between," if between > 0 else ","
+    found.warnings.append(f"{message} later ones are lost")
 
 
 def _messages(pages: Pages, topics: set[int]) -> Iterator[tuple[int, int, int, bytes]]:

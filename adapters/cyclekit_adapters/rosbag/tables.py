@@ -119,8 +119,8 @@ def _joints(contents: Contents, topic: str) -> _Rows | None:
     track = contents.tracks[topic]
     parts = [(part.rows, part.value) for part in track.parts if isinstance(part.value, JointStates)]
     written: Counter[tuple[str, ...]] = Counter()
-    for rows, said in parts:
-        written[said.names] += rows.size
+    for rows, values in parts:
+        written[values.names] += rows.size
     written.pop((), None)
     if not written:
         return None
@@ -134,10 +134,10 @@ def _joints(contents: Contents, topic: str) -> _Rows | None:
         return None
     count = len(order)
     numbers, done = np.empty((rows.size, 2 * count)), 0
-    for part, said in ours:
+    for part, values in ours:
         here = slice(done, done := done + part.size)
-        numbers[here, :count] = _ordered(said.angles, said.names, order)
-        numbers[here, count:] = _ordered(said.speeds, said.names, order)
+        numbers[here, :count] = _ordered(values.angles, values.names, order)
+        numbers[here, count:] = _ordered(values.speeds, values.names, order)
     if others := track.index.size - rows.size:
         contents.warnings.append(f"{others} messages of {topic} describe other joints and are left out")
     contents.joint_names = order
@@ -198,8 +198,8 @@ def _digital(contents: Contents, roles: Roles, at_s: Array) -> list[pl.Series]:
     """Return digital inputs and outputs at each time as bit fields; unknown before the first message."""
     if roles.inputs not in contents.tracks:
         return []
-    row, said = _held(contents.at(roles.inputs), at_s), contents.tracks[roles.inputs].joined()
-    bits = np.where(row[:, None] >= 0, said[row], np.nan)
+    row, values = _held(contents.at(roles.inputs), at_s), contents.tracks[roles.inputs].joined()
+    bits = np.where(row[:, None] >= 0, values[row], np.nan)
     names = ("digital_in_bits", "digital_out_bits")
     return [pl.Series(name, bits[:, k], nan_to_null=True).cast(pl.Int64) for k, name in enumerate(names)]
 
@@ -223,11 +223,11 @@ def _scaling(contents: Contents, roles: Roles, at_s: Array, state: npt.NDArray[n
         contents.warnings.append("the speed scaling is the commanded one: what the robot executed was not recorded")
     known = []
     for factor in factors:
-        said = contents.tracks[factor.topic].joined() / factor.full
+        values = contents.tracks[factor.topic].joined() / factor.full
         row = _held(contents.at(factor.topic), at_s)
-        if factor.family not in ("cnr", "command") and (said > 1.0 + _SLACK).any():
+        if factor.family not in ("cnr", "command") and (values > 1.0 + _SLACK).any():
             contents.warnings.append(f"{factor.topic} exceeds {factor.full:g} in some messages: unknown there")
-        known.append(np.where(row >= 0, _clamped(said, factor)[row], np.nan))
+        known.append(np.where(row >= 0, _clamped(values, factor)[row], np.nan))
     if all(factor.family == "cnr" for factor in factors) and len(factors) > 1:
         # An override without a message so far does not slow down: the controllers start from 100 percent.
         spoken = ~np.all([np.isnan(values) for values in known], axis=0)
@@ -253,10 +253,10 @@ def events_table(contents: Contents, roles: Roles) -> pl.DataFrame:
         if topic not in contents.tracks:
             continue
         track, times = contents.tracks[topic], contents.at(topic)
-        said = track.each()
+        values = track.each()
         last: object = None
         for row in np.argsort(times, kind="stable").tolist():
-            value = said[row]
+            value = values[row]
             if isinstance(value, bool | np.bool_):
                 if value != last:
                     rows.append((float(times[row]), topic, "true" if value else "false", int(track.index[row])))

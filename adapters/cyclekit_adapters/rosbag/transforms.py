@@ -93,8 +93,8 @@ class Transforms:
         """Build the links from the added messages; `order` gives the index of each arrival number of a topic."""
         best: dict[str, tuple[int, str, str]] = {}
         for (child, parent, topic), parts in self._parts.items():
-            said = sum(number.size for number, *_ in parts)
-            best[child] = max(best.get(child, (0, "", "")), (said, parent, topic))
+            count = sum(number.size for number, *_ in parts)
+            best[child] = max(best.get(child, (0, "", "")), (count, parent, topic))
             self.rivals.setdefault(child, []).append(parent)
         for child, (_, parent, topic) in best.items():
             number, receive_s, stamp_s, pose = (

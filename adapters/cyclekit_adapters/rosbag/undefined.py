@@ -24,11 +24,11 @@ class TopicFindings:
 
     Attributes:
         channel: The channel with the chosen layout; None if there is none.
-        said: The reason, to display.
+        reason: The reason, to display.
     """
 
     channel: Channel | None
-    said: str
+    reason: str
 
 
 def decide(file: BagFile, channel: Channel) -> TopicFindings:

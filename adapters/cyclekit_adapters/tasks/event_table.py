@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit_adapters.text.delimited import delimiter_of, fields_of, unique
 from cyclekit_adapters.text.text_blocks import HEAD_BYTES
+from cyclekit_adapters.text.written_time import EPOCH_S
 
 if TYPE_CHECKING:
     from collections.abc import Container, Sequence
@@ -50,7 +51,6 @@ _PLAIN = re.compile(r"[^0-9a-zäöüß]+")
 _DAY = r"(?:\d{4}-\d{2}-\d{2}[T ]|\d{4}/\d{2}/\d{2} |\d{1,2}\.\d{1,2}\.\d{4},? )"
 _CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d+)?)?"
 _WRITTEN = re.compile(rf"^({_DAY})?({_CLOCK})\s*(Z|[+-]\d{{2}}:?\d{{2}})?$")
-_EPOCH_S = (9.4e8, 4.1e9)
 _WIDEST = 512
 _LOOKED_AT = 200
 
@@ -65,7 +65,7 @@ class TimeColumn:
         seconds: Unit of numbers, s; None if unknown.
         clock: Kind of clock.
         why: Evidence for this interpretation.
-        shown: The first time as written.
+        sample: The first time as written.
     """
 
     columns: tuple[str, ...]
@@ -73,7 +73,7 @@ class TimeColumn:
     seconds: float | None
     clock: ClockKind
     why: str
-    shown: str
+    sample: str
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ def event_table(head: str) -> EventTable | None:
     stems = {name: _stem(name)[0] for name in names}
     if not any(stem in TIME_NAMES or stem in _DATES for stem in stems.values()):
         return None
-    said = set(stems.values())
-    if not (said & _SIGNALS and said & (_VALUES[0] | _VALUES[1])) and not _may_be_wide(lines[1:2], stems, delimiter):
+    known = set(stems.values())
+    if not (known & _SIGNALS and known & (_VALUES[0] | _VALUES[1])) and not _may_be_wide(lines[1:2], stems, delimiter):
         return None
     rows = [[cell.strip() for cell in fields_of(line, delimiter)] for line in lines[1:] if line.strip()]
     rows = [row for row in rows if len(row) == len(names)]
@@ -191,16 +191,16 @@ def _times_of(
     columns: tuple[str, ...], stems: dict[str, str], cells: dict[str, list[str]], delimiter: str
 ) -> TimeColumn | None:
     rows = zip(*(cells[name] for name in columns), strict=True)
-    shown = [text for row in rows if (text := " ".join(cell.strip('"') for cell in row).strip())]
-    if not shown:
+    sample = [text for row in rows if (text := " ".join(cell.strip('"') for cell in row).strip())]
+    if not sample:
         return None
     is_date = len(columns) > 1 or stems[columns[0]] in _DATES
-    return times_of(columns, shown, _stem(columns[0])[1], decimal_comma=delimiter != ",", only_written=is_date)
+    return times_of(columns, sample, _stem(columns[0])[1], decimal_comma=delimiter != ",", only_written=is_date)
 
 
 def times_of(
     columns: tuple[str, ...],
-    shown: Sequence[str],
+    sample: Sequence[str],
     unit: str | None,
     *,
     decimal_comma: bool = False,
@@ -210,57 +210,57 @@ def times_of(
 
     Args:
         columns: Their columns.
-        shown: Some of them as written, at least one.
+        sample: Some of them as written, at least one.
         unit: Unit of numbers, from the column's name.
         decimal_comma: Numbers may be written `0,5`.
         only_written: Numbers do not count as times.
     """
-    if all(found := [_WRITTEN.match(text) for text in shown]):
-        return _written(columns, shown, [match for match in found if match])
-    numbers = [_number(text, decimal_comma=decimal_comma) for text in shown]
+    if all(found := [_WRITTEN.match(text) for text in sample]):
+        return _written(columns, sample, [match for match in found if match])
+    numbers = [_number(text, decimal_comma=decimal_comma) for text in sample]
     if only_written or any(number is None for number in numbers):
-        slashes = any(re.match(r"\d{1,2}/\d{1,2}/\d{2,4}\b", text) for text in shown)
+        slashes = any(re.match(r"\d{1,2}/\d{1,2}/\d{2,4}\b", text) for text in sample)
         return (
-            TimeColumn(columns, "", None, "relative", "month and day cannot be told apart", shown[0])
+            TimeColumn(columns, "", None, "relative", "month and day cannot be told apart", sample[0])
             if slashes
             else None
         )
-    return _counted(columns, unit, shown, [number for number in numbers if number is not None])
+    return _counted(columns, unit, sample, [number for number in numbers if number is not None])
 
 
-def _written(columns: tuple[str, ...], shown: Sequence[str], found: list[re.Match[str]]) -> TimeColumn | None:
+def _written(columns: tuple[str, ...], sample: Sequence[str], found: list[re.Match[str]]) -> TimeColumn | None:
     if len({match[1] is None for match in found}) > 1:
         return None
     day, clock = found[0][1], found[0][2]
     second = "%H:%M:%S%.f" if clock.count(":") == 2 else "%H:%M"
     if day is None:
-        return TimeColumn(columns, second, 1.0, "relative", "time of day, without a date", shown[0])
+        return TimeColumn(columns, second, 1.0, "relative", "time of day, without a date", sample[0])
     zoned = all(match[3] for match in found)
     date = "%Y-%m-%d" if "-" in day else "%Y/%m/%d" if "/" in day else "%d.%m.%Y"
     pattern = "iso" if date == "%Y-%m-%d" and second != "%H:%M" else f"{date} {second}"
     if zoned and pattern != "iso":
         return None  # no known program writes that
     why = "date and time with a zone" if zoned else "date and time without a zone"
-    return TimeColumn(columns, pattern, 1.0, "epoch" if zoned else "relative", why, shown[0])
+    return TimeColumn(columns, pattern, 1.0, "epoch" if zoned else "relative", why, sample[0])
 
 
-def _counted(columns: tuple[str, ...], unit: str | None, shown: Sequence[str], numbers: list[float]) -> TimeColumn:
+def _counted(columns: tuple[str, ...], unit: str | None, sample: Sequence[str], numbers: list[float]) -> TimeColumn:
     if unit is not None:
-        return counted_in(columns, unit, "by the column's name", numbers, shown[0])
+        return counted_in(columns, unit, "by the column's name", numbers, sample[0])
     for name, seconds in UNITS.items():
-        if all(_EPOCH_S[0] <= number * seconds <= _EPOCH_S[1] for number in numbers):
-            return TimeColumn(columns, "", seconds, "epoch", f"{name} since 1970, by its size", shown[0])
+        if all(EPOCH_S[0] <= number * seconds <= EPOCH_S[1] for number in numbers):
+            return TimeColumn(columns, "", seconds, "epoch", f"{name} since 1970, by its size", sample[0])
     if any(number % 1 for number in numbers):
-        return TimeColumn(columns, "", 1.0, "relative", "seconds, since it has fractions and names no unit", shown[0])
-    return TimeColumn(columns, "", None, "relative", "its unit is not named", shown[0])
+        return TimeColumn(columns, "", 1.0, "relative", "seconds, since it has fractions and names no unit", sample[0])
+    return TimeColumn(columns, "", None, "relative", "its unit is not named", sample[0])
 
 
-def counted_in(columns: tuple[str, ...], unit: str, why: str, numbers: Sequence[float], shown: str) -> TimeColumn:
+def counted_in(columns: tuple[str, ...], unit: str, why: str, numbers: Sequence[float], sample: str) -> TimeColumn:
     """Return the interpretation of numbers with a known unit."""
     seconds = UNITS[unit]
-    since_1970 = bool(numbers) and all(_EPOCH_S[0] <= number * seconds <= _EPOCH_S[1] for number in numbers)
-    said = f"{unit}, {why}{'; since 1970, by its size' if since_1970 else ''}"
-    return TimeColumn(columns, "", seconds, "epoch" if since_1970 else "relative", said, shown)
+    since_1970 = bool(numbers) and all(EPOCH_S[0] <= number * seconds <= EPOCH_S[1] for number in numbers)
+    why = f"{unit}, {why}{'; since 1970, by its size' if since_1970 else ''}"
+    return TimeColumn(columns, "", seconds, "epoch" if since_1970 else "relative", why, sample)
 
 
 def _number(text: str, *, decimal_comma: bool) -> float | None:

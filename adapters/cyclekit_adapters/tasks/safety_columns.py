@@ -98,14 +98,14 @@ def _metres(distances: Sequence[str]) -> float:
     return LENGTHS[found]
 
 
-def mapped_columns(path: Path, names: Sequence[str], told: Mapping[str, object]) -> SafetyColumns:
+def mapped_columns(path: Path, names: Sequence[str], entries: Mapping[str, object]) -> SafetyColumns:
     """Return the columns from the cell file, and the others from their names.
 
     Raises:
         ConfigError: A key is unknown, or is not a text.
         LogError: A column is missing, or there is neither an override nor a distance.
     """
-    for key, value in told.items():
+    for key, value in entries.items():
         if key not in (*_KEYS, "length_unit"):
             raise UnknownName(WHERE, "key", key, [*_KEYS, "length_unit", "override_max", "time_unit", "time_zone"])
         if not isinstance(value, str):
@@ -113,21 +113,21 @@ def mapped_columns(path: Path, names: Sequence[str], told: Mapping[str, object])
         if key in _KEYS and value not in names:
             cause = f"no column {value!r}, which [sources.map] names for {key}"
             raise LogError(path, cause, nearest=nearest(value, names), cure=f"It has: {', '.join(names[:40])}.")
-    unit = str(told.get("length_unit", "m"))
+    unit = str(entries.get("length_unit", "m"))
     if unit not in LENGTHS:
         raise UnknownName(WHERE, "length_unit", unit, LENGTHS)
     found = safety_columns(path.name, names)
-    said = {key: str(told[key]) for key in _KEYS if key in told}
-    time = said.get("time") or (found.time if found else _time_in(names))
-    if time is None or (found is None and not {"override", "distance"} & said.keys()):
+    given = {key: str(entries[key]) for key in _KEYS if key in entries}
+    time = given.get("time") or (found.time if found else _time_in(names))
+    if time is None or (found is None and not {"override", "distance"} & given.keys()):
         cause = f"no columns for a time and for an override or a distance among {', '.join(names[:40])}"
         raise LogError(path, cause, cure='Name them in [sources.map]: time = "COLUMN", override = "COLUMN"')
-    if found is None or {"override", "distance"} & said.keys():
-        overrides = (said["override"],) if "override" in said else ()
-        distance = said.get("distance")
+    if found is None or {"override", "distance"} & given.keys():
+        overrides = (given["override"],) if "override" in given else ()
+        distance = given.get("distance")
         found = SafetyColumns(time, overrides, distance, metres=_metres([distance] if distance else []))
-    metres = LENGTHS[unit] if "length_unit" in told else found.metres
-    deviation, execution = said.get("deviation", found.deviation), said.get("execution", found.execution)
+    metres = LENGTHS[unit] if "length_unit" in entries else found.metres
+    deviation, execution = given.get("deviation", found.deviation), given.get("execution", found.execution)
     return replace(found, time=time, deviation=deviation, execution=execution, metres=metres)
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.adapter import ClockKind
-    from cyclekit_adapters.tasks.task_columns import Said
+    from cyclekit_adapters.tasks.task_columns import Settings
 
 DONE = {"1", "1.0", "true", "yes", "done", "ok", "success", "successful", "succeeded", "complete", "completed",
         "finished"}  # fmt: skip
@@ -50,7 +50,7 @@ class TaskTable:
 
 
 def task_table(
-    path: Path, cells: pl.DataFrame, columns: Mapping[str, str], said: Said, *, decimal_comma: bool = False
+    path: Path, cells: pl.DataFrame, columns: Mapping[str, str], settings: Settings, *, decimal_comma: bool = False
 ) -> TaskTable:
     """Return the table of a task list.
 
@@ -58,7 +58,7 @@ def task_table(
         path: The log, for messages.
         cells: A text column for each field of `columns`, and `source_row`.
         columns: Field -> column name in the log.
-        said: Settings of the cell file.
+        settings: Settings of the cell file.
         decimal_comma: Numbers may be written `0,5`.
 
     Raises:
@@ -66,13 +66,13 @@ def task_table(
         DamagedLog: No row is usable.
     """
     cells = cells.with_columns(cleaned(key) for key in columns)
-    timed, clocks = with_seconds(path, cells, columns, said, decimal_comma=decimal_comma)
+    timed, clocks = with_seconds(path, cells, columns, settings, decimal_comma=decimal_comma)
     good, aside = _trusted(timed)
     if good.is_empty():
         first = aside.row(0) if aside.height else ("", "it holds no row")
         cause = f"none of its {cells.height} tasks can be used; the first (row {first[0]}): {first[1]}"
         raise DamagedLog(path, cause, cure="Check which columns are start and end, and their unit.")
-    kinds = _kinds(path, good["agent"].unique(maintain_order=True).to_list(), said)
+    kinds = _kinds(path, good["agent"].unique(maintain_order=True).to_list(), settings)
     rows = conform(
         good.select(
             "end_s",
@@ -87,7 +87,7 @@ def task_table(
         TASK_LIST,
     ).sort("t_s", maintain_order=True)
     people = [name for name, kind in kinds.items() if kind == "operator"]
-    warnings = [*_said_of(rows, columns, people), *_said_of_plans(good), *clocks.said]
+    warnings = [*_warnings(rows, columns, people), *_plan_warnings(good), *clocks.warnings]
     return TaskTable(rows, aside, clocks.clock, tuple(warnings), clocks.facts)
 
 
@@ -109,18 +109,18 @@ def _trusted(cells: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     return cells.filter(~bad), judged.filter(bad).select("source_row", "reason")
 
 
-def _kinds(path: Path, agents: Sequence[str], said: Said) -> dict[str, str]:
+def _kinds(path: Path, agents: Sequence[str], settings: Settings) -> dict[str, str]:
     """Return for each agent whether it is a robot or an operator.
 
     Raises:
         LogError: The cell file names an agent that is not in the log.
     """
-    for name in (*said.robot, *said.operator):
+    for name in (*settings.robot, *settings.operator):
         if name not in agents:
             cause = f"no agent {name!r}, which [sources.map] names"
             raise LogError(path, cause, nearest=nearest(name, agents), cure=f"It has: {', '.join(agents[:40])}.")
-    told = dict.fromkeys(said.robot, "robot") | dict.fromkeys(said.operator, "operator")
-    return {name: told.get(name, "operator" if is_person(name) else "robot") for name in agents}
+    given = dict.fromkeys(settings.robot, "robot") | dict.fromkeys(settings.operator, "operator")
+    return {name: given.get(name, "operator" if is_person(name) else "robot") for name in agents}
 
 
 def _outcome() -> pl.Expr:
@@ -129,30 +129,30 @@ def _outcome() -> pl.Expr:
     return known.otherwise(pl.col("outcome")).alias("outcome")
 
 
-def _said_of(rows: pl.DataFrame, columns: Mapping[str, str], people: Sequence[str]) -> list[str]:
-    said = []
+def _warnings(rows: pl.DataFrame, columns: Mapping[str, str], people: Sequence[str]) -> list[str]:
+    messages = []
     if not people and rows["agent_name"].n_unique() > 1:
         names = ", ".join(map(repr, rows["agent_name"].unique(maintain_order=True).to_list()[:6]))
-        said.append(
+        messages.append(
             f"no agent is recognised as a person ({names}): all are taken for robots. "
             'Say in the cell file who is one: map = { operator = ["NAME"] }'
         )
     if "execution" not in columns:
-        said.append(
+        messages.append(
             "no column gives the execution of a task: all are taken for one. "
             'Name it in the cell file: map = { execution = "COLUMN" }'
         )
     elif unnamed := rows["execution"].null_count():
-        said.append(f"{unnamed} of {rows.height} tasks name no execution: they are in no execution")
+        messages.append(f"{unnamed} of {rows.height} tasks name no execution: they are in no execution")
     words = rows["outcome"].drop_nulls().unique(maintain_order=True)
     if unknown := [word for word in words if word not in ("done", "failed")]:
-        said.append(
+        messages.append(
             f"unknown outcomes, neither done nor failed, are kept as written: {', '.join(map(repr, unknown[:6]))}"
         )
-    return said
+    return messages
 
 
-def _said_of_plans(cells: pl.DataFrame) -> list[str]:
+def _plan_warnings(cells: pl.DataFrame) -> list[str]:
     """Return a warning for each planned time that cannot be read, with the number of tasks; the tasks are kept."""
     found = []
     for key in (key for key in TIMES if key.startswith("planned") and key in cells.columns):

@@ -9,10 +9,10 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
-from zoneinfo import available_timezones
 
 from cyclekit.errors import ConfigError, LogError, UnknownName, nearest
 from cyclekit_adapters.tasks.event_table import UNITS, stem_of
+from cyclekit_adapters.text.written_time import checked_zone
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -51,7 +51,7 @@ _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 
 @dataclass(frozen=True)
-class Said:
+class Settings:
     """Settings of the cell file for a task list.
 
     Attributes:
@@ -69,7 +69,7 @@ class Said:
     zone: str | None = None
 
 
-def said_of(options: ReadOptions) -> Said:
+def settings_of(options: ReadOptions) -> Settings:
     """Return the settings of the cell file.
 
     Raises:
@@ -89,15 +89,7 @@ def said_of(options: ReadOptions) -> Said:
     unit, zone = texts.pop("time_unit", None), texts.pop("time_zone", None)
     if unit is not None and unit not in UNITS:
         raise UnknownName(WHERE, "time_unit", unit, UNITS)
-    if zone is not None and zone not in available_timezones():
-        raise UnknownName(
-            WHERE,
-            "time_zone",
-            zone,
-            available_timezones(),
-            cure="Use a name of the IANA list, for example Europe/Rome.",
-        )
-    return Said(texts, lists["robot"], lists["operator"], unit, zone)
+    return Settings(texts, lists["robot"], lists["operator"], unit, checked_zone(zone, WHERE))
 
 
 def _names(key: str, value: object) -> tuple[str, ...]:
@@ -112,14 +104,14 @@ def _text(key: str, value: object) -> str:
     return value
 
 
-def columns_in(names: Iterable[str], said: Mapping[str, str] | None = None) -> dict[str, str]:
+def columns_in(names: Iterable[str], given: Mapping[str, str] | None = None) -> dict[str, str]:
     """Return field -> column, for the fields that the names identify.
 
     Args:
         names: Column names.
-        said: Field -> column, as given in the cell file.
+        given: Field -> column, as given in the cell file.
     """
-    found = dict(said or {})
+    found = dict(given or {})
     stems: dict[str, str] = {}
     for name in names:
         stems.setdefault(stem_of(name, _TIME_NAMES)[0], name)
@@ -143,17 +135,17 @@ def is_task_list(names: Sequence[str]) -> bool:
     return all(key in found for key in NEEDED)
 
 
-def require(path: Path, names: Sequence[str], said: Mapping[str, str]) -> dict[str, str]:
+def require(path: Path, names: Sequence[str], given: Mapping[str, str]) -> dict[str, str]:
     """Return field -> column of a log.
 
     Raises:
         LogError: A column given in the cell file is missing, or there is no column for a field of `NEEDED`.
     """
-    for key, name in said.items():
+    for key, name in given.items():
         if name not in names:
             cause = f"no column {name!r}, which [sources.map] names for {key}"
             raise LogError(path, cause, nearest=nearest(name, names), cure=f"It has: {', '.join(names[:40])}.")
-    found = columns_in(names, said)
+    found = columns_in(names, given)
     if missing := [key for key in NEEDED if key not in found]:
         cause = f"no column is known for {', '.join(missing)} (it has {', '.join(names[:40])})"
         raise LogError(path, cause, cure=f'Name it in [sources.map] of the cell file: {missing[0]} = "COLUMN"')

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.adapter import ClockKind
-    from cyclekit_adapters.tasks.task_columns import Said
+    from cyclekit_adapters.tasks.task_columns import Settings
 
 _FIRST = 200
 _NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")
@@ -38,13 +38,13 @@ class Clocks:
     Attributes:
         clock: Kind of clock of starts and ends.
         plan: Reference of planned times: `clock` (same clock), `execution` (start of the execution), None (no plan).
-        said: What the user should know, one sentence each.
+        warnings: What the user should know, one sentence each.
         facts: Interpretation of each column.
     """
 
     clock: ClockKind
     plan: str | None
-    said: tuple[str, ...]
+    warnings: tuple[str, ...]
     facts: Mapping[str, str]
 
 
@@ -56,7 +56,7 @@ def cleaned(name: str) -> pl.Expr:
 
 
 def with_seconds(
-    path: Path, cells: pl.DataFrame, columns: Mapping[str, str], said: Said, *, decimal_comma: bool
+    path: Path, cells: pl.DataFrame, columns: Mapping[str, str], settings: Settings, *, decimal_comma: bool
 ) -> tuple[pl.DataFrame, Clocks]:
     """Return the cells with `start_s`, `end_s`, ... added for each time column, and the interpretation of the times.
 
@@ -64,25 +64,25 @@ def with_seconds(
         path: The log, for messages.
         cells: Texts, named after the fields; null where unknown.
         columns: Field -> column name in the log.
-        said: Unit and zone given in the cell file.
+        settings: Unit and zone given in the cell file.
         decimal_comma: Numbers may be written `0,5`.
 
     Raises:
         LogError: The time format cannot be determined.
     """
-    start = _times(path, cells, "start", columns, said, None, decimal_comma=decimal_comma)
-    read = {"start": start, "end": _times(path, cells, "end", columns, said, start, decimal_comma=decimal_comma)}
-    cells = cells.with_columns(_seconds(key, times, said.zone, decimal_comma) for key, times in read.items())
+    start = _times(path, cells, "start", columns, settings, None, decimal_comma=decimal_comma)
+    read = {"start": start, "end": _times(path, cells, "end", columns, settings, start, decimal_comma=decimal_comma)}
+    cells = cells.with_columns(_seconds(key, times, settings.zone, decimal_comma) for key, times in read.items())
     for key in (key for key in _PLAN if key in cells.columns):
-        read[key] = _times(path, cells, key, columns, said, start, decimal_comma=decimal_comma)
-    if _zone_named(start) != _zone_named(read["end"]) and said.zone is None and start.pattern:
+        read[key] = _times(path, cells, key, columns, settings, start, decimal_comma=decimal_comma)
+    if _zone_named(start) != _zone_named(read["end"]) and settings.zone is None and start.pattern:
         cause = f"only one of {columns['start']!r} and {columns['end']!r} names its time zone"
         raise LogError(path, cause, cure='Give the zone of the other: time_zone = "Europe/Rome" in [sources.map].')
     cells = cells.with_columns(
-        _seconds(key, times, said.zone, decimal_comma) for key, times in read.items() if key in _PLAN
+        _seconds(key, times, settings.zone, decimal_comma) for key, times in read.items() if key in _PLAN
     )
-    zoned = start.clock == "epoch" or (said.zone is not None and _dated(start))
-    plan = _plan_counts_from(cells, {key: _epoch(read[key], said) for key in _PLAN if key in read}, zoned=zoned)
+    zoned = start.clock == "epoch" or (settings.zone is not None and _dated(start))
+    plan = _plan_counts_from(cells, {key: _epoch(read[key], settings) for key in _PLAN if key in read}, zoned=zoned)
     if plan == "execution":
         begin = pl.col("start_s").min().over("execution") if "execution" in cells.columns else pl.col("start_s").min()
         cells = cells.with_columns(pl.col(f"{key}_s") + begin for key in _PLAN if key in read)
@@ -99,7 +99,7 @@ def _times(
     cells: pl.DataFrame,
     key: str,
     columns: Mapping[str, str],
-    said: Said,
+    settings: Settings,
     start: TimeColumn | None,
     *,
     decimal_comma: bool,
@@ -110,34 +110,34 @@ def _times(
         LogError: They are not times, or their unit is unknown.
     """
     name = columns[key]
-    shown = cells[key].drop_nulls()[:_FIRST].to_list()
-    if not shown:
+    sample = cells[key].drop_nulls()[:_FIRST].to_list()
+    if not sample:
         if start is None:
             raise LogError(path, f"no row has a start (column {name!r})", cure="Record again, or remove the file.")
         return replace(start, columns=(name,), why="empty")
-    unit, first = unit_of(name), shown[0]
-    times = times_of((name,), shown, unit, decimal_comma=decimal_comma)
+    unit, first = unit_of(name), sample[0]
+    times = times_of((name,), sample, unit, decimal_comma=decimal_comma)
     if times is None:  # some cells are garbled: their rows are checked one by one later
-        many = len(shown)
-        shown = [text for text in shown if times_of((name,), [text], unit, decimal_comma=decimal_comma)]
-        if 2 * len(shown) >= many:
-            times = times_of((name,), shown, unit, decimal_comma=decimal_comma)
+        count = len(sample)
+        sample = [text for text in sample if times_of((name,), [text], unit, decimal_comma=decimal_comma)]
+        if 2 * len(sample) >= count:
+            times = times_of((name,), sample, unit, decimal_comma=decimal_comma)
     if times is None:
         cause = f"the times of column {name!r} ({first[:40]!r}) are neither numbers nor dates in a known format"
         raise LogError(path, cause, cure="Write them as ISO 8601, 2024-05-01T10:00:00+02:00, or as seconds.")
-    if said.unit is not None and not times.pattern:
-        numbers = [float(text.replace(",", ".") if decimal_comma else text) for text in shown]
-        times = counted_in((name,), said.unit, "from the cell file", numbers, shown[0])
+    if settings.unit is not None and not times.pattern:
+        numbers = [float(text.replace(",", ".") if decimal_comma else text) for text in sample]
+        times = counted_in((name,), settings.unit, "from the cell file", numbers, sample[0])
     if times.seconds is None and key in _PLAN and start is not None and (start.pattern or start.clock == "epoch"):
         times = _by_size(times, cells, key)
     if times.seconds is None and start is not None and not start.pattern and start.seconds is not None:
         times = replace(times, seconds=start.seconds, why=f"in the unit of {start.columns[0]}")
     if times.seconds is None:
-        cause = f"the times of column {name!r} ({shown[0][:40]!r}) are ambiguous: {times.why}"
+        cause = f"the times of column {name!r} ({sample[0][:40]!r}) are ambiguous: {times.why}"
         raise LogError(path, cause, cure='Give time_unit = "s" (ms, us, ns) in [sources.map].')
     if _zone_named(times) is False and cells[key].str.contains(_ZONED).any():
         cause = f"some times of column {name!r} name their time zone and some do not"
-        if said.zone is None:
+        if settings.zone is None:
             raise LogError(path, cause, cure='Give the zone of the others: time_zone = "Europe/Rome" in [sources.map].')
     return times
 
@@ -164,8 +164,8 @@ def _dated(times: TimeColumn) -> bool:
     return "%d" in times.pattern or times.pattern == "iso"
 
 
-def _epoch(times: TimeColumn, said: Said) -> bool:
-    return times.clock == "epoch" or (said.zone is not None and _dated(times))
+def _epoch(times: TimeColumn, settings: Settings) -> bool:
+    return times.clock == "epoch" or (settings.zone is not None and _dated(times))
 
 
 def _seconds(key: str, times: TimeColumn, zone: str | None, decimal_comma: bool) -> pl.Expr:

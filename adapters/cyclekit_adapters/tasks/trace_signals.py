@@ -23,13 +23,13 @@ def is_real(data_type: str) -> bool:
 
 def are_states(values: Iterable[str]) -> bool:
     """Return whether all values of a variable are state words or integers; empty values are ignored."""
-    told = (value.strip() for value in values)
-    return all(not value or value.lower() in _STATES or _WHOLE.fullmatch(value) for value in told)
+    texts = (value.strip() for value in values)
+    return all(not value or value.lower() in _STATES or _WHOLE.fullmatch(value) for value in texts)
 
 
 def left_out(names: Sequence[str]) -> list[str]:
     """Return a message that lists the variables left out; empty if there are none."""
     if not names:
         return []
-    shown = ", ".join(name[:60] for name in names[:5]) + (", ..." if len(names) > 5 else "")
-    return [f"{len(names)} variables of real numbers are left out, since they measure: {shown}"]
+    listed = ", ".join(name[:60] for name in names[:5]) + (", ..." if len(names) > 5 else "")
+    return [f"{len(names)} variables of real numbers are left out, since they measure: {listed}"]

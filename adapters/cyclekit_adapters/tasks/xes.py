@@ -106,8 +106,13 @@ def _record(event: Record, execution: str | None) -> Record:
     """Return the fields of an event; its time is stored as `end` until the event proves to be a start."""
     found = columns_in([key for key in event if key not in ("concept:name", "time:timestamp", "org:resource")])
     record = {key: event[name] for key, name in found.items() if key in FIELDS}
-    told = {"task": "concept:name", "end": "time:timestamp", "agent": "org:resource", "instance": "concept:instance"}
-    record |= {key: event[name] for key, name in told.items() if name in event}
+    usual = {
+        "task": "concept:name",
+        "end": "time:timestamp",
+        "agent": "org:resource",
+        "instance": "concept:instance",
+    }
+    record |= {key: event[name] for key, name in usual.items() if name in event}
     return record | ({} if execution is None else {"execution": execution})
 
 

@@ -119,16 +119,16 @@ def _quotes_close(block: bytes, layout: TextLayout) -> bool:
     quotes = np.flatnonzero(raw == _QUOTE)
     if len(quotes) % 2:
         return False
-    beside = [ord(mark_between(layout)), _NEWLINE, _QUOTE]
+    neighbours = [ord(mark_between(layout)), _NEWLINE, _QUOTE]
     before = raw[quotes[0::2] - 1]  # the byte before the first one is the last one of the block, a line end
     after = raw[np.minimum(quotes[1::2] + 1, len(raw) - 1)]
-    return bool(np.isin(before, beside).all() and np.isin(after, [*beside, ord("\r")]).all())
+    return bool(np.isin(before, neighbours).all() and np.isin(after, [*neighbours, ord("\r")]).all())
 
 
 def _without_blank_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
     """Return the block without its blank lines, and the original number of each kept line, from 0, shape (N,)."""
     begins, ends, _ = _lines_of(block, None)
-    numbers = np.flatnonzero(_is_told(block, begins, ends))
+    numbers = np.flatnonzero(_non_blank(block, begins, ends))
     spans = zip(begins[numbers].tolist(), ends[numbers].tolist(), strict=True)
     return b"".join(block[begin : end + 1] for begin, end in spans), numbers
 
@@ -144,8 +144,8 @@ def short_lines(block: bytes, layout: TextLayout) -> tuple[NDArray[np.int64], ND
     if not len(fields) or fields.max() >= len(layout.names):
         return None
     there = np.flatnonzero(~np.isin(np.frombuffer(block, np.uint8), _WHITE))
-    told = np.flatnonzero(np.diff(np.searchsorted(there, ends), prepend=0))
-    return told, fields[told]
+    non_blank = np.flatnonzero(np.diff(np.searchsorted(there, ends), prepend=0))
+    return non_blank, fields[non_blank]
 
 
 def _lines_of(block: bytes, mark: bytes | None) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -159,7 +159,7 @@ def _lines_of(block: bytes, mark: bytes | None) -> tuple[NDArray[np.int64], NDAr
     return begins, ends, np.diff(np.searchsorted(marks, ends), prepend=0) + 1
 
 
-def _is_told(block: bytes, begins: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _non_blank(block: bytes, begins: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return a mask of the lines that hold more than a carriage return."""
     first = np.frombuffer(block, np.uint8)[begins]
     return np.asarray((ends > begins + 1) | ((ends == begins + 1) & (first != _RETURN)))
@@ -207,8 +207,8 @@ def _is_of_numbers(block: bytes, layout: TextLayout) -> bool:
         return False
     raw = np.frombuffer(block, np.uint8)
     ends = np.flatnonzero(raw == _NEWLINE)
-    beside = np.concatenate([raw[:1], raw[ends[:-1] + 1], raw[ends - 1]])
-    return bool(((beside != mark[0]) & (beside != _NEWLINE)).all())
+    neighbours = np.concatenate([raw[:1], raw[ends[:-1] + 1], raw[ends - 1]])
+    return bool(((neighbours != mark[0]) & (neighbours != _NEWLINE)).all())
 
 
 def _parsed(block: bytes, layout: TextLayout, wanted: Wanted) -> BlockTable | None:

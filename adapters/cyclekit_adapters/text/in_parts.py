@@ -64,8 +64,8 @@ def in_parts(
         raise nothing_usable(path, rows_read, pl.DataFrame() if aside is None else aside)
     done = finish(last)
     if unknown:
-        said = f"{unknown} values are written as NaN or infinity: unknown there"
-        done = replace(done, warnings=(*done.warnings, said))
+        message = f"{unknown} values are written as NaN or infinity: unknown there"
+        done = replace(done, warnings=(*done.warnings, message))
     yield done
 
 

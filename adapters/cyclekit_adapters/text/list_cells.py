@@ -62,10 +62,10 @@ class ListCells:
         inner = pl.col(column).str.extract(_SHAPE, 1).str.strip_chars()
         parts = inner.str.replace_all(_BETWEEN, CELL).str.split(CELL)
         rows = replace(rows, frame=rows.frame.with_columns(inner.alias(_LIST), parts.alias(_PARTS)))
-        told = rows.frame[column].is_not_null()
-        shown = _first(rows.frame.filter(told & rows.frame[_LIST].is_null()), column)
+        non_empty = rows.frame[column].is_not_null()
+        sample = _first(rows.frame.filter(non_empty & rows.frame[_LIST].is_null()), column)
         rows = rows.without(
-            told & rows.frame[_LIST].is_null(), f"{shown!r} in column {column!r} is not a list of numbers"
+            non_empty & rows.frame[_LIST].is_null(), f"{sample!r} in column {column!r} is not a list of numbers"
         )
         lengths = rows.frame[_PARTS].list.len()
         if column not in self._widths and (first := lengths.drop_nulls()[:1].to_list()):
@@ -85,8 +85,8 @@ def _with_number(rows: TextRows, column: str, place: int, name: str) -> TextRows
     number = known.cast(pl.Float64, strict=False)
     rows = replace(rows, frame=rows.frame.with_columns(pl.when(number.is_finite()).then(number).alias(name)))
     bad = rows.frame.select((known.is_not_null() & number.is_null()).alias("bad"))["bad"]
-    shown = _first(rows.frame.filter(bad), column)
-    return rows.without(bad, f"{shown!r} in column {column!r} holds a value that is not a number")
+    sample = _first(rows.frame.filter(bad), column)
+    return rows.without(bad, f"{sample!r} in column {column!r} holds a value that is not a number")
 
 
 def _first(frame: pl.DataFrame, column: str) -> str:

@@ -15,8 +15,8 @@ import numpy as np
 import polars as pl
 
 from cyclekit_adapters.text.block_table import BlockTable, short_lines, table_of
-from cyclekit_adapters.text.made_ahead import made_ahead
-from cyclekit_adapters.text.single_lines import as_texts, cells_of, is_name_line, is_torn, miscounted
+from cyclekit_adapters.text.parallel_map import parallel_map
+from cyclekit_adapters.text.single_lines import as_texts, cells_of, is_fragment, is_name_line, miscounted
 from cyclekit_adapters.text.text_rows import (
     CELL,
     INDEX,
@@ -49,7 +49,7 @@ class _Sorted:
     places: list[tuple[int, int]] = field(default_factory=list)
     aside: list[tuple[int, str]] = field(default_factory=list)
 
-    def doubt_last(self, place: tuple[int, int], reason: str) -> None:
+    def reject_last(self, place: tuple[int, int], reason: str) -> None:
         """Set the last kept row aside if it is at this position (line, row)."""
         if self.places and self.places[-1] == place:
             self.kept.pop()
@@ -66,9 +66,9 @@ class RowParser:
         line: Number of the next line in its file.
         skip: Number of lines still to skip.
         row: Number of the next data row.
-        ended: Reason why the table has ended: another table began; empty before that.
+        end_reason: Reason why the table has ended: another table began; empty before that.
         below_names: True if the next row is the first below a line of names, where a line of units may follow.
-        torn: True if the previous line was a fragment of a row, so the next one may be its remainder.
+        after_fragment: True if the previous line was a fragment of a row, so the next one may be its remainder.
     """
 
     layout: TextLayout
@@ -76,13 +76,13 @@ class RowParser:
     line: int = 1
     skip: int = 0
     row: int = field(default=0, init=False)
-    ended: str = field(default="", init=False)
+    end_reason: str = field(default="", init=False)
     below_names: bool = field(default=True, init=False)
-    torn: bool = field(default=False, init=False)
+    after_fragment: bool = field(default=False, init=False)
 
     def rows(self, blocks: Iterable[bytes]) -> Iterator[TextRows]:
         """Yield the rows of consecutive blocks of lines; only the last line of all may lack a line end."""
-        for block, table in made_ahead(self._pieces(blocks), self._table_of):
+        for block, table in parallel_map(self._pieces(blocks), self._table_of):
             yield from self._parsed(block, table)
 
     def _pieces(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
@@ -91,10 +91,10 @@ class RowParser:
         for block in blocks:
             block = self._below(block)
             line = block[: block.find(b"\n") + 1]
-            torn = bool(held) and self._is_torn(line)  # a fragment that may belong to the row above stays with it
+            fragment = bool(held) and self._is_fragment(line)  # stays with the row above
             if held:
-                yield held + line if torn else held
-            held = block[len(line) :] if torn else block
+                yield held + line if fragment else held
+            held = block[len(line) :] if fragment else block
         if held:
             yield held
 
@@ -123,7 +123,7 @@ class RowParser:
         if block.isspace():
             self.line += block.count(b"\n")
             return
-        if table is not None and not self.ended and not self.torn:
+        if table is not None and not self.end_reason and not self.after_fragment:
             yield self._at_once(table)
             return
         middle = self._middle(block)
@@ -131,16 +131,16 @@ class RowParser:
             yield self._all_aside(block) or self._one_by_one(block)
             return
         for half in (block[:middle], block[middle:]):
-            yield from self._halved(half, None if self.ended or self.torn else self._table_of(half))
+            yield from self._halved(half, None if self.end_reason or self.after_fragment else self._table_of(half))
 
     def _middle(self, block: bytes) -> int:
         """Return the offset at which to halve a block: after a line end, and not between a row and a fragment of it."""
         middle = block.find(b"\n", len(block) // 2) + 1
         after = block.find(b"\n", middle) + 1
-        return after if self._is_torn(block[middle:after]) else middle
+        return after if self._is_fragment(block[middle:after]) else middle
 
-    def _is_torn(self, line: bytes) -> bool:
-        return is_torn(line.decode("utf-8", "replace"), self.layout)
+    def _is_fragment(self, line: bytes) -> bool:
+        return is_fragment(line.decode("utf-8", "replace"), self.layout)
 
     def _at_once(self, table: BlockTable) -> TextRows:
         frame = table.placed(self.line, self.row)
@@ -153,12 +153,13 @@ class RowParser:
         if (found := short_lines(block, self.layout)) is None:
             return None
         lines, fields = found
-        said = {count: self.ended or miscounted(count, len(self.layout.names)) for count in np.unique(fields).tolist()}
-        reason = pl.Series("reason", fields).replace_strict(said, return_dtype=pl.String)
+        width, counts = len(self.layout.names), np.unique(fields).tolist()
+        reasons = {count: self.end_reason or miscounted(count, width) for count in counts}
+        reason = pl.Series("reason", fields).replace_strict(reasons, return_dtype=pl.String)
         none = self._rows(_Sorted(), len(lines))
         aside = pl.DataFrame([pl.Series("source_row", lines + self.line), reason], schema=SET_ASIDE)
         last = block[block.rfind(b"\n", 0, len(block) - 1) + 1 :]
-        self.torn = not self.ended and self._is_torn(last)
+        self.after_fragment = not self.end_reason and self._is_fragment(last)
         self.line, self.row = self.line + block.count(b"\n"), self.row + len(lines)
         return replace(none, set_aside=aside)
 
@@ -176,11 +177,11 @@ class RowParser:
         row, self.row = self.row, self.row + 1
         cells, reason = cells_of(text, self.layout)
         reason = self._as_names(cells, reason)
-        if self.torn and not reason:
+        if self.after_fragment and not reason:
             reason = "the line above it is a piece of a row, and this may be the rest of it"
-        self.torn = cells is None and is_torn(text, self.layout)
-        if self.torn:
-            found.doubt_last((self.line - 1, row - 1), "the line below it is a piece of a row, perhaps of this one")
+        self.after_fragment = cells is None and is_fragment(text, self.layout)
+        if self.after_fragment:
+            found.reject_last((self.line - 1, row - 1), "the line below it is a piece of a row, perhaps of this one")
         if cells is None or reason:
             found.aside.append((self.line, reason))
             return
@@ -195,18 +196,18 @@ class RowParser:
         not be mixed in. Words directly below the names are units or descriptions.
         """
         if cells is None or not cells.strip(_BLANKS):
-            return self.ended or reason
+            return self.end_reason or reason
         fields = [cell.strip().lstrip("\ufeff").strip('"') for cell in cells.split(CELL)]
         if self.layout.is_header(fields):
-            self.ended, self.below_names = "", True
+            self.end_reason, self.below_names = "", True
             return "the header is repeated"
-        if self.ended or not is_name_line(fields, self.layout, self.wanted.numbers):
-            return self.ended or reason
-        shown = ", ".join(fields)[:60]
+        if self.end_reason or not is_name_line(fields, self.layout, self.wanted.numbers):
+            return self.end_reason or reason
+        listed = ", ".join(fields)[:60]
         if self.below_names and not set(fields) & set(self.layout.names):
-            return f"words where numbers are expected, units or a second line of names: {shown}"
-        self.ended = f"another table begins in line {self.line} ({shown}): cut the file there to read it"
-        return self.ended
+            return f"words where numbers are expected, units or a second line of names: {listed}"
+        self.end_reason = f"another table begins in line {self.line} ({listed}): cut the file there to read it"
+        return self.end_reason
 
     def _rows(self, found: _Sorted, rows_read: int) -> TextRows:
         table = as_texts(found.kept, self.layout).select(self.wanted.columns)

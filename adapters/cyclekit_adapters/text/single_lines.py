@@ -56,16 +56,16 @@ def miscounted(found: int, width: int) -> str:
 
 def is_name_line(fields: Sequence[str], layout: TextLayout, numbers: Sequence[str]) -> bool:
     """Return whether a line holds words instead of all its numbers, as another header or a row of units does."""
-    told = [cell for cell in fields if cell.lower() not in UNKNOWN]
-    if len(fields) != len(layout.names) or len(told) < max(2, len(fields) // 2) or len(set(told)) < 2:
+    non_empty = [cell for cell in fields if cell.lower() not in UNKNOWN]
+    if len(fields) != len(layout.names) or len(non_empty) < max(2, len(fields) // 2) or len(set(non_empty)) < 2:
         return False
-    if any(_BEGINS_NUMBER.match(cell) or UNDECODED in cell or _is_number(cell, layout) for cell in told):
+    if any(_BEGINS_NUMBER.match(cell) or UNDECODED in cell or _is_number(cell, layout) for cell in non_empty):
         return False
     due = [cell for cell, name in zip(fields, layout.names, strict=True) if name in numbers]
     return any(cell.lower() not in UNKNOWN for cell in due)
 
 
-def is_torn(text: str, layout: TextLayout) -> bool:
+def is_fragment(text: str, layout: TextLayout) -> bool:
     """Return whether a line is only a number: the start or the end of a row that was torn inside its outermost cell."""
     return len(layout.names) > 1 and bool(_NUMBERISH.fullmatch(text.strip())) and mark_between(layout) not in text
 

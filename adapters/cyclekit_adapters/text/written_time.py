@@ -5,12 +5,30 @@ The adapters choose the pattern and decide how reliable a clock without a zone i
 
 from __future__ import annotations
 
+from zoneinfo import available_timezones
+
 import polars as pl
 
+from cyclekit.errors import UnknownName
+
+EPOCH_S = (9.4e8, 4.1e9)
+"""Plausible times of a log since 1970, s: the years 2000 to 2099."""
 _FIRST_YEAR = 1900
 """Earliest year of any log: `06.03.25` read with %Y would give the year 25."""
 _EXCEL_1970 = 25_569
 _EXCEL_FIRST, _EXCEL_LAST = 61, 73_050
+
+
+def checked_zone(zone: object, where: str) -> str | None:
+    """Return a time zone of the cell file; `where` names its section in messages.
+
+    Raises:
+        UnknownName: There is no such zone.
+    """
+    if zone is None or zone in available_timezones():
+        return None if zone is None else str(zone)
+    cure = "Use a name of the IANA list, for example Europe/Rome."
+    raise UnknownName(where, "time_zone", str(zone), available_timezones(), cure=cure)
 
 
 def written_seconds(text: pl.Expr, pattern: str, zone: str | None, *, zoned: bool = False) -> pl.Expr:

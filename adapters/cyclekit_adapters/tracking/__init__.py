@@ -1,1 +1,1 @@
-"""Code shared by logs of people: motion-capture headers, markers, joints, sightings, and one position per body."""
+"""Code shared by logs of people: motion-capture headers, markers, joints, counts, and one position per body."""

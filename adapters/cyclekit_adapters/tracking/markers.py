@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from cyclekit.adapter import ReadOptions
     from cyclekit_adapters.text.delimited import TextRows
-    from cyclekit_adapters.tracking.sightings import Sightings
+    from cyclekit_adapters.tracking.person_counts import PersonCounts
 
 _SIDE = "(?:l|r|left|right)"
 _PELVIS = re.compile(
@@ -198,7 +198,7 @@ def recording_of(
     points_m: NDArray[np.float64],
     t_s: pl.Series,
     rows: TextRows,
-    seen: Sightings,
+    seen: PersonCounts,
     *,
     options: ReadOptions,
     up: Literal["y", "z"],
@@ -230,18 +230,18 @@ def recording_of(
     )
 
 
-def marker_warnings(people: People, seen: Sightings) -> list[str]:
+def marker_warnings(people: People, seen: PersonCounts) -> list[str]:
     """Return warnings about the choice of markers, and the number of frames in which they were hidden."""
-    said = []
+    found = []
     if len(people.tracks) > 1:
-        said.append(f"{len(people.tracks)} bodies tracked ({', '.join(people.tracks)}): name the operator with `body`")
+        found.append(f"{len(people.tracks)} bodies tracked ({', '.join(people.tracks)}): name the operator with `body`")
     if "all markers" in people.point:
-        said.append(
+        found.append(
             "no marker has a known pelvis name: the person is the middle of all markers; set `body` or `markers`"
         )
     if any(len(members) > 1 for members in people.tracks.values()):
-        said.append("the person's position is the middle of the visible markers; it shifts when one is hidden")
-    return said + seen.hidden()
+        found.append("the person's position is the middle of the visible markers; it shifts when one is hidden")
+    return found + seen.unseen_messages()
 
 
 def marker_facts(people: People, names: Sequence[str]) -> dict[str, str]:

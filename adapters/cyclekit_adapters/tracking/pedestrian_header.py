@@ -90,7 +90,7 @@ def _step(rows: list[list[float]], names: tuple[str, ...]) -> float:
     return median(steps) if steps else 0.0
 
 
-def metres_if_they_can_be(path: Path, header: PedestrianHeader, rate_hz: float) -> str:
+def check_metres(path: Path, header: PedestrianHeader, rate_hz: float) -> str:
     """Return "m" for a table without a unit, if people then have plausible heights and speeds.
 
     Raises:
@@ -99,14 +99,14 @@ def metres_if_they_can_be(path: Path, header: PedestrianHeader, rate_hz: float) 
     rows = [row for row in _rows(head_of(path, 1 << 20), header) if len(row) >= len(header.names)]
     heights = [abs(row[header.names.index("z")]) for row in rows] if "z" in header.names else []
     speed_m_s = _step(rows, header.names) * rate_hz
-    said = ""
+    cause = ""
     if heights and median(heights) > _TALLEST_M:
-        said = f"in metres people would be {median(heights):.3g} m above the floor"
+        cause = f"in metres people would be {median(heights):.3g} m above the floor"
     elif speed_m_s > _FASTEST_M_S:
-        said = f"in metres people would move at {speed_m_s:.3g} m/s"
-    if said:
+        cause = f"in metres people would move at {speed_m_s:.3g} m/s"
+    if cause:
         raise LogError(
-            path, f"no unit is stated, and {said}", cure='Give it in [sources.map]: unit = "cm" (or "mm", "m").'
+            path, f"no unit is stated, and {cause}", cure='Give it in [sources.map]: unit = "cm" (or "mm", "m").'
         )
     return "m"
 

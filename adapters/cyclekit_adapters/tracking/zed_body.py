@@ -14,6 +14,7 @@ import numpy as np
 
 from cyclekit.errors import DamagedLog
 from cyclekit_adapters.text.json_parts import number, point, points
+from cyclekit_adapters.text.written_time import EPOCH_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,8 +51,6 @@ JOINTS: dict[int, tuple[str, ...]] = {
 }
 _PELVIS = {18: (8, 11), 34: (0,), 38: (0,)}
 _NECK = {18: 1, 34: 3, 38: 4}
-_SPAN_S = (9.4e8, 4.1e9)
-"""Plausible times since 1970, s: the years 2000 to 2099."""
 _ENOUGH = 5  # minimum number of keypoints for the size of a body
 _HIDDEN = ("SEARCHING", "TERMINATE", "2", "3")
 
@@ -97,7 +96,7 @@ def seconds_of(stamp: object) -> tuple[float, ClockKind] | None:
     if value is None or not 0.0 <= value < 1e19:
         return None
     for scale in (1, 10**3, 10**6, 10**9):
-        if _SPAN_S[0] <= value / scale <= _SPAN_S[1]:
+        if EPOCH_S[0] <= value / scale <= EPOCH_S[1]:
             return (stamp if isinstance(stamp, int) else value) / scale, "epoch"
     return value / 10**9, "uptime"
 

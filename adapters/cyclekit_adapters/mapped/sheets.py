@@ -87,8 +87,8 @@ def _guarded(path: Path, read: Callable[[], Read]) -> Read:
     except BaseException as error:
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
-        told = str(error).partition("\n")[0][:120]
-        raise DamagedLog(path, f"not a workbook that can be read ({told})", cure="Save it as .xlsx again.") from error
+        first = str(error).partition("\n")[0][:120]
+        raise DamagedLog(path, f"not a workbook that can be read ({first})", cure="Save it as .xlsx again.") from error
 
 
 @dataclass(frozen=True)
@@ -142,8 +142,8 @@ class SheetTable:
         table = table.with_columns(
             **{f"{_EXACT}{name}": floats[there[name]] for name in wanted.numbers if name in there}
         )
-        told = pl.any_horizontal(pl.col(wanted.columns).str.strip_chars() != "").fill_null(value=False)
-        table = table.with_row_index("source_row", offset=1).slice(self.skip).filter(told)
+        non_empty = pl.any_horizontal(pl.col(wanted.columns).str.strip_chars() != "").fill_null(value=False)
+        table = table.with_row_index("source_row", offset=1).slice(self.skip).filter(non_empty)
         table = table.with_row_index(INDEX).with_columns(pl.col("source_row", INDEX).cast(pl.Int64))
         layout = TextLayout(names, ";", 0, decimal_comma=self.comma)
         for block in table.iter_slices(_BLOCK):

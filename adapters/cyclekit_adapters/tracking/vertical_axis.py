@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-LOOKED_AT = 200
+FRAMES_USED = 200
 """Number of frames used."""
 _SIDE = "(?:left|right|l|r)?"
 _HIGH = re.compile(
@@ -29,7 +29,7 @@ _BODY_M = 0.3
 """Minimum distance between heads and feet along an axis, m; below it no person is upright."""
 
 
-def way_up(names: Sequence[str], points_m: NDArray[np.float64]) -> Literal["y", "z", "neither", ""]:
+def vertical_axis(names: Sequence[str], points_m: NDArray[np.float64]) -> Literal["y", "z", "neither", ""]:
     """Return the axis along which heads are above feet, "neither" for another direction, "" if unknown.
 
     Args:

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
-AT_ONCE = 2
+THREADS = 2
 """Number of worker threads: one computes while another waits; more would hold more blocks in memory."""
-BEGUN = AT_ONCE + 1
+MAX_PENDING = THREADS + 1
 """Maximum number of items in progress: one more than threads, so that no thread idles meanwhile."""
 
 
-def made_ahead(items: Iterable[Item], make: Callable[[Item], Made]) -> Iterator[tuple[Item, Made]]:
+def parallel_map(items: Iterable[Item], make: Callable[[Item], Made]) -> Iterator[tuple[Item, Made]]:
     """Yield each item with the result of `make`, in order, while the next results are computed.
 
     Items are taken in the caller's thread; results are computed in worker threads, unless there is only one item. An
@@ -35,15 +35,15 @@ def made_ahead(items: Iterable[Item], make: Callable[[Item], Made]) -> Iterator[
         yield from ((item, make(item)) for _, item in first)
         return
     waiting = deque[tuple[Item, Future[Made]]]()
-    with ThreadPoolExecutor(AT_ONCE, "made ahead") as workers:
+    with ThreadPoolExecutor(THREADS, "parallel map") as workers:
         try:
             for item in chain((item for _, item in first), coming):
                 waiting.append((item, workers.submit(make, item)))
-                if len(waiting) == BEGUN:
-                    begun, made = waiting.popleft()
-                    yield begun, made.result()
+                if len(waiting) == MAX_PENDING:
+                    item, made = waiting.popleft()
+                    yield item, made.result()
             while waiting:
-                begun, made = waiting.popleft()
-                yield begun, made.result()
+                item, made = waiting.popleft()
+                yield item, made.result()
         finally:
             workers.shutdown(cancel_futures=True)

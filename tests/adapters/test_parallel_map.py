@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cyclekit_adapters.text.delimited import TextLayout, joined, row_blocks
-from cyclekit_adapters.text.made_ahead import AT_ONCE, BEGUN, made_ahead
+from cyclekit_adapters.text.parallel_map import MAX_PENDING, THREADS, parallel_map
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,28 +20,28 @@ def test_results_come_with_their_items_and_in_their_order():
         time.sleep(0.0 if item % 2 else 0.002)
         return -item
 
-    assert list(made_ahead(range(30), later_for_even)) == [(item, -item) for item in range(30)]
-    assert list(made_ahead([], later_for_even)) == []
+    assert list(parallel_map(range(30), later_for_even)) == [(item, -item) for item in range(30)]
+    assert list(parallel_map([], later_for_even)) == []
 
 
 def test_one_item_alone_is_made_by_the_caller():
-    assert list(made_ahead([1], lambda _: threading.get_ident())) == [(1, threading.get_ident())]
-    assert dict(made_ahead([1, 2], lambda _: threading.get_ident()))[1] != threading.get_ident()
+    assert list(parallel_map([1], lambda _: threading.get_ident())) == [(1, threading.get_ident())]
+    assert dict(parallel_map([1, 2], lambda _: threading.get_ident()))[1] != threading.get_ident()
 
 
 def test_two_are_in_the_making_at_the_same_time():
     together = threading.Barrier(2, timeout=10.0)
-    assert len(list(made_ahead(range(2 * AT_ONCE), lambda _: together.wait()))) == 2 * AT_ONCE  # else it would break
+    assert len(list(parallel_map(range(2 * THREADS), lambda _: together.wait()))) == 2 * THREADS  # else it would break
 
 
 def test_two_are_in_the_making_while_the_caller_has_a_third():
-    together = threading.Barrier(AT_ONCE + 1, timeout=10.0)
+    together = threading.Barrier(THREADS + 1, timeout=10.0)
 
     def make(item: int) -> None:
         if item in (1, 2):
             together.wait()
 
-    for item, _ in made_ahead(range(5), make):
+    for item, _ in parallel_map(range(5), make):
         if item == 0:
             together.wait()  # else it would break
 
@@ -54,8 +54,8 @@ def test_no_more_items_are_taken_than_are_worked_on():
             taken.append(item)
             yield item
 
-    for item, _ in made_ahead(items(), str):
-        assert len(taken) - item <= BEGUN  # the rest of a log larger than memory is not in memory
+    for item, _ in parallel_map(items(), str):
+        assert len(taken) - item <= MAX_PENDING  # the rest of a log larger than memory is not in memory
 
 
 def test_an_error_comes_at_its_item_and_one_who_stops_leaves_no_thread():
@@ -64,12 +64,12 @@ def test_an_error_comes_at_its_item_and_one_who_stops_leaves_no_thread():
     def make(item: int) -> int:
         return 1 // (item - 3)
 
-    made = made_ahead(range(100), make)
+    made = parallel_map(range(100), make)
     assert [item for item, _ in (next(made), next(made), next(made))] == [0, 1, 2]
     with pytest.raises(ZeroDivisionError):
         next(made)
     assert threading.active_count() == before
-    stopped = made_ahead(range(100), str)
+    stopped = parallel_map(range(100), str)
     assert next(stopped) == (0, "0")
     stopped.close()  # type: ignore[attr-defined]
     assert threading.active_count() == before

@@ -19,7 +19,7 @@ _SHOWN = 40
 
 
 @dataclass
-class Sightings:
+class PersonCounts:
     """Counts over the rows so far.
 
     Attributes:
@@ -48,7 +48,7 @@ class Sightings:
         self.back += int(((t_s < before) if repeats else (t_s <= before)).sum())
         self._last_s = float(t_s[-1])
 
-    def hidden(self) -> list[str]:
+    def unseen_messages(self) -> list[str]:
         """Return messages with the number of frames in which each person is not seen."""
         return [
             f"{person!r} is not seen in {count} of {self.rows[person]} frames"

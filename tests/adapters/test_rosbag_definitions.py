@@ -7,7 +7,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from cyclekit_adapters.rosbag.decode import Decoder
 from cyclekit_adapters.rosbag.definitions import NoDefinition, types_of
-from cyclekit_adapters.rosbag.msg_text import FILLER, Unfamiliar, read_text
+from cyclekit_adapters.rosbag.msg_text import EMPTY_FIELD, UnsupportedText, read_text
 from cyclekit_adapters.rosbag.payloads import Channel, Payloads
 
 RULE = "=" * 80
@@ -21,7 +21,7 @@ def test_every_definition_of_a_distribution_is_read_as_the_library_reads_it(dist
         text, digest = store.generate_msgdef(kind, ros_version=1 if ros1 else 2)
         ours = read_text(text, kind)
         for name, (_, fields) in get_types_from_msg(text, kind).items():
-            assert ours.fields[name] == (fields or [(FILLER, (BASE, ("uint8", 0)))])
+            assert ours.fields[name] == (fields or [(EMPTY_FIELD, (BASE, ("uint8", 0)))])
         assert not ros1 or "builtin_interfaces" in kind or ours.digest(kind) == digest
 
 
@@ -65,13 +65,13 @@ bool flag
 
 @pytest.mark.parametrize("text", ["wstring a", "@key\nint32 a", "Unknown a", "int32 a\nint32 a", "?"])
 def test_what_is_not_of_the_plain_form_is_left_to_the_library(text):
-    with pytest.raises(Unfamiliar):
+    with pytest.raises(UnsupportedText):
         read_text(text, "pkg/msg/Outer")
 
 
 def test_a_definition_that_only_the_library_can_read_is_read_by_it():
     text = "@optional\nfloat64 x\n"
-    with pytest.raises(Unfamiliar):
+    with pytest.raises(UnsupportedText):
         read_text(text, "pkg/msg/Outer")
     channel = Channel(1, "/t", "pkg/msg/Outer", text)
     assert types_of(channel).fields["pkg/msg/Outer"] == [("x", (BASE, ("float64", 0)))]

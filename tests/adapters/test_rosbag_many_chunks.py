@@ -11,7 +11,7 @@ from bag_files import write_mcap
 from cyclekit.adapter import ReadOptions
 from cyclekit.ingest.registry import adapter_named
 from cyclekit_adapters.rosbag.chunks import Chunk, ChunkedFile, _in_blocks
-from cyclekit_adapters.rosbag.mcap_file import look
+from cyclekit_adapters.rosbag.mcap_file import open_file
 
 if TYPE_CHECKING:
     import pytest
@@ -65,7 +65,7 @@ def test_tiny_chunks_give_the_same_messages_as_large_ones(tmp_path: Path):
     tiny, large = tmp_path / "tiny.mcap", tmp_path / "large.mcap"
     write_mcap(tiny, 300, chunk_size=1)
     write_mcap(large, 300, chunk_size=1 << 20)
-    assert len(look(tiny).chunks) > 100 * len(look(large).chunks)
+    assert len(open_file(tiny).chunks) > 100 * len(open_file(large).chunks)
     found = []
     for path in (tiny, large):
         parts = list(adapter_named("rosbag").parts(path, ReadOptions()))

@@ -13,53 +13,53 @@ import numpy as np
 import numpy.typing as npt
 
 from cyclekit_adapters.rosbag.envelope import middle
-from cyclekit_adapters.rosbag.transforms import Array, FrameTransforms, Step
+from cyclekit_adapters.rosbag.transforms import Array, FrameTransforms, Link
 
 NEAR_S = 0.5
 """Maximum time, s, between a moving transform and the requested time; at least two of its periods."""
 
 
-def leading(way: Sequence[Step]) -> FrameTransforms:
+def reference_link(chain: Sequence[Link]) -> FrameTransforms:
     """Return the link whose times are used for the tool: the one published most often."""
-    return max((step.link for step in way), key=lambda link: link.times.size)
+    return max((link.transforms for link in chain), key=lambda transforms: transforms.times.size)
 
 
-def followed(way: Sequence[Step], at_s: Array) -> tuple[Array, Array]:
+def pose_along(chain: Sequence[Link], at_s: Array) -> tuple[Array, Array]:
     """Return position and rotation of the frame at the end of a chain, relative to its start.
 
     Args:
-        way: Links from the first frame to the last; empty if both are the same.
+        chain: Links from the first frame to the last; empty if both are the same.
         at_s: Times, shape (T,), s.
 
     Returns:
         Positions, shape (T, 3), m, and rotations, shape (T, 4); NaN where a link is unknown.
     """
-    place, turn = np.zeros((at_s.size, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (at_s.size, 1))
-    for step in way:
-        pose = _pose(step.link, at_s)
-        move, rotation = pose[:, :3], pose[:, 3:]
-        if step.back:
-            rotation = rotation * [-1.0, -1.0, -1.0, 1.0]
-            move = -rotate(rotation, move)
-        place = place + rotate(turn, move)
-        turn = _multiply(turn, rotation)
-    return place, turn
+    position, rotation = np.zeros((at_s.size, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (at_s.size, 1))
+    for link in chain:
+        pose = _pose(link.transforms, at_s)
+        offset, turn = pose[:, :3], pose[:, 3:]
+        if link.inverse:
+            turn = turn * [-1.0, -1.0, -1.0, 1.0]
+            offset = -rotate(turn, offset)
+        position = position + rotate(rotation, offset)
+        rotation = _multiply(rotation, turn)
+    return position, rotation
 
 
-def brought(way: Sequence[Step], at_s: Array, places: Array) -> Array:
+def transformed(chain: Sequence[Link], at_s: Array, positions: Array) -> Array:
     """Transform positions from the frame at the end of a chain to the frame at its start.
 
     Args:
-        way: Links from the first frame to the last.
+        chain: Links from the first frame to the last.
         at_s: Time of each row, shape (T,), s.
-        places: Positions, shape (T, 3) or (T, K, 3), m; NaN stays NaN.
+        positions: Positions, shape (T, 3) or (T, K, 3), m; NaN stays NaN.
     """
-    place, turn = followed(way, at_s)
-    if places.ndim == 2:
-        return place + rotate(turn, places)
-    count = places.shape[1]
-    flat = rotate(np.repeat(turn, count, axis=0), places.reshape(-1, 3))
-    return place[:, None, :] + flat.reshape(places.shape)
+    origin, rotation = pose_along(chain, at_s)
+    if positions.ndim == 2:
+        return origin + rotate(rotation, positions)
+    count = positions.shape[1]
+    flat = rotate(np.repeat(rotation, count, axis=0), positions.reshape(-1, 3))
+    return origin[:, None, :] + flat.reshape(positions.shape)
 
 
 def _pose(link: FrameTransforms, at_s: Array) -> Array:
@@ -86,11 +86,11 @@ def _nearest(times: Array, wanted: Array) -> npt.NDArray[np.int64]:
     return chosen
 
 
-def rotate(turn: Array, move: Array) -> Array:
+def rotate(rotation: Array, vectors: Array) -> Array:
     """Return vectors (T, 3) rotated by quaternions (T, 4)."""
-    axis, scalar = turn[:, :3], turn[:, 3:]
-    twice = 2.0 * np.cross(axis, move)
-    rotated: Array = move + scalar * twice + np.cross(axis, twice)
+    axis, scalar = rotation[:, :3], rotation[:, 3:]
+    twice = 2.0 * np.cross(axis, vectors)
+    rotated: Array = vectors + scalar * twice + np.cross(axis, twice)
     return rotated
 
 

@@ -77,8 +77,8 @@ class Chosen:
     def fact(self) -> str:
         """Return a description of the choice."""
         if self.line is None:
-            said = f", received at least {self.least_s:.3f} s later" if self.least_s is not None else ""
-            return f"{'header stamp' if self.how == 'header' else 'receive time'} ({self.why}{said})"
+            delay = f", received at least {self.least_s:.3f} s later" if self.least_s is not None else ""
+            return f"{'header stamp' if self.how == 'header' else 'receive time'} ({self.why}{delay})"
         line = self.line
         return (
             f"lower-envelope: header stamp * {line.rate:.9f} {line.offset_s:+.4f} s, typically {line.delay_s:.4f} s "
@@ -248,7 +248,7 @@ def simulated(source_s: Array, clock_receive_s: Array, clock_s: Array) -> Array:
         clock_s: Values of `/clock`, shape (M,), s.
     """
     order: npt.NDArray[np.int64] = np.argsort(clock_receive_s, kind="stable")
-    at, said = clock_receive_s[order], clock_s[order]
-    inside: Array = np.interp(source_s, at, said)
+    at, shown = clock_receive_s[order], clock_s[order]
+    inside: Array = np.interp(source_s, at, shown)
     inside += np.minimum(source_s - at[0], 0.0) + np.maximum(source_s - at[-1], 0.0)
     return inside

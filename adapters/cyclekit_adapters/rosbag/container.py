@@ -24,7 +24,7 @@ from cyclekit_adapters.rosbag.first_bytes import MCAP, ROS1, SQLITE, head
 from cyclekit_adapters.rosbag.folder import Folder, folder_of
 from cyclekit_adapters.rosbag.known import KNOWN
 from cyclekit_adapters.rosbag.payloads import BagFile, Channel, Damage, Ints
-from cyclekit_adapters.rosbag.undefined import decide
+from cyclekit_adapters.rosbag.undefined import find_layout
 
 _LFS = b"version https://git-lfs.github.com/spec/"
 _AGAIN = "Copy it again from where it was recorded"
@@ -133,13 +133,13 @@ class Bag:
         ordered = sorted(range(len(self.files)), key=lambda place: (begins.get(place, 0), place))
         return {place: rank for rank, place in enumerate(ordered)}
 
-    def settle(self, topics: set[str]) -> dict[str, str]:
+    def resolve_layouts(self, topics: set[str]) -> dict[str, str]:
         """Determine the layout of topics without a definition; return unreadable topics with reasons."""
         lost: dict[str, str] = {}
         for file in self.files:
             for number, channel in file.channels.items():
                 if channel.topic in topics and not _is_defined(channel) and channel.notation != "known":
-                    verdict = decide(file, channel) if channel.kind in KNOWN and channel.coding == "cdr" else None
+                    verdict = find_layout(file, channel) if channel.kind in KNOWN and channel.coding == "cdr" else None
                     if verdict is None:
                         lost[channel.topic] = f"its type {channel.kind} is defined neither in the bag nor in ROS"
                     elif verdict.channel is None:
@@ -173,7 +173,7 @@ def opened(path: Path) -> Iterator[Bag]:
     for file in folder.files:
         _check(file)
     try:
-        files = [library_file.look(path)] if folder.compressed else [_look(file) for file in folder.files]
+        files = [library_file.open_file(path)] if folder.compressed else [_open_file(file) for file in folder.files]
     except LogError:
         raise
     except Exception as error:
@@ -202,13 +202,13 @@ def _check(file: Path) -> None:
         raise DamagedLog(file, "its content is not a ROS 1 bag, an mcap or a sqlite3 bag", cure=f"{_AGAIN}.")
 
 
-def _look(file: Path) -> BagFile:
+def _open_file(file: Path) -> BagFile:
     first = head(file, 64)
     if first.startswith(ROS1):
-        return ros1_file.look(file)
+        return ros1_file.open_file(file)
     if first.startswith(MCAP):
-        return mcap_file.look(file)
-    return sqlite_file.look(file)
+        return mcap_file.open_file(file)
+    return sqlite_file.open_file(file)
 
 
 def damaged(path: Path, error: Exception) -> DamagedLog:

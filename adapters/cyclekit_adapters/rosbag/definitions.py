@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from cyclekit_adapters.rosbag.known import known
-from cyclekit_adapters.rosbag.msg_text import Description, Fields, Unfamiliar, item_of, read_text
+from cyclekit_adapters.rosbag.msg_text import Description, Fields, UnsupportedText, item_of, read_text
 from cyclekit_adapters.rosbag.payloads import Channel
 
 _RULE = "=" * 80 + "\n"
@@ -126,7 +126,7 @@ def _types(kind: str, definition: str, notation: str, coding: str, digest: str) 
                 texts = read_text(definition, kind)
                 if not expected or texts.digest(kind) == expected:
                     return Types(texts.fields)
-            except (Unfamiliar, RecursionError):
+            except (UnsupportedText, RecursionError):
                 pass
         try:
             return _by_the_library(kind, definition, notation, expected)

@@ -31,7 +31,7 @@ def facts_of(bag: Bag, roles: Roles, contents: Contents, frames: Frames, *, is_s
         "program_running": roles.running or "not recorded",
         "people": ", ".join([*roles.people, *(["body_<id> in transforms"] if roles.bodies else [])]) or "none",
         "events": ", ".join(roles.events) or "none",
-        **{f"layout of {topic}": said for topic, said in sorted(bag.layouts.items())},
+        **{f"layout of {topic}": reason for topic, reason in sorted(bag.layouts.items())},
         **_rows(bag, roles, contents),
         "skipped_topics": ", ".join(unused) or "none",
     }
@@ -53,7 +53,9 @@ def _times(contents: Contents) -> dict[str, str]:
     chosen = contents.times.chosen
     ways = Counter(_HOW[one.how] for one in chosen.values())
     reasons = dict.fromkeys(one.why for one in chosen.values() if one.how == "receive")
-    why = [f"{said} on {', '.join(sorted(name for name in chosen if chosen[name].why == said))}" for said in reasons]
+    why = [
+        f"{reason} on {', '.join(sorted(name for name in chosen if chosen[name].why == reason))}" for reason in reasons
+    ]
     if contents.times.own:
         why = ["the header stamps share one clock, which is not the recorder's"]
     return {
@@ -64,12 +66,13 @@ def _times(contents: Contents) -> dict[str, str]:
 
 
 def _frames(roles: Roles, contents: Contents, frames: Frames) -> dict[str, str]:
-    said = {topic: contents.frame_of(topic) for topic in sorted(contents.tracks)}
-    named = ", ".join(f"{topic}: {frame}" for topic, frame in said.items() if frame)
-    ways = [described(way, frames.base) for way in frames.people.values()]
-    ways += [described(body.way, str(body.way[0].link.parent)) for body in frames.bodies if body.way and not body.joint]
-    stay = sorted(frames.adrift | frames.kept)
-    whose = "; ".join([*(f"transforms {way}" for way in ways), *stay]) or "that of the robot's base"
+    by_topic = {topic: contents.frame_of(topic) for topic in sorted(contents.tracks)}
+    named = ", ".join(f"{topic}: {frame}" for topic, frame in by_topic.items() if frame)
+    chains = [described(chain, frames.base) for chain in frames.people.values()]
+    whole = [body.chain for body in frames.bodies if body.chain and not body.joint]
+    chains += [described(chain, chain[0].transforms.parent) for chain in whole]
+    others = sorted(frames.unconnected | frames.given)
+    whose = "; ".join([*(f"transforms {chain}" for chain in chains), *others]) or "that of the robot's base"
     return {
         "tcp": roles.tcp or (f"transforms {described(frames.tool, frames.base)}" if frames.tool else "none"),
         "frames": named or "none",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit_adapters.rosbag.chain import brought
+from cyclekit_adapters.rosbag.chain import transformed
 from cyclekit_adapters.rosbag.joints import of_human
 from cyclekit_adapters.rosbag.people import Persons
 from cyclekit_adapters.rosbag.transforms import BASES, Array, is_named
@@ -21,7 +21,7 @@ from cyclekit_adapters.rosbag.transforms import BASES, Array, is_named
 if TYPE_CHECKING:
     from cyclekit_adapters.rosbag.roles import Roles
     from cyclekit_adapters.rosbag.tracks import Contents
-    from cyclekit_adapters.rosbag.transforms import FrameTransforms, Step
+    from cyclekit_adapters.rosbag.transforms import FrameTransforms, Link
 
 
 @dataclass(frozen=True)
@@ -30,18 +30,18 @@ class TransformedBody:
 
     Attributes:
         person: Id of the body.
-        way: Links from the frame of the output positions.
+        chain: Links from the frame of the output positions.
         joint: Name of the joint; empty for the body.
     """
 
     person: str
-    way: list[Step]
+    chain: list[Link]
     joint: str = ""
 
     @property
     def link(self) -> FrameTransforms:
         """The link whose times are those of the track."""
-        return self.way[-1].link
+        return self.chain[-1].transforms
 
 
 @dataclass
@@ -51,32 +51,32 @@ class Frames:
     Attributes:
         base: The robot's base frame; empty if unknown.
         tool: Links from base to tool, if no topic holds the TCP.
-        rivals: Tool frames, if the transforms lead to several arms equally.
+        ambiguous: Tool frames, if the transforms lead to several arms equally.
         people: Links from the base to each other frame of people.
-        adrift: Frames of people without a connection to the base.
-        kept: Frames of people that are kept, because the cell file gives their pose.
+        unconnected: Frames of people without a connection to the base.
+        given: Frames of people whose pose the cell file gives; positions stay in them.
         bodies: Bodies among the transforms and, if requested, their joints.
     """
 
     base: str = ""
-    tool: list[Step] = field(default_factory=list)
-    rivals: list[str] = field(default_factory=list)
-    people: dict[str, list[Step]] = field(default_factory=dict)
-    adrift: set[str] = field(default_factory=set)
-    kept: set[str] = field(default_factory=set)
+    tool: list[Link] = field(default_factory=list)
+    ambiguous: list[str] = field(default_factory=list)
+    people: dict[str, list[Link]] = field(default_factory=dict)
+    unconnected: set[str] = field(default_factory=set)
+    given: set[str] = field(default_factory=set)
     bodies: list[TransformedBody] = field(default_factory=list)
 
     def links(self) -> list[FrameTransforms]:
         """Return all moving links, each once."""
-        ways = [self.tool, *self.people.values(), *(body.way for body in self.bodies)]
-        found = {id(step.link): step.link for way in ways for step in way}
+        chains = [self.tool, *self.people.values(), *(body.chain for body in self.bodies)]
+        found = {id(link.transforms): link.transforms for chain in chains for link in chain}
         own = {id(body.link) for body in self.bodies}
         return [link for key, link in found.items() if key in own or not link.is_still()]
 
     def placed(self, frame: str, at_s: Array, places: Array) -> Array:
         """Return positions of people, shape (T, 3) or (T, K, 3), m, in the output frame."""
-        way = self.people.get(frame.strip("/"))
-        return brought(way, at_s, places) if way else places
+        chain = self.people.get(frame.strip("/"))
+        return transformed(chain, at_s, places) if chain else places
 
 
 def find_frames(contents: Contents, roles: Roles, *, skeletons: bool, frame_given: bool) -> Frames:
@@ -89,26 +89,26 @@ def find_frames(contents: Contents, roles: Roles, *, skeletons: bool, frame_give
         frame_given: Whether the cell file gives the pose of the log's frame.
     """
     tree, frames = contents.transforms, Frames()
-    if roles.tcp not in contents.tracks and (found := tree.tool_way(roles.base_frame, roles.tool_frame)):
+    if roles.tcp not in contents.tracks and (found := tree.tool_chain(roles.base_frame, roles.tool_frame)):
         frames.base, frames.tool, others = found
-        frames.rivals = sorted([frames.tool[-1].link.child, *others]) if others else []
+        frames.ambiguous = sorted([frames.tool[-1].transforms.child, *others]) if others else []
     frames.base = (roles.base_frame or contents.frame_of(roles.tcp) or frames.base).strip("/")
     seen = sorted(set(_people_frames(contents, roles)))
     candidates = [frames.base] if frames.base else tree.bases(None)
     for frame in seen:
-        base = frames.base or next((base for base in candidates if tree.way(base, frame) is not None), "")
+        base = frames.base or next((base for base in candidates if tree.chain(base, frame) is not None), "")
         base = base or next((frame for name in BASES if is_named(frame, name)), "")
-        way = tree.way(base, frame) if base else None
+        chain = tree.chain(base, frame) if base else None
         if frame_given:
-            frames.kept.add(frame)
-        elif way is None:
-            frames.adrift.add(frame)
-        elif way:
-            frames.people[frame] = way
+            frames.given.add(frame)
+        elif chain is None:
+            frames.unconnected.add(frame)
+        elif chain:
+            frames.people[frame] = chain
             frames.base = base
     if roles.bodies:
         _add_bodies(contents, frames, candidates, skeletons=skeletons, frame_given=frame_given)
-    contents.warnings += _said(contents, frames)
+    contents.warnings += _warnings(contents, frames)
     return frames
 
 
@@ -124,34 +124,34 @@ def _add_bodies(
 ) -> None:
     tree = contents.transforms
     for person, body in tree.bodies().items():
-        begin = "" if frame_given else next((base for base in candidates if tree.way(base, body)), "")
+        begin = "" if frame_given else next((base for base in candidates if tree.chain(base, body)), "")
         frames.base = frames.base or begin
         if not begin:
             begin = tree.root(body)
-            (frames.kept if frame_given else frames.adrift).add(begin)
-        frames.bodies.append(TransformedBody(person, tree.way(begin, body) or []))
+            (frames.given if frame_given else frames.unconnected).add(begin)
+        frames.bodies.append(TransformedBody(person, tree.chain(begin, body) or []))
         for child in sorted(tree.links) if skeletons else []:
             joint = of_human(child, person)
-            if joint and (way := tree.way(begin, child)):
-                frames.bodies.append(TransformedBody(person, way, joint))
+            if joint and (chain := tree.chain(begin, child)):
+                frames.bodies.append(TransformedBody(person, chain, joint))
 
 
-def _said(contents: Contents, frames: Frames) -> Iterator[str]:
-    if frames.adrift:
-        names = ", ".join(repr(name) for name in sorted(frames.adrift))
+def _warnings(contents: Contents, frames: Frames) -> Iterator[str]:
+    if frames.unconnected:
+        names = ", ".join(repr(name) for name in sorted(frames.unconnected))
         of = f"the robot's base ({frames.base!r})" if frames.base else "the robot's base"
         yield f"no transforms from {of} to the people: they are in frame {names}; give frame in cell.toml"
-    used = {step.link.child for way in (frames.tool, *frames.people.values()) for step in way}
-    used |= {step.link.child for body in frames.bodies for step in body.way}
-    for child in sorted(used & set(contents.transforms.rivals)):
+    used = {link.transforms.child for chain in (frames.tool, *frames.people.values()) for link in chain}
+    used |= {link.transforms.child for body in frames.bodies for link in body.chain}
+    for child in sorted(used & set(contents.transforms.several_parents)):
         taken = contents.transforms.links[child].parent
-        parents = ", ".join(repr(name) for name in contents.transforms.rivals[child])
+        parents = ", ".join(repr(name) for name in contents.transforms.several_parents[child])
         yield f"frame {child!r} has several parents ({parents}): {taken!r}, the most frequent, is used"
 
 
-def described(way: list[Step], begin: str) -> str:
+def described(chain: list[Link], begin: str) -> str:
     """Return a chain as text: `base <- world <- camera`."""
-    return " <- ".join([begin, *map(str, way)])
+    return " <- ".join([begin, *map(str, chain)])
 
 
 def unknown(places: Array) -> int:

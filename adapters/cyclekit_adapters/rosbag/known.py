@@ -13,7 +13,7 @@ RULE = "=" * 80
 
 
 @dataclass(frozen=True)
-class Known:
+class HistoricLayout:
     """A historic layout of a type.
 
     Attributes:
@@ -48,10 +48,10 @@ def _controller(*names: str, many: bool = True, scaling: bool = False) -> str:
 
 _PRESENT = ("reference", "feedback", "error", "output")
 _CONTROLLERS = (
-    Known("control_msgs up to 3", _controller("desired", "actual", "error", many=False)),
-    Known("control_msgs 4.4, Humble", _controller(*_PRESENT, "desired", "actual")),
-    Known("control_msgs 5.0", _controller(*_PRESENT)),
-    Known("control_msgs 5.3, Jazzy", _controller(*_PRESENT, scaling=True)),
+    HistoricLayout("control_msgs up to 3", _controller("desired", "actual", "error", many=False)),
+    HistoricLayout("control_msgs 4.4, Humble", _controller(*_PRESENT, "desired", "actual")),
+    HistoricLayout("control_msgs 5.0", _controller(*_PRESENT)),
+    HistoricLayout("control_msgs 5.3, Jazzy", _controller(*_PRESENT, scaling=True)),
 )
 
 
@@ -122,11 +122,11 @@ def _objects(package: str, joints: int, *, form: bool, confidence: bool) -> str:
     return _joined(head, **{f"{package}__{name}": text for name, text in parts.items()})
 
 
-def _zed(package: str) -> tuple[Known, ...]:
+def _zed(package: str) -> tuple[HistoricLayout, ...]:
     return (
-        Known("ZED SDK 3, 18 joints", _objects(package, 18, form=False, confidence=False)),
-        Known("ZED SDK 4, 70 joints", _objects(package, 70, form=True, confidence=False)),
-        Known("ZED SDK 5, 70 joints", _objects(package, 70, form=True, confidence=True)),
+        HistoricLayout("ZED SDK 3, 18 joints", _objects(package, 18, form=False, confidence=False)),
+        HistoricLayout("ZED SDK 4, 70 joints", _objects(package, 70, form=True, confidence=False)),
+        HistoricLayout("ZED SDK 5, 70 joints", _objects(package, 70, form=True, confidence=True)),
     )
 
 
@@ -136,33 +136,36 @@ def _io_states(analog: str) -> str:
     return _joined(parts, ur_msgs__Digital="uint8 pin\nbool state", ur_msgs__Analog=analog)
 
 
-KNOWN: dict[str, tuple[Known, ...]] = {
-    "ur_dashboard_msgs/msg/RobotMode": (Known("ur_dashboard_msgs", "int8 mode"),),
-    "ur_dashboard_msgs/msg/SafetyMode": (Known("ur_dashboard_msgs", "uint8 mode"),),
+KNOWN: dict[str, tuple[HistoricLayout, ...]] = {
+    "ur_dashboard_msgs/msg/RobotMode": (HistoricLayout("ur_dashboard_msgs", "int8 mode"),),
+    "ur_dashboard_msgs/msg/SafetyMode": (HistoricLayout("ur_dashboard_msgs", "uint8 mode"),),
     "ur_msgs/msg/IOStates": (
-        Known("ur_msgs", _io_states("uint8 pin\nuint8 domain\nfloat32 state")),
-        Known("ur_msgs without domains", _io_states("uint8 pin\nfloat32 state")),
+        HistoricLayout("ur_msgs", _io_states("uint8 pin\nuint8 domain\nfloat32 state")),
+        HistoricLayout("ur_msgs without domains", _io_states("uint8 pin\nfloat32 state")),
     ),
     "control_msgs/msg/JointTrajectoryControllerState": _CONTROLLERS,
-    "control_msgs/msg/SpeedScalingFactor": (Known("control_msgs", "float64 factor"),),
+    "control_msgs/msg/SpeedScalingFactor": (HistoricLayout("control_msgs", "float64 factor"),),
     "spencer_tracking_msgs/msg/TrackedPersons": (
-        Known("spencer_tracking_msgs", _tracked()),
-        Known("spencer_tracking_msgs with detection_ids", _tracked("uint64[] detection_ids")),
+        HistoricLayout("spencer_tracking_msgs", _tracked()),
+        HistoricLayout("spencer_tracking_msgs with detection_ids", _tracked("uint64[] detection_ids")),
     ),
     "people_msgs/msg/People": (
-        Known("people_msgs", _joined("std_msgs/Header header\nPerson[] people", people_msgs__Person=_PERSON)),
+        HistoricLayout("people_msgs", _joined("std_msgs/Header header\nPerson[] people", people_msgs__Person=_PERSON)),
     ),
-    "people_msgs/msg/PositionMeasurement": (Known("people_msgs", _LEG),),
+    "people_msgs/msg/PositionMeasurement": (HistoricLayout("people_msgs", _LEG),),
     "people_msgs/msg/PositionMeasurementArray": (
-        Known("people_msgs", _joined(_LEGS, people_msgs__PositionMeasurement=_LEG)),
+        HistoricLayout("people_msgs", _joined(_LEGS, people_msgs__PositionMeasurement=_LEG)),
     ),
     "zed_msgs/msg/ObjectsStamped": _zed("zed_msgs"),
     "zed_interfaces/msg/ObjectsStamped": _zed("zed_interfaces"),
-    "visualization_msgs/msg/MarkerArray": (Known("Galactic and later"), Known("up to Foxy", distribution="foxy")),
+    "visualization_msgs/msg/MarkerArray": (
+        HistoricLayout("Galactic and later"),
+        HistoricLayout("up to Foxy", distribution="foxy"),
+    ),
 }
 """Layouts by type; the markers of ROS 2 itself also changed once."""
 
 
-def known(kind: str, name: str) -> Known:
+def known(kind: str, name: str) -> HistoricLayout:
     """Return a layout by its name."""
     return next(layout for layout in KNOWN[kind] if layout.name == name)

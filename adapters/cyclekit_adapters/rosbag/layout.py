@@ -20,7 +20,7 @@ import numpy.typing as npt
 from rosbags.interfaces import Nodetype
 
 from cyclekit_adapters.rosbag.definitions import Types
-from cyclekit_adapters.rosbag.msg_text import FILLER, Description
+from cyclekit_adapters.rosbag.msg_text import EMPTY_FIELD, Description
 from cyclekit_adapters.rosbag.payloads import Bytes
 
 Path = tuple[str | int, ...]
@@ -164,7 +164,7 @@ class _Walk:
     def message(self, kind: str, path: Path) -> SimpleNamespace:
         content = SimpleNamespace()
         for name, description in self.types.fields[kind]:
-            if self.cdr or name != FILLER:
+            if self.cdr or name != EMPTY_FIELD:
                 setattr(content, name, self.field(description, (*path, name)))
         return content
 

@@ -43,7 +43,7 @@ class LibraryFile:
             yield {number: _joined(rows) for number, rows in kept.items()}
 
 
-def look(path: Path) -> LibraryFile:
+def open_file(path: Path) -> LibraryFile:
     """Return the content of a compressed folder; passes on any error of the library for a damaged one."""
     found = LibraryFile(path)
     with Reader(path) as reader:

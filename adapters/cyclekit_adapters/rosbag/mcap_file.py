@@ -68,7 +68,7 @@ class _Records:
 
 
 @dataclass
-class _Survey:
+class _Index:
     """Findings so far."""
 
     found: ChunkedFile
@@ -120,14 +120,14 @@ class _Survey:
             self.channel(body)
 
 
-def look(path: Path) -> ChunkedFile:
+def open_file(path: Path) -> ChunkedFile:
     """Return the content of an mcap, as far as it is readable.
 
     Raises:
         OSError: The file cannot be read.
         Exception: A record is invalid; any parse error.
     """
-    survey = _Survey(ChunkedFile(path, _Records()))
+    survey = _Index(ChunkedFile(path, _Records()))
     with path.open("rb") as log:
         end = log.seek(0, 2)
         cut = _heads(log, survey, end)
@@ -144,7 +144,7 @@ def look(path: Path) -> ChunkedFile:
     return survey.found
 
 
-def _heads(log: BufferedReader, survey: _Survey, end: int) -> int | None:
+def _heads(log: BufferedReader, survey: _Index, end: int) -> int | None:
     """Read the headers of all records; return the offset at which the file becomes unreadable, or None."""
     position, chunks = len(MCAP), survey.found.chunks
     while True:
@@ -216,7 +216,7 @@ def _cut_chunk(log: BufferedReader, found: ChunkedFile, position: int, length: i
         found.add_cut(log, replace(chunk, stored=end - chunk.place))
 
 
-def _loose(log: BufferedReader, survey: _Survey, position: int, first: int) -> int:
+def _loose(log: BufferedReader, survey: _Index, position: int, first: int) -> int:
     """Make a chunk from messages outside of chunks; return its end."""
     log.seek(position)
     raw = np.frombuffer(log.read(max(_WINDOW, first)), np.uint8)
@@ -228,7 +228,7 @@ def _loose(log: BufferedReader, survey: _Survey, position: int, first: int) -> i
     return position + reached
 
 
-def _open(log: BufferedReader, survey: _Survey, chunk: Chunk) -> None:
+def _open(log: BufferedReader, survey: _Index, chunk: Chunk) -> None:
     """Open a chunk for information that its index lacks."""
     found = survey.found
     raw = found.unpacked(log, chunk)

@@ -20,7 +20,7 @@ from rosbags.interfaces import Nodetype
 Description = Any
 Fields = list[tuple[str, Description]]
 
-FILLER = "structure_needs_at_least_one_member"
+EMPTY_FIELD = "structure_needs_at_least_one_member"
 """Field of an empty message: one byte in CDR, none in ROS 1."""
 TIMES: dict[str, Fields] = {
     f"builtin_interfaces/msg/{kind}": [
@@ -30,7 +30,7 @@ TIMES: dict[str, Fields] = {
     for kind in ("Time", "Duration")
 }
 """Types that definitions use without defining them."""
-_NOTHING: Fields = [(FILLER, (Nodetype.BASE, ("uint8", 0)))]
+_NOTHING: Fields = [(EMPTY_FIELD, (Nodetype.BASE, ("uint8", 0)))]
 _RULE = re.compile(r"^={80}\n", re.MULTILINE)
 _BASES = "bool|byte|char|float32|float64|u?int8|u?int16|u?int32|u?int64|string"
 _BASE = re.compile(_BASES)
@@ -46,12 +46,12 @@ _SHORT = {
 _UNKNOWN = ("wstring", "wchar", "float128")
 
 
-class Unfamiliar(ValueError):
+class UnsupportedText(ValueError):
     """The text is not in the plain form."""
 
 
 @dataclass
-class TypeTexts:
+class ParsedTypes:
     """Types defined in one text, by full name.
 
     Attributes:
@@ -69,7 +69,7 @@ class TypeTexts:
         return hashlib.md5("\n".join(lines).encode(), usedforsecurity=False).hexdigest()
 
 
-def read_text(text: str, kind: str, known: Mapping[str, Fields] = TIMES) -> TypeTexts:
+def read_text(text: str, kind: str, known: Mapping[str, Fields] = TIMES) -> ParsedTypes:
     """Return the types defined in a text.
 
     Args:
@@ -78,19 +78,19 @@ def read_text(text: str, kind: str, known: Mapping[str, Fields] = TIMES) -> Type
         known: Types that may be used without definition.
 
     Raises:
-        Unfamiliar: The text is not in the plain form, or uses an undefined type.
+        UnsupportedText: The text is not in the plain form, or uses an undefined type.
     """
-    found = TypeTexts(dict(known))
+    found = ParsedTypes(dict(known))
     for number, part in enumerate(_RULE.split(text.replace("\r\n", "\n"))):
         name, body = (kind, part) if number == 0 else _headed(part)
         if not _NAME.fullmatch(name):
-            raise Unfamiliar(f"{name!r} is not the name of a type")
+            raise UnsupportedText(f"{name!r} is not the name of a type")
         found.fields[name], found.lines[name] = _read_part(name, body)
     for name, fields in found.fields.items():
         for _, description in fields:
             item = item_of(description)
             if item[0] == Nodetype.NAME and item[1] not in found.fields:
-                raise Unfamiliar(f"{name} has a {item[1]}, which is not defined")
+                raise UnsupportedText(f"{name} has a {item[1]}, which is not defined")
     return found
 
 
@@ -102,7 +102,7 @@ def item_of(description: Description) -> Description:
 def _headed(part: str) -> tuple[str, str]:
     head, _, body = part.partition("\n")
     if not head.startswith("MSG: "):
-        raise Unfamiliar("a part without its name")
+        raise UnsupportedText("a part without its name")
     return _full(head[5:].strip(), ""), body
 
 
@@ -124,9 +124,9 @@ def _read_part(owner: str, body: str) -> tuple[Fields, list[tuple[str, str]]]:
             written = f"{match['kind']}{match['limit'] or ''}{match['many'] or ''} {name}"
             lines.append((name, kind) if named else (written, ""))
         else:
-            raise Unfamiliar(f"{bare[:60]!r} is not a field")
+            raise UnsupportedText(f"{bare[:60]!r} is not a field")
     if len({name for name, _ in fields}) < len(fields):
-        raise Unfamiliar(f"{owner} has two fields with the same name")
+        raise UnsupportedText(f"{owner} has two fields with the same name")
     return fields or list(_NOTHING), constants + lines
 
 
@@ -139,7 +139,7 @@ def _value(constant: re.Match[str]) -> str:
 def _field(owner: str, match: re.Match[str]) -> Description:
     kind, limit = match["kind"], int((match["limit"] or "<=0")[2:])
     if (limit and kind != "string") or kind in _UNKNOWN:
-        raise Unfamiliar(f"a field of type {kind}")
+        raise UnsupportedText(f"a field of type {kind}")
     item: Description
     item = (Nodetype.BASE, (kind, limit)) if _BASE.fullmatch(kind) else (Nodetype.NAME, _full(kind, owner))
     if match["many"] is None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Names = npt.NDArray[np.str_]
-Step = str | int
+PathStep = str | int
 
 MARKERS, TRACKED = "visualization_msgs/msg/MarkerArray", "spencer_tracking_msgs/msg/TrackedPersons"
 PEOPLE, LEG, LEGS = (
@@ -75,8 +75,8 @@ def persons(kind: str, group: Group, *, skeletons: bool = False) -> Persons:
     if kind == LEG:
         return _joined(group, [_measured(group, (), 0)])
     field = _LISTS.get(kind) or _list(group)
-    entries: list[tuple[Step, ...]] = [(field, number) for number in range(len(group.first(field)) if field else 0)]
-    readers: dict[str, Callable[[Group, tuple[Step, ...], int], Entry]] = {
+    entries: list[tuple[PathStep, ...]] = [(field, number) for number in range(len(group.first(field)) if field else 0)]
+    readers: dict[str, Callable[[Group, tuple[PathStep, ...], int], Entry]] = {
         MARKERS: _marker,
         TRACKED: _track,
         PEOPLE: _person,
@@ -92,9 +92,9 @@ def persons(kind: str, group: Group, *, skeletons: bool = False) -> Persons:
     return found
 
 
-def headers(group: Group) -> list[tuple[Step, ...]]:
+def headers(group: Group) -> list[tuple[PathStep, ...]]:
     """Return the paths of these messages' headers: their own, then that of their first entry."""
-    found: list[tuple[Step, ...]] = [("header",)] if hasattr(group.message, "header") else []
+    found: list[tuple[PathStep, ...]] = [("header",)] if hasattr(group.message, "header") else []
     field = _list(group)
     if field and len(group.first(field)) and hasattr(group.first(field, 0), "header"):
         found.append((field, 0, "header"))
@@ -110,7 +110,7 @@ def _list(group: Group) -> str:
 Entry = tuple[Names, Array]
 
 
-def _frames(group: Group, entries: list[tuple[Step, ...]]) -> tuple[str, ...]:
+def _frames(group: Group, entries: list[tuple[PathStep, ...]]) -> tuple[str, ...]:
     return tuple(
         str(group.first(*at, "header", "frame_id")) if hasattr(group.first(*at), "header") else "" for at in entries
     )
@@ -125,18 +125,18 @@ def _joined(group: Group, found: list[Entry], frames: tuple[str, ...] = ()) -> P
     return Persons(names, places, frames)
 
 
-def _marker_numbers(group: Group, at: tuple[Step, ...]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+def _marker_numbers(group: Group, at: tuple[PathStep, ...]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
     """Return the id of a marker and whether it is added (0); other actions remove markers."""
     return group.numbers(*at, "id").astype(np.int64), group.numbers(*at, "action") == 0
 
 
-def _marker(group: Group, at: tuple[Step, ...], number: int) -> Entry:
+def _marker(group: Group, at: tuple[PathStep, ...], number: int) -> Entry:
     marker, added = _marker_numbers(group, at)
     pelvis = (marker % _JOINTS_PER_BODY == 0) & added
     return np.where(pelvis, (marker // _JOINTS_PER_BODY).astype(str), ""), _point(group, *at, "pose", "position")
 
 
-def _marker_joints(group: Group, entries: list[tuple[Step, ...]], found: Persons) -> Persons:
+def _marker_joints(group: Group, entries: list[tuple[PathStep, ...]], found: Persons) -> Persons:
     """Return every marker of a body tracker as a joint; unknown numbers are ignored."""
     known = np.array([*AZURE_KINECT, *[""] * (_JOINTS_PER_BODY - len(AZURE_KINECT))])
     names, joints = np.zeros(found.names.shape, "U20"), np.zeros(found.names.shape, known.dtype)
@@ -148,7 +148,7 @@ def _marker_joints(group: Group, entries: list[tuple[Step, ...]], found: Persons
     return Persons(names, found.places, found.frames, joints=joints)
 
 
-def _track(group: Group, at: tuple[Step, ...], number: int) -> Entry:
+def _track(group: Group, at: tuple[PathStep, ...], number: int) -> Entry:
     place = _point(group, *at, "pose", "pose", "position")
     planar = group.numbers(*at, "pose", "covariance")[:, _HEIGHT_VARIANCE] > _UNSET_VARIANCE
     place[planar, 2] = np.nan
@@ -156,15 +156,15 @@ def _track(group: Group, at: tuple[Step, ...], number: int) -> Entry:
     return _names(group, at, ("track_id",), number), place
 
 
-def _person(group: Group, at: tuple[Step, ...], number: int) -> Entry:
+def _person(group: Group, at: tuple[PathStep, ...], number: int) -> Entry:
     return _names(group, at, ("name",), number), _point(group, *at, "position")
 
 
-def _measured(group: Group, at: tuple[Step, ...], number: int) -> Entry:
+def _measured(group: Group, at: tuple[PathStep, ...], number: int) -> Entry:
     return _names(group, at, ("object_id",), number), _point(group, *at, "pos")
 
 
-def _zed(group: Group, at: tuple[Step, ...], number: int) -> Entry:
+def _zed(group: Group, at: tuple[PathStep, ...], number: int) -> Entry:
     place = group.numbers(*at, "position").astype(np.float64)
     form, skeleton = _zed_form(group, at)
     for number_of_form, hips in _HIPS.items():
@@ -177,7 +177,7 @@ def _zed(group: Group, at: tuple[Step, ...], number: int) -> Entry:
     return _names(group, at, ("instance_id", "label_id"), number), place
 
 
-def _zed_form(group: Group, at: tuple[Step, ...]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+def _zed_form(group: Group, at: tuple[PathStep, ...]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
     """Return body format and presence of a skeleton, shape (N,); without a skeleton its array holds zeros."""
     here, count = group.first(*at), group.rows.size
     form = group.numbers(*at, "body_format") if hasattr(here, "body_format") else np.zeros(count)
@@ -187,14 +187,14 @@ def _zed_form(group: Group, at: tuple[Step, ...]) -> tuple[npt.NDArray[np.int64]
     return form.astype(np.int64), there
 
 
-def _zed_joint(group: Group, at: tuple[Step, ...], joint: int) -> Array:
+def _zed_joint(group: Group, at: tuple[PathStep, ...], joint: int) -> Array:
     """Return the position of a joint, shape (N, 3); exact zeros mean not seen."""
     place = group.numbers(*at, "skeleton_3d", "keypoints", joint, "kp").astype(np.float64)
     place[(place == 0.0).all(1)] = np.nan
     return place
 
 
-def _zed_joints(group: Group, entries: list[tuple[Step, ...]], found: Persons) -> Persons:
+def _zed_joints(group: Group, entries: list[tuple[PathStep, ...]], found: Persons) -> Persons:
     """Return the keypoints that the body format has."""
     names, joints, places = [], [], []
     for number, at in enumerate(entries):
@@ -213,7 +213,7 @@ def _zed_joints(group: Group, entries: list[tuple[Step, ...]], found: Persons) -
     return Persons(np.stack(names, axis=1), np.stack(places, axis=1), joints=np.stack(joints, axis=1))
 
 
-def _names(group: Group, at: tuple[Step, ...], fields: tuple[str, ...], number: int) -> Names:
+def _names(group: Group, at: tuple[PathStep, ...], fields: tuple[str, ...], number: int) -> Names:
     """Return the id of an entry as text, shape (N,); its index in the array if it has none."""
     field = next((name for name in fields if hasattr(group.first(*at), name)), None)
     if field is None:
@@ -224,5 +224,5 @@ def _names(group: Group, at: tuple[Step, ...], fields: tuple[str, ...], number: 
     return group.numbers(*at, field).astype(str)
 
 
-def _point(group: Group, *path: Step) -> Array:
+def _point(group: Group, *path: PathStep) -> Array:
     return np.stack([group.numbers(*path, axis).astype(np.float64) for axis in "xyz"], axis=1)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import polars as pl
 
 from cyclekit.schema import PEOPLE, SKELETONS, Column, conform
-from cyclekit_adapters.rosbag.chain import followed
+from cyclekit_adapters.rosbag.chain import pose_along
 from cyclekit_adapters.rosbag.frames import unknown
 from cyclekit_adapters.rosbag.people import Persons
 from cyclekit_adapters.rosbag.transforms import Array
@@ -147,10 +147,10 @@ def _add(
 def _add_bodies(contents: Contents, roles: Roles, frames: Frames, columns: Columns, *, joints: bool = False) -> None:
     """Add the bodies among the transforms, or their joints, each at the times of its track."""
     for body in frames.bodies:
-        if bool(body.joint) != joints or not body.way:
+        if bool(body.joint) != joints or not body.chain:
             continue
         times, first = np.unique(body.link.times, return_index=True)
-        place, _ = followed(body.way, times)
+        place, _ = pose_along(body.chain, times)
         if not joints:
             _say_lost(contents, f"body {body.person!r}", unknown(place))
         _append(columns, "t_s", times)

@@ -35,8 +35,8 @@ def read_bag(path: Path, options: ReadOptions) -> Recording:
         contents = collect(bag, roles, skeletons=options.skeletons)
         contents.warnings += [f"{topic} is not read: {why}; convert the bag to mcap" for topic, why in lost.items()]
         frames = find_frames(contents, roles, skeletons=options.skeletons, frame_given=options.frame_given)
-        if frames.rivals and options.role in (None, "robot"):
-            raise _several_arms(path, frames.rivals)
+        if frames.ambiguous and options.role in (None, "robot"):
+            raise _several_arms(path, frames.ambiguous)
         is_simulated = _choose_times(contents, roles, frames)
         robot = robot_table(contents, roles, frames) if options.role in (None, "robot") else None
         people = people_table(contents, roles, frames) if roles.people or roles.bodies else None
@@ -67,7 +67,7 @@ def _roles(bag: Bag, path: Path, options: ReadOptions) -> tuple[Roles, dict[str,
         wants_robot = options.role in (None, "robot")
         roles = roles_in(path, bag.topics, counts, options.map, options.body, robot=wants_robot)
         roles = _wanted(roles, options)
-        found = bag.settle(roles.topics() - set(lost))
+        found = bag.resolve_layouts(roles.topics() - set(lost))
         if not found:
             return roles, lost
         lost |= found
@@ -91,10 +91,10 @@ def _wanted(roles: Roles, options: ReadOptions) -> Roles:
 def _choose_times(contents: Contents, roles: Roles, frames: Frames) -> bool:
     """Choose the clock of every topic and link in use; return whether time was simulated."""
     clocks = [topic for topic in roles.clocks if topic in contents.tracks]
-    said = [(contents.tracks[topic].receive_s, contents.tracks[topic].joined()) for topic in clocks]
+    columns = [(contents.tracks[topic].receive_s, contents.tracks[topic].joined()) for topic in clocks]
     for topic in clocks:
         del contents.tracks[topic]
-    ticks = [np.concatenate(part) for part in zip(*said, strict=True)] if said else []
+    ticks = [np.concatenate(part) for part in zip(*columns, strict=True)] if columns else []
     if ticks and middle(np.abs(ticks[0] - ticks[1])) > _NEAR_S:
         for track in contents.tracks.values():
             track.receive_s = simulated(track.receive_s, ticks[0], ticks[1])

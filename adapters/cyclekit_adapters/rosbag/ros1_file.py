@@ -118,7 +118,7 @@ def _places(header: bytes) -> dict[str, int] | None:
     return places if "op" in places and inside else None
 
 
-def look(path: Path) -> ChunkedFile:
+def open_file(path: Path) -> ChunkedFile:
     """Return the content of a ROS 1 bag, as far as it is readable.
 
     Raises:

@@ -127,7 +127,7 @@ def _up_to(rows: Iterable[tuple[int, int, bytes]], most: int) -> Iterator[tuple[
             return
 
 
-def look(path: Path) -> SqliteFile:
+def open_file(path: Path) -> SqliteFile:
     """Return the content of a sqlite3 bag.
 
     Raises:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import polars as pl
 
 from cyclekit.schema import EVENTS, ROBOT, conform
-from cyclekit_adapters.rosbag.chain import followed, leading
+from cyclekit_adapters.rosbag.chain import pose_along, reference_link
 from cyclekit_adapters.rosbag.envelope import middle
 from cyclekit_adapters.rosbag.frames import unknown
 from cyclekit_adapters.rosbag.modes import ROBOT_MODE, RUNNING
@@ -90,8 +90,8 @@ def _tcp(contents: Contents, roles: Roles, frames: Frames) -> _Rows | None:
         return _placed(contents.at(topic), track.index, track.joined())
     if not frames.tool:
         return None
-    link = leading(frames.tool)
-    place, _ = followed(frames.tool, link.times)
+    link = reference_link(frames.tool)
+    place, _ = pose_along(frames.tool, link.times)
     if lost := unknown(place):
         contents.warnings.append(f"the TCP is unknown at {lost} times: a transform was not published for some time")
     contents.rows_of["robot"] = link.topic

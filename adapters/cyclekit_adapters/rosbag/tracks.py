@@ -76,13 +76,13 @@ class TopicMessages:
 
     def joined(self) -> Array:
         """Return positions or numbers of all messages in order, shape (N, 3) or (N,); for joint states, the scaling."""
-        said = [part.value.scaling if isinstance(part.value, JointStates) else part.value for part in self.parts]
+        values = [part.value.scaling if isinstance(part.value, JointStates) else part.value for part in self.parts]
         rows = np.concatenate([part.rows for part in self.parts])
-        if len(said) == 1 and (rows[1:] > rows[:-1]).all():
-            return np.asarray(said[0], dtype=np.float64)
-        values = np.concatenate([np.asarray(value, dtype=np.float64) for value in said])
-        ordered = np.empty_like(values)
-        ordered[rows] = values
+        if len(values) == 1 and (rows[1:] > rows[:-1]).all():
+            return np.asarray(values[0], dtype=np.float64)
+        joined = np.concatenate([np.asarray(value, dtype=np.float64) for value in values])
+        ordered = np.empty_like(joined)
+        ordered[rows] = joined
         return ordered
 
     def each(self) -> list[object]:
@@ -152,8 +152,8 @@ def collect(bag: Bag, roles: Roles, *, skeletons: bool = False) -> Contents:
             value = _value(arrived.kind, group, factors.get(topic), skeletons=skeletons)
             stamp_s, frame = _stamps(arrived)
         except (AttributeError, TypeError, ValueError, IndexError) as error:  # another definition than the known one
-            said = f"{topic}: a message has other fields ({error})"
-            bag.undecodable += [(topic, number, said) for number in arrived.number.tolist()]
+            reason = f"{topic}: a message has other fields ({error})"
+            bag.undecodable += [(topic, number, reason) for number in arrived.number.tolist()]
             continue
         if value is not None:  # messages without people may lack a header, and their time would be of another clock
             is_empty = isinstance(value, Persons) and not value.places.shape[1]

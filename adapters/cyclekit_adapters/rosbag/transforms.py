@@ -55,14 +55,14 @@ class FrameTransforms:
 
 
 @dataclass(frozen=True)
-class Step:
-    """One link of a chain; `back`: from child to parent."""
+class Link:
+    """One link of a chain; `inverse`: from child to parent."""
 
-    link: FrameTransforms
-    back: bool = False
+    transforms: FrameTransforms
+    inverse: bool = False
 
     def __str__(self) -> str:
-        return self.link.parent if self.back else self.link.child
+        return self.transforms.parent if self.inverse else self.transforms.child
 
 
 class Transforms:
@@ -70,7 +70,7 @@ class Transforms:
 
     def __init__(self) -> None:
         self.links: dict[str, FrameTransforms] = {}
-        self.rivals: dict[str, list[str]] = {}
+        self.several_parents: dict[str, list[str]] = {}
         self._parts: dict[tuple[str, str, str], list[tuple[Ints, Array, Array, Array]]] = {}
 
     def add(self, topic: str, number: Ints, group: Group) -> None:
@@ -95,7 +95,7 @@ class Transforms:
         for (child, parent, topic), parts in self._parts.items():
             count = sum(number.size for number, *_ in parts)
             best[child] = max(best.get(child, (0, "", "")), (count, parent, topic))
-            self.rivals.setdefault(child, []).append(parent)
+            self.several_parents.setdefault(child, []).append(parent)
         for child, (_, parent, topic) in best.items():
             number, receive_s, stamp_s, pose = (
                 np.concatenate(part) for part in zip(*self._parts[child, parent, topic], strict=True)
@@ -107,13 +107,15 @@ class Transforms:
             )
             link.times = link.receive_s
             self.links[child] = link
-        self.rivals = {child: sorted(set(parents)) for child, parents in self.rivals.items() if len(set(parents)) > 1}
+        self.several_parents = {
+            child: sorted(set(parents)) for child, parents in self.several_parents.items() if len(set(parents)) > 1
+        }
 
     def frames(self) -> set[str]:
         """Return the names of all frames."""
         return set(self.links) | {link.parent for link in self.links.values()}
 
-    def way(self, base: str, frame: str) -> list[Step] | None:
+    def chain(self, base: str, frame: str) -> list[Link] | None:
         """Return the chain from one frame to another, empty if both are the same; None if they are not connected."""
         there, back = self._up(_plain(frame)), self._up(_plain(base))
         above = [_plain(frame), *(link.parent for link in there)]
@@ -122,9 +124,12 @@ class Transforms:
             return None
         begin = [_plain(base), *(link.parent for link in back)].index(common)
         forth = there[: above.index(common)]
-        return [*(Step(link, back=True) for link in back[:begin]), *(Step(link) for link in reversed(forth))]
+        return [
+            *(Link(link, inverse=True) for link in back[:begin]),
+            *(Link(link) for link in reversed(forth)),
+        ]
 
-    def tool_way(self, base: str | None, tool: str | None) -> tuple[str, list[Step], list[str]] | None:
+    def tool_chain(self, base: str | None, tool: str | None) -> tuple[str, list[Link], list[str]] | None:
         """Return base frame, chain from base to tool, and tools of other arms; None if there is no chain.
 
         Args:
@@ -133,19 +138,19 @@ class Transforms:
         """
         for name in [tool] if tool else TOOLS:
             alike = [tool] if tool else sorted(child for child in self.links if is_named(child, name))
-            found = [(start, *way) for start in alike if (way := self._way_to(base, start, name))]
+            found = [(start, *chain) for start in alike if (chain := self._chain_to(base, start, name))]
             exact = [one for one in found if _plain(one[0]) == name]
             if found:
                 start, end, steps = (exact or found)[0]
                 return end, steps, [] if exact else [other for other, *_ in found if other != start]
         return None
 
-    def _way_to(self, base: str | None, tool: str, name: str) -> tuple[str, list[Step]] | None:
+    def _chain_to(self, base: str | None, tool: str, name: str) -> tuple[str, list[Link]] | None:
         above = [link.parent for link in reversed(self._up(_plain(tool)))]
         prefix = _plain(tool).removesuffix(name)
         own = [] if base else [prefix + end for end in BASES if prefix + end in above]
-        ways = ((end, self.way(end, tool)) for end in [*own, *self.bases(base, above)])
-        return next(((end, way) for end, way in ways if way), None)
+        chains = ((end, self.chain(end, tool)) for end in [*own, *self.bases(base, above)])
+        return next(((end, chain) for end, chain in chains if chain), None)
 
     def bases(self, base: str | None, first: Iterable[str] = ()) -> list[str]:
         """Return the possible base frames of the robot, those in `first` before others."""

@@ -31,7 +31,7 @@ class TopicFindings:
     reason: str
 
 
-def decide(file: BagFile, channel: Channel) -> TopicFindings:
+def find_layout(file: BagFile, channel: Channel) -> TopicFindings:
     """Return which of the known layouts the messages of a channel have.
 
     Args:

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import RecordingCard
     from cyclekit.dataset.dataset import Place
     from cyclekit.derive.passes import Derived
-    from cyclekit.ingest.read.read_logs import How
+    from cyclekit.ingest.read.read_logs import ReadSettings
 
 
 def card_of(
-    cell: Cell, derived: Derived, not_read: Sequence[tuple[str, str]], how: How, fingerprint: str
+    cell: Cell, derived: Derived, not_read: Sequence[tuple[str, str]], settings: ReadSettings, fingerprint: str
 ) -> DatasetCard:
     """Return the card, without wait conditions and file checksums."""
     return DatasetCard(
@@ -29,8 +29,8 @@ def card_of(
         cyclekit_version=version("cyclekit"),
         name=cell.name,
         fingerprint=fingerprint,
-        pseudonymised=how.pseudonymise,
-        skeletons=how.skeletons,
+        pseudonymised=settings.pseudonymise,
+        skeletons=settings.skeletons,
         settings=checked(json.loads(json.dumps(cell, default=vars)), Cell),
         rate_hz=cell.rate_hz,
         recordings=tuple(derived.recordings),

@@ -20,7 +20,7 @@ from cyclekit.adapter import ReadOptions
 from cyclekit.config import Cell, NamedPlace, Robot, Source, load_cell
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, CyclekitError, LogError
-from cyclekit.ingest.alike import as_one, kind_of
+from cyclekit.ingest.merge_sources import kind_of, merge_similar
 from cyclekit.ingest.registry import Registered, adapter_named, drafted, find_logs, why_unknown
 from cyclekit.storage.files import resolved
 from cyclekit.storage.safe_path import fitting, leads_out, real
@@ -107,7 +107,7 @@ def suggest_cell(paths: Sequence[Path], *, follow_links: bool = False) -> Sugges
             raise
         logs = []
     named = {source.path: source for log in logs for source in [log.source or Source(log.shown, log.adapter)]}
-    sources, drafts_of = as_one(list(named.values()), drafts, unread)
+    sources, drafts_of = merge_similar(list(named.values()), drafts, unread)
     return Suggested(replace(cell, sources=tuple(sources)), drafts_of)
 
 

@@ -40,11 +40,11 @@ from cyclekit.errors import ConfigError, DatasetError, EmptyLog, LogError
 from cyclekit.ingest.card import card_of
 from cyclekit.ingest.discover import Log, cell_for, find_all, matches
 from cyclekit.ingest.pseudonymise import Names, numbered_logs, take_out
-from cyclekit.ingest.read.read_logs import Digests, How, check_shared, read_all
-from cyclekit.ingest.read.resume import Shelf
+from cyclekit.ingest.read.read_logs import Digests, ReadSettings, check_shared, read_all
+from cyclekit.ingest.read.resume import ResumeStore
 from cyclekit.ingest.read.reuse import gather_quarantine
 from cyclekit.ingest.report import IngestReport, report_of
-from cyclekit.ingest.shared_logs import apart, may_be_shared
+from cyclekit.ingest.shared_logs import may_be_shared, split_shared
 from cyclekit.learning.coupling.learn import learn_executions
 from cyclekit.learning.coupling.visits import courses_of
 from cyclekit.learning.coupling.waits import with_waits_named
@@ -109,32 +109,32 @@ def ingest(
     if rate_hz is not None:
         settings = replace(settings, rate_hz=_rate(rate_hz))
     found, not_read = find_all(roots, settings, follow_links=follow_links)
-    how = How(pseudonymise=pseudonymise, skeletons=keep_skeletons, checksums=checksums)
+    reading = ReadSettings(pseudonymise=pseudonymise, skeletons=keep_skeletons, checksums=checksums)
     logs_found = numbered_logs(found) if pseudonymise else found
-    wanted = _Wanted(settings, tuple(logs_found), tuple(not_read), engine, how, align_clocks)
+    wanted = _Wanted(settings, tuple(logs_found), tuple(not_read), engine, reading, align_clocks)
     with published(out) as path:
         report = _ingest(roots, path, wanted, progress or (lambda fraction, text: None))
     return replace(report, place=str(out))
 
 
 def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -> IngestReport:
-    how, count = wanted.how, len(wanted.logs)
-    shelf = Shelf(out, "skeletons" if how.skeletons else "plain")
-    if not needs_clean_up(out) and not shelf.is_left and (card := _up_to_date(out, wanted)):
+    settings, count = wanted.settings, len(wanted.logs)
+    store = ResumeStore(out, "skeletons" if settings.skeletons else "plain")
+    if not needs_clean_up(out) and not store.is_left and (card := _up_to_date(out, wanted)):
         return report_of(out, card, new=0, kept=count, unchanged=True)
     with locked(out):
         clean_up(out)
         if card := _up_to_date(out, wanted):
-            shelf.clear()
+            store.clear()
             return report_of(out, card, new=0, kept=count, unchanged=True)
-        if how.pseudonymise:
-            shelf.clear()  # the files of an earlier ingest hold names
-        with shelf.while_making(), built(out) as staging, Digests(wanted=how.checksums) as digests:
+        if settings.pseudonymise:
+            store.clear()  # the files of an earlier ingest hold names
+        with store.while_making(), built(out) as staging, Digests(wanted=settings.checksums) as digests:
             explicit = {path for path in roots if path.is_file()}
-            shelved = None if how.pseudonymise else shelf
-            names = Names(wanted.logs, roots, wanted.cell) if how.pseudonymise else None
+            resumable = None if settings.pseudonymise else store
+            names = Names(wanted.logs, roots, wanted.cell) if settings.pseudonymise else None
             old = _old(out)
-            card, kept = _build(wanted, staging, digests, old, explicit, shelved, names, tell)
+            card, kept = _build(wanted, staging, digests, old, explicit, resumable, names, tell)
             repaired = _repaired(old, (out / CARD).exists())
     report = report_of(out, card, new=len(card.recordings) - kept, kept=kept, unchanged=False)
     return replace(report, said=(*(("", text) for text in texts(repaired)), *report.said))
@@ -147,7 +147,7 @@ def left_by(out: Path | str) -> Path | None:
         out: Path or URL of its dataset.
     """
     path = (of_file_url(str(out)) or cached(str(out))) if is_url(out) else Path(out)
-    return Shelf(path, "").left
+    return ResumeStore(path, "").left
 
 
 @dataclass(frozen=True)
@@ -158,13 +158,13 @@ class _Wanted:
     logs: tuple[Log, ...]
     not_read: tuple[tuple[str, str], ...]
     engine: Engine
-    how: How
+    settings: ReadSettings
     align_clocks: Literal["coarse"] | None = None
 
     @property
     def fingerprint(self) -> str:
         keys = [log.key for log in self.logs]
-        chosen = [*vars(self.how).values(), self.align_clocks]
+        chosen = [*vars(self.settings).values(), self.align_clocks]
         facts = [repr(self.cell), version("cyclekit"), schema.SCHEMA_VERSION, keys, self.not_read, chosen]
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
@@ -190,26 +190,26 @@ def _build(
     digests: Digests,
     old: Dataset | None,
     explicit: set[Path],
-    shelf: Shelf | None,
+    store: ResumeStore | None,
     names: Names | None,
     tell: Progress,
 ) -> tuple[DatasetCard, int]:
     """Build the dataset in `staging`, pseudonymised by `names`; return its card and number of reused recordings."""
-    alike = old is not None and old.card.skeletons == wanted.how.skeletons
-    intake = read_all(
+    alike = old is not None and old.card.skeletons == wanted.settings.skeletons
+    result = read_all(
         wanted.logs,
         staging,
         digests,
-        old=None if wanted.how.pseudonymise or not alike else old,
-        shelf=shelf,
+        old=None if wanted.settings.pseudonymise or not alike else old,
+        store=store,
         engine=wanted.engine,
-        how=wanted.how,
+        settings=wanted.settings,
         tell=lambda f, text: tell(0.6 * f, text),
     )
-    read = intake.cards
+    read = result.cards
     shown = {log.path: log.shown for log in wanted.logs}
     not_read = list(wanted.not_read)
-    for error in intake.failed:
+    for error in result.failed:
         if error.path in explicit or not read:
             raise error
         not_read.append((shown.get(error.path, str(error.path)), error.cause))
@@ -218,8 +218,8 @@ def _build(
     sources = {log.id: log.source for log in wanted.logs}
     shares = partial(may_be_shared, sources=sources)
     groups = group_sessions(read, partial(_is_reference, cell), numbered=names is not None, shares=shares)
-    groups = with_empty(groups, _empty_people(wanted.logs, read, intake.failed))
-    shared = apart(groups, partial(_native, staging), staging)
+    groups = with_empty(groups, _empty_people(wanted.logs, read, result.failed))
+    shared = split_shared(groups, partial(_native, staging), staging)
     groups, sources = shared.groups, sources | {name: sources[log] for name, log in shared.copies.items()}
     later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), wanted.align_clocks == "coarse"
     native, stored = partial(_native, staging), partial(_stored, staging)
@@ -239,11 +239,11 @@ def _build(
     write_parquet(tasks, staging / TASKS)
     derived = replace(derived, tasks=tasks, recordings=recordings, warnings=warnings)
     card = structs.replace(
-        card_of(cell, derived, not_read, wanted.how, wanted.fingerprint), coupling=coupling, files=listed(staging)
+        card_of(cell, derived, not_read, wanted.settings, wanted.fingerprint), coupling=coupling, files=listed(staging)
     )
     values = finite(plain(card))
     write_text(staging / CARD, sealed(json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n"))
-    return card, intake.kept
+    return card, result.kept
 
 
 def _empty_people(logs: Sequence[Log], read: Sequence[LogCard], failed: Sequence[LogError]) -> list[str]:

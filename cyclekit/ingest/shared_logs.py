@@ -39,9 +39,9 @@ def may_be_shared(log: LogCard, sources: Mapping[str, Source | None]) -> bool:
     if not set(log.tables) <= _SHARED:
         return False
     source = sources.get(log.id)
-    told = source is not None and (source.sync or source.sync_events or source.clock_offset_s is not None)
+    given = source is not None and (source.sync or source.sync_events or source.clock_offset_s is not None)
     if set(log.tables) == {"events"}:
-        return bool(told) or log.clock.kind == "epoch"
+        return bool(given) or log.clock.kind == "epoch"
     near = source is None or abs(source.clock_offset_s or 0.0) < _MARGIN_S
     return log.clock.kind == "epoch" and near
 
@@ -59,7 +59,7 @@ class Shared:
     copies: Mapping[str, str]
 
 
-def apart(groups: Sequence[LogGroup], read: Read, staging: Path) -> Shared:
+def split_shared(groups: Sequence[LogGroup], read: Read, staging: Path) -> Shared:
     """Return sessions that share no log: all but the first get their own recording of a shared log.
 
     Args:

@@ -24,7 +24,7 @@ from cyclekit.errors import ConfigError, DatasetError, ModelError
 from cyclekit.fleet.read import FleetCell
 from cyclekit.fleet.stages import read_ledger
 from cyclekit.ingest.discover import Log
-from cyclekit.ingest.read.resume import Shelf
+from cyclekit.ingest.read.resume import ResumeStore
 from cyclekit.learning.networks.saved import TrainedModel, load_model, save_model
 from cyclekit.learning.networks.weights import Weights
 
@@ -197,7 +197,7 @@ def test_a_kept_recording_whose_card_is_none_is_not_taken_over(tmp_path: Path, t
     place = tmp_path / ".out.read" / f"{'k' * 32}-plain"
     place.mkdir(parents=True)
     (place / "entry.json").write_text(text, encoding="utf-8")
-    assert Shelf(tmp_path / "out", "plain").find(log) is None
+    assert ResumeStore(tmp_path / "out", "plain").find(log) is None
     assert not place.exists()
 
 

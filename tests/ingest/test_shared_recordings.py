@@ -15,7 +15,7 @@ from cyclekit.dataset.cards import plain
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError
 from cyclekit.ingest.ingest import ingest
-from cyclekit.ingest.read import together
+from cyclekit.ingest.read import shared_files
 from cyclekit.parallel.engine import Engine
 
 if TYPE_CHECKING:
@@ -37,16 +37,16 @@ def short_runs(tmp_path: Path, robot_log: Any) -> Path:
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the recordings of more than two logs share files, three at a time."""
-    monkeypatch.setattr(together, "FEW_LOGS", 2)
-    monkeypatch.setattr(together, "AT_ONCE", 3)
+    monkeypatch.setattr(shared_files, "MAX_SEPARATE_LOGS", 2)
+    monkeypatch.setattr(shared_files, "LOGS_PER_BATCH", 3)
 
 
 @pytest.fixture
 def both(short_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Dataset, Dataset]:
     """The dataset in which each recording has its own files, and that in which they share."""
     ingest([short_runs], tmp_path / "alone")
-    monkeypatch.setattr(together, "FEW_LOGS", 2)
-    monkeypatch.setattr(together, "AT_ONCE", 3)
+    monkeypatch.setattr(shared_files, "MAX_SEPARATE_LOGS", 2)
+    monkeypatch.setattr(shared_files, "LOGS_PER_BATCH", 3)
     ingest([short_runs], tmp_path / "shared")
     return Dataset.open(tmp_path / "alone"), Dataset.open(tmp_path / "shared")
 

@@ -53,9 +53,8 @@ def _times(contents: Contents) -> dict[str, str]:
     chosen = contents.times.chosen
     ways = Counter(_HOW[one.how] for one in chosen.values())
     reasons = dict.fromkeys(one.why for one in chosen.values() if one.how == "receive")
-    why = [
-        f"{reason} on {', '.join(sorted(name for name in chosen if chosen[name].why == reason))}" for reason in reasons
-    ]
+    topics_of = {reason: sorted(name for name in chosen if chosen[name].why == reason) for reason in reasons}
+    why = [f"{reason} on {', '.join(topics)}" for reason, topics in topics_of.items()]
     if contents.times.own:
         why = ["the header stamps share one clock, which is not the recorder's"]
     return {

@@ -49,7 +49,7 @@ SHORT_BYTES, SHORT_ROWS = 1 << 20, 1024
 
 
 @dataclass(frozen=True)
-class How:
+class ReadSettings:
     """What to store of each log.
 
     Attributes:
@@ -64,14 +64,16 @@ class How:
 
 
 @dataclass(frozen=True)
-class Kept:
+class ReadLog:
     """Card of a log, and its tables if they are held in memory; then none of them is on disk."""
 
     card: LogCard
     tables: dict[str, pl.DataFrame] = field(default_factory=dict)
 
 
-def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How, hold: bool = False) -> Kept | LogError:
+def read_or_error(
+    log: Log, digests: Digests, *, staging: Path, settings: ReadSettings, hold: bool = False
+) -> ReadLog | LogError:
     """Read a log into `staging/recordings/<id>`, or return the error; then nothing of it remains there.
 
     The folder gets its name when it is complete, so reading a log twice does no harm. `hold`: the tables of a short
@@ -80,7 +82,7 @@ def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How, hold: 
     place = staging / "recordings" / log.id
     folder = place.with_name(f"{MAKING}{secrets.token_hex(6)}")
     try:
-        kept = _keep(log, digests, folder, how, hold=hold)
+        kept = _read_log(log, digests, folder, settings, hold=hold)
         if not kept.tables:
             _put(folder, place)
     except LogError as error:
@@ -111,12 +113,12 @@ def _is_ours(error: BaseException, folder: Path) -> bool:
     return name is not None and str(folder.parent.parent) in str(name)
 
 
-def _keep(log: Log, digests: Digests, folder: Path, how: How, *, hold: bool) -> Kept:
-    sources, options = digests.sources(log), options_of(log.source, skeletons=how.skeletons)
+def _read_log(log: Log, digests: Digests, folder: Path, settings: ReadSettings, *, hold: bool) -> ReadLog:
+    sources, options = digests.sources(log), options_of(log.source, skeletons=settings.skeletons)
     written: dict[str, _Table] = {}
     aside, counts, rows_read = None, dict[str, int](), 0
     last: Recording | None = None
-    nameless = Nameless(keep=log.source.sees_as if log.source else None) if how.pseudonymise else None
+    nameless = Nameless(keep=log.source.sees_as if log.source else None) if settings.pseudonymise else None
     try:
         read = adapter_named(log.adapter).parts(log.path, options)
         for part in examined_parts(with_tool_point(read, log.robot)):
@@ -144,7 +146,7 @@ def _keep(log: Log, digests: Digests, folder: Path, how: How, *, hold: bool) -> 
         raise
     if last is None:
         raise LogError(log.path, "holds nothing", cure="Record again, or remove the file.")
-    return Kept(_card(log, last, written, sources, rows_read, counts), held)
+    return ReadLog(_card(log, last, written, sources, rows_read, counts), held)
 
 
 def _held(written: Mapping[str, _Table]) -> dict[str, pl.DataFrame]:

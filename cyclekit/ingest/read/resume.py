@@ -36,7 +36,7 @@ WORTH_BYTES = 1 << 20
 """Minimum size, bytes, of a log worth storing; a smaller one is read again faster."""
 
 
-class Shelf:
+class ResumeStore:
     """The stored recordings next to one dataset; the user must hold the dataset's lock."""
 
     def __init__(self, out: Path, options: str) -> None:

@@ -54,7 +54,7 @@ def _tables(entry: LogCard, old: Path) -> list[Path]:
 def take_over(entry: LogCard, log: Log, old: Path, staging: Path) -> LogCard:
     """Link the tables of a recording of the dataset `old` into `staging`; return its card as after reading.
 
-    Tables in files shared with other recordings are not linked (`together`).
+    Tables in files shared with other recordings are not linked (`shared_files`).
     """
     target = staging / "recordings" / log.id
     if not any(shared_rows(old, entry.id, name) for name in entry.tables):

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.ingest.validate.motion import PERSON, TCP, Kind, Places
-from cyclekit.ingest.validate.nobody import Nobody
+from cyclekit.ingest.validate.no_person_values import NoPersonValues
 from cyclekit.ingest.validate.window import HERE, PLACE, judged_rows
 
 if TYPE_CHECKING:
@@ -41,19 +41,19 @@ class Checks:
         self._ahead, self._furthest_s = 0, 0.0
         self._period_s: float | None = None
 
-    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+    def check(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without implausible rows."""
         return self.timed(self.finite(frame))
 
     def warnings(self) -> list[str]:
         """Return the warnings, after the last window."""
-        return [*self._said_of_numbers(), *self._said_of_time()]
+        return [*self._number_warnings(), *self._time_warnings()]
 
-    def beside(self, frame: pl.DataFrame) -> int:
+    def neighbours(self, frame: pl.DataFrame) -> int:
         """Return the number of neighbours before and after a row; two are needed, and some may be removed."""
         return _NEAR
 
-    def taken_aside(self) -> list[pl.DataFrame]:
+    def take_set_aside(self) -> list[pl.DataFrame]:
         """Return the rows set aside since the last call: `source_row`, `reason`."""
         aside, self._aside = self._aside, []
         return aside
@@ -91,13 +91,13 @@ class Checks:
             self._period_s = float(np.median(steps[steps > 0]))
         return frame
 
-    def _said_of_numbers(self) -> list[str]:
+    def _number_warnings(self) -> list[str]:
         if not self._not_finite:
             return []
-        told = ", ".join(f"{name} in {count} rows" for name, count in self._not_finite.items())
-        return [f"NaN or infinite: {told}; unknown there"]
+        listed = ", ".join(f"{name} in {count} rows" for name, count in self._not_finite.items())
+        return [f"NaN or infinite: {listed}; unknown there"]
 
-    def _said_of_time(self) -> list[str]:
+    def _time_warnings(self) -> list[str]:
         if not self._ahead:
             return []
         return [
@@ -105,7 +105,7 @@ class Checks:
             "recording, or two recordings in one file; split the log there"
         ]
 
-    def _said_of_periods(self) -> list[str]:
+    def _period_warnings(self) -> list[str]:
         period = self._period_s
         if period is not None and period > 1.5:
             unit = "probably milliseconds read as seconds; give time_unit"
@@ -128,12 +128,12 @@ class RobotChecks(Checks):
     def __init__(self) -> None:
         super().__init__("the robot")
         self._places = Places(TCP)
-        self._fractions = {"scaling": _Beyond(), "slider": _Beyond()}
-        self._speed = _Beyond()
+        self._fractions = {"scaling": _OutOfRange(), "slider": _OutOfRange()}
+        self._speed = _OutOfRange()
         self._turned: str | None = None
         self._joints = self._tcp = False
 
-    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+    def check(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without implausible rows."""
         frame = scaling_while_playing(self.timed(self.finite(frame)))
         times = column(frame, "t_s")
@@ -143,9 +143,9 @@ class RobotChecks(Checks):
         frame = placed(self, frame, self._places, tracks(frame))
         for name, seen in self._fractions.items():
             value = column(frame, name)
-            frame = seen.look(frame, name, value, (value < 0.0) | (value > 1.001))
+            frame = seen.check(frame, name, value, (value < 0.0) | (value > 1.001))
         speed = column(frame, "tcp_speed_m_s")
-        frame = self._speed.look(frame, "tcp_speed_m_s", speed, (speed > SPEED_M_S) | (speed < 0))
+        frame = self._speed.check(frame, "tcp_speed_m_s", speed, (speed > SPEED_M_S) | (speed < 0))
         self._tcp = self._tcp or bool(np.isfinite(column(frame, "tcp_x_m")).any())
         self._joints = self._joints or bool(np.isfinite(column(frame, "q0_rad")).any())
         if self._turned is None:
@@ -155,23 +155,23 @@ class RobotChecks(Checks):
 
     def warnings(self) -> list[str]:
         """Return the warnings, after the last window."""
-        said = [*super().warnings(), *self._said_of_periods()]
+        messages = [*super().warnings(), *self._period_warnings()]
         still, others = self._places.warnings()
-        said += others
+        messages += others
         for name, seen in self._fractions.items():
             if seen.rows:
                 percent = 1.5 < seen.most <= 200.0
                 likely = "probably percent, set scaling_max = 100" if percent else "not a fraction"
-                said.append(f"{name} reaches {seen.most:g} in {seen.rows} rows: {likely}; unknown there")
+                messages.append(f"{name} reaches {seen.most:g} in {seen.rows} rows: {likely}; unknown there")
         if self._speed.rows:
             likely = "likely mm/s" if self._speed.rows > 0.1 * self._speed.known else "garbled"
             top, rows = f"{self._speed.most:.4g}", self._speed.rows
-            said.append(f"tcp_speed_m_s reaches {top} m/s in {rows} rows: {likely}; unknown there")
+            messages.append(f"tcp_speed_m_s reaches {top} m/s in {rows} rows: {likely}; unknown there")
         if self._turned:
-            said.append(f'{self._turned} exceeds {ANGLE_RAD:.0f} rad: probably degrees; set joint_unit = "deg"')
+            messages.append(f'{self._turned} exceeds {ANGLE_RAD:.0f} rad: probably degrees; set joint_unit = "deg"')
         if self._joints and not self._tcp:
-            said.append(NO_TCP)
-        return [*said, *still]
+            messages.append(NO_TCP)
+        return [*messages, *still]
 
 
 class PeopleChecks(Checks):
@@ -180,17 +180,17 @@ class PeopleChecks(Checks):
     def __init__(self) -> None:
         super().__init__("a person")
         self._places = Places(PERSON)
-        self._nobody = Nobody()
+        self._no_person = NoPersonValues()
 
-    def beside(self, frame: pl.DataFrame) -> int:
+    def neighbours(self, frame: pl.DataFrame) -> int:
         """Return the number of rows that include the neighbours of every person present."""
         if "person" not in frame.columns:
             return _NEAR
         return _NEAR * frame["person"].n_unique()
 
-    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+    def check(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without implausible rows."""
-        frame = self.timed(self._nobody.look(self.finite(frame)))
+        frame = self.timed(self._no_person.check(self.finite(frame)))
         groups, times = tracks(frame), column(frame, "t_s")
         if any((np.diff(times[rows]) <= 0.0).any() for rows in groups):  # otherwise no time repeats or is garbled
             frame = self._in_order(frame)
@@ -209,16 +209,16 @@ class PeopleChecks(Checks):
     def warnings(self) -> list[str]:
         """Return the warnings, after the last window."""
         still, others = self._places.warnings()
-        return [*super().warnings(), *self._nobody.warnings(), *others, *still]
+        return [*super().warnings(), *self._no_person.warnings(), *others, *still]
 
 
-class _Beyond:
+class _OutOfRange:
     """Counts implausible values of a column and replaces them by null."""
 
     def __init__(self) -> None:
         self.rows, self.known, self.most = 0, 0, -np.inf
 
-    def look(self, frame: pl.DataFrame, name: str, value: Vector, wrong: Bools) -> pl.DataFrame:
+    def check(self, frame: pl.DataFrame, name: str, value: Vector, wrong: Bools) -> pl.DataFrame:
         here = is_here(frame)
         self.known += int((np.isfinite(value) & here).sum())
         if not wrong.any():
@@ -250,7 +250,7 @@ def placed(checks: Checks, frame: pl.DataFrame, places: Places, groups: Sequence
         groups = tracks(frame)
         times, xyz = times[~beyond], xyz[:, ~beyond]
     stray = places.strays(times, xyz, groups, is_here(frame))
-    places.look_still(xyz[:, judged_rows(frame)])
+    places.record_constant(xyz[:, judged_rows(frame)])
     jumped = f"{kind.whose} jumps there and back implausibly fast (faster than {kind.speed_m_s:.0f} m/s)"
     return checks.drop(frame, stray, jumped)
 

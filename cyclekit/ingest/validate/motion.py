@@ -114,7 +114,7 @@ class Places:
         possible = self.kind.slack_m + self.kind.speed_m_s * np.maximum(step, self._usual_s or 0.0)
         return np.asarray((way > possible) & (step > 0))
 
-    def look_still(self, xyz: Vector) -> None:
+    def record_constant(self, xyz: Vector) -> None:
         """Record the distance, and whether the position ever changed; a sensor has noise even for a person at rest."""
         known = np.isfinite(xyz[0]) & np.isfinite(xyz[1])
         if not known.all():
@@ -130,25 +130,27 @@ class Places:
 
     def warnings(self) -> tuple[list[str], list[str]]:
         """Return the warning about a constant position, and the others."""
-        kind, said = self.kind, []
+        kind, found = self.kind, []
         if self._far_rows:
-            said.append(
+            found.append(
                 f"{kind.whose} is {self._far_m:.0f} m away in {self._far_rows} rows: probably millimetres; "
                 'set length_unit = "mm", or correct the unit in the export'
             )
         if 0.0 < self._most_m < NEAR_M and self._seen >= STILL_ROWS:
-            said.append(
+            found.append(
                 f"{kind.whose} is never farther than {1e3 * self._most_m:.1f} mm from the origin on any axis: probably "
                 "metres with the unit given as millimetres; correct the unit"
             )
         if self._jumps:
-            said.append(f"{kind.whose} jumps faster than {kind.speed_m_s:.0f} m/s {self._jumps} time(s): {kind.likely}")
+            found.append(
+                f"{kind.whose} jumps faster than {kind.speed_m_s:.0f} m/s {self._jumps} time(s): {kind.likely}"
+            )
         if self._same is None or not self._still or self._seen < STILL_ROWS:
-            return [], said
+            return [], found
         x, y = self._same
         return [
             f"{kind.whose} stays at exactly ({x:g}, {y:g}) m in all {self._seen} rows: check the logged signal"
-        ], said
+        ], found
 
 
 def _without_nan(values: Vector) -> Vector:

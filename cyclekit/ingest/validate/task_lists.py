@@ -31,33 +31,36 @@ class TaskChecks(Checks):
         super().__init__("a task")
         self._rows: list[pl.DataFrame] = []
 
-    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+    def check(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without implausible rows."""
-        frame = super().look(frame)
+        frame = super().check(frame)
         here = frame.filter(pl.col(PLACE) == HERE)
         self._rows.append(here.select(name for name in _READ if name in here.columns))
         return frame
 
     def warnings(self) -> list[str]:
         """Return the warnings, after the last window."""
-        said = self._said_of_numbers()
+        messages = self._number_warnings()
         rows = pl.concat(self._rows) if self._rows else pl.DataFrame()
         if rows.is_empty() or set(rows.columns) != set(_READ):
-            return said
+            return messages
         if open_ends := rows["end_s"].null_count():
-            said.append(f"{open_ends} of {rows.height} tasks have no end: how long they took is unknown")
-        said += self._said_of_overlaps(overlaps_of(rows, ["agent_name", "execution"]).filter(pl.col("overlaps") > 0))
+            messages.append(f"{open_ends} of {rows.height} tasks have no end: how long they took is unknown")
+        overlaps = overlaps_of(rows, ["agent_name", "execution"])
+        messages += self._overlap_warnings(overlaps.filter(pl.col("overlaps") > 0))
         median_s = (rows["end_s"] - rows["t_s"]).median()
         if isinstance(median_s, float) and (median_s > LONGEST_S or 0.0 < median_s < SHORTEST_S):
-            said.append(f"half of the tasks take {median_s:.3g} s: check the unit of time and give time_unit")
-        return said
+            messages.append(f"half of the tasks take {median_s:.3g} s: check the unit of time and give time_unit")
+        return messages
 
-    def _said_of_overlaps(self, agents: pl.DataFrame) -> list[str]:
-        said = [
+    def _overlap_warnings(self, agents: pl.DataFrame) -> list[str]:
+        messages = [
             f"{count} of {tasks} tasks of {name!r} start before its previous task has ended, by up to {most:.1f} s"
             for name, tasks, count, most in agents[:SHOWN].iter_rows()
         ]
-        return [*said, f"so do tasks of {agents.height - SHOWN} other agents"] if agents.height > SHOWN else said
+        return (
+            [*messages, f"so do tasks of {agents.height - SHOWN} other agents"] if agents.height > SHOWN else messages
+        )
 
 
 def overlaps_of(rows: pl.DataFrame, by: Sequence[str]) -> pl.DataFrame:

@@ -17,7 +17,7 @@ import polars as pl
 from cyclekit.adapter import whole
 from cyclekit.ingest.validate.checks import Checks, PeopleChecks, RobotChecks
 from cyclekit.ingest.validate.task_lists import TaskChecks
-from cyclekit.ingest.validate.window import Sliding, let_through
+from cyclekit.ingest.validate.window import SlidingWindow, kept_rows
 from cyclekit.text.columns import in_one_line
 from cyclekit.text.plain_text import one_line
 
@@ -53,7 +53,7 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
     checks: dict[str, Checks]
     checks = {"robot": RobotChecks(), "people": PeopleChecks(), "events": Checks("an event"), "task_list": TaskChecks()}
     checks["safety"] = Checks("the safety system")
-    sliding = {name: Sliding(check.beside) for name, check in checks.items()}
+    sliding = {name: SlidingWindow(check.neighbours) for name, check in checks.items()}
     parts = iter(parts)
     part = next(parts, None)
     while part is not None:
@@ -64,11 +64,11 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
             table = part.tables().get(name)
             if table is not None:
                 window = sliding[name].with_neighbours(_numbered(table), last=after is None)
-                window = check.look(window)
-                tables[name], dropped = let_through(window), check.taken_aside()
+                window = check.check(window)
+                tables[name], dropped = kept_rows(window), check.take_set_aside()
                 aside += [_reasons(rows) for rows in dropped]
-        said = tuple(text for check in checks.values() for text in check.warnings()) if after is None else ()
-        new = tuple(text for text in said if text not in part.warnings)
+        messages = tuple(text for check in checks.values() for text in check.warnings()) if after is None else ()
+        new = tuple(text for text in messages if text not in part.warnings)
         yield replace(
             part,
             **tables,  # type: ignore[arg-type]  # the names are those of the fields
@@ -85,8 +85,8 @@ def _named_in_lines(part: Recording) -> Recording:
         frame = part.tables().get(table)
         if frame is not None:
             changed[table] = in_one_line(frame, columns)
-    said = tuple(map(one_line, part.warnings))
-    return replace(part, warnings=said, **changed)  # type: ignore[arg-type]  # the names are those of the fields
+    messages = tuple(map(one_line, part.warnings))
+    return replace(part, warnings=messages, **changed)  # type: ignore[arg-type]  # the names are those of the fields
 
 
 def _reasons(set_aside: pl.DataFrame) -> pl.DataFrame:

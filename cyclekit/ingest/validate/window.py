@@ -19,17 +19,17 @@ PLACE = "\x1fplace"
 BEFORE, HERE, AHEAD = 0, 1, 2
 
 
-class Sliding:
+class SlidingWindow:
     """Makes windows of consecutive parts."""
 
-    def __init__(self, beside: Callable[[pl.DataFrame], int]) -> None:
+    def __init__(self, neighbours: Callable[[pl.DataFrame], int]) -> None:
         """Set the function for the number of neighbours.
 
         Args:
-            beside: Function from a part of the table to the number of rows before and after a row that are its
+            neighbours: Function from a part of the table to the number of rows before and after a row that are its
                 neighbours.
         """
-        self._beside = beside
+        self._neighbours = neighbours
         self._before: pl.DataFrame | None = None
         self._waiting: pl.DataFrame | None = None
 
@@ -39,10 +39,10 @@ class Sliding:
         seen = pl.concat([*known, frame], rechunk=True) if known else frame
         judged = 0 if self._before is None else self._before.height
         rows = seen[judged:]
-        ahead = 0 if last else min(self._beside(rows), rows.height)
+        ahead = 0 if last else min(self._neighbours(rows), rows.height)
         here = rows.height - ahead
         self._waiting, to_here = rows[here:], seen[: seen.height - ahead]
-        self._before = to_here.tail(self._beside(to_here))
+        self._before = to_here.tail(self._neighbours(to_here))
         place = np.repeat(np.array([BEFORE, HERE, AHEAD], np.int8), [judged, here, ahead])
         return seen.hstack([pl.Series(PLACE, place)])
 
@@ -53,7 +53,7 @@ def judged_rows(window: pl.DataFrame) -> slice:
     return slice(first, end)
 
 
-def let_through(window: pl.DataFrame) -> pl.DataFrame:
+def kept_rows(window: pl.DataFrame) -> pl.DataFrame:
     """Return the judged rows of a window that were not removed."""
     rows = window[judged_rows(window)].clone()
     rows.drop_in_place(PLACE)

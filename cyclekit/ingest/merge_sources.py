@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _UNIT = "_unit"
 
 
-def as_one(
+def merge_similar(
     known: Sequence[Source], drafted: Mapping[str, tuple[str, Draft]], unread: Collection[str]
 ) -> tuple[list[Source], dict[str, Draft]]:
     """Return sources and drafts, by path, with groups of similar sources merged into one with a glob.
@@ -43,21 +43,21 @@ def as_one(
     globs: _Sources = []
     for group in groups.values():
         of, first = [source.path for source, _ in group], group[0][0]
-        told = _agreed([draft for _, draft in group if draft is not None])
-        if told is not None:
+        draft = _agreed([draft for _, draft in group if draft is not None])
+        if draft is not None:
             of += [name for name in unread if kind_of(name) == kind_of(first.path) and name not in of]
-            told = replace(told, notes=(*told.notes, f"for {len(of)} files"))
+            draft = replace(draft, notes=(*draft.notes, f"for {len(of)} files"))
         glob = _glob(of)
         others = set(unread) - set(of) - set(drafted)
         if (
             len(of) < 2
             or glob is None
             or any(fnmatchcase(name, glob) for name in others)
-            or (told is None and group[0][1] is not None)
+            or (draft is None and group[0][1] is not None)
         ):
             alone += group
         else:
-            globs.append((replace(first, path=glob), told))
+            globs.append((replace(first, path=glob), draft))
     found = [*alone, *globs]  # the first match counts, so a glob follows the paths that it must not match
     return [source for source, _ in found], {source.path: draft for source, draft in found if draft is not None}
 

@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 
 AXES = ("x_m", "y_m", "z_m")
-WRITTEN = (0.0, -1.0, -99.0, *(sign * number for number in (999.0, 9999.0, 99999.0) for sign in (1.0, -1.0)))
+NUMBERS = (0.0, -1.0, -99.0, *(sign * number for number in (999.0, 9999.0, 99999.0) for sign in (1.0, -1.0)))
 UNITS_M = (1.0, 0.01, 0.001, 0.0254)
-STANDS_FOR_NOBODY = np.unique(np.outer(UNITS_M, WRITTEN))
-"""Values of WRITTEN in m, for each unit of length."""
-BESIDE_M = 0.3
+NO_PERSON_M = np.unique(np.outer(UNITS_M, NUMBERS))
+"""Values of NUMBERS in m, for each unit of length."""
+MAX_STEP_M = 0.3
 """Maximum plausible step of a person from one row to the next, m."""
 
 
-class Nobody:
+class NoPersonValues:
     """Finds such rows, window after window, and makes their positions unknown."""
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class Nobody:
         self._seen = 0
         self._last: dict[str | None, tuple[float, float]] = {}  # last position of each person
 
-    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+    def check(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window with unknown positions where no person is seen."""
         here = frame[PLACE].to_numpy() == HERE
         self._seen += int(here.sum())
@@ -51,9 +51,9 @@ class Nobody:
         )
         flat = np.isnan(z)
         odd = (x == y) & (flat | (z == x))
-        odd[odd] = _stands_for_nobody(x[odd])
+        odd[odd] = _means_no_person(x[odd])
         if (odd & flat).any():
-            odd &= ~(flat & self._beside(frame, x, y, odd))
+            odd &= ~(flat & self._close_to_track(frame, x, y, odd))
         if flat.any() and "person" in frame.columns:
             self._remember(frame.filter(here & ~odd & np.isfinite(x)))
         if not odd.any():
@@ -63,21 +63,21 @@ class Nobody:
         known = pl.Series(~odd)
         return frame.with_columns(pl.when(known).then(pl.col(a)).alias(a) for a in AXES if a in frame.columns)
 
-    def _beside(self, frame: pl.DataFrame, x: Vector, y: Vector, odd: Bools) -> Bools:
+    def _close_to_track(self, frame: pl.DataFrame, x: Vector, y: Vector, odd: Bools) -> Bools:
         """Return a mask of odd rows close to the previous or the next position of their person."""
-        beside, judged = np.zeros(len(x), bool), frame[PLACE].to_numpy() != BEFORE
+        close, judged = np.zeros(len(x), bool), frame[PLACE].to_numpy() != BEFORE
         for person, rows in _rows_of(frame).items():
             mine = odd[rows]
             before, after = _neighbours(mine)
             for other in (before, after):
                 at = rows[np.maximum(other, 0)]
-                near = np.hypot(x[rows] - x[at], y[rows] - y[at]) <= BESIDE_M
-                beside[rows] |= mine & (other >= 0) & near
+                near = np.hypot(x[rows] - x[at], y[rows] - y[at]) <= MAX_STEP_M
+                close[rows] |= mine & (other >= 0) & near
             if person in self._last:
                 last_x, last_y = self._last[person]
-                near = np.hypot(x[rows] - last_x, y[rows] - last_y) <= BESIDE_M
-                beside[rows] |= mine & (before < 0) & judged[rows] & near
-        return beside
+                near = np.hypot(x[rows] - last_x, y[rows] - last_y) <= MAX_STEP_M
+                close[rows] |= mine & (before < 0) & judged[rows] & near
+        return close
 
     def _remember(self, seen: pl.DataFrame) -> None:
         last = seen.group_by("person").agg(pl.col("x_m").last(), pl.col("y_m").last())
@@ -92,10 +92,10 @@ class Nobody:
         ]
 
 
-def _stands_for_nobody(values: Vector) -> Bools:
-    """Return a mask of values equal to one of STANDS_FOR_NOBODY, up to rounding in a unit conversion."""
-    at = np.clip(np.searchsorted(STANDS_FOR_NOBODY, values), 1, len(STANDS_FOR_NOBODY) - 1)
-    nearest = np.minimum(np.abs(values - STANDS_FOR_NOBODY[at]), np.abs(values - STANDS_FOR_NOBODY[at - 1]))
+def _means_no_person(values: Vector) -> Bools:
+    """Return a mask of values equal to one of NO_PERSON_M, up to rounding in a unit conversion."""
+    at = np.clip(np.searchsorted(NO_PERSON_M, values), 1, len(NO_PERSON_M) - 1)
+    nearest = np.minimum(np.abs(values - NO_PERSON_M[at]), np.abs(values - NO_PERSON_M[at - 1]))
     return np.asarray(nearest <= 1e-12 * np.abs(values))
 
 

@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
     Tables = Mapping[str, pl.DataFrame]
 
-FEW_LOGS = 50
+MAX_SEPARATE_LOGS = 50
 """Maximum number of logs in a dataset in which each recording has its own files."""
-AT_ONCE = 64
+LOGS_PER_BATCH = 64
 """Number of consecutive logs whose recordings may share a file."""
 
 
-class Together:
+class SharedFileWriter:
     """Writes the tables of short recordings into shared files of a dataset being built."""
 
     def __init__(self, logs: Sequence[Log], staging: Path) -> None:
@@ -43,10 +43,10 @@ class Together:
             logs: Logs of all recordings; `put` must be called once for each.
             staging: Folder of the dataset being built.
         """
-        self.shares = len(logs) > FEW_LOGS
+        self.shares = len(logs) > MAX_SEPARATE_LOGS
         self._staging = staging
         self._number = {log.id: number for number, log in enumerate(logs)}
-        self._missing = Counter(number // AT_ONCE for number in self._number.values())
+        self._missing = Counter(number // LOGS_PER_BATCH for number in self._number.values())
         self._waiting: dict[int, dict[str, Tables]] = {}
         self._index: Index = {}
 
@@ -60,7 +60,7 @@ class Together:
             for name, frame in tables.items():
                 _write(self._staging / "recordings" / recording / f"{name}.parquet", name, frame)
             return
-        batch = self._number[recording] // AT_ONCE
+        batch = self._number[recording] // LOGS_PER_BATCH
         waiting = self._waiting.setdefault(batch, {})
         if tables:
             waiting[recording] = tables

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 OUT = Console(width=160)
 CELLS = {
     "waits and rates": ListOptions(),
-    "waits": ListOptions(beside=False),
+    "waits": ListOptions(parallel_rates=False),
     "rates": ListOptions(coupled=False),
-    "neither": ListOptions(coupled=False, beside=False),
-    "turns": ListOptions(coupled=False, beside=False, turns=0.2),
+    "neither": ListOptions(coupled=False, parallel_rates=False),
+    "turns": ListOptions(coupled=False, parallel_rates=False, fatigue=0.2),
     "waits, rates and drift": ListOptions(drift=0.25),
 }
 RIDGE = 3.0

@@ -165,7 +165,7 @@ class StreamingAdapter(Adapter, Protocol):
     """A format whose logs may exceed memory: one more method, which ingest uses instead of `read`."""
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
-        """Yield the log in consecutive parts; `whole` of the parts equals the result of `read`.
+        """Yield the log in consecutive parts; `concat_parts` of the parts equals the result of `read`.
 
         All parts share clock, axes, joint names and the set of tables. Warnings and facts that are known only at the
         end
@@ -190,7 +190,7 @@ class DraftingAdapter(Adapter, Protocol):
         ...
 
 
-def whole(parts: Iterable[Recording]) -> Recording:
+def concat_parts(parts: Iterable[Recording]) -> Recording:
     """Concatenate the parts of a log; each warning appears once, and the facts are those of the last part."""
     import polars as pl
 

@@ -58,7 +58,7 @@ class MixedCauses:
 
 
 @dataclass(frozen=True)
-class Why:
+class Caps:
     """Caps of K cycles of one run, shape (K,) each; the slider; protective stops and pauses of the program."""
 
     person: Array
@@ -107,47 +107,47 @@ class Slowing:
         cap = np.where(_inside(times - _REACTION_S, reduced), self._causes.reduced or 1.0, 1.0)
         return cap, _inside(times, stops), _inside(times, pauses)
 
-    def of_segment(self, segment: Ints, nominal_s: Array, b: Ints | int | None = None) -> tuple[Array, Array]:
+    def segment_caps(self, segment: Ints, nominal_s: Array, b: Ints | int | None = None) -> tuple[Array, Array]:
         """Return slider and cap of the limits for the running segments."""
         which = self._row if b is None else b
         share = nominal_s / self._length[which, segment]
         inside = (share >= self._causes.limit_from) & (share < self._causes.limit_to)
         return self._slider[which, segment], np.where(inside, self._limit[which, segment], 1.0)
 
-    def why(self, b: int, times: Array, person: Array, segment: Ints, nominal_s: Array) -> Why:
+    def caps(self, b: int, times: Array, person: Array, segment: Ints, nominal_s: Array) -> Caps:
         """Return the caps of run `b` at each of its cycles."""
-        slider, limit = self.of_segment(segment, nominal_s, b)
+        slider, limit = self.segment_caps(segment, nominal_s, b)
         reduced, stopped, paused = self._at(b, times)
-        return Why(person, reduced, limit, slider, stopped, paused)
+        return Caps(person, reduced, limit, slider, stopped, paused)
 
     def switched_on(self, b: int, times: Array) -> Bools:
         """Return a mask of the times at which the input of the reduced mode of run `b` is on."""
         return _inside(times, self._spans[b][0])
 
 
-def scaling_of(why: Why) -> Array:
+def scaling_of(caps: Caps) -> Array:
     """Return the scaling executed by the controller, without slider and pause."""
-    return np.where(why.stopped, 0.0, np.minimum(np.minimum(why.person, why.reduced), why.limit))
+    return np.where(caps.stopped, 0.0, np.minimum(np.minimum(caps.person, caps.reduced), caps.limit))
 
 
-def lost_parts(why: Why, kind: Ints) -> dict[str, Array]:
+def lost_parts(caps: Caps, kind: Ints) -> dict[str, Array]:
     """Return the share of each cycle lost to each cause, shape (K,) each.
 
     Args:
-        why: The caps.
+        caps: The caps.
         kind: Kind of program segment, shape (K,).
     """
-    s, c1 = scaling_of(why), why.limit
-    c2 = np.minimum(c1, why.reduced)
-    free = np.where(why.stopped & (why.person > 0.0), 0.0, 1.0)
-    moving = ((kind == MOVE) & ~why.paused).astype(np.float64)
+    s, c1 = scaling_of(caps), caps.limit
+    c2 = np.minimum(c1, caps.reduced)
+    free = np.where(caps.stopped & (caps.person > 0.0), 0.0, 1.0)
+    moving = ((kind == MOVE) & ~caps.paused).astype(np.float64)
     return {
         "person": moving * (free - s / c2),
-        "slider": moving * s * (1.0 - why.slider),
+        "slider": moving * s * (1.0 - caps.slider),
         "input": moving * (s / c2 - s / c1),
         "limits": moving * (s / c1 - s),
-        "wait": ((kind == WAIT) & ~why.paused).astype(np.float64),
-        "pause": why.paused.astype(np.float64),
+        "wait": ((kind == WAIT) & ~caps.paused).astype(np.float64),
+        "pause": caps.paused.astype(np.float64),
         "stop": moving * (1.0 - free),
     }
 

@@ -1,7 +1,7 @@
 """Parallel simulation of robot, operator and part source: each gate opens when its condition has ended.
 
 The robot moves at the scaling that the safety function allows at the operator's position in the same cycle; the others
-continue at rate 1. The agents of all cells are the lines of one `Lines`: robots first, then operators, then sources.
+continue at rate 1. The agents of all cells are the rows of one `ProgramState`: robots, then operators, then sources.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from cyclekit_sim.coupled_program import (
 from cyclekit_sim.coupled_scenes import JOINT_TIMES, Coupled, Moment
 from cyclekit_sim.engine import Arms, Trace, table_rows
 from cyclekit_sim.errors import SimulationError
-from cyclekit_sim.lines import Lines
 from cyclekit_sim.motion import MotionTable
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.program import Ints, Program
+from cyclekit_sim.program_state import ProgramState
 from cyclekit_sim.safety import SpeedScaling
 from cyclekit_sim.session import Session
 from cyclekit_sim.walking import Leg, WalkedTrack
@@ -130,7 +130,7 @@ def make_cell(
 
 
 class _Gates:
-    """Conditions of the gates of all lines, by flat index: a segment of a line and a lag; -1: none."""
+    """Conditions of the gates of all agents, by flat index: a segment of an agent and a lag; -1: none."""
 
     def __init__(self, cells: Sequence[Cell], width: int) -> None:
         shape = (len(AGENTS) * len(cells), width)
@@ -144,15 +144,15 @@ class _Gates:
                         self._line[row, at] = AGENTS.index(opening.agent) * len(cells) + b
                         self._segment[row, at], self._lag_s[row, at] = opening.needed, opening.lag_s
 
-    def open(self, lines: Lines) -> None:
-        """Release the lines whose condition has ended."""
-        held = lines.held
-        if len(held):
-            at = (held, lines.segment[held])
-            ended_s = lines.ends_s[self._line[at], self._segment[at]]
+    def open(self, state: ProgramState) -> None:
+        """Release the agents whose condition has ended."""
+        waiting = state.waiting
+        if len(waiting):
+            at = (waiting, state.segment[waiting])
+            ended_s = state.ends_s[self._line[at], self._segment[at]]
             known = ~np.isnan(ended_s)
             if known.any():
-                lines.let_go(held[known], (ended_s + self._lag_s[at])[known])
+                state.release(waiting[known], (ended_s + self._lag_s[at])[known])
 
 
 class _People:
@@ -187,33 +187,33 @@ def run_cells(
     people, count = _People(cells), len(cells)
     columns = list(zip(*(each.programs() for each in cells), strict=True))
     operators = [at_row(program, int(row)) for program, row in zip(columns[1], people.first_row[:-1], strict=True)]
-    lines = Lines([*columns[0], *operators, *columns[2]], options.cycle_s)
-    gates, arms = _Gates(cells, lines.ends_s.shape[1]), Arms(table)
+    state = ProgramState([*columns[0], *operators, *columns[2]], options.cycle_s)
+    gates, arms = _Gates(cells, state.ends_s.shape[1]), Arms(table)
     scaling, ones = SpeedScaling(cell.scene.safety, options), np.ones(2 * count)
     records: list[tuple[Array, Array, Ints]] = []
     robots, persons, cycle = slice(0, count), slice(count, 2 * count), 0
-    while lines.running.any():
+    while state.running.any():
         t_s = cycle * options.cycle_s
         if t_s > _LONGEST_S:
             raise SimulationError(f"{cell.scene.name}: an agent is not done after {_LONGEST_S:.0f} s")
-        u, segment = lines.nominal_s, lines.segment
-        person_m = people.at(lines.row[persons], u[persons], lines.rows_per_s[persons])
-        row, way = table_rows(lines.row[robots], u[robots], lines.rows_per_s[robots])
+        u, segment = state.nominal_s, state.segment
+        person_m = people.at(state.row[persons], u[persons], state.rows_per_s[persons])
+        row, way = table_rows(state.row[robots], u[robots], state.rows_per_s[robots])
         s = scaling.advance(arms.seen(row, way, person_m))
-        gates.open(lines)
-        lines.advance(t_s, np.concatenate([s, ones]), 1.0)
+        gates.open(state)
+        state.advance(t_s, np.concatenate([s, ones]), 1.0)
         cycle += 1
         if logged:
             records.append((u[robots], s, segment[robots]))
         if progress is not None and cycle % 1024 == 0:
-            progress(lines.share_done)
-    done = [_done(each, lines, b, count) for b, each in enumerate(cells)]
+            progress(state.share_done)
+    done = [_done(each, state, b, count) for b, each in enumerate(cells)]
     return done, _traces(cell, done, records, options) if logged else []
 
 
-def _done(cell: Cell, lines: Lines, b: int, count: int) -> Done:
+def _done(cell: Cell, state: ProgramState, b: int, count: int) -> Done:
     ends = {
-        agent: lines.ends_s[a * count + b, : len(cell.scripts[agent].columns)].copy() for a, agent in enumerate(AGENTS)
+        agent: state.ends_s[a * count + b, : len(cell.scripts[agent].columns)].copy() for a, agent in enumerate(AGENTS)
     }
     return Done(cell, ends)
 

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cyclekit_sim.arm import Array, link_frames
-from cyclekit_sim.causes import PART_BIT, REDUCED_BIT, Slowing, Why, part_there, scaling_of
+from cyclekit_sim.causes import PART_BIT, REDUCED_BIT, Caps, Slowing, part_there, scaling_of
 from cyclekit_sim.errors import SimulationError
-from cyclekit_sim.lines import Lines
 from cyclekit_sim.motion import MotionTable
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.program import Ints, Program
+from cyclekit_sim.program_state import ProgramState
 from cyclekit_sim.safety import SafetyFunction, SafetyInputs, SpeedScaling
 from cyclekit_sim.walking import Track
 
@@ -41,7 +41,7 @@ class Trace:
         segment: Running segment (K,).
         ends_s: Real time since the start of the run when each segment ended (S,).
         cycle_s: Length of a cycle.
-        why: Causes of s, slider and pauses; None: the person only.
+        caps: Causes of s, slider and pauses; None: the person only.
         inputs: Digital inputs as a bit field (K,); None: there are none.
     """
 
@@ -52,7 +52,7 @@ class Trace:
     segment: Ints
     ends_s: Array
     cycle_s: float
-    why: Why | None = None
+    caps: Caps | None = None
     inputs: Ints | None = None
 
     @property
@@ -63,9 +63,9 @@ class Trace:
     @property
     def pace(self) -> Array:
         """Rate at which the nominal time of a move advances (K,): s times slider, 0 in a pause."""
-        if self.why is None:
+        if self.caps is None:
             return self.scaling
-        return np.where(self.why.paused, 0.0, self.scaling * self.why.slider)
+        return np.where(self.caps.paused, 0.0, self.scaling * self.caps.slider)
 
     @property
     def begins_s(self) -> Array:
@@ -110,24 +110,24 @@ class _Cells:
     """B cells at one time."""
 
     def __init__(self, programs: Sequence[Program], table: MotionTable, scaling: SpeedScaling, cycle_s: float) -> None:
-        self.lines, self._scaling, self._arms = Lines(programs, cycle_s), scaling, Arms(table)
+        self.state, self._scaling, self._arms = ProgramState(programs, cycle_s), scaling, Arms(table)
 
     def step(self, t_s: float, person_m: Array, slowing: Slowing | None, now: _Now | None) -> tuple[Array, Array, Ints]:
         """Advance by one cycle from `t_s`; return nominal time, s and segment (B,) at its start.
 
         s is that of the safety function alone; `slowing` holds the other causes, `now` their values at this time.
         """
-        lines = self.lines
-        u, segment = lines.nominal_s, lines.segment
-        s = self._scaling.advance(self._arms.seen(*table_rows(lines.row, u, lines.rows_per_s), person_m))
+        state = self.state
+        u, segment = state.nominal_s, state.segment
+        s = self._scaling.advance(self._arms.seen(*table_rows(state.row, u, state.rows_per_s), person_m))
         pace: Array = s
         standing: Array | float = 1.0
         if slowing is not None and now is not None:
-            slider, limit = slowing.of_segment(segment, u)
+            slider, limit = slowing.segment_caps(segment, u)
             reduced, stopped, paused = now
             pace = np.where(stopped | paused, 0.0, np.minimum(np.minimum(s, reduced), limit) * slider)
             standing = np.where(paused, 0.0, 1.0)
-        lines.advance(t_s, pace, standing)
+        state.advance(t_s, pace, standing)
         return u, s, segment
 
 
@@ -150,10 +150,10 @@ def run(
     records: list[tuple[Array, Array, Ints]] = []
     limit_s = _SLOWEST * max(float(program.length_s.sum()) for program in programs)
     slowing = None if options.causes is None else Slowing(programs, options.causes, streams, limit_s)
-    while cells.lines.running.any():
+    while cells.state.running.any():
         times = np.asarray((len(records) * _CHUNK + np.arange(_CHUNK)) * options.cycle_s, dtype=np.float64)
         if times[0] > limit_s:
-            raise SimulationError(_stuck(programs[int(np.flatnonzero(cells.lines.running)[0])], limit_s))
+            raise SimulationError(_stuck(programs[int(np.flatnonzero(cells.state.running)[0])], limit_s))
         people = np.stack([track.at(times) for track in tracks], axis=1)
         people = np.where(np.isnan(people), _FAR_M, people)
         now = [None] * _CHUNK if slowing is None else zip(*slowing.during(times), strict=True)
@@ -163,12 +163,12 @@ def run(
         ]
         records.append((_stack(steps, 0), _stack(steps, 1), np.stack([step[2] for step in steps])))
         if progress is not None:
-            progress(cells.lines.share_done)
+            progress(cells.state.share_done)
     nominal_s, scaling = (np.concatenate([record[i] for record in records]) for i in (0, 1))
     segment = np.concatenate([record[2] for record in records])
     traces = []
     for b, (program, track) in enumerate(zip(programs, tracks, strict=True)):
-        ends_s = cells.lines.ends_s[b, : len(program.kind)]
+        ends_s = cells.state.ends_s[b, : len(program.kind)]
         n = int(np.ceil(ends_s[-1] / options.cycle_s - 1e-9))
         parts = nominal_s[:n, b].copy(), scaling[:n, b].copy(), segment[:n, b].copy()
         trace = Trace(program, track, *parts, ends_s, options.cycle_s)
@@ -179,10 +179,10 @@ def run(
 def _with_causes(trace: Trace, slowing: Slowing, b: int, options: SimulationOptions) -> Trace:
     """Return run `b` with all its causes; its s so far is the person's."""
     times = np.asarray(np.arange(len(trace.scaling)) * trace.cycle_s, dtype=np.float64)
-    why = slowing.why(b, times, trace.scaling, trace.segment, trace.nominal_s)
+    caps = slowing.caps(b, times, trace.scaling, trace.segment, trace.nominal_s)
     there = part_there(trace.program, trace.segment) & bool(options.causes and options.causes.part_signal)
     inputs = (slowing.switched_on(b, times).astype(np.int64) << REDUCED_BIT) | (there.astype(np.int64) << PART_BIT)
-    return replace(trace, scaling=scaling_of(why), why=why, inputs=inputs)
+    return replace(trace, scaling=scaling_of(caps), caps=caps, inputs=inputs)
 
 
 def scaling_after(
@@ -203,7 +203,7 @@ def scaling_after(
     if options.latency_s or options.hysteresis_m or options.ramp_down_per_s or options.ramp_up_per_s:
         raise SimulationError("futures are drawn without latency, hysteresis and ramps")
     cells = _Cells(programs, table, SpeedScaling(safety, options), options.cycle_s)
-    cells.lines.begin_at(*begins)
+    cells.state.begin_at(*begins)
     times = np.asarray(np.arange(round(after_s / options.cycle_s) + 1) * options.cycle_s, dtype=np.float64)
     people = np.stack([track.at(times) for track in tracks], axis=1)
     for t_s, person in zip(times.tolist(), np.where(np.isnan(people), _FAR_M, people), strict=True):

@@ -141,7 +141,7 @@ def robot_states(trace: Trace, table: MotionTable, *, begin_s: float, cycles: In
         scaling=trace.scaling[k],
         closed=np.where(late, program.closed_after[of], program.closed_before[of]),
         execution=running[of],
-        slider=np.ones(len(k)) if trace.why is None else trace.why.slider[k],
-        paused=np.zeros(len(k), dtype=bool) if trace.why is None else trace.why.paused[k],
+        slider=np.ones(len(k)) if trace.caps is None else trace.caps.slider[k],
+        paused=np.zeros(len(k), dtype=bool) if trace.caps is None else trace.caps.paused[k],
         inputs=np.zeros(len(k), dtype=np.int64) if trace.inputs is None else trace.inputs[k],
     )

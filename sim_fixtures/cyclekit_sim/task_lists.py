@@ -21,11 +21,11 @@ Order = dict[str, list[str]]
 AGENTS = {"robot": "arm", "operator": "worker"}
 MEAN_S = {"bring": 6.0, "weld": 5.0, "polish": 4.0, "mount": 5.0, "inspect": 7.0, "pack": 4.0}
 WAITS = {"mount": "bring", "weld": "mount"}
-BESIDE = {("weld", "inspect"): 0.6, ("inspect", "weld"): 0.8, ("pack", "polish"): 1.3}
+PARALLEL_RATE = {("weld", "inspect"): 0.6, ("inspect", "weld"): 0.8, ("pack", "polish"): 1.3}
 """Rate of the first task while the second runs in parallel; 1 for all other pairs."""
 LAG_S = 0.2
 EPOCH_S = 1_700_000_000.0
-TIMES = 3
+REPEATS = 3
 """Number of repetitions of each task in one execution."""
 
 
@@ -35,18 +35,18 @@ class ListOptions:
 
     Attributes:
         coupled: Operator and robot wait for each other.
-        beside: Tasks are slower or faster in parallel with others.
+        parallel_rates: Tasks are slower or faster in parallel with others.
         spread: Standard deviation of the logarithm of a duration.
         drift: Share by which the operator becomes faster from the first to the last execution; fresh executions have
             the rate of the last one.
-        turns: Share by which a task takes longer with each repetition in one execution.
+        fatigue: Share by which a task takes longer with each repetition in one execution.
     """
 
     coupled: bool = True
-    beside: bool = True
+    parallel_rates: bool = True
     spread: float = 0.1
     drift: float = 0.0
-    turns: float = 0.0
+    fatigue: float = 0.0
 
 
 @dataclass
@@ -61,7 +61,7 @@ class _Agent:
 
 def random_order(rng: np.random.Generator) -> Order:
     """Return an order of all tasks; the n-th bring comes before the n-th weld."""
-    robot = list(rng.permutation(["bring"] * TIMES + ["weld"] * TIMES + ["polish"] * TIMES))
+    robot = list(rng.permutation(["bring"] * REPEATS + ["weld"] * REPEATS + ["polish"] * REPEATS))
     ahead = 0
     for at, name in enumerate(robot):
         if name == "bring":
@@ -72,7 +72,7 @@ def random_order(rng: np.random.Generator) -> Order:
             ahead += 1
         elif name == "weld":
             ahead -= 1
-    operator = rng.permutation(["mount"] * TIMES + ["inspect"] * TIMES + ["pack"] * TIMES)
+    operator = rng.permutation(["mount"] * REPEATS + ["inspect"] * REPEATS + ["pack"] * REPEATS)
     return {"robot": [str(name) for name in robot], "operator": [str(name) for name in operator]}
 
 
@@ -107,7 +107,7 @@ def one_cycle(
             elif not np.isfinite(agent.began_s) and _starts(agents, name, options) <= t + 1e-9:
                 agent.began_s = t
                 agent.left_s = MEAN_S[task] * float(np.exp(options.spread * rng.standard_normal()))
-                agent.left_s *= 1.0 + options.turns * agent.order[: agent.at].count(task)
+                agent.left_s *= 1.0 + options.fatigue * agent.order[: agent.at].count(task)
                 agent.left_s *= 1.0 - options.drift * passed if name == "operator" else 1.0
     return done
 
@@ -133,8 +133,9 @@ def _starts(agents: dict[str, _Agent], name: str, options: ListOptions) -> float
 
 def _rate(agents: dict[str, _Agent], name: str, options: ListOptions) -> float:
     agent = agents[name]
-    beside = [other.order[other.at] for other in agents.values() if other is not agent and np.isfinite(other.began_s)]
-    rates = [BESIDE.get((agent.order[agent.at], task), 1.0) for task in beside] if options.beside else []
+    running = [other.order[other.at] for other in agents.values() if other is not agent and np.isfinite(other.began_s)]
+    task = agent.order[agent.at]
+    rates = [PARALLEL_RATE.get((task, other), 1.0) for other in running] if options.parallel_rates else []
     return float(np.prod(rates))
 
 
@@ -159,7 +160,7 @@ def simulate_task_lists(
     truth = {
         "agents": {AGENTS[kind]: kind for kind in AGENTS},
         "waits": WAITS if wanted.coupled else {},
-        "rates": [[*pair, rate] for pair, rate in BESIDE.items()] if wanted.beside else [],
+        "rates": [[*pair, rate] for pair, rate in PARALLEL_RATE.items()] if wanted.parallel_rates else [],
         "lag_s": LAG_S,
     }
     (folder / "truth" / "truth.json").write_text(json.dumps(truth, indent=2) + "\n", encoding="utf-8", newline="\n")

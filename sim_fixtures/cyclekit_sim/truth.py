@@ -27,7 +27,7 @@ def task_rows(trace: Trace, clock_s: float) -> Iterator[dict[str, object]]:
     """Yield a run's tasks in order; `clock_s` is the log's clock at the start of the run."""
     program = trace.program
     begins, lengths = trace.begins_s, trace.ends_s - trace.begins_s
-    lost = {} if trace.why is None else lost_parts(trace.why, program.kind[trace.segment])
+    lost = {} if trace.caps is None else lost_parts(trace.caps, program.kind[trace.segment])
     for execution in program.executions:
         for index, (start, goal) in enumerate(zip(execution.places[:-1], execution.places[1:], strict=True)):
             mine = np.flatnonzero((program.execution == execution.index) & (program.task == index))
@@ -110,8 +110,8 @@ def _samples(session: Session, trace: Trace, begin_s: float, scene: Scene, clock
     table |= _xyz("robot_goal", goals[of]) | _xyz("human_goal", human_goals[task])
     table["robot_task"] = pl.Series([robot_tasks[i] for i in of], dtype=pl.String)
     table["human_task"] = pl.Series([human_tasks[i] if human_tasks else None for i in task], dtype=pl.String)
-    if trace.why is not None:
-        parts = lost_parts(trace.why, program.kind[trace.segment])
+    if trace.caps is not None:
+        parts = lost_parts(trace.caps, program.kind[trace.segment])
         table |= {f"lost_{name}": pl.Series(part[cycles]) for name, part in parts.items()}
     return pl.DataFrame(table)
 

@@ -5,7 +5,7 @@ from damage import read_damaged, read_or_refuse
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit.adapter import ReadOptions, whole
+from cyclekit.adapter import ReadOptions, concat_parts
 from cyclekit.errors import ConfigError, LogError, UnknownName
 from cyclekit.ingest.registry import adapters
 from cyclekit_adapters.formats.events import ADAPTER
@@ -148,8 +148,8 @@ def test_a_log_read_in_parts_is_the_log_read_at_once(tmp_path, monkeypatch, text
     monkeypatch.setattr("cyclekit_adapters.text.text_blocks.BLOCK_BYTES", 60)
     parts = list(ADAPTER.stream(tmp_path / "plc.csv", ReadOptions()))
     assert len(parts) > 10
-    assert whole(parts).events.equals(at_once.events)
-    assert whole(parts).warnings == at_once.warnings == ("time steps back 30 time(s)",)
+    assert concat_parts(parts).events.equals(at_once.events)
+    assert concat_parts(parts).warnings == at_once.warnings == ("time steps back 30 time(s)",)
 
 
 def test_a_row_whose_time_is_written_otherwise_is_set_aside(tmp_path):

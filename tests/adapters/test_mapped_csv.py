@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from cyclekit.adapter import ReadOptions, whole
+from cyclekit.adapter import ReadOptions, concat_parts
 from cyclekit.errors import ConfigError, DamagedLog, LogError, MissingColumns, UnknownName
 from cyclekit_adapters.formats.mapped_csv import ADAPTER
 
@@ -267,6 +267,6 @@ def test_a_log_that_is_read_in_parts_is_the_log_read_at_once(tmp_path, monkeypat
     monkeypatch.setattr("cyclekit_adapters.text.text_blocks.BLOCK_BYTES", 100)
     parts = list(ADAPTER.stream(tmp_path / "log.csv", options))
     assert len(parts) > 10
-    assert whole(parts).robot.equals(at_once.robot)
-    assert whole(parts).set_aside.equals(at_once.set_aside)
-    assert whole(parts).warnings == at_once.warnings != ()
+    assert concat_parts(parts).robot.equals(at_once.robot)
+    assert concat_parts(parts).set_aside.equals(at_once.set_aside)
+    assert concat_parts(parts).warnings == at_once.warnings != ()

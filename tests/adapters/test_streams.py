@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tracker_logs import WRITERS
 
-from cyclekit.adapter import ReadOptions, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, StreamingAdapter, concat_parts
 from cyclekit.ingest.registry import adapter_named
 
 RATED = ReadOptions(rate_hz=25.0, skeletons=True)
@@ -21,7 +21,7 @@ def test_parts_of_a_log_are_together_the_log_read_at_once(tmp_path, monkeypatch,
     at_once = adapter.read(path, RATED)
     monkeypatch.setattr("cyclekit_adapters.text.text_blocks.BLOCK_BYTES", block_bytes)
     parts = list(adapter.stream(path, RATED))
-    together = whole(parts)
+    together = concat_parts(parts)
     assert len(parts) > 1
     assert at_once.tables().keys() == together.tables().keys()
     for table, frame in at_once.tables().items():

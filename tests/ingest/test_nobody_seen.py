@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit.adapter import Recording, whole
+from cyclekit.adapter import Recording, concat_parts
 from cyclekit.errors import ConfigError
 from cyclekit.ingest.validate.validate import examined, examined_parts
 from cyclekit.inspect.describe import describe
@@ -67,7 +67,7 @@ def test_it_does_not_matter_where_the_log_was_cut(there: list[bool], value: floa
     places[np.repeat(~np.array(there), 3)] = value
     table = people(places)
     parts = [Recording(people=table[first : first + length]) for first in range(0, table.height, length)]
-    found = whole(examined_parts(parts))
+    found = concat_parts(examined_parts(parts))
     assert seen(found) == np.repeat(there, 3).tolist()
     assert found.warnings == examined(Recording(people=table)).warnings
 

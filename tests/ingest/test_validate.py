@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit.adapter import Recording, whole
+from cyclekit.adapter import Recording, concat_parts
 from cyclekit.ingest.validate.validate import examined, examined_parts
 from cyclekit.schema import PEOPLE, ROBOT, conform
 
@@ -208,7 +208,7 @@ def test_what_cannot_be_does_not_depend_on_where_a_log_was_cut_into_parts(times,
     people = Recording(people=tracks.with_columns(x_m=pl.Series(moved)))
     for one in (robot(60, **columns), people):
         at_once, name = examined(one), next(iter(one.tables()))
-        in_parts = whole(examined_parts(_in_parts(one, cuts)))
+        in_parts = concat_parts(examined_parts(_in_parts(one, cuts)))
         assert in_parts.tables()[name].equals(at_once.tables()[name])
         assert sorted(aside(in_parts)) == sorted(aside(at_once))
         assert in_parts.warnings == at_once.warnings

@@ -234,7 +234,7 @@ def test_few_executions_are_refused(tmp_path) -> None:
 
 
 def test_a_task_that_takes_longer_each_time_in_an_execution_is_learned_so(tmp_path) -> None:
-    card = learned(tmp_path, 4, ListOptions(coupled=False, beside=False, turns=0.2)).card
+    card = learned(tmp_path, 4, ListOptions(coupled=False, parallel_rates=False, fatigue=0.2)).card
     rolled = roll_plan(card, [PlannedTask("worker", "pack")] * 3, cycles=500)
     took = (rolled.end_s - rolled.start_s).mean(axis=0)
     assert took[1] / took[0] == pytest.approx(1.2, abs=0.05)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import ConfigError, DamagedLog, LogError
 from cyclekit.schema import EVENTS, conform
 from cyclekit_adapters.mapped.source_map import words
@@ -43,7 +43,7 @@ class _EventCsv:
         return table is not None and not is_task_list(table.names) and not is_safety_log(path.name, table.names)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         unit, zone = _settings(options)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import DamagedLog
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.mapped.source_map import words
@@ -47,7 +47,7 @@ class _Kinect2Csv:
         return bool(lines) and _is_row(lines[0])
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         words(options, "Kinect v2", {})

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import Draft, ReadOptions, Recording, Role, StreamingAdapter, whole
+from cyclekit.adapter import Draft, ReadOptions, Recording, Role, StreamingAdapter, concat_parts
 from cyclekit.errors import ConfigError, MissingColumns
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
 from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, STATES, WHERE, CsvMap, csv_map
@@ -49,7 +49,7 @@ class _MappedCsv:
         return None if table is None else draft_of(table, f"{path.parent.name} {path.stem}")
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         mapping = csv_map(options)

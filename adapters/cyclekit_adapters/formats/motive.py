@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, cast
 
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.mapped.source_map import words
@@ -72,7 +72,7 @@ class _MotiveCsv:
         return line.startswith(tuple(f"Format Version{mark}" for mark in _MARKS)) and "Take Name" in line
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         up = cast('Literal["y", "z"]', words(options, "Motive", {"up": ("y", "z")}).get("up", "y"))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.robots.controller_time import RepeatFilter
@@ -66,7 +66,7 @@ class _NistUr:
         return _is_bare(head_of(path)) or _TIME in column_names(path, _DELIMITERS)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         units = _units(options)

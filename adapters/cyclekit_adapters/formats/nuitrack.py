@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import MissingColumns
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.mapped.source_map import words
@@ -46,7 +46,7 @@ class _NuitrackCsv:
         return "timestamp" in line and any(f"{point}.x" in line for point in _POINTS)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         words(options, "Nuitrack", {})

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import LogError
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.mapped.source_map import words
@@ -50,7 +50,7 @@ class _Pedestrians:
         return header.titled or looks_like_frames(head_of(path), header)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         chosen = words(options, "pedestrian", {"columns": _ORDERS, "unit": tuple(METRES)})

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal, cast
 import numpy as np
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.schema import EVENTS, conform, empty
 from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
@@ -50,7 +50,7 @@ class _QualisysTsv:
         return len(KEYS.intersection(keys)) >= 3
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         up = marker_words(options, "Qualisys").get("up")

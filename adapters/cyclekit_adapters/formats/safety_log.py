@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import ConfigError, LogError, UnknownName
 from cyclekit.schema import SAFETY, conform
 from cyclekit_adapters.robots.controller_time import BackwardSteps
@@ -69,7 +69,7 @@ class _SafetyCsv:
         return delimiter in line and is_safety_log(path.name, _names(line, delimiter))
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         settings = _settings(options)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import LogError
 from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
@@ -49,7 +49,7 @@ class _Trc:
         return head_of(path).lstrip('"').startswith(FIRST)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         told = marker_words(options, "TRC").get("up")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import ConfigError, DamagedLog, EmptyLog
 from cyclekit_adapters.mapped.source_map import words
 from cyclekit_adapters.tasks.state_changes import StateChanges
@@ -82,7 +82,7 @@ class _TwincatScope:
         )
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         words(options, "TwinCAT Scope", {})

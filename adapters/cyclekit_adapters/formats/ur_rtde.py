@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.robots.controller_time import Range, RepeatFilter
@@ -64,7 +64,7 @@ class _UrRtdeCsv:
         return told or ("timestamp" in names and not set(_VECTORS).isdisjoint(names))
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         layout = _layout(path)

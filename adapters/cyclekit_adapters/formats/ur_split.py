@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import DamagedLog, LogError, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, joined, read_blocks
@@ -43,7 +43,7 @@ class _UrSplitFolder:
         return path.is_dir() and any(_looks_right(path / f"{signal}.csv") for signal in (_POSE, _JOINTS))
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         for key in options.map:
@@ -82,7 +82,7 @@ class _UrSplitFolder:
             "signals": ", ".join(f"{name}.csv" for name in signals),
             "start_time": head_of(path / "start_time.csv", 64).partition("\n")[0].strip() or "not logged",
         }
-        together = rest if last is None else whole([last, rest])
+        together = rest if last is None else concat_parts([last, rest])
         yield replace(together, warnings=tuple(_warnings(signals, lead)), facts=facts)
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, cast
 
-from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit_adapters.text.delimited import TextRows, delimiter_of, fields_of, row_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import head_lines, head_of
@@ -55,7 +55,7 @@ class _ViconCsv:
         )
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        return whole(self.stream(path, options))
+        return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         words = marker_words(options, "Vicon", {"section": WITH_PLACES})

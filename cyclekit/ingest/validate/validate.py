@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import whole
+from cyclekit.adapter import concat_parts
 from cyclekit.ingest.validate.checks import Checks, PeopleChecks, RobotChecks
 from cyclekit.ingest.validate.task_lists import TaskChecks
 from cyclekit.ingest.validate.window import SlidingWindow, kept_rows
@@ -42,7 +42,7 @@ def examined(recording: Recording) -> Recording:
     Args:
         recording: As returned by an adapter; columns may be absent.
     """
-    return whole(examined_parts([recording]))
+    return concat_parts(examined_parts([recording]))
 
 
 def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:

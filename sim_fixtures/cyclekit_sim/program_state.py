@@ -11,7 +11,7 @@ from cyclekit_sim.arm import Array
 from cyclekit_sim.program import MOVE, Ints, Program
 
 
-class Lines:
+class ProgramState:
     """N programs, each followed by an endless standstill; flat index = base + segment."""
 
     def __init__(self, programs: Sequence[Program], cycle_s: float) -> None:
@@ -62,11 +62,11 @@ class Lines:
         return float(np.mean(self.segment / self._last))
 
     @property
-    def held(self) -> Ints:
+    def waiting(self) -> Ints:
         """Numbers of the running programs whose segment has no end yet."""
         return np.flatnonzero(np.isinf(self._length_s) & self.running)
 
-    def let_go(self, which: Ints, at_s: Array) -> None:
+    def release(self, which: Ints, at_s: Array) -> None:
         """Set the real end times of the running segments of these programs; a time in the past ends them at once."""
         begin_s = np.where(self.segment[which] > 0, self.ends_s[which, self.segment[which] - 1], 0.0)
         length_s = np.maximum(at_s - begin_s, 0.0)

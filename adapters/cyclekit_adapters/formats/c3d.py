@@ -58,12 +58,12 @@ class _C3d:
         cut = log.frames_stated - len(places)
         if cut:
             messages.append(f"the file is cut: {cut} of {log.frames_stated} frames are missing at its end")
-        shown, told = (up, "from the cell file") if up else _up(log, names, places, messages)
+        axis, evidence = (up, "from the cell file") if up else _up(log, names, places, messages)
         return Recording(
             people=table,
             skeletons=skeleton_table(people, names, places, t_s, rows) if options.skeletons else None,
             clock="relative",
-            up=cast('Literal["y", "z"]', shown),
+            up=cast('Literal["y", "z"]', axis),
             rows_are="frame",
             rows_read=len(rows),
             set_aside=pl.DataFrame(schema=SET_ASIDE),
@@ -71,7 +71,7 @@ class _C3d:
             facts={
                 "rate_hz": f"{log.rate_hz:g}",
                 "unit": unit,
-                "up": f"{shown}, {told}",
+                "up": f"{axis}, {evidence}",
                 "software": log.text("MANUFACTURER", "SOFTWARE") or "not stated",
                 **marker_facts(people, names),
             },
@@ -90,8 +90,8 @@ def _markers(log: C3dFile) -> tuple[tuple[str, ...], NDArray[np.float64]]:
 def _up(log: C3dFile, names: tuple[str, ...], places_m: NDArray[np.float64], messages: list[str]) -> tuple[str, str]:
     """Return the vertical axis and the evidence; add warnings about it to `messages`."""
     screen = log.text("POINT", "Y_SCREEN").upper().replace(" ", "")
-    if shown := {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen):
-        return shown, "by POINT:Y_SCREEN"
+    if stated := {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen):
+        return stated, "by POINT:Y_SCREEN"
     found = vertical_axis(names, places_m[:FRAMES_USED])
     up, how = (
         (found, "since heads are above feet")

@@ -52,13 +52,13 @@ class _Trc:
         return concat_parts(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
-        told = marker_words(options, "TRC").get("up")
+        given = marker_words(options, "TRC").get("up")
         header = read_header(path, options.rate_hz)
         people = choose_people(path, header.names, options, "TRC")
         used = people.used(skeletons=options.skeletons)
         here, names = people.among(used), [header.names[index] for index in used]
         cells = [cell for index in used for cell in header.cells(index)]
-        up, why = (told, "from the cell file") if told else _up(header)
+        up, why = (given, "from the cell file") if given else _up(header)
         seen, metres = PersonCounts(), METRES[header.unit]
 
         def make(rows: TextRows) -> Recording:
@@ -72,7 +72,7 @@ class _Trc:
             messages = [*header.clock.warnings(), *marker_warnings(people, seen), *_cut(header, seen)]
             if seen.back:
                 messages.append("time does not increase throughout: the rows were edited or joined")
-            if not told and why.startswith(_UNCLEAR):
+            if not given and why.startswith(_UNCLEAR):
                 messages.append(f"up is not in the file: {why}")
             facts = {"rate_hz": header.about.get("DataRate", "not stated"), "unit": f"{header.unit}, from the header"}
             return replace(

@@ -60,8 +60,8 @@ _SLACK = 1e-3  # tolerance for fractions rounded to above 1
 class _UrRtdeCsv:
     def recognises(self, path: Path) -> bool:
         names = column_names(path)
-        told = len(_SCALARS.intersection(names)) > 1 or any(_FIELD.fullmatch(name) for name in names)
-        return told or ("timestamp" in names and not set(_VECTORS).isdisjoint(names))
+        typical = len(_SCALARS.intersection(names)) > 1 or any(_FIELD.fullmatch(name) for name in names)
+        return typical or ("timestamp" in names and not set(_VECTORS).isdisjoint(names))
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         return concat_parts(self.stream(path, options))

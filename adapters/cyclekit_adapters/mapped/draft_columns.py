@@ -112,8 +112,8 @@ def _axes(group: Sequence[Name]) -> tuple[Name, ...]:
 
 
 def _rank(name: Name) -> float:
-    said = 3.0 * name.says(PLACE) + 2.0 * name.says(ACTUAL) + 1.0 * name.says(POSITION) + 1.0 * name.says(ROBOT)
-    return said - 8.0 * name.is_set_point - 0.1 * len(name.words)
+    score = 3.0 * name.says(PLACE) + 2.0 * name.says(ACTUAL) + 1.0 * name.says(POSITION) + 1.0 * name.says(ROBOT)
+    return score - 8.0 * name.is_set_point - 0.1 * len(name.words)
 
 
 def _place(table: DraftTable, first: Name, axes: tuple[Name, ...], *, others: int, of_people: bool) -> FoundColumns:
@@ -132,12 +132,12 @@ def _place(table: DraftTable, first: Name, axes: tuple[Name, ...], *, others: in
     return FoundColumns(columns, unit, why, sure, known, against, person, first.says(ROBOT))
 
 
-def length_unit(values: np.ndarray, said: set[str | None], *, person: bool) -> tuple[str, str, bool]:
+def length_unit(values: np.ndarray, units: set[str | None], *, person: bool) -> tuple[str, str, bool]:
     """Return the unit of lengths, the evidence for it, and whether no other unit is possible.
 
     No arm reaches 3 m (so 300 means mm or cm) or stays within 5 mm; no cell is 30 m wide (3000 cm).
     """
-    named = said & {"m", "mm", "cm", "in"}
+    named = units & {"m", "mm", "cm", "in"}
     if len(named) == 1:
         return str(named.pop()), "its name says so", True
     known = values[np.isfinite(values)]
@@ -184,9 +184,9 @@ def _says_joints(group: Sequence[Name]) -> bool:
     return group[0].says(JOINT) or group[0].number is None or "wrist" in group[-1].words
 
 
-def angle_unit(values: np.ndarray, said: set[str | None]) -> tuple[str, str, bool]:
+def angle_unit(values: np.ndarray, units: set[str | None]) -> tuple[str, str, bool]:
     """Return the unit of joint angles, its evidence, and whether no other is possible: no joint turns twice or more."""
-    named = said & {"rad", "deg"}
+    named = units & {"rad", "deg"}
     if len(named) == 1:
         return str(named.pop()), "its name says so", True
     known = values[np.isfinite(values)]
@@ -232,20 +232,20 @@ def scalings(table: DraftTable, names: Mapping[str, Name]) -> list[FoundColumns]
     """Return columns of speed scaling; the unit is "1" or "100", the value at full speed."""
     found = []
     for name in _numeric(table, names):
-        said = "".join(name.words)
-        if not any(part in said for part in _SCALING) or (name.is_set_point and "fraction" not in said):
+        plain = "".join(name.words)
+        if not any(part in plain for part in _SCALING) or (name.is_set_point and "fraction" not in plain):
             continue
         top, why, sure = _full_speed(table.numbers[name.column], name.unit)
         found.append(FoundColumns((name.column,), top, why, sure))
     return found
 
 
-def _full_speed(values: np.ndarray, said: str | None) -> tuple[str, str, bool]:
+def _full_speed(values: np.ndarray, unit: str | None) -> tuple[str, str, bool]:
     known = values[np.isfinite(values)]
     most = float(known.max()) if len(known) else 0.0
     span = f"values {known.min():.4g} to {most:.4g}" if len(known) else "no values"
     within = len(known) > 0 and known.min() >= 0.0
-    if said == "%":
+    if unit == "%":
         return "100", "its name says percent", within and most <= 100.1
     if within and 1.5 < most <= 100.1:
         return "100", f"{span}: percent", True

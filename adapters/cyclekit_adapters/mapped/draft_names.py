@@ -158,17 +158,17 @@ def name_of(column: str, unit: str = "") -> Name:
         unit: Its entry in a line of units.
     """
     found = _BRACKETED.search(column)
-    said = UNITS.get((found[1] or found[2]).lower()) if found else None
-    text = column[: found.start()] if found and said else column
+    named = UNITS.get((found[1] or found[2]).lower()) if found else None
+    text = column[: found.start()] if found and named else column
     words = [word.lower() for word in _WORD.findall(_ONE_WORD.sub(lambda one: f" {one[0].lower()} ", text))]
-    if said is None and words and (len(words) > 1 or words[0] not in _SMALL_UNITS) and words[-1] in UNITS:
-        said = UNITS[words.pop()]
-    said = UNITS.get(unit.strip("[]() ").lower()) or said
+    if named is None and words and (len(words) > 1 or words[0] not in _SMALL_UNITS) and words[-1] in UNITS:
+        named = UNITS[words.pop()]
+    named = UNITS.get(unit.strip("[]() ").lower()) or named
     axis, rest = _axis(words)
     numbers = [at for at, word in enumerate(rest) if word.isdigit()]
     number = int(rest[numbers[-1]]) if numbers else None
     kept = tuple("#" if at in numbers[-1:] else word for at, word in enumerate(rest))
-    return Name(column, kept, axis, number, said)
+    return Name(column, kept, axis, number, named)
 
 
 def _axis(words: list[str]) -> tuple[str | None, list[str]]:

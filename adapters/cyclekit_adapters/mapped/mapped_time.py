@@ -46,8 +46,8 @@ def require_epoch(path: Path, frame: pl.DataFrame, mapping: CsvMap) -> None:
     if not middle or EPOCH_S[0] <= middle[0] <= EPOCH_S[1]:
         return
     unit = " and ".join(map(repr, mapping.time_unit))
-    told = f"time_format is {mapping.time_format!r}" if mapping.time_format else f"time_unit is {unit}"
-    cause = f'clock = "epoch", but {middle[0]:.10g} s is not in the years 2000 to 2099; {told}'
+    setting = f"time_format is {mapping.time_format!r}" if mapping.time_format else f"time_unit is {unit}"
+    cause = f'clock = "epoch", but {middle[0]:.10g} s is not in the years 2000 to 2099; {setting}'
     cure = 'Give another time_unit or time_format, or clock = "uptime" or "relative".'
     raise LogError(path, cause, cure=cure)
 

@@ -79,9 +79,9 @@ def landmarks_in(head: str) -> str:
     if not any(word in plain for word in _OWN_WORDS) and not ("x" in plain and _X.search(lines[0])):
         return ""
     table = _read(first)
-    shown = _own_names(first) or _numbered(table)
-    if shown or not (table.named or {"x", "y"}.issubset(table.plain)):
-        return shown
+    reason = _own_names(first) or _numbered(table)
+    if reason or not (table.named or {"x", "y"}.issubset(table.plain)):
+        return reason
     rows = [_cells(line, delimiter) for line in lines]
     return _named(table, rows[1:]) or _one_a_row(table, rows)
 

@@ -61,8 +61,8 @@ class QualisysHeader:
     def facts(self) -> dict[str, str]:
         """Return facts about the measurement from the header."""
         passed_over = (*_NAMES.values(), "TRAJECTORY_TYPES", "EVENT")
-        told = {key: " ".join(values) for key, values in self.about.items() if key not in passed_over}
-        return {key: value[:200] for key, value in told.items() if value}
+        lines = {key: " ".join(values) for key, values in self.about.items() if key not in passed_over}
+        return {key: value[:200] for key, value in lines.items() if value}
 
 
 def read_header(path: Path, rate_hz: float | None) -> QualisysHeader:

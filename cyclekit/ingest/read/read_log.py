@@ -90,8 +90,8 @@ def read_or_error(
     except (OSError, MemoryError) as error:
         if _is_ours(error, folder):
             raise
-        told = getattr(error, "strerror", None) or str(error) or "too large for the memory"
-        problem = LogError(log.path, f"cannot be read ({told})", cure="Check the file.")
+        reason = getattr(error, "strerror", None) or str(error) or "too large for the memory"
+        problem = LogError(log.path, f"cannot be read ({reason})", cure="Check the file.")
     else:
         return kept
     shutil.rmtree(folder, ignore_errors=True)

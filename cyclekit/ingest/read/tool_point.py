@@ -41,16 +41,16 @@ def _computed(part: Recording, robot: Robot) -> Recording:
     if not names:
         return part
     if len(names) != len(arm.links):
-        said = f"[robot] is an arm of {len(arm.links)} joints and the log holds {len(names)}: no TCP is computed"
-        return replace(part, warnings=(*part.warnings, said))
+        warning = f"[robot] is an arm of {len(arm.links)} joints and the log holds {len(names)}: no TCP is computed"
+        return replace(part, warnings=(*part.warnings, warning))
     order = joint_order(part.joint_names) if len(part.joint_names) == len(names) else range(len(names))
     angles = np.column_stack([frame[names[i]].cast(pl.Float64).to_numpy() for i in order])
     points, turn = joint_points(arm, angles)
     tcp = points[:, -1] + turn @ np.asarray(robot.tool_m)
     columns = [pl.Series(name, tcp[:, axis], nan_to_null=True) for axis, name in enumerate(TCP)]
     at = "the flange" if robot.tool_m == (0.0, 0.0, 0.0) else "the tool of the cell file"
-    said = f"the TCP was not logged: computed for {at} from the joint angles ({arm.name})"
-    return replace(part, robot=frame.with_columns(columns), warnings=(*part.warnings, said))
+    warning = f"the TCP was not logged: computed for {at} from the joint angles ({arm.name})"
+    return replace(part, robot=frame.with_columns(columns), warnings=(*part.warnings, warning))
 
 
 def _arm(robot: Robot) -> Arm:

@@ -122,7 +122,7 @@ def beside_others(
         Durations; NaN for the own operator track and if not simulated; inf if the cycle does not end within the track.
     """
     own = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
-    dynamics = Dynamics.of(dataset.card.dynamics)
+    dynamics = Dynamics.of(dataset.card.dynamics, model)
     if at_once(model, dynamics):
         asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
         crossed = transit_table(model, asked, tracks).durations([sequence.tasks for sequence in sequences], seed=seed)

@@ -18,6 +18,7 @@ from cyclekit.estimate.cycles import cycles_of
 from cyclekit.estimate.entry import entry_of
 from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.joint.answer import estimate_both, waits_are_known
+from cyclekit.estimate.joint.judged import JointCheck
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs, no_answer, refuse_biased, validated
 from cyclekit.estimate.means import history_of, means_of
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
@@ -89,15 +90,23 @@ def estimate(
         refuse_other_cell(model.card, dataset, other_cell=other_cell)
     if both := [each for each in sequences if chosen == "rollout" and (each.plan or waits_are_known(model, altered))]:
         ask = Question(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, check, altered, engine)
-        of_both = estimate_both(
-            ask, both, validate=validate, other_cell=other_cell, refuse=refused or _raised, tell=tell
-        )
         others = [each for each in sequences if each not in both]
+
+        def tell_first(fraction: float, text: str) -> None:
+            tell(fraction * len(both) / len(sequences), text)
+
+        def tell_rest(fraction: float, text: str) -> None:
+            tell((fraction * len(others) + len(both)) / len(sequences), text)
+
+        of_both = estimate_both(
+            ask, both, validate=validate, other_cell=other_cell, refuse=refused or _raised, tell=tell_first
+        )
         if not others:
             return of_both
         of_robot = estimate(
             model, dataset, others, quantiles=quantiles, takt_s=takt_s, seed=seed, extrapolate=extrapolate,
             validate=validate, check=check, other_cell=other_cell, altered=altered, engine=engine, refused=refused,
+            progress=tell_rest,
         )  # fmt: skip
         return [*of_both, *of_robot]
     dataset, left_out = in_memory(dataset)
@@ -109,6 +118,8 @@ def estimate(
     if not programs:
         return []
     unknown: tuple[str, ...] = ()
+    if isinstance(check, JointCheck):  # the bias of another kind of rollout
+        check = None
     if chosen != "rollout":
         check = None
     elif check is None and validate and altered is None:

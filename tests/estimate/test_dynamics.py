@@ -9,6 +9,7 @@ import pytest
 from msgspec import structs
 
 from cyclekit.dataset.cards import DynamicsCard, TrainingCard
+from cyclekit.dataset.cards.rule import LawCard, MetresCard, RuleCard
 from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.logged import beginnings, beside_others, logged_sequences
 from cyclekit.estimate.nominal import nominal_tasks
@@ -16,6 +17,7 @@ from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.safety import Dynamics, Follower
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.walk import roll_out
+from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
@@ -82,3 +84,19 @@ def test_beside_other_operators_cycles_are_walked_where_the_robot_recovers_slowl
     walked = roll_out(staircase, program, tracks, None, dynamics=Dynamics.of(logged.card.dynamics)).duration_s
     assert np.flatnonzero(np.isnan(crossed)).tolist() == [tracks.executions.index(sequence.name)]
     assert crossed[np.isfinite(crossed)] == pytest.approx(walked[np.isfinite(crossed)])
+
+
+def test_beside_other_operators_s_follows_as_the_law_does(logged: Dataset):
+    """The response of a law is its own; that of the dataset's card belongs to rules with levels."""
+    lengths = {name: MetresCard(value=value) for name, value in (("stop", 0.5), ("linear", 1.0), ("square", 0.5))}
+    law = LawCard(distance="distance TCP to operator", latency_s=0.1, ramp_down_per_s=1.0, ramp_up_per_s=0.1, **lengths)
+    model = RuleSafety(RuleCard(family="law", levels=(0.0, 1.0), law=law, explained=1.0), TrainingCard())
+    nominal = nominal_tasks(logged)
+    sequence = logged_sequences(logged, nominal)[3]
+    tracks = beginnings(operator_tracks(logged, horizon_s=300.0))
+    (crossed,) = beside_others(model, logged, [sequence], nominal, tracks)
+    dynamics = Dynamics(latency_s=0.1, ramp_down_per_s=1.0, ramp_up_per_s=0.1)
+    walked = roll_out(model, lay_out(sequence, nominal, logged), tracks, None, dynamics=dynamics).duration_s
+    seen = np.isfinite(crossed)
+    assert seen.any()
+    assert crossed[seen] == pytest.approx(walked[seen])

@@ -19,9 +19,10 @@ from cyclekit.config.sequences import PlannedTask, TaskSequence, load_sequences
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard, TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError, UnknownName
+from cyclekit.estimate.joint.judged import JointCheck
 from cyclekit.estimate.joint.legs import Gates, operator_agenda
 from cyclekit.estimate.joint.plans import Planner
-from cyclekit.estimate.joint.roll import JointCell, RolledBoth
+from cyclekit.estimate.joint.roll import JointCell, Plan, RolledBoth, longest_s
 from cyclekit.estimate.joint.shares import planned_shares
 from cyclekit.estimate.joint.visits import Segments
 from cyclekit.estimate.nominal import nominal_tasks
@@ -247,6 +248,13 @@ def test_parts_come_after_a_gap_as_long_as_there_is_room(logged: Dataset, buffer
     assert taken == pytest.approx(np.maximum(np.array(came) + 0.1, arrives), abs=1e-9)
 
 
+def test_a_cycle_is_given_the_time_of_the_longest_work_of_the_operator(logged: Dataset) -> None:
+    planner = Planner(JointCell(Constant(1.0), logged, gates(own_s=5.0)), nominal_tasks(logged))
+    short, long = (planner.plan(both(places)) for places in (("rest",), ("inbound", "out_left_1") * 6))
+    mixed = Plan("mixed", short.robot, (*short.operators, *long.operators), both=True)
+    assert longest_s(mixed) == longest_s(long) > longest_s(short)
+
+
 def test_without_conditions_both_agree_with_operators_that_are_tracks(logged: Dataset) -> None:
     sequence = TaskSequence("logged", logged.card.executions[2].places)
     cell = JointCell(TrueStaircase(), logged, None)
@@ -264,6 +272,14 @@ class Coupled(Constant):
     def __init__(self, card: CouplingCard) -> None:
         super().__init__(1.0)
         self.card = TrainingCard(coupling=card)
+
+
+@pytest.fixture
+def judged_joint() -> JointCheck:
+    """A validation of joint rollouts, which were 5 % too long."""
+    found = JointCheck(20, 20, 0.05, 0.001, 0.05, 0.0, (0.001, -0.001) * 10, None, None, (0.05, 0.95))
+    assert found.factor < 0.96
+    return found
 
 
 def test_an_estimate_says_who_waited_for_what(logged: Dataset, tmp_path: Path) -> None:
@@ -286,6 +302,31 @@ def test_an_estimate_says_who_waited_for_what(logged: Dataset, tmp_path: Path) -
     assert all(0.0 <= task["end_low_s"] <= task["end_s"] + 2.0 <= task["end_high_s"] + 4.0 for task in both_["plan"])
     assert max(task["end_high_s"] for task in both_["plan"]) == pytest.approx(both_["quantiles_s"]["0.95"], rel=0.02)
     assert ">operator</text>" in chart.read_text()
+
+
+def test_an_earlier_validation_of_one_way_to_roll_out_does_not_correct_the_other(
+    logged: Dataset, judged_joint: JointCheck
+) -> None:
+    """A plan is rolled out for both agents, a sequence of places with logged tracks; each has its own bias."""
+    places = TaskSequence("places", logged.card.executions[2].places)
+    asked = {"validate": False, "extrapolate": True, "check": judged_joint}
+    told = list[tuple[float, str]]()
+    model = Constant(1.0)
+    found = estimate(model, logged, [both(("rest",)), places], progress=lambda *said: told.append(said), **asked)
+    plan, tracks = sorted(found, key=lambda each: each.name)
+    assert plan.check is judged_joint
+    assert tracks.check is None
+    assert tracks.expected_s == pytest.approx(estimate(model, logged, [places], validate=False)[0].expected_s)
+    assert [part for part, _ in told] == sorted(part for part, _ in told)
+    assert sum(part == 1.0 for part, _ in told) == 1
+
+
+def test_plan_corrects_by_an_earlier_validation_of_both(logged: Dataset, judged_joint: JointCheck) -> None:
+    jobs = Jobs(visit=("conveyor->left_2", "conveyor->left_5"), start="home", operator=("inbound",))
+    model = Coupled(gates(*BOTH_WAIT, own_s=4.0))
+    plain, corrected = (plan_order(model, logged, jobs, validate=False, check=each) for each in (None, judged_joint))
+    assert corrected.expected_s == pytest.approx(plain.expected_s * judged_joint.factor)
+    assert corrected.expected_s != pytest.approx(plain.expected_s, rel=0.01)
 
 
 ROOM = ConditionCard(agent="operator", place="inbound", event="leaves", back=1, lag_s=(0.25,))

@@ -238,10 +238,12 @@ def _agents_of(
 
 def longest_s(plan: Plan) -> float:
     """Return the time after which a cycle of a plan is abandoned, s."""
-    agendas = (plan.robot, *plan.operators)
-    work = sum(max(float(np.max(leg.own_s)), 0.0) + leg.way_s + 5.0 for agenda in agendas[:2] for leg in agenda.legs)
-    latest = max(leg.not_before_s for agenda in agendas for leg in agenda.legs)
-    return REST_S + TIMES * work + latest
+    latest = max(leg.not_before_s for agenda in (plan.robot, *plan.operators) for leg in agenda.legs)
+    return REST_S + TIMES * (_work_s(plan.robot) + max(map(_work_s, plan.operators))) + latest
+
+
+def _work_s(agenda: Agenda) -> float:
+    return sum(max(float(np.max(leg.own_s)), 0.0) + leg.way_s + 5.0 for leg in agenda.legs)
 
 
 def begins_s(cycles: int, agents: Sequence[OneAgent]) -> Vector:

@@ -143,7 +143,8 @@ def plan(
     jobs = replace(jobs, unlogged=frozenset(unlogged))
     first_order(jobs, lambda _, options: options)  # refuse before tracks are simulated
     if jobs.operator or waits_are_known(model):
-        return _of_both(model, dataset, jobs, seed=seed, validate=validate, other_cell=other_cell, progress=progress)
+        asked = {"validate": validate, "other_cell": other_cell}
+        return _of_both(model, dataset, jobs, seed=seed, check=check, progress=progress, **asked)
     length = max(task.nominal_s + task.dwell_s + task.wait_s for task in tasks.values()) * (2 * len(jobs.visit) + 2)
     if check is None and validate:
         check, _ = validated(model, dataset, seed=seed)
@@ -188,12 +189,13 @@ def _of_both(
     *,
     seed: int,
     validate: bool,
+    check: Check | None,
     other_cell: bool,
     progress: Progress | None,
 ) -> OrderPlan:
     tell = progress or (lambda fraction, text: None)
     sequence, order, found, saved, tried = best_of_both(
-        model, dataset, jobs, seed=seed, validate=validate, other_cell=other_cell, tell=tell
+        model, dataset, jobs, seed=seed, validate=validate, check=check, other_cell=other_cell, tell=tell
     )
     operator = tuple(task.name for task in sequence.plan if task.agent == "operator")
     return OrderPlan(

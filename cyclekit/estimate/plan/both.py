@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.check import Check
     from cyclekit.estimate.joint.legs import Agenda
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
@@ -46,10 +47,12 @@ class Both:
         self.cell = JointCell(model, dataset, model.card.coupling)
         self._planner, self._jobs = Planner(self.cell, nominal_tasks(dataset)), jobs
         self.robots = orders_to_try(jobs, seed)
-        mine = replace(
-            jobs, visit=jobs.operator, start="", end=None, via=None, before=(), operator=(), unlogged=frozenset()
-        )
-        self.operators = orders_to_try(mine, seed) if jobs.operator else []
+        self.operators = [jobs.operator] if jobs.operator else []
+        if len(jobs.operator) > 1:
+            mine = replace(
+                jobs, visit=jobs.operator, start="", end=None, via=None, before=(), operator=(), unlogged=frozenset()
+            )
+            self.operators = orders_to_try(mine, seed)
         plans = [self._planner.plan(self.sequence(robot, None, "order")) for robot in self.robots]
         self.robot_agendas = [plan.robot for plan in plans]
         self.operator_agendas: Sequence[Agenda] = [
@@ -119,6 +122,7 @@ def best_of_both(
     *,
     seed: int,
     validate: bool,
+    check: Check | None,
     other_cell: bool,
     tell: Progress,
 ) -> tuple[TaskSequence, tuple[str, ...], CycleEstimate, tuple[float, float, float], int]:
@@ -153,7 +157,14 @@ def best_of_both(
     ]
     drawn = [each for each in both.cycles_s(others, seed) if np.isfinite(each).all()]
     (mine,) = estimate(
-        model, dataset, [best[number]], seed=seed, validate=validate, other_cell=other_cell, extrapolate=True
+        model,
+        dataset,
+        [best[number]],
+        seed=seed,
+        validate=validate,
+        check=check,
+        other_cell=other_cell,
+        extrapolate=True,
     )
     saved = np.mean(drawn, axis=0) - cycles[number] if drawn else np.zeros(1)
     return best[number], both.robots[pairs[number].robot], mine, _saved(saved, seed), looked

@@ -43,7 +43,6 @@ DOUBTED = "* "
 SPLIT_HEADS = ["motion", "safety", "dwell", "wait"]
 LEAST_WAIT_S = 0.2
 """Minimum wait between two tasks, s, whose cause is printed."""
-_SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
 def estimate(
@@ -155,6 +154,7 @@ def doubted(found: Sequence[CycleEstimate], *, width: int = 80) -> str:
 
 def estimates_table(found: Sequence[CycleEstimate]) -> str:
     """Return one table per kind of work, fastest first: expected time, range of cycles, and its parts."""
+    from cyclekit.estimate.result import SPLIT
     from cyclekit.estimate.same_work import by_work
 
     low, high = _range(found)
@@ -169,7 +169,7 @@ def estimates_table(found: Sequence[CycleEstimate]) -> str:
                 f"{place}. {entry.name}" if len(entries) > 1 else entry.name,
                 starred(entry, f"{entry.expected_s:.1f} s"),
                 f"{entry.quantiles_s[low]:.0f}-{entry.quantiles_s[high]:.0f} s",
-                *(f"{getattr(entry, part):.1f}" for part in (*_SPLIT, *idle)),
+                *(f"{getattr(entry, part):.1f}" for part in (*SPLIT, *idle)),
             ]
             for place, entry in enumerate(entries, start=1)
         ]
@@ -271,9 +271,10 @@ def _range(found: Sequence[CycleEstimate]) -> tuple[float, float]:
 
 def tasks_table(entry: CycleEstimate) -> str:
     """Return a table of mean seconds with one row per task of a sequence, in order."""
+    from cyclekit.estimate.result import SPLIT
+
     rows = [
-        [task.task, f"{task.expected_s:.1f}", *(f"{getattr(task, part):.1f}" for part in _SPLIT)]
-        for task in entry.tasks
+        [task.task, f"{task.expected_s:.1f}", *(f"{getattr(task, part):.1f}" for part in SPLIT)] for task in entry.tasks
     ]
     return table(["task ", "expected, s", "motion", "safety", "dwell", "wait"], rows)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.gantt import gantt_figure
-from cyclekit.estimate.result import CycleEstimate
+from cyclekit.estimate.result import SPLIT, CycleEstimate
 from cyclekit.text.plain_text import csv_text
 from cyclekit.text.results import Result
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 Answer = TypeVar("Answer")
 
 _MEAN = ("name", "expected_s", "expected_low_s", "expected_high_s")
-_SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
 @dataclass(frozen=True)
@@ -112,12 +111,12 @@ class CycleEstimates(Answers[CycleEstimate]):
 
     def _rows(self) -> tuple[list[str], list[list[Any]]]:
         levels = sorted(self[0].quantiles_s) if self.answers else []
-        heads = [*_MEAN, *(f"q{level:g}_s" for level in levels), *_SPLIT, "support", "tracks", "warnings"]
+        heads = [*_MEAN, *(f"q{level:g}_s" for level in levels), *SPLIT, "support", "tracks", "warnings"]
         rows = [
             [
                 *(getattr(one, name) for name in _MEAN),
                 *(one.quantiles_s[level] for level in levels),
-                *(getattr(one, name) for name in _SPLIT),
+                *(getattr(one, name) for name in SPLIT),
                 *(one.support, one.tracks, " | ".join(one.warnings)),
             ]
             for one in self

@@ -12,7 +12,7 @@ import polars as pl
 from cyclekit.config.sequences import PLAN
 from cyclekit.estimate.judges import within as half_95
 from cyclekit.estimate.resample import TOGETHER, resampled, wilson
-from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, CycleEstimate, PlannedShare, TaskShare
+from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, SPLIT, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.estimate.same_work import work_of
 from cyclekit.learning.task_times.runs import logged_runs
 
@@ -28,7 +28,6 @@ LEAST_RUNS = 5
 """Minimum number of executions of the most frequent order to use it as baseline; below it, all of the same work."""
 LEVELS = (0.05, 0.5, 0.95)
 """Quantile levels reported for logged executions."""
-_SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
 @dataclass(frozen=True)
@@ -185,7 +184,7 @@ def logged_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEst
         TaskShare(task, float(took), *parts, *ends)
         for task, took, parts, ends in zip(each[0]["task"], took_s, parts_s.tolist(), band, strict=True)
     )
-    cycles_s, split = ends_s[:, -1], dict(zip(_SPLIT, parts_s.sum(axis=0).tolist(), strict=True))
+    cycles_s, split = ends_s[:, -1], dict(zip(SPLIT, parts_s.sum(axis=0).tolist(), strict=True))
     low_s, high_s = _interval(names, cycles_s)
     quantiles = {level: float(np.quantile(cycles_s, level)) for level in LEVELS} if single else {}
     places = next(tuple(one.places) for one in dataset.card.executions if one.execution == names[0])

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from cyclekit.estimate.continuation import BLEND_S, ITSELF, LoggedStates, Stretch
+from cyclekit.estimate.continuation import ITSELF, LoggedStates, Stretch, smooth
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -65,7 +65,8 @@ def enter(
     where, activity = (np.concatenate([getattr(logs[k], part) for k in order]) for part in ("where", "activity"))
     joined = np.array([k not in preceded for k in order])
     before = np.where(first == begin[of], begin[of] + count[of], first) - 1
-    _smooth(where, before[joined], first[joined], sizes[joined], step_s)
+    before, begins = before[joined], first[joined]
+    smooth(where, begins, sizes[joined], where[before, :3] - where[begins, :3], step_s)
     ends = last.copy()  # end of what this operator really did
     for n in np.flatnonzero([k in really for k in order])[::-1].tolist():
         ends[n] = ends[n + 1]
@@ -107,13 +108,3 @@ def _circles(follower: Mapping[int, int], heads: Sequence[int]) -> list[list[int
             k = follower[k]
         circles += [circle] if circle else []
     return circles
-
-
-def _smooth(where: Points, before: Ints, first: Ints, sizes: Ints, step_s: float) -> None:
-    """Smooth the jump between samples `before` and `first`, over BLEND_S or the log that begins there, in place."""
-    step = where[before, :3] - where[first, :3]
-    step[~np.isfinite(step[:, :2]).all(axis=1)] = 0.0
-    step = np.nan_to_num(step)  # a height may be unknown
-    for later in range(round(BLEND_S / step_s)):
-        there = later < sizes
-        where[first[there] + later, :3] += max(1.0 - (later + 1) * step_s / BLEND_S, 0.0) * step[there]

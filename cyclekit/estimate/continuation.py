@@ -235,18 +235,30 @@ class Continuation:
         """Write the pieces into tracks, shape (K, length, 3 or 6) and (K, length), in place."""
         length = where.shape[1]
         flat, doing = where.reshape(-1, where.shape[2]), activity.reshape(-1)
-        blend = np.clip(1.0 - np.arange(1, round(BLEND_S / self._step_s) + 1) * self._step_s / BLEND_S, 0.0, None)
         for piece in pieces:
             begin = piece.track * length + piece.behind
             nth = np.arange(piece.count.sum()) - np.repeat(np.cumsum(piece.count) - piece.count, piece.count)
             to, source = np.repeat(begin, piece.count) + nth, np.repeat(piece.instant, piece.count) + 1 + nth
-            step = flat[begin - 1, :3] - self._logs.where[piece.instant, :3]
-            step[~np.isfinite(step[:, :2]).all(axis=1)] = 0.0
-            step = np.nan_to_num(step)  # the height may be unknown
+            jump_m = flat[begin - 1, :3] - self._logs.where[piece.instant, :3]
             flat[to], doing[to] = self._logs.where[source], self._logs.activity[source]
-            for later, weight in enumerate(blend.tolist()):
-                there = later < piece.count
-                flat[begin[there] + later, :3] += weight * step[there]
+            smooth(flat, begin, piece.count, jump_m, self._step_s)
+
+
+def smooth(where: Points, first: Ints, count: Ints, jump_m: Points, step_s: float) -> None:
+    """Smooth the jumps at samples `first` (N,) over BLEND_S or the next `count` (N,) samples, in place.
+
+    Args:
+        where: Positions, shape (S, 3 or more), m.
+        first: First sample after each jump.
+        count: Number of samples that belong together from there on.
+        jump_m: Position before the jump minus that after it, shape (N, 3); an unknown part is not smoothed.
+        step_s: Time between samples.
+    """
+    jump_m = np.where(np.isfinite(jump_m[:, :2]).all(axis=1)[:, None], jump_m, 0.0)
+    jump_m = np.nan_to_num(jump_m)  # a height may be unknown
+    for later in range(round(BLEND_S / step_s)):
+        there = later < count
+        where[first[there] + later, :3] += max(1.0 - (later + 1) * step_s / BLEND_S, 0.0) * jump_m[there]
 
 
 class _Choices:

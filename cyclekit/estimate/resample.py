@@ -21,7 +21,7 @@ TOGETHER = 3
 """Number of neighbouring executions drawn as one block where logs follow each other without a pause."""
 BLOCKS = 4
 """Minimum number of blocks; with fewer executions the blocks are shorter, as a single block would never vary."""
-_Z = 1.96
+Z95 = 1.96
 """Half-width of a 95 % interval, standard errors."""
 
 
@@ -96,8 +96,8 @@ def means_below(means: Sequence[Vector], index: int) -> Vector:
 def wilson(share: float, count: int) -> tuple[float, float]:
     """Return Wilson's 95 % interval of a share that was counted in `count` cases."""
     count = max(count, 1)
-    middle = (share + _Z**2 / (2 * count)) / (1 + _Z**2 / count)
-    half = _Z * np.sqrt(share * (1 - share) / count + (_Z / (2 * count)) ** 2) / (1 + _Z**2 / count)
+    middle = (share + Z95**2 / (2 * count)) / (1 + Z95**2 / count)
+    half = Z95 * np.sqrt(share * (1 - share) / count + (Z95 / (2 * count)) ** 2) / (1 + Z95**2 / count)
     return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
 
 

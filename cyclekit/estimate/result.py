@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from cyclekit.estimate.history import Combined
     from cyclekit.plots.drawing import Drawing
 
+SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
+"""Attributes that add up to the cycle time of a robot, or to the time of a task."""
 PARTS = 50
 """Number of equal parts of the cycle in which the operator's activity is reported."""
 AWAY, ELSEWHERE = "away", "elsewhere"

@@ -234,6 +234,28 @@ def _asked(model: SafetyModel, robot_m: Floats, human_m: Floats) -> tuple[Vector
     return scaling, inputs[present], present
 
 
+class MayMove(Protocol):
+    """The robot in N cycles."""
+
+    @property
+    def may_move(self) -> Bools:
+        """Which robots may move at some time of the next step, shape (N,)."""
+
+
+def scaling_in_step(
+    model: SafetyModel, follower: Follower | None, robots: MayMove, robot_m: Floats, human_m: Floats
+) -> Vector:
+    """Return s (N,) of the next step for positions (N, 3); without a follower, s follows the model at once.
+
+    The model is not evaluated for robots at standstill throughout the step; their s is 1.
+    """
+    if follower is not None:
+        return follower.advance(robot_m, human_m)
+    scaling, matters = np.ones(len(robot_m)), np.flatnonzero(robots.may_move)
+    scaling[matters] = scaling_of(model, robot_m.take(matters, axis=0), human_m.take(matters, axis=0))
+    return scaling
+
+
 class Follower:
     """s of N cycles over time, with one call per step of `step_s`."""
 

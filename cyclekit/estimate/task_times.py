@@ -9,7 +9,7 @@ import numpy as np
 
 from cyclekit.errors import CyclekitError, EstimateError
 from cyclekit.estimate.conformal import conformal
-from cyclekit.estimate.resample import least_wide
+from cyclekit.estimate.resample import Z95, least_wide
 from cyclekit.estimate.result import CycleEstimate, PlannedShare, TaskShare
 from cyclekit.estimate.same_work import by_work
 from cyclekit.learning.task_times.roll import RolledPlan, agent_of, roll_plan
@@ -17,7 +17,7 @@ from cyclekit.learning.task_times.roll import RolledPlan, agent_of, roll_plan
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.config.sequences import PlannedTask, TaskSequence
     from cyclekit.dataset.cards.task_model import HeldOutCard, TaskModelCard
     from cyclekit.schema import Progress, Vector
 
@@ -26,7 +26,6 @@ CYCLES = 2000
 WHY = "tasks of both agents rolled out side by side from logged task lists"
 NOT_KNOWN = "task lists hold no positions: nothing is known of zones, distances or what the safety system did"
 NOT_JUDGED = "too few executions to validate on held-out orders: the intervals are those of the rollout alone"
-SURE = 1.96
 
 
 def estimate_plans(
@@ -82,7 +81,7 @@ def _estimated(
     mine = [share for share, task in zip(shares, planned, strict=True) if task.agent == robot]
     parts = ("nominal_s", "safety_loss_s", "wait_s")
     nominal, beside, waited = (sum(getattr(share, part) for share in mine) for part in parts)
-    within = None if takt_s is None else _within(single, takt_s, (high - low) / (2 * SURE))
+    within = None if takt_s is None else _within(single, takt_s, (high - low) / (2 * Z95))
     within = within and least_wide(within, model.executions)
     return CycleEstimate(
         name=sequence.name,
@@ -124,8 +123,8 @@ def _last_robot(model: TaskModelCard, rolled: RolledPlan, sequence: TaskSequence
     return max(robots, key=lambda name: robots[name], default=None)
 
 
-def _is_robot(model: TaskModelCard, task: object, sequence: TaskSequence) -> bool:
-    return model.agents[agent_of(model, task, sequence.shown)] == "robot"  # type: ignore[arg-type]
+def _is_robot(model: TaskModelCard, task: PlannedTask, sequence: TaskSequence) -> bool:
+    return model.agents[agent_of(model, task, sequence.shown)] == "robot"
 
 
 def _mean(durations: Vector, judged: HeldOutCard | None, executions: int) -> tuple[float, float, float]:
@@ -137,13 +136,13 @@ def _mean(durations: Vector, judged: HeldOutCard | None, executions: int) -> tup
     mean = float(durations.mean())
     if judged is None:
         chance = float(durations.std(ddof=1)) / mean / np.sqrt(executions)
-        return mean, mean * (1 - SURE * chance), mean * (1 + SURE * chance)
-    biased = abs(judged.bias) > SURE * judged.within
+        return mean, mean * (1 - Z95 * chance), mean * (1 + Z95 * chance)
+    biased = abs(judged.bias) > Z95 * judged.within
     mean /= 1.0 + judged.bias if biased else 1.0
     error = np.hypot(
         np.sqrt(max(judged.order_error**2 - (judged.bias**2 if biased else 0.0), 0.0)), judged.learning_error
     )
-    return mean, mean * (1 - SURE * error), mean * (1 + SURE * error)
+    return mean, mean * (1 - Z95 * error), mean * (1 + Z95 * error)
 
 
 def _single(durations: Vector, judged: HeldOutCard | None) -> Vector:
@@ -161,7 +160,7 @@ LEVELS = np.linspace(0.0, 1.0, 41)
 
 def _within(single: Vector, takt_s: float, error_s: float) -> tuple[float, float, float]:
     """Return the share of the cycles within a takt time, and its 95 % interval."""
-    parts = [float((single + shift * error_s <= takt_s).mean()) for shift in (0.0, SURE, -SURE)]
+    parts = [float((single + shift * error_s <= takt_s).mean()) for shift in (0.0, Z95, -Z95)]
     return parts[0], parts[1], parts[2]
 
 
@@ -209,7 +208,7 @@ def _compared(some: Sequence[CycleEstimate]) -> list[CycleEstimate]:
     """Return estimates of the same work with the probabilities that the mean of one is below that of another."""
     from scipy.special import ndtr
 
-    error = {each.name: (each.expected_high_s - each.expected_low_s) / (2 * SURE) for each in some}
+    error = {each.name: (each.expected_high_s - each.expected_low_s) / (2 * Z95) for each in some}
     found = []
     for each in some:
         others = {

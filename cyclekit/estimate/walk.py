@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.estimate.program import Program, draw_stands
-from cyclekit.estimate.safety import Dynamics, Follower, Logged, SafetyModel, asked_often, at_once, scaling_of
+from cyclekit.estimate.safety import Dynamics, Follower, Logged, SafetyModel, asked_often, at_once, scaling_in_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -171,7 +171,7 @@ def walk(
             robot = lines.robot_at(scaling * asks_after * step_s / 2)
             where, doing, sample = people.at((number + asks_after / 2) * step_s)
             human = where.take(mine, axis=0)
-            scaling = _follow(model, follower, lines, robot, human)
+            scaling = scaling_in_step(model, follower, lines, robot, human)
         elif follower is not None:
             scaling = follower.go_on()
         lost, left = lines.advance(scaling)
@@ -192,15 +192,6 @@ def walk(
             if not len(rows):
                 break
     return Walked(duration, lines.losses(), activity_s.reshape(count, kinds), known, looked, spliced, own_loss)
-
-
-def _follow(model: SafetyModel, follower: Follower | None, lines: _Lines, robot_m: Floats, human_m: Floats) -> Vector:
-    if follower is not None:
-        return follower.advance(robot_m, human_m)
-    scaling = np.ones(len(robot_m))
-    matters = np.flatnonzero(lines.may_move)  # no evaluation where the robot is at standstill throughout the step
-    scaling[matters] = scaling_of(model, robot_m.take(matters, axis=0), human_m.take(matters, axis=0))
-    return scaling
 
 
 class _Lines:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.errors import DatasetError
+from cyclekit.estimate.resample import Z95
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ ENOUGH = 5
 """Minimum number of repetitions of a task: with fewer, single ones determine its motion (median) and dwell (mean)."""
 WITHIN = 0.01
 """Requested half-width of the 95 % interval of the mean cycle time, as a share of the mean."""
-_Z = 1.96
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def _half_width(dataset: Dataset) -> tuple[int, float | None]:
     durations = dataset.executions.filter("complete")["duration_s"]
     if len(durations) < 2:
         return len(durations), None
-    return len(durations), _Z * float(durations.std() or 0.0) / math.sqrt(len(durations)) / float(durations.mean())  # type: ignore[arg-type]
+    return len(durations), Z95 * float(durations.std() or 0.0) / math.sqrt(len(durations)) / float(durations.mean())  # type: ignore[arg-type]
 
 
 def _of_sequences(sequences: Sequence[TaskSequence], lacking: Mapping[str, int]) -> list[OrderToLog]:

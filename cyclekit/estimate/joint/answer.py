@@ -25,7 +25,7 @@ from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.question import Altered, Question
 from cyclekit.estimate.ranked import ranked
 from cyclekit.estimate.resample import interval_of_mean, least_wide, share_within
-from cyclekit.estimate.result import CycleEstimate, TaskShare
+from cyclekit.estimate.result import SPLIT, CycleEstimate, TaskShare
 from cyclekit.learning.out_of_core import in_memory
 
 if TYPE_CHECKING:
@@ -175,8 +175,7 @@ class JointAnswers:
             seed=ask.seed,
         )
         shares = _slowed(task_shares(cycles), factor)
-        parts = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
-        split = {part: sum(getattr(share, part) for share in shares) for part in parts}
+        split = {part: sum(getattr(share, part) for share in shares) for part in SPLIT}
         bias = check.doubted_bias if check else 0.0
         within = None if ask.takt_s is None else share_within(durations, ask.takt_s, weights, bias=bias)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.estimate.joint.drawn import NEVER
-from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, asked_often, at_once, scaling_of
+from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, asked_often, at_once, scaling_in_step
 from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
 
 if TYPE_CHECKING:
@@ -304,7 +304,7 @@ def walk_both(
         if number % asks_after == 0:
             tcp = line.where(scaling * asks_after * FINE_STEP_S / 2)
             human, doing = people.at((number + asks_after / 2) * FINE_STEP_S, line.row)
-            scaling = _scaling(model, follower, line, tcp, human)
+            scaling = scaling_in_step(model, follower, line, tcp, human)
             if support is not None and number % looks_after == 0:
                 known[line.row] += support.near_logged(tcp, human)
                 looked[line.row] += 1
@@ -340,11 +340,3 @@ def _due(line: RobotLine) -> Vector:
     if len(waits):
         due[waits] = opens(line.drawn, line._events_s, line.row[waits], line.leg[waits], np.zeros(len(waits)))[0]
     return due
-
-
-def _scaling(model: SafetyModel, follower: Follower | None, line: RobotLine, tcp: Floats, human: Floats) -> Vector:
-    if follower is not None:
-        return follower.advance(tcp, human)
-    scaling, matters = np.ones(len(tcp)), np.flatnonzero(line.may_move)
-    scaling[matters] = scaling_of(model, tcp[matters], human[matters])
-    return scaling

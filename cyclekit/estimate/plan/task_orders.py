@@ -26,7 +26,8 @@ from cyclekit.config.toml_file import followed, read_toml
 from cyclekit.config.write import sequence_to_toml
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.gantt import gantt_figure
-from cyclekit.estimate.task_times import SURE, estimate_plans
+from cyclekit.estimate.resample import Z95
+from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times.learn import plan_of
 from cyclekit.learning.task_times.roll import agent_of, roll_plan
 from cyclekit.text.results import Result
@@ -182,8 +183,8 @@ def plan_tasks(
     found, *others = _estimates(model, [search.plan(best), *basis], seed)
     against_s = float(np.mean([each.expected_s for each in others]))
     saved = against_s - found.expected_s
-    error = (found.expected_high_s - found.expected_low_s) / (2 * SURE) / found.expected_s * max(abs(saved), 0.0)
-    spread = SURE * float(np.hypot(error, search.noise_s(best)))
+    error = (found.expected_high_s - found.expected_low_s) / (2 * Z95) / found.expected_s * max(abs(saved), 0.0)
+    spread = Z95 * float(np.hypot(error, search.noise_s(best)))
     return TaskOrderPlan(
         found, tuple(search.plan(best)), against, against_s, (saved, saved - spread, saved + spread), len(search.scored)
     )

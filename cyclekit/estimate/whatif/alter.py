@@ -26,7 +26,7 @@ from cyclekit.estimate.safety import (
     scaling_of,
 )
 from cyclekit.estimate.transit import cells_of
-from cyclekit.estimate.whatif.signals import with_other_signals
+from cyclekit.estimate.whatif.signals import SAME_LEVEL, with_other_signals
 from cyclekit.learning.networks.kinds import names_levels
 from cyclekit.learning.rules.quantities import RulePlace, quantities, shifted
 from cyclekit.learning.rules.safety import RuleSafety
@@ -42,8 +42,6 @@ if TYPE_CHECKING:
 
 AWAY = 0.99
 """Share of the maximum scaling that must be allowed at all robot positions for the operator to count as away."""
-SAME_LEVEL = 0.005
-"""Tolerance for naming a level of the rule: learned levels have more digits than people write."""
 LOOKED_AT = 60
 """Number of robot positions at which the operator's effect is evaluated."""
 SPOT_M, NOWHERE_M = 0.1, 1000.0

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.whatif.change import Change, SignalChange
 
 SAME_LEVEL = 0.005
-"""Tolerance within which two levels are equal."""
+"""Tolerance within which two levels are equal: learned levels have more digits than people write."""
 
 
 def with_other_signals(change: Change, model: SafetyModel) -> RuleSafety:

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.estimate.task_times import CYCLES, LEVELS, SURE
+from cyclekit.estimate.resample import Z95
+from cyclekit.estimate.task_times import CYCLES, LEVELS
 from cyclekit.learning.task_times.roll import agent_of
 from cyclekit.report.play.tables import SEED
 
@@ -46,7 +47,7 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
         "seed": SEED,
         "cycles": CYCLES,
         "levels": LEVELS.tolist(),
-        "sure": SURE,
+        "sure": Z95,
         "takt_s": takt_s,
         "labels": {},
         "agents": dict(card.agents),

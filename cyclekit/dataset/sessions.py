@@ -222,8 +222,8 @@ def _in_folder(
         )
         cure = (
             f"Put each session into its own folder ({', '.join(every[:4])}, …). Logs whose times count since 1970 "
-            "are matched by time, if no two robots run at once; a log of events also by sync in its source of the cell "
-            "file."
+            "are matched by time, if no two robots run at once; dates without a time zone need time_zone in the map of "
+            "their source in the cell file. A log of events is also matched by sync in its source."
         )
         raise ConfigError(msg, cure=cure)
     return [[log] for log in robots] + _at_one_time(others)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     _Sources = list[tuple[Source, Draft | None]]
 
 _UNIT = "_unit"
+_DIGITS = "0123456789"
 
 
 def merge_similar(
@@ -47,14 +48,10 @@ def merge_similar(
         if draft is not None:
             of += [name for name in unread if kind_of(name) == kind_of(first.path) and name not in of]
             draft = replace(draft, notes=(*draft.notes, f"for {len(of)} files"))
-        glob = _glob(of)
         others = set(unread) - set(of) - set(drafted)
-        if (
-            len(of) < 2
-            or glob is None
-            or any(fnmatchcase(name, glob) for name in others)
-            or (draft is None and group[0][1] is not None)
-        ):
+        free = (glob for glob in _globs(of) if not any(fnmatchcase(name, glob) for name in others))
+        glob = next(free, None)
+        if len(of) < 2 or glob is None or (draft is None and group[0][1] is not None):
             alone += group
         else:
             globs.append((replace(first, path=glob), draft))
@@ -67,17 +64,22 @@ def kind_of(path: str) -> str:
     return re.sub(r"\d+", "#", path)
 
 
-def _glob(paths: Sequence[str]) -> str | None:
-    """Return a glob for paths of one kind; None if a name contains a glob character."""
+def _globs(paths: Sequence[str]) -> list[str]:
+    """Return globs for paths of one kind, the widest first; none if a name contains a glob character.
+
+    The widest also matches later files: `run_*.csv` for `run_001.csv` to `run_060.csv`, and not `run_0*.csv`.
+    """
     if any(character in path for path in paths for character in "*?["):
-        return None
-    parts = []
+        return []
+    wide, narrow = [], []
     for each in zip(*(path.split("/") for path in paths), strict=True):
         begin = _beginning(each)
         left = [name[len(begin) :] for name in each]
         end = _beginning([name[::-1] for name in left])[::-1]
-        parts.append(begin if not any(left) else f"{begin}*{end}")
-    return "/".join(parts)
+        narrow.append(f"{begin}*{end}" if any(left) else begin)
+        letters = begin.rstrip(_DIGITS) or begin  # a file of digits alone keeps its first ones
+        wide.append(f"{letters}*{end.lstrip(_DIGITS)}" if any(left) else begin)
+    return ["/".join(wide), "/".join(narrow)]
 
 
 def _beginning(names: Sequence[str]) -> str:

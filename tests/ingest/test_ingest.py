@@ -310,6 +310,7 @@ def test_two_robots_and_their_trackers_in_one_folder_are_refused_with_the_cure(
     with pytest.raises(ConfigError, match="unclear which belong together") as caught:
         ingest([tmp_path / "logs"], tmp_path / "dataset")
     assert "its own folder" in str(caught.value.cure)
+    assert "dates without a time zone need time_zone" in str(caught.value.cure)
     assert not (tmp_path / "dataset").exists()
 
 
@@ -354,6 +355,16 @@ def test_executions_that_begin_by_a_register_nobody_logged_are_refused(three_run
 def test_the_cell_file_suggested_for_logs_names_those_of_a_kind_once_with_their_adapter(three_runs: Path):
     cell = suggest_cell([three_runs]).cell
     assert [(source.path, source.adapter) for source in cell.sources] == [("run_*.csv", "ur-rtde")]
+
+
+def test_the_path_suggested_for_numbered_logs_matches_the_next_ones_too(tmp_path: Path, robot_log: Any):
+    for name in ("run_008.csv", "run_009.csv", "day/0701.csv", "day/0702.csv"):
+        robot_log(tmp_path / name, ROUND_TRIP)
+    paths = {source.path for source in suggest_cell([tmp_path]).cell.sources}
+    assert paths == {"run_*.csv", "day/070*.csv"}  # a name of digits alone keeps the common ones
+    (tmp_path / "run_notes.csv").write_text("of no adapter\n")  # and of no source either
+    paths = {source.path for source in suggest_cell([tmp_path]).cell.sources}
+    assert paths == {"run_00*.csv", "day/070*.csv"}
 
 
 def test_the_cell_file_suggested_for_a_dataset_names_the_places_found(boxes: SimulatedCell):

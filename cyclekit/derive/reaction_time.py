@@ -10,12 +10,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import polars as pl
 
-from cyclekit.dataset.time_grid import stretches
+from cyclekit.derive.concatenated import APART_S, commanded_samples, shifts_apart
 from cyclekit.derive.session_signals import some_executions
 from cyclekit.derive.usual_levels import usual_levels
-from cyclekit.scaling.commanded import commanded_levels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +32,6 @@ NEAR_S = 1.5
 BETTER, SIGMAS = 0.8, 4.0
 """Maximum ratio of errors to those at reaction time 0; minimum reduction in standard errors of a count."""
 AWAY_M = 99.0
-_APART_S = 1e4
 _AXES = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
 
 
@@ -79,33 +76,24 @@ def _of_file(
     file: Path, chosen: Sequence[str], levels: Sequence[float], response: SafetyResponse
 ) -> tuple[Vector, Ints, Floats, Ints]:
     """Return time, commanded level, places (N, 6) and execution of the samples of one file whose places are known."""
-    columns = ["execution", "t_s", "scaling", "human_gap", *_AXES]
-    rows = pl.scan_parquet(file, glob=False).select(columns).filter(pl.col("execution").is_in(list(chosen)))
-    frame = rows.collect(engine="streaming").with_columns(pl.col("scaling", *_AXES).fill_null(np.nan))
-    if not frame.height:
+    found = commanded_samples(file, chosen, ["human_gap", *_AXES], _AXES, levels, response)
+    if found is None:
         return np.empty(0), np.empty(0, np.int64), np.empty((0, 6)), np.empty(0, np.int64)
-    t_s, scaling = frame["t_s"].to_numpy(), frame["scaling"].to_numpy()
-    period_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.1
-    stretch = stretches(frame, 1.0 / period_s)
-    ends = np.flatnonzero(np.diff(stretch)) + 1
-    pairs = zip(np.split(t_s, ends), np.split(scaling, ends), strict=True)
-    level = np.concatenate([commanded_levels(t, s, levels, response).level for t, s in pairs]).astype(np.int64)
+    frame, t_s, stretch, level = found
     places = frame.select(_AXES).to_numpy()
     away = (frame["human_gap"] == "absent").fill_null(value=False).to_numpy()
     places[away, 3:] = AWAY_M
     places[:, 5] = np.nan_to_num(places[:, 5])  # a height may be unknown
     number = frame["execution"].rank("dense").to_numpy().astype(np.int64)
-    return t_s + stretch * _APART_S, level, places, number
+    return t_s + stretch * APART_S, level, places, number
 
 
 def _joined(found: Sequence[tuple[Vector, Ints, Floats, Ints]]) -> tuple[Vector, Ints, Floats, Ints]:
     """Return the files concatenated, far apart in time."""
-    t_s, execution = [], []
-    last_s, last = 0.0, 0
+    shifts = shifts_apart((float(one[0][0]), float(one[0][-1])) for one in found)
+    t_s, execution = [one[0] + shift for one, shift in zip(found, shifts, strict=True)], []
     for one in found:
-        t_s.append(one[0] - one[0][0] + last_s + _APART_S)
-        execution.append(one[3] + last)
-        last_s, last = float(t_s[-1][-1]), int(execution[-1].max())
+        execution.append(one[3] + (int(execution[-1].max()) if execution else 0))
     level, places = (np.concatenate([one[k] for one in found]) for k in (1, 2))
     return np.concatenate(t_s), level, places, np.concatenate(execution)
 

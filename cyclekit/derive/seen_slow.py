@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import polars as pl
 
+from cyclekit.derive.concatenated import shifts_apart
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -20,7 +22,6 @@ HELD, AROUND = 0.02, 3
 DISTANCES = 2
 """Number of distances, which are the first features."""
 FAR_M = 99.0
-_APART_S = 1e5
 UNSEEN_S = 5.0
 """Maximum time, s, for which a lost operator is assumed to be at the last position seen."""
 
@@ -109,18 +110,19 @@ def rows_of(samples: pl.DataFrame, switches: Mapping[str, Switches]) -> Rows:
 def joined(parts: Sequence[Rows]) -> Rows:
     """Return several parts concatenated: times, executions and signals of each follow those before."""
     names = list(dict.fromkeys(name for part in parts for name in part.tasks))
-    shift_s, executions, shifted = 0.0, 0, list[Rows]()
+    executions, shifted = 0, list[Rows]()
     told: dict[str, list[Switches]] = {}
-    for part in parts:
-        shift, number = shift_s - float(part.t_s[0]), np.array([names.index(name) for name in part.tasks] + [-1])
+    shifts = shifts_apart((float(part.t_s[0]), float(part.t_s[-1])) for part in parts)
+    for part, shift in zip(parts, shifts, strict=True):
+        number = np.array([names.index(name) for name in part.tasks] + [-1])
         for name, switch in part.switches.items():
             first_s = min(float(switch.t_s[0]), float(part.t_s[0])) - 1.0  # before that, the opposite state
             told.setdefault(name, []).append(
                 Switches(np.append(first_s, switch.t_s) + shift, np.append(~switch.on[0], switch.on))
             )
-        execution, t_s = part.execution + executions, part.t_s + shift
-        shifted.append(replace(part, t_s=t_s, execution=execution, task=number[part.task]))
-        shift_s, executions = float(t_s[-1]) + _APART_S, int(execution[-1])
+        execution = part.execution + executions
+        shifted.append(replace(part, t_s=part.t_s + shift, execution=execution, task=number[part.task]))
+        executions = int(execution[-1])
     arrays = {
         one.name: np.concatenate([getattr(part, one.name) for part in shifted])
         for one in fields(Rows)

@@ -11,10 +11,9 @@ import polars as pl
 
 from cyclekit.dataset.cards import note
 from cyclekit.dataset.signals import INPUT, OUTPUT, SignalChanges, held_bits, values_of
-from cyclekit.dataset.time_grid import stretches
+from cyclekit.derive.concatenated import APART_S, commanded_samples, shifts_apart
 from cyclekit.derive.operator_signals import FoundSignals, SignalEvidence, find_signals
 from cyclekit.derive.seen_slow import Switches
-from cyclekit.scaling.commanded import commanded_levels
 from cyclekit.scaling.response import LevelChange, SafetyResponse, changes_of, rate_of
 from cyclekit.segmentation.stored_run import pieces
 
@@ -31,10 +30,9 @@ if TYPE_CHECKING:
 
 EVIDENCE_SAMPLES = 200_000
 """Approximate maximum number of samples, from evenly spread executions, to find causes of lost time and signals."""
-_APART_S = 1e5
-_ALWAYS_S = np.array([-_APART_S / 2])
+_ALWAYS_S = np.array([-APART_S / 2])
 """Time before all of a session, and after all of the session before it."""
-_COLUMNS = ["execution", "t_s", "scaling", "robot_x_m", "robot_y_m", "robot_task"]
+_NUMBERS = ["robot_x_m", "robot_y_m"]
 
 
 @dataclass(frozen=True)
@@ -185,22 +183,20 @@ def _evidence(
 ) -> SignalEvidence:
     """Return the data of some executions, with sessions shifted so that their times do not overlap."""
     chosen = set(some_executions(made))
-    shifts = np.cumsum([0.0, *(_APART_S + max((card.end_s for card in mine.cards), default=0.0) for mine in made)])
+    shifts = shifts_apart((0.0, max((card.end_s for card in mine.cards), default=0.0)) for mine in made)
     changes = [_changes(mine, chosen, runs[mine.session], levels) for mine in made]
     every = [change for mine in changes for change in mine]
     down, up = (rate_of([change for change in every if change.rises is rises]) for rises in (False, True))
     response = SafetyResponse(None, down, up, None, len(every), None)
-    parts = list(_samples(made, chosen, levels, response, shifts.tolist(), folder))
+    parts = list(_samples(made, chosen, levels, response, shifts, folder))
     t_s, level, x_m, y_m, task, execution = (np.concatenate([part[i] for part in parts]) for i in range(6))
     falls, rises = (
-        np.array(
-            [c.t_s + at for mine, at in zip(changes, shifts.tolist(), strict=False) for c in mine if c.rises is up]
-        )
+        np.array([c.t_s + at for mine, at in zip(changes, shifts, strict=True) for c in mine if c.rises is up])
         for up in (False, True)
     )
     place = np.column_stack([x_m, y_m])
     return SignalEvidence(
-        t_s, level, place, task, execution, np.sort(falls), np.sort(rises), _joined(values, shifts.tolist()), levels
+        t_s, level, place, task, execution, np.sort(falls), np.sort(rises), _joined(values, shifts), levels
     )
 
 
@@ -211,7 +207,7 @@ def _joined(values: Sequence[Mapping[str, SignalChanges]], shifts: Sequence[floa
     found = {}
     for name in names:
         each = [mine.get(name, unknown) for mine in values]
-        times = [one.t_s + at for one, at in zip(each, shifts, strict=False)]
+        times = [one.t_s + at for one, at in zip(each, shifts, strict=True)]
         found[name] = SignalChanges(np.concatenate(times), np.concatenate([one.value for one in each]))
     return found
 
@@ -243,20 +239,15 @@ def _samples(
     folder: Path,
 ) -> Iterator[tuple[Vector, Ints, Vector, Vector, Ints, Ints]]:
     """Yield time, commanded level, place (x, y) and task of the robot, and execution of the samples of each file."""
-    session = {card.execution: at for one, at in zip(made, shifts, strict=False) for card in one.cards}
+    session = {card.execution: at for one, at in zip(made, shifts, strict=True) for card in one.cards}
     numbers = {name: number for number, name in enumerate(session)}
     tasks = dict[str | None, int]()
     for part in dict.fromkeys(one.part for one in made if one.samples):
-        rows = pl.scan_parquet(folder / f"{part}.parquet", glob=False).select(_COLUMNS)
-        frame = rows.filter(pl.col("execution").is_in(list(chosen))).collect(engine="streaming")
-        if not frame.height:
+        file = folder / f"{part}.parquet"
+        found = commanded_samples(file, [*chosen], [*_NUMBERS, "robot_task"], _NUMBERS, levels, response)
+        if found is None:
             continue
-        frame = frame.with_columns(pl.col("scaling", "robot_x_m", "robot_y_m").fill_null(np.nan))
-        t_s, scaling = frame["t_s"].to_numpy(), frame["scaling"].to_numpy()
-        period_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.1
-        ends = np.flatnonzero(np.diff(stretches(frame, 1.0 / period_s))) + 1
-        pairs = zip(np.split(t_s, ends), np.split(scaling, ends), strict=True)
-        level = np.concatenate([commanded_levels(t, s, levels, response).level for t, s in pairs]).astype(np.int64)
+        frame, t_s, _, level = found
         level[~np.isfinite(frame["robot_x_m"].to_numpy())] = -1
         of = frame["execution"]
         at = of.replace_strict(session, return_dtype=pl.Float64).to_numpy()

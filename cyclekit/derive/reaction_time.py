@@ -91,7 +91,8 @@ def _of_file(
 def _joined(found: Sequence[tuple[Vector, Ints, Floats, Ints]]) -> tuple[Vector, Ints, Floats, Ints]:
     """Return the files concatenated, far apart in time."""
     shifts = shifts_apart((float(one[0][0]), float(one[0][-1])) for one in found)
-    t_s, execution = [one[0] + shift for one, shift in zip(found, shifts, strict=True)], []
+    t_s = [one[0] + shift for one, shift in zip(found, shifts, strict=True)]
+    execution: list[Ints] = []
     for one in found:
         execution.append(one[3] + (int(execution[-1].max()) if execution else 0))
     level, places = (np.concatenate([one[k] for one in found]) for k in (1, 2))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
+from cyclekit.dataset.cards import note
 from cyclekit.derive.session_samples import SessionToSample
 from cyclekit.scaling.of_runs import with_scaling
 from cyclekit.segmentation.arrivals import Stands, stands_of
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.standstills import Stop
     from cyclekit.segmentation.stored_run import Run
 
+MANY_EXECUTIONS, ONCE = 10, 3
+"""Minimum number of executions, and of places found in just one of them, for a note."""
 KEPT_BYTES = 160 << 20
 """Cache of decoded rows while the scaling is inferred: the fastest repetitions of a motion are all over the log."""
 
@@ -51,7 +55,7 @@ class RobotInSessions(NamedTuple):
         runs: All runs; a session has the indices of its own.
         places: All places.
         executions: Executions of each run, in order of time.
-        warnings: Notes on the scaling.
+        warnings: Notes on the scaling and the places.
     """
 
     runs: Sequence[Run]
@@ -83,7 +87,7 @@ def robot_of(
     by_run: list[list[Execution]] = [[] for _ in scaled]
     for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
         by_run[found.run].append(found)
-    return RobotInSessions(scaled, places, by_run, warnings)
+    return RobotInSessions(scaled, places, by_run, [*warnings, *visited_once(places, executions)])
 
 
 def _divided(
@@ -98,6 +102,18 @@ def _divided(
         visits = find_visits(stops, places, runs)
     executions = find_executions(visits, places, cell.executions, marks)
     return places, with_waits(executions, stops, runs) + _whole_runs(runs, executions)
+
+
+def visited_once(places: Mapping[str, Place], executions: Sequence[Execution]) -> list[Note]:
+    """Return a note if several found places were visited in just one of many executions: stops midway look like that.
+
+    A door or an emergency stop that the logged scaling does not show leaves such standstills.
+    """
+    if len(executions) < MANY_EXECUTIONS:
+        return []
+    often = Counter(place for one in executions for place in {visit.place for visit in one.visits})
+    once = [name for name, place in places.items() if place.inferred and often[name] == 1]
+    return [note("places-once", count=len(once), of=len(places))] if len(once) >= ONCE else []
 
 
 def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Execution]:

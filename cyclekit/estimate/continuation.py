@@ -254,8 +254,7 @@ def smooth(where: Points, first: Ints, count: Ints, jump_m: Points, step_s: floa
         jump_m: Position before the jump minus that after it, shape (N, 3); an unknown part is not smoothed.
         step_s: Time between samples.
     """
-    jump_m = np.where(np.isfinite(jump_m[:, :2]).all(axis=1)[:, None], jump_m, 0.0)
-    jump_m = np.nan_to_num(jump_m)  # a height may be unknown
+    jump_m = np.nan_to_num(jump_m) * np.isfinite(jump_m[:, :2]).all(axis=1, keepdims=True)  # a height may be unknown
     for later in range(round(BLEND_S / step_s)):
         there = later < count
         where[first[there] + later, :3] += max(1.0 - (later + 1) * step_s / BLEND_S, 0.0) * jump_m[there]

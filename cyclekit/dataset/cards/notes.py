@@ -228,6 +228,11 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "no signal of people was found; {signals} change {late_s:.2f} s after the speed, as a lamp does: "
         "if it is a field that is logged late, name it under [[operator_signals]] in cell.toml"
     ),
+    "places-once": (
+        "{count} of {of} places were visited in one execution only: if the robot was stopped there midway (by a door "
+        "or an emergency stop that the logged scaling does not show), name its places in cell.toml and set "
+        "all_places_named = true"
+    ),
     "people-mixed": (
         "positions of people are known in {positions} executions, signals of them in {signals}, neither in {neither}: "
         "`train` uses the kind that more executions have"

@@ -8,7 +8,8 @@ import numpy as np
 from msgspec import structs
 
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.task_times import SURE, estimate_plans
+from cyclekit.estimate.resample import Z95
+from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.estimate.whatif.answer import WhatIf
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def _estimates(model: TaskModelCard, sequences: Sequence[TaskSequence], seed: in
 def _saved(before: CycleEstimate, after: CycleEstimate) -> tuple[float, float, float]:
     """Return the saving of a change, s, with its 95 % interval; both estimates have the same relative error."""
     saved = before.expected_s - after.expected_s
-    part = (before.expected_high_s - before.expected_low_s) / (2 * SURE) / before.expected_s
+    part = (before.expected_high_s - before.expected_low_s) / (2 * Z95) / before.expected_s
     noise = float(np.std(np.array(before.durations_s))) / np.sqrt(len(before.durations_s))
-    error = SURE * float(np.hypot(part * abs(saved), noise))
+    error = Z95 * float(np.hypot(part * abs(saved), noise))
     return saved, saved - error, saved + error

@@ -67,7 +67,7 @@ def frame_notes(
     logs = [one for each in made for one in each.recordings if "people" in one.tables]
     frames = {(one.frame.method, one.frame.xyz_m, one.frame.rotation) for one in logs}
     samples = _samples(made, levels, folder) if len(frames) == 1 and len(levels) > 1 else None
-    if samples is None or _agrees([one.seen for one in changes]):
+    if samples is None or not samples.height or _agrees([one.seen for one in changes]):
         return []
     tcp_m, level = samples.select(_ROBOT).to_numpy(), samples["level"].to_numpy()
     people_m = np.full((len(level), MOST_PEOPLE, 3), np.nan)

@@ -239,7 +239,7 @@ def logged_sets(cell: Cell, count: int) -> LoggedSets:
     xyz_m, doing, spells = drawn(cell.scene, count)
     every, which = cell.stretches(xyz_m, doing), np.arange(count) % LOGGED_ORDERS
     logs, until_s, took_s = list(every), [0.0] * count, [Counter[str]()] * count
-    for order, sequence in enumerate(followed):
+    for order, sequence in enumerate(followed[:count]):  # fewer operators do not follow all orders
         mine = np.flatnonzero(which == order).tolist()
         cycles = cell.rolled([lay_out(sequence, cell.nominal, cell.dataset)], [every[k] for k in mine])[0]
         motion_s = np.array([cell.nominal[task].nominal_s for task in sequence.tasks])

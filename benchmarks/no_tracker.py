@@ -28,6 +28,10 @@ CELLS: dict[str, tuple[str, SimulationOptions]] = {
         "box-picking",
         SimulationOptions(people="signals", latency_s=0.1, ramp_down_per_s=1.5, ramp_up_per_s=1.5),
     ),
+    "pick-and-package by signals": (
+        "pick-and-package",
+        SimulationOptions(people="signals", latency_s=0.1, ramp_down_per_s=1.5, ramp_up_per_s=1.5),
+    ),
     "scanner-fields, slow recovery": (
         "scanner-fields",
         SimulationOptions(latency_s=0.3, ramp_down_per_s=1.0, ramp_up_per_s=0.1),

@@ -162,7 +162,7 @@ def of_seed(
     states = courses(scene, asked.sets * size, seed)
     which = np.arange(len(states)) % LOGGED_ORDERS
     logs, took = [np.empty(0, np.int64)] * len(states), [Counter[str]()] * len(states)
-    for order, sequence in enumerate(followed):
+    for order, sequence in enumerate(followed[: len(states)]):  # fewer operators do not follow all orders
         mine = np.flatnonzero(which == order)
         cycles = rolled(scene, [lay_out(sequence, nominal, dataset)], states[mine], seed=order)[0]
         motion_s = np.array([nominal[task].nominal_s for task in sequence.tasks])

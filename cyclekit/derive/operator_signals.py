@@ -38,6 +38,10 @@ LATE_S = 0.5
 """Maximum time, s, after a change of speed at which a signal may be a field that is logged late."""
 GAIN = 0.02
 """Minimum additional share of the lost time that a signal must explain."""
+OF_REST, LEAST_GAIN, BEYOND_CHANCE = 0.5, 0.005, 4.0
+"""Enough after the first signal: share of the unexplained time, share of the lost time, standard errors by execution.
+Where two fields together almost always show what a third one shows, the third one explains little more; but without it
+no rule on single fields is right."""
 MIRRORS = 0.9
 """Minimum share of an input's changes that follow an output within MIRROR_S for it to count as a mirror."""
 MIRROR_S = 0.5
@@ -138,7 +142,7 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
                 signal=signal,
                 occupied=lead.occupied,
                 delay_s=round(max(lead.delay_s, 0.0), 3),
-                explained=max(0.0, min(1.0, round(_explained(evidence, on), 4))),
+                explained=max(0.0, min(1.0, round(1.0 - float(_unexplained(evidence, on).sum()), 4))),
                 told=bool(told),
             )
         )
@@ -199,20 +203,31 @@ def _believed(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> list[str]
     """Return the signals that explain more than the robot's place and the signals before them, best first."""
     chosen: list[str] = []
     on: list[Bools] = []
-    share = _explained(evidence, on)
+    rest = _unexplained(evidence, on)
     for at_once in (False, True):
         left = [name for name, lead in leads.items() if (lead.delay_s < AT_ONCE_S) == at_once]
         while left and len(chosen) < MOST_SIGNALS:
             states = {name: _on(evidence, name, leads[name]) for name in left}
-            shares = {name: _explained(evidence, [*on, state]) for name, state in states.items()}
-            best = max(shares, key=lambda name: shares[name])
-            if shares[best] < share + GAIN:
+            rests = {name: _unexplained(evidence, [*on, state]) for name, state in states.items()}
+            best = min(rests, key=lambda name: rests[name].sum())
+            if not _gains(rest, rests[best], first=not chosen):
                 break
-            share = shares[best]
+            rest = rests[best]
             on.append(states[best])
             chosen.append(best)
             left.remove(best)
     return chosen
+
+
+def _gains(before: Vector, after: Vector, *, first: bool) -> bool:
+    """Return whether a signal explains enough more: `_unexplained` without and with it."""
+    gain = before - after
+    total = float(gain.sum())
+    if total >= GAIN or first:
+        return total >= GAIN
+    if total < max(LEAST_GAIN, OF_REST * float(before.sum())) or len(gain) < 2:
+        return False
+    return total >= BEYOND_CHANCE * float(np.sqrt(len(gain)) * gain.std(ddof=1))
 
 
 def _delays(evidence: SignalEvidence, signal: str, occupied: str) -> tuple[_Answers, _Answers]:
@@ -277,24 +292,27 @@ def _on(evidence: SignalEvidence, name: str, lead: _Lead) -> Bools:
     return np.asarray(on)
 
 
-def _explained(evidence: SignalEvidence, on: Sequence[Bools]) -> float:
-    """Return the share of the lost time that signals and the robot's place explain, on held-out executions."""
+def _unexplained(evidence: SignalEvidence, on: Sequence[Bools]) -> Vector:
+    """Return the lost time of each execution, held out, that signals and the robot's place do not explain, shape (E,).
+
+    As a share of the lost time of all executions.
+    """
     known = np.flatnonzero(evidence.level >= 0)
     known = known[:: 1 + len(known) // MOST_ROWS]
-    levels, level, execution = np.asarray(evidence.levels), evidence.level[known], evidence.execution[known]
+    levels, level = np.asarray(evidence.levels), evidence.level[known]
+    execution = np.unique(evidence.execution[known], return_inverse=True)[1].ravel()
     states: list[Vector | Bools] = [state[known] for state in on]
     features = np.column_stack([counting(evidence.place[known], states), *states]).astype(np.float64)
-    wrong, fold = 0.0, np.unique(execution, return_inverse=True)[1].ravel() % FOLDS
-    for part in np.unique(fold).tolist():
-        learn = fold != part
+    lost, wrong = levels[-1] - levels[level], np.zeros(len(known))
+    for part in range(min(FOLDS, int(execution.max(initial=-1)) + 1)):
+        learn = execution % FOLDS != part
         if not learn.any():
-            return 0.0
+            return np.ones(1)
         together = np.zeros(int(learn.sum()), np.int64)  # one group: cuts are judged on the held-out fold
         tree = usual_levels(features[learn], level[learn], len(levels), together)
         said = tree.lowest(features[~learn], 0.5)
-        wrong += float(np.abs(levels[said] - levels[level[~learn]]).sum())
-    lost = float((levels[-1] - levels[level]).sum())
-    return 1.0 - wrong / lost if lost > 0.0 else 0.0
+        wrong[~learn] = np.abs(levels[said] - levels[level[~learn]])
+    return np.bincount(execution, wrong) / lost.sum() if lost.any() else np.ones(1)
 
 
 def _usual(group: Ints, state: Bools, learn: Bools) -> Bools:

@@ -26,7 +26,7 @@ from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.walk import roll_all
 from cyclekit.report import compose_report
 from cyclekit.report.inputs import PageInputs
-from cyclekit.report.play import PlayPart, part, play_part, scaling_table, tables
+from cyclekit.report.play import PlayPart, part, play_part, scaling_table
 from cyclekit.report.play.packed import UNKNOWN, in_steps, in_units, packed, units_per_metre
 from cyclekit.report.texts import load_texts
 
@@ -35,6 +35,7 @@ __all__ = ["logged"]
 
 def unpacked(text):
     told = json.loads(text)
+    (told,) = told.get("parts", [told])
     block = zlib.decompress(base64.b64decode(told["block"]))
     arrays = {
         name: np.frombuffer(block, np.dtype(kind).newbyteorder("<"), count, offset)
@@ -102,13 +103,16 @@ def test_a_page_says_why_it_cannot_be_played_with(logged, monkeypatch):
     for model, shown, why in (
         (None, short, texts("play.no_model")),
         (average, short, texts("play.not_now")),
-        (rule, made_up(plan=("x",)), texts("play.both")),
+        (rule, made_up(operator=("shelf",)), texts("play.nothing")),
     ):
         assert play_part(PageInputs(texts, logged, model, [shown])) == PlayPart(None, (why,))
-    told = made_up(plan=("x",), asked=(PlannedTask("robot", "a->b", not_before_s=3.0),))
+    plan = made_up("plan for both", plan=("x",), asked=(PlannedTask("robot", "home->conveyor"),))
     with monkeypatch.context() as patched:
-        patched.setattr(tables, "waits_are_known", lambda _model: True)
-        assert play_part(PageInputs(texts, logged, rule, [told])).missing == (texts("play.told"),)
+        patched.setattr(part, "MOST_BYTES", len(play_part(PageInputs(texts, logged, rule, [short])).data))
+        found = play_part(PageInputs(texts, logged, rule, [short, plan]))
+        assert found.kinds == ("robot",)
+        assert len(found.missing) == 1
+        assert "This concerns: plan for both." in found.missing[0]
         patched.undo()
         patched.setattr(scaling_table, "MOST_ENTRIES", 10)
         assert "million entries" in play_part(PageInputs(texts, logged, DistanceModel(), [short])).missing[0]

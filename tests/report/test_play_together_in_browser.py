@@ -20,7 +20,7 @@ from cyclekit.dataset.cards.coupling import Turns
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.whatif import what_if as try_changes
-from cyclekit.estimate.whatif.change import Change
+from cyclekit.estimate.whatif.change import Change, LimitChange
 from cyclekit.ingest.ingest import ingest
 from cyclekit.report import compose_report
 from cyclekit_sim.task_lists import ListOptions, random_order, simulate_task_lists
@@ -66,8 +66,21 @@ def both(robot: tuple[str, ...], operator: tuple[str, ...], name: str) -> TaskSe
 
 
 TURNED = ("home", "conveyor", "left_4", "conveyor", "left_2", "conveyor", "right_3")
+TOLD = TaskSequence.of_plan("told", [
+    PlannedTask("robot", "home->conveyor"),
+    PlannedTask("robot", "conveyor->left_2", after=("inbound",)),
+    PlannedTask("operator", "rest"),
+    PlannedTask("operator", "inbound", not_before_s=3.5),
+    PlannedTask("operator", "out_left_1", after=("conveyor->left_2", "left_2->conveyor")),
+    PlannedTask("robot", "left_2->conveyor"),
+    PlannedTask("robot", "right_3", not_before_s=20.0),
+    PlannedTask("robot", "conveyor"),
+    PlannedTask("operator", "inbound"),
+    PlannedTask("robot", "conveyor->left_4", after=("inbound", "rest")),
+    PlannedTask("operator", "rest", after=("right_3",)),
+])  # fmt: skip
 ORDERS = [both(ROBOT, OPERATOR, "given"), both(TURNED, OPERATOR[1:], "turned"),
-          TaskSequence("places", ROBOT, OPERATOR)]  # fmt: skip
+          TaskSequence("places", ROBOT, OPERATOR), TOLD]  # fmt: skip
 ASKED = {"given": (ROBOT, OPERATOR, True), "turned": (TURNED, OPERATOR[1:], True), "places": (ROBOT, OPERATOR, False)}
 CHANGES = {
     "faster": ({"pace": 1.3}, Change("p", faster={"operator": 1.3})),
@@ -100,9 +113,10 @@ def cell(request, logged, tmp_path_factory):
         for found in try_changes(model, data, ORDERS[:2], [CHANGES[name][1]], check=check, **asked):
             changed[found.after.name, name] = found.after
     page = tmp_path_factory.mktemp("together") / f"{request.param}.html"
-    facts = compose_report(data, model, page, estimates=[given["given"]], check=check, takt_s=TAKT_S)
+    estimates = [given["given"], given["told"]]
+    facts = compose_report(data, model, page, estimates=estimates, check=check, takt_s=TAKT_S)
     assert facts.missing == ()
-    return page, given, changed
+    return page, given, changed, (model, data)
 
 
 def ask(tab, played, changes, takt_s="null"):
@@ -127,7 +141,7 @@ def same(found, wanted, *, within=2e-3):
 
 
 def test_orders_and_changes_of_both_agents_have_the_numbers_of_the_library(tab, cell):
-    page, given, changed = cell
+    page, given, changed, _ = cell
     tab.events.clear()
     tab.show(page)
     tab.ask("cyclekitPlay.ready.then(() => 1)")
@@ -226,15 +240,104 @@ def test_tasks_of_a_plan_are_moved_left_out_and_copied(tab, lists, tmp_path):
     assert shown(tab, "mean") == before
 
 
-@pytest.mark.parametrize("cell", ["staircase"], indirect=True)
-def test_the_operators_visits_are_moved_and_a_wait_removed(tab, cell, tmp_path):
-    page, given, changed = cell
+WHOLE = (
+    "new Promise(done => { const look = () => (document.getElementById('play').dataset.whole === 'yes'"
+    " ? done(1) : setTimeout(look, 20)); look(); })"
+)
+
+
+def begin_with(tab, name):
+    """Choose a sequence of the page."""
+    tab.ask("(s => { s.value = [...s.options].find(o => o.text === " + json.dumps(name) + ").value;"
+            "s.dispatchEvent(new Event('change')); })(document.querySelector('#play select'))")  # fmt: skip
+
+
+def copied(tab, file):
+    tab.ask("document.querySelector('#play [data-play=copy]').click()")
+    file.write_text(tab.ask("document.querySelector('#play textarea').value"), "utf-8")
+    return load_sequences(file)
+
+
+def now(tab):
+    """Return the answer to what the page shows, at the takt of the tests."""
+    return json.loads(tab.ask("JSON.stringify(cyclekitPlay.answer(cyclekitPlay.now(), {}, 45))"))
+
+
+def test_earliest_starts_and_predecessors_move_with_their_tasks(tab, cell, tmp_path):
+    page, given, _, (model, data) = cell
+    tab.events.clear()
     tab.show(page, width=1200, height=1400)
     tab.ask("cyclekitPlay.ready.then(() => 1)")
-    whole = (
-        "new Promise(done => { const look = () => (document.getElementById('play').dataset.whole === 'yes'"
-        " ? done(1) : setTimeout(look, 20)); look(); })"
-    )
+    begin_with(tab, "told")
+    same(now(tab), given["told"])
+    notes = "[...document.querySelectorAll('#play .play-asked')].map(each => each.textContent)"
+    assert any("not before 20 s" in note for note in tab.ask(notes))
+    assert any("after conveyor → left_2, left_2 → conveyor" in note for note in tab.ask(notes))
+    row = "document.querySelectorAll('#play ol')[{}].querySelectorAll('li')[{}].querySelectorAll('button')[{}].click()"
+    tab.ask(row.format(0, 0, 1))  # left_2 after right_3, where the robot waits for who waits for left_2
+    assert "Nobody can go on" in shown(tab, "interval")
+    tab.ask(row.format(0, 1, 0))
+    tab.ask(row.format(0, 1, 1))  # left_4 before right_3
+    assert any("after conveyor → left_2, left_4 → conveyor" in note for note in tab.ask(notes))
+    tab.ask(row.format(1, 0, 1))  # the operator fetches once more before
+    (sequence,) = copied(tab, tmp_path / "sequences.toml")
+    assert sequence.plan != TOLD.plan
+    assert sorted(task.not_before_s for task in sequence.plan if task.not_before_s) == [3.5, 20.0]
+    (wanted,) = estimate(model, data, [sequence], check=given["told"].check, other_cell=True, extrapolate=True)
+    assert abs(wanted.expected_s - given["told"].expected_s) > 0.3
+    same(now(tab), wanted)
+    tab.ask("document.querySelectorAll('#play ol')[1].querySelectorAll('li input')[1].click()")
+    assert tab.said() == []
+
+
+def test_a_task_after_one_that_is_left_out_is_not_known(tab, cell):
+    tab.show(cell[0], width=1200, height=1400)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    begin_with(tab, "told")
+    labels = tab.ask("[...document.querySelectorAll('#play li label')].map(l => l.firstElementChild.nextSibling.data)")
+    index = next(n for n, label in enumerate(labels) if "right_3" in label)
+    tab.ask(f"document.querySelectorAll('#play li input')[{index}].click()")
+    assert shown(tab, "mean") == "Not known"
+    assert "comes after a task that was left out: left_2 → conveyor, right_3" in shown(tab, "interval")
+
+
+def test_plans_are_played_where_nobody_waits_beside_orders_of_the_robot(tab, logged, tmp_path):
+    model = staircase()
+    asked = [TaskSequence("alone", ROBOT), both(ROBOT, OPERATOR, "given"), TOLD]
+    given = {each.name: each for each in estimate(model, logged, asked, takt_s=TAKT_S, extrapolate=True)}
+    page = tmp_path / "page.html"
+    found = compose_report(logged, model, page, estimates=list(given.values()), takt_s=TAKT_S)
+    assert found.missing == ()
+    tab.events.clear()
+    tab.show(page, width=1200, height=1400)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    heads = "[...document.querySelectorAll('#play dt')].some(e => e.offsetParent && e.textContent === 'Waits')"
+    for name in ("alone", "given", "told", "alone", "given"):
+        begin_with(tab, name)
+        assert tab.ask(heads) is (name != "alone")
+        tab.ask(WHOLE)
+        assert shown(tab, "mean") == f"{given[name].expected_s:.1f} s"
+        if name != "alone":
+            same(now(tab), given[name])
+        else:
+            assert now(tab)["durations_s"] == pytest.approx(list(given[name].durations_s), rel=2e-3)
+    slide = "(s => { s.value = '0.2'; s.dispatchEvent(new Event('input')); })"
+    tab.ask(f"{slide}(document.querySelector('#play-slider-0'))")
+    tab.ask(WHOLE)
+    change = Change("t", limits=(LimitChange(0.0, threshold_m=1.4),))
+    asked = {"check": given["given"].check, "extrapolate": True}
+    (wanted,) = try_changes(model, logged, [both(ROBOT, OPERATOR, "given")], [change], **asked)
+    assert shown(tab, "mean") == f"{wanted.after.expected_s:.1f} s"
+    assert tab.said() == []
+
+
+@pytest.mark.parametrize("cell", ["staircase"], indirect=True)
+def test_the_operators_visits_are_moved_and_a_wait_removed(tab, cell, tmp_path):
+    page, given, changed, _ = cell
+    tab.show(page, width=1200, height=1400)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    begin_with(tab, "given")
+    whole = WHOLE
     tab.ask(whole)
     assert shown(tab, "mean") == f"{given['given'].expected_s:.1f} s"
     tab.ask("[...document.querySelectorAll('.play-switch input')]"

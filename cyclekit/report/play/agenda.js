@@ -23,12 +23,12 @@ const ownOf = (agent, place, asked) => {
 const NOTHING_S = [0];
 
 const agendaOf = (agent, start, at, asked) => { // _Builder: legs one behind the other
-  const blank = { task: -1, path: null, way_s: 0, start: null, own_s: NOTHING_S, name: "", needs: [], arrives: [], passes: [], hold: false };
+  const blank = { task: -1, path: null, way_s: 0, start: null, own_s: NOTHING_S, name: "", needs: [], notBefore_s: 0, arrives: [], passes: [], hold: false };
   const legs = [{ ...blank, place: start, path: at }];
   const visits = new Map(start ? [[start, 1]] : []);
   const done = new Map();
   const passes = (what, place) => legs[legs.length - 1].passes.push([agent, place, what, (visits.get(place) || 0) - 1].join(APART));
-  const go = (task, name, told) => {
+  const go = (task, name, told, asks) => { // asks: what a plan adds to it
     const here = legs[legs.length - 1].place;
     const { place } = told;
     const turn = visits.get(place) || 0;
@@ -36,11 +36,11 @@ const agendaOf = (agent, start, at, asked) => { // _Builder: legs one behind the
     const approach = needsOf(agent, "approach", place, turn, asked);
     const phase = agent === "robot" && gate ? gate.phase : 0;
     const midway = phase > 0 ? approach : [];
-    const before = phase > 0 ? [] : approach;
-    if (before.length) {
+    const before = [...asks.needs, ...(phase > 0 ? [] : approach)];
+    if (before.length || asks.notBefore_s > 0) {
       const { path } = legs[legs.length - 1];
       const stays = path && { ...path, low: path.high };
-      legs.push({ ...blank, task, place: here, path: stays, name: `hold ${place}`, needs: before, passes: [], hold: true });
+      legs.push({ ...blank, task, place: here, path: stays, name: `hold ${place}`, needs: before, notBefore_s: asks.notBefore_s, passes: [], hold: true });
     }
     if (here) for (const what of ["leaves", "cleared"]) passes(what, here);
     const times = done.get(name) || 0;
@@ -71,19 +71,56 @@ const halfToEven = (value) => { // as Python rounds
   return below % 2 ? below + 1 : below;
 };
 
-const robotAgenda = (places, asked) => {
+const AS_LEARNED = { needs: [], notBefore_s: 0 };
+const calledOf = (places, task, n) => (task.name.includes("->") ? `${places[n]}->${places[n + 1]}` : task.name);
+const askedOf = (robot, tasks) => { // legs.told_needs, by what the tasks are called in this order
+  const all = [
+    ...tasks.robot.map((task, n) => ({ ...task, agent: "robot", called: calledOf(robot, task, n) })),
+    ...tasks.operator.map((task) => ({ ...task, agent: "operator", called: task.name })),
+  ];
+  const whose = ({ agent, called }) => [agent, called].join(APART);
+  const count = new Map();
+  for (const task of all) {
+    task.turn = count.get(whose(task)) || 0;
+    count.set(whose(task), task.turn + 1);
+  }
+  const missing = new Set();
+  for (const task of all) {
+    const known = (one) => all.find(({ number }) => number === one.number)
+      || all.find(({ agent, name }) => agent === one.agent && name === one.name);
+    for (const one of task.after) if (!known(one)) missing.add(one.name);
+    task.comesAfter = [...new Set(task.after.filter(known).map((one) => known(one).called))];
+    task.needs = task.comesAfter.flatMap((called) => {
+      const able = ["robot", "operator"].map((agent) => [agent, called].join(APART))
+        .filter((key) => count.has(key) && key !== whose(task));
+      if (!able.length) missing.add(called);
+      return able.map((key) => ({
+        event: [key, "done", Math.min(task.turn, count.get(key) - 1)].join(APART), said: key, lag_s: NOTHING_S, needed: 1,
+      }));
+    });
+    task.notBefore_s = task.not_before_s;
+  }
+  return {
+    robot: all.filter(({ agent }) => agent === "robot"), operator: all.filter(({ agent }) => agent === "operator"),
+    missing: [...missing],
+  };
+};
+
+const robotAgenda = (places, asked, told) => { // told: what a plan says of each task
   const names = places.slice(1).map((place, n) => `${places[n]}->${place}`);
   const pathOf = (name) => ({ leg: facts.legs[name], low: 0, high: facts.legs[name].rows - 1 });
   const agenda = agendaOf("robot", places[0], { ...pathOf(names[0]), high: 0 }, asked);
   names.forEach((name, number) => {
     const leg = facts.legs[name];
     const place = places[number + 1];
-    agenda.go(number, name, { place, path: pathOf(name), way_s: leg.nominal_s, own_s: ownOf("robot", place, asked) || leg.stands_s, name });
+    const asks = told ? told[number] : AS_LEARNED;
+    const own_s = ownOf("robot", place, asked) || leg.stands_s;
+    agenda.go(number, asks.called || name, { place, path: pathOf(name), way_s: leg.nominal_s, own_s, name }, asks);
   });
   return agenda.ended(names);
 };
 
-const operatorAgenda = (places, asked) => {
+const operatorAgenda = (places, asked, told) => {
   const agenda = agendaOf("operator", "", null, asked);
   const waits = facts.gates.some((gate) => gate.agent === "operator" && conditionsOf(gate, asked).length);
   places.forEach((place, number) => {
@@ -91,7 +128,7 @@ const operatorAgenda = (places, asked) => {
     const own = waits ? ownOf("operator", place, asked) : null;
     const first = number ? null : facts.first_stays_s[place];
     const work = (stays && own) || (stays || first || NOTHING_S).map((seconds) => seconds / asked.pace);
-    agenda.go(number, place, { place, start: number ? places[number - 1] : "", own_s: work, name: place });
+    agenda.go(number, place, { place, start: number ? places[number - 1] : "", own_s: work, name: place }, told ? told[number] : AS_LEARNED);
   });
   return agenda.ended(places);
 };
@@ -102,7 +139,7 @@ const sourceAgenda = (source, robot, asked) => { // JointCell.source
   const count = 1 + Math.max(-1, ...taken.map((event) => Number(event[3])));
   const buffer = asked.buffer[source.signal] || source.buffer;
   const legs = Array.from({ length: count }, (_, part) => ({
-    task: part, place: "", path: null, way_s: 0, start: null, hold: false, name: source.signal,
+    task: part, place: "", path: null, way_s: 0, start: null, hold: false, name: source.signal, notBefore_s: 0,
     own_s: part ? source.gap_s : source.first_s,
     needs: part < buffer ? [] : [{
       event: ["robot", source.taken_by, "leaves", part - buffer].join(APART), said: source.said, lag_s: NOTHING_S, needed: 1,

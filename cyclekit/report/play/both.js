@@ -17,7 +17,7 @@ const rowsOf = (drawn, cycle, events, asked) => { // what is drawn for one cycle
   }));
 };
 const opensAt = (row, events, works_s) => { // when it may go on; infinite: not known yet
-  let latest = works_s;
+  let latest = Math.max(works_s, row.leg.notBefore_s);
   for (let n = 0; n < row.lags.length; n += 1) { // of an event that comes in no agenda nobody waits for it: -Infinity
     if (row.lags[n] !== -Infinity) latest = Math.max(latest, events[row.leg.due[n].event] + row.lags[n]);
   }

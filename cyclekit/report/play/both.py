@@ -5,6 +5,7 @@ The script puts the agendas of `estimate.joint` together itself, draws the same 
 
 from __future__ import annotations
 
+from collections import defaultdict
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import CouplingCard
 from cyclekit.estimate.joint.answer import CYCLES, RESAMPLES, resample_counts
 from cyclekit.estimate.joint.judged import JointCheck
-from cyclekit.estimate.joint.legs import Gates, event_kind
+from cyclekit.estimate.joint.legs import Gates, event_kind, told_needs
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, TIMES, JointCell
 from cyclekit.estimate.nominal import nominal_tasks
@@ -24,8 +25,9 @@ from cyclekit.learning.out_of_core import in_memory
 from cyclekit.report.play.tables import SEED, field_of, rest_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
+    from cyclekit.config.sequences import PlannedTask
     from cyclekit.dataset.cards import SourceCard
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.joint.visits import Segments
@@ -42,19 +44,18 @@ MOST_PARTS = 10
 """So many parts of a source may be in advance, or as many as the cell has."""
 
 
-def played_together(page: PageInputs) -> list[CycleEstimate]:
-    """Return the sequences that both agents were rolled out for, without those that name starts or predecessors."""
-    rolled = (each for each in page.ranked if each.estimator == "rollout")
-    return [each for each in rolled if not any(task.after or task.not_before_s for task in each.asked)]
+def played_together(page: PageInputs, *, waits: bool) -> list[CycleEstimate]:
+    """Return the sequences that both agents were rolled out for: all where one waits for the other, else the plans."""
+    return [each for each in page.ranked if each.estimator == "rollout" and (waits or each.asked)]
 
 
-def tables_of_both(page: PageInputs, model: SafetyModel) -> Tables:
+def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimate]) -> Tables:
     """Return facts (plain JSON values) and arrays of sequences of both agents.
 
     Raises:
         CyclekitError: There is no operator track, or the tables would be too large.
     """
-    shown, card = played_together(page), model.card.coupling or CouplingCard()
+    card = model.card.coupling or CouplingCard()
     dataset, _ = in_memory(page.dataset)
     legs = nominal_tasks(dataset)
     cell = JointCell(model, dataset, card)
@@ -104,7 +105,25 @@ def _sequence(each: CycleEstimate, planner: Planner) -> dict[str, Any]:
     plan = TaskSequence.of_plan(each.name, each.asked)
     names = [task.name for task in plan.plan if task.agent == "robot"]
     operator = [task.name for task in plan.plan if task.agent == "operator"]
-    return {"name": each.name, "robot": planner.chained(names, plan.shown), "operator": operator, "both": True}
+    found = {"name": each.name, "robot": planner.chained(names, plan.shown), "operator": operator, "both": True}
+    if any(task.after or task.not_before_s for task in each.asked):
+        found["asked"] = _asked(each.asked, plan.shown)
+    return found
+
+
+def _asked(plan: Sequence[PlannedTask], where: str) -> dict[str, list[dict[str, Any]]]:
+    """Return the tasks of each agent with earliest start and predecessors; `number` identifies a task of the plan."""
+    tasks: dict[str, list[dict[str, Any]]] = {"robot": [], "operator": []}
+    numbers = defaultdict[tuple[str, str], list[int]](list)
+    for number, task in enumerate(plan):
+        numbers[task.agent, task.name].append(number)
+    for number, needs in told_needs(plan, where).items():
+        task = plan[number]
+        events = [need.event for need in needs]
+        after = [{"number": numbers[who, name][turn], "agent": who, "name": name} for who, name, _, turn in events]
+        told = {"number": number, "name": task.name, "after": after, "not_before_s": task.not_before_s or 0.0}
+        tasks[task.agent].append(told)
+    return tasks
 
 
 def _drawn(segments: Segments, places: list[str]) -> tuple[dict[str, dict[str, list[int]]], dict[str, list[int]]]:

@@ -9,8 +9,9 @@ const made = (tag, className, text) => {
   return element;
 };
 const state = { number: 0, blocks: [], asked: null, takt_s: facts.takt_s };
+const SEQUENCES = told.parts.flatMap((part) => part.facts.sequences.map((sequence) => ({ part, sequence })));
 
-const visitsOf = (rest) => { // a place that comes again and again is fetched from: it moves with what follows
+const visitsOf = (rest, asked) => { // a place that comes again and again is fetched from: it moves with what follows
   const often = (place) => rest.filter((each) => each === place).length;
   const goals = new Set();
   const hubs = new Set();
@@ -21,17 +22,21 @@ const visitsOf = (rest) => { // a place that comes again and again is fetched fr
   }
   const visits = [];
   let fetched = false;
-  for (const place of rest) {
-    if (fetched && !hubs.has(place)) visits[visits.length - 1].places.push(place);
-    else visits.push({ places: [place], on: true });
+  rest.forEach((place, n) => {
+    if (!(fetched && !hubs.has(place))) visits.push({ places: [], asked: [], on: true });
+    visits[visits.length - 1].places.push(place);
+    visits[visits.length - 1].asked.push(asked[n]);
     fetched = hubs.has(place);
-  }
+  });
   return visits;
 };
-const chained = (agent, places, starts) => { // with the place where the agent begins, and ends if it is the same one
+const chained = (agent, places, starts, asked) => { // with the place where the agent begins, and ends if it is the same
   const rest = starts ? places.slice(1) : [...places];
   const end = starts && rest.length > 1 && rest[rest.length - 1] === places[0] ? rest.pop() : null;
-  return { agent, first: starts ? places[0] : null, visits: visitsOf(rest), end };
+  const tasks = asked ? asked[agent] : [];
+  const mine = starts && agent === "operator" ? tasks.slice(1) : tasks;
+  const [firstAsked, endAsked] = [agent === "operator" && starts ? tasks[0] : null, end === null ? null : tasks[tasks.length - 1]];
+  return { agent, first: starts ? places[0] : null, firstAsked, visits: visitsOf(rest, mine), end, endAsked };
 };
 const blocksOf = (sequence) => { // what each agent does, in order
   if (facts.kind === "list") {
@@ -41,33 +46,44 @@ const blocksOf = (sequence) => { // what each agent does, in order
         .map((task) => ({ places: [task.name], task, on: true })),
     }));
   }
-  const robot = chained("robot", sequence.robot, true);
+  const robot = chained("robot", sequence.robot, true, sequence.asked);
   if (facts.kind === "robot" || !sequence.operator) return [robot];
   const { operator } = sequence;
-  return [robot, chained("operator", operator, operator.length > 2 && operator[0] === operator[operator.length - 1])];
+  return [robot, chained("operator", operator, operator.length > 2 && operator[0] === operator[operator.length - 1], sequence.asked)];
 };
 const playedBy = (block) => [
   ...(block.first === null ? [] : [block.first]),
   ...block.visits.filter((visit) => visit.on).flatMap((visit) => visit.places),
   ...(block.end === null ? [] : [block.end]),
 ];
-const given = () => facts.sequences[state.number];
+const askedBy = (block) => [ // tasks of a plan as it asks for them
+  ...(block.firstAsked ? [block.firstAsked] : []),
+  ...block.visits.filter((visit) => visit.on).flatMap((visit) => visit.asked),
+  ...(block.end === null ? [] : [block.endAsked]),
+];
+const given = () => SEQUENCES[state.number].sequence;
 const played = (blocks) => { // as `answers` take it
   if (facts.kind === "robot") return playedBy(blocks[0]);
   if (facts.kind === "list") return blocks.flatMap((block) => block.visits.filter((visit) => visit.on).map((visit) => visit.task));
-  return { robot: playedBy(blocks[0]), operator: blocks[1] ? playedBy(blocks[1]) : null, both: given().both };
+  const asked = given().asked ? { robot: askedBy(blocks[0]), operator: blocks[1] ? askedBy(blocks[1]) : [] } : undefined;
+  return { robot: playedBy(blocks[0]), operator: blocks[1] ? playedBy(blocks[1]) : null, both: given().both, asked };
 };
 const tomlOf = () => {
   const quoted = (text) => JSON.stringify(text).replace(/\u007f/g, "\\u007f");
   const several = (texts) => `[${texts.map(quoted).join(", ")}]`;
   const lines = ["[[sequence]]", `name = ${quoted(say("played", { name: given().name }))}`];
-  const task = (agent, name) => lines.push("", "[[sequence.task]]", `agent = ${quoted(agent)}`, `name = ${quoted(name)}`);
+  const task = (agent, name, after = [], notBefore_s = undefined) => {
+    lines.push("", "[[sequence.task]]", `agent = ${quoted(agent)}`, `name = ${quoted(name)}`);
+    if (after.length) lines.push(`after = ${several(after)}`);
+    if (notBefore_s !== undefined) lines.push(`not_before_s = ${notBefore_s}`);
+  };
   const asked = played(state.blocks);
   if (facts.kind === "list") {
-    for (const each of asked) {
-      task(each.asked, each.name);
-      if (each.after.length) lines.push(`after = ${several(each.after)}`);
-      if (each.not_before_s !== undefined) lines.push(`not_before_s = ${each.not_before_s}`);
+    for (const each of asked) task(each.asked, each.name, each.after, each.not_before_s);
+  } else if (asked.asked) {
+    const plan = askedOf(asked.robot, asked.asked);
+    for (const agent of ["robot", "operator"]) {
+      for (const each of plan[agent]) task(agent, each.called, each.comesAfter, each.notBefore_s || undefined);
     }
   } else if (asked.both) {
     asked.robot.slice(1).forEach((place, n) => task("robot", `${asked.robot[n]}->${place}`));

@@ -14,6 +14,7 @@ const show = () => {
   const before = ANSWERS[facts.kind](played(blocksOf(given())), asLogged(), state.takt_s, began + SLICE_MS);
   showNumbers(entry, before);
   showChart(entry, before);
+  showAsked();
   const walked = [entry, before].map((each) => (each.walked === undefined ? Infinity : each.walked));
   const whole = Math.min(...walked) >= (facts.cycles || 0);
   part("so_far").hidden = whole;
@@ -31,6 +32,25 @@ const update = () => {
 };
 
 const describe = (visit) => visit.places.map(shown).join(" \u2192 ");
+const askedLine = (tasks) => { // what a plan asks of a visit: earliest starts, and tasks that end before it
+  const asking = tasks.filter((task) => task && (task.after.length || task.not_before_s));
+  if (!asking.length) return [];
+  const found = made("small", "play-asked");
+  found.asking = asking;
+  return [found];
+};
+const showAsked = () => { // tasks of the robot are called by where they start, which the order changes
+  const asked = given().asked && played(state.blocks);
+  const plan = asked ? askedOf(asked.robot, asked.asked) : { robot: [], operator: [] };
+  const calledNow = new Map([...plan.robot, ...plan.operator].map((task) => [task.number, task.called]));
+  const called = (one) => shown(calledNow.get(one.number) || one.name || one);
+  for (const place of section.querySelectorAll(".play-asked")) {
+    place.textContent = place.asking.flatMap((task) => [
+      ...(task.not_before_s ? [say("told_start", { value: task.not_before_s })] : []),
+      ...(task.after.length ? [say("told_after", { tasks: task.after.map(called).join(", ") })] : []),
+    ]).join("; ");
+  }
+};
 const move = (block, from, to) => {
   if (to < 0 || to >= block.visits.length || to === from) return;
   block.visits.splice(to, 0, ...block.visits.splice(from, 1));
@@ -72,6 +92,7 @@ const dragged = (block, handle, item) => {
     if (!item.classList.contains("held")) return;
     item.classList.remove("held");
     list(block);
+    showAsked();
   };
   handle.addEventListener("pointerup", drop);
   handle.addEventListener("pointercancel", drop);
@@ -94,6 +115,7 @@ const list = (block) => {
       update();
     });
     label.append(box, ` ${describe(visit)}`);
+    label.append(...askedLine(visit.task ? [visit.task] : visit.asked));
     item.classList.toggle("off", !visit.on);
     const step = (by) => () => {
       move(block, index, index + by);
@@ -113,9 +135,10 @@ const list = (block) => {
     return item;
   }));
 };
-const line = (text, bar) => {
+const line = (text, bar, asked = []) => {
   const found = made("div", "play-line");
   found.append(made("div", "play-row", text), made("div", bar));
+  found.firstChild.append(...askedLine(asked));
   if (bar === "play-axis") found.lastChild.setAttribute("aria-hidden", "true");
   return found;
 };
@@ -125,9 +148,9 @@ const lay = () => { // each agent's lines: what it begins with, its visits, and 
     const alone = facts.kind === "robot";
     found.append(line(alone ? labelled(block.first) : say("agent", { agent: block.agent }), "play-axis"));
     if (!alone) found.firstChild.classList.add("play-who");
-    block.start = line(block.first === null ? "" : labelled(block.first), "play-lane");
+    block.start = line(block.first === null ? "" : labelled(block.first), "play-lane", [block.firstAsked]);
     block.list = made("ol");
-    block.last = line(block.end === null ? "" : labelled(block.end), "play-lane");
+    block.last = line(block.end === null ? "" : labelled(block.end), "play-lane", [block.endAsked]);
     if (!alone && block.first !== null) found.append(block.start);
     found.append(block.list);
     if (block.end !== null) found.append(block.last);
@@ -232,6 +255,18 @@ const allSliders = () => {
 
 const begin = (number) => {
   state.number = number;
+  const { part: entered } = SEQUENCES[number];
+  if (entered.facts !== facts || !sliders.length) {
+    enter(entered);
+    kept.clear();
+    for (const each of section.querySelectorAll("[data-kinds]")) {
+      each.hidden = !each.dataset.kinds.split(" ").includes(facts.kind);
+    }
+    part("sliders").replaceChildren();
+    sliders.length = 0;
+    state.asked = asLogged();
+    allSliders();
+  }
   state.asked = asLogged();
   state.blocks = blocksOf(given());
   for (const reset of sliders) reset();
@@ -240,13 +275,12 @@ const begin = (number) => {
 };
 
 const start = async () => {
-  await unpack();
-  if (facts.kind !== "list") prepare();
+  await Promise.all(told.parts.map(unpack));
+  enter(told.parts[0]);
   section.hidden = false;
   document.getElementById("to-play")?.removeAttribute("hidden"); // a template of one's own may lack it
-  state.asked = asLogged();
   const select = part("sequence");
-  select.append(...facts.sequences.map((each, index) => new Option(each.name, String(index))));
+  select.append(...SEQUENCES.map(({ sequence }, index) => new Option(sequence.name, String(index))));
   select.addEventListener("change", () => begin(Number(select.value)));
   part("reset").addEventListener("click", () => begin(state.number));
   const takt = part("takt_s");
@@ -266,10 +300,9 @@ const start = async () => {
     }
     part("copied").textContent = say(copied ? "copied" : "select_it");
   });
-  allSliders();
   begin(0);
   section.dataset.ready = "yes";
 };
 window.cyclekitPlay = {
-  ready: start(), answer: (asked, changed, takt_s) => ANSWERS[facts.kind](asked, { ...asLogged(), ...changed }, takt_s),
+  ready: start(), now: () => played(state.blocks), answer: (asked, changed, takt_s) => ANSWERS[facts.kind](asked, { ...asLogged(), ...changed }, takt_s),
 };

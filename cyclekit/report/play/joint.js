@@ -11,9 +11,9 @@ const fittingOrders = (places) => { // Planner._fitting: what operators did whil
 };
 
 const AT_LEAST = 100; // cycles before anything is said
-const rollerOf = (places, operators, both, asked) => { // JointCell.roll: walks until told to stop, and goes on later
-  const robot = robotAgenda(places, asked);
-  const agendas = new Map(operators.map((order) => [order.join("\n"), operatorAgenda(order, asked)]));
+const rollerOf = (places, operators, both, asked, told) => { // JointCell.roll: walks until told to stop, goes on later
+  const robot = robotAgenda(places, asked, told && told.robot);
+  const agendas = new Map(operators.map((order) => [order.join("\n"), operatorAgenda(order, asked, told && told.operator)]));
   const sources = facts.sources.map((source) => sourceAgenda(source, robot, asked)).filter(Boolean);
   const numbers = new Map();
   const number = (event) => numbers.get(event) ?? numbers.set(event, numbers.size).get(event);
@@ -23,7 +23,8 @@ const rollerOf = (places, operators, both, asked) => { // JointCell.roll: walks 
   const first = agendas.get(theirs[0]);
   const work_s = [robot, first].flatMap((agenda) => agenda.legs)
     .reduce((sum, leg) => sum + Math.max(...leg.own_s, 0) + leg.way_s + 5, 0);
-  const until_s = facts.rest_s + facts.times * work_s;
+  const latest_s = Math.max(...[robot, first].flatMap((agenda) => agenda.legs).map((leg) => leg.notBefore_s));
+  const until_s = facts.rest_s + facts.times * work_s + latest_s;
   const events = new Float64Array(numbers.size);
   const beginOf = (rows) => {
     const begins = rows.findIndex(({ leg }) => leg.task >= 0 && !leg.hold);
@@ -151,9 +152,11 @@ const answerBoth = (asked_for, asked, takt_s, deadline = Infinity) => {
   const legs = places.slice(1).map((place, n) => `${places[n]}->${place}`);
   const missing = [...new Set(legs.filter((name) => !(name in facts.legs)))];
   if (missing.length) return { unknown: say("never_logged", { tasks: missing.map(shown).join(", ") }), missing };
+  const told = asked_for.asked ? askedOf(places, asked_for.asked) : null;
+  if (told && told.missing.length) return { unknown: say("left_out", { tasks: told.missing.map(shown).join(", ") }) };
   const operators = operator ? [operator] : fittingOrders(places);
   if (!operators.length) return { unknown: say("no_operator") };
-  const roll = remembered(JSON.stringify(["both", asked_for, asked]), () => rollerOf(places, operators, both, asked));
+  const roll = remembered(JSON.stringify(["both", asked_for, asked]), () => rollerOf(places, operators, both, asked, told));
   const entry = roll(deadline);
   if (entry.unknown) return entry;
   if (entry.support !== null && entry.support < 0.5) return { unknown: say("thin", { share: percent(entry.support) }) };

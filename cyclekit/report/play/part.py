@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from cyclekit.errors import CyclekitError
-from cyclekit.estimate.safety import SafetyModel
+from cyclekit.estimate.joint.answer import waits_are_known
 from cyclekit.report.play.both import played_together, tables_of_both
 from cyclekit.report.play.lists import tables_of_lists
 from cyclekit.report.play.packed import packed
-from cyclekit.report.play.tables import playable, tables_of
+from cyclekit.report.play.tables import playable, played_alone, tables_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -31,37 +32,50 @@ _COLOURS: dict[Kind, tuple[str, ...]] = {
 
 
 class PlayPart(NamedTuple):
-    """What goes into the page.
+    """Tables of the part to play with, for the template.
 
     Attributes:
-        data: The tables; None where the page cannot be played with.
-        missing: What the page says is missing, one sentence or none.
-        kind: `robot` beside operators who do not wait for it, `both` agents, or plans of task lists.
+        data: The tables as JSON; None if the page cannot be played with.
+        missing: What the page says is missing, one sentence each.
+        kinds: Kinds of sequences that are played: `robot` with operators who do not wait for it, `both` agents, or
+            plans of task lists (`list`).
     """
 
     data: str | None
     missing: tuple[str, ...] = ()
-    kind: Kind = "robot"
+    kinds: tuple[Kind, ...] = ()
 
     @property
-    def colours(self) -> tuple[str, ...]:
-        """What its time chart shows, each by its colour."""
-        return _COLOURS[self.kind]
+    def colours(self) -> dict[str, str]:
+        """What the time chart shows, each with the kinds of sequences that have it, separated by spaces."""
+        parts = dict.fromkeys(part for kind in self.kinds for part in _COLOURS[kind])
+        return {part: " ".join(kind for kind in self.kinds if part in _COLOURS[kind]) for part in parts}
+
+
+class _Made(NamedTuple):
+    """Packed tables of sequences of one kind, or the sentence that says why there are none."""
+
+    kind: Kind
+    names: tuple[str, ...]
+    data: str | None
+    why: str = ""
 
 
 def play_part(page: PageInputs) -> PlayPart:
     """Return the tables of a page's sequences; without any sequence there is nothing to play with."""
     if not page.ranked:
         return PlayPart(None)
-    found = playable(page)
-    if found == "waits" and isinstance(page.answers, SafetyModel):
-        model = page.answers
-        if not played_together(page):
-            return PlayPart(None, (page.texts("play.told"),))
-        return _part(page.texts, "both", lambda: tables_of_both(page, model))
-    if isinstance(found, str):
-        return PlayPart(None, (page.texts(f"play.{found}"),))
-    return _part(page.texts, "robot", lambda: tables_of(page, found))
+    model = playable(page)
+    if isinstance(model, str):
+        return PlayPart(None, (page.texts(f"play.{model}"),))
+    waits = waits_are_known(model)
+    alone, together = [] if waits else played_alone(page), played_together(page, waits=waits)
+    made = []
+    if alone:
+        made.append(_made(page.texts, "robot", alone, lambda: tables_of(page, model, alone)))
+    if together:
+        made.append(_made(page.texts, "both", together, lambda: tables_of_both(page, model, together)))
+    return _joined(page.texts, made) if made else PlayPart(None, (page.texts("play.nothing"),))
 
 
 def play_lists(
@@ -70,15 +84,32 @@ def play_lists(
     """Return the tables of plans of task lists; without any plan there is nothing to play with."""
     if not found:
         return PlayPart(None)
-    return _part(texts, "list", lambda: tables_of_lists(card, found, takt_s))
+    return _joined(texts, [_made(texts, "list", found, lambda: tables_of_lists(card, found, takt_s))])
 
 
-def _part(texts: ReportTexts, kind: Kind, make: Callable[[], Tables]) -> PlayPart:
+def _made(texts: ReportTexts, kind: Kind, shown: Sequence[CycleEstimate], make: Callable[[], Tables]) -> _Made:
+    names = tuple(each.name for each in shown)
     try:
-        facts, arrays = make()
+        data = packed(*make())
     except CyclekitError as error:  # the estimates were made in another process, on other tracks
-        return PlayPart(None, (texts("play.failed", why=error.seen),))
-    data = packed({**facts, "words": texts.section("play")}, arrays)
+        return _Made(kind, names, None, texts("play.failed", why=error.seen))
     if len(data) > MOST_BYTES:
-        return PlayPart(None, (texts("play.too_large", size=f"{len(data) / 1e6:.1f}"),))
-    return PlayPart(data, (), kind)
+        return _Made(kind, names, None, texts("play.too_large", size=f"{len(data) / 1e6:.1f}"))
+    return _Made(kind, names, data)
+
+
+def _joined(texts: ReportTexts, made: Sequence[_Made]) -> PlayPart:
+    """Return one part of all kinds that fit into the page together; of the others, why they are missing."""
+    kept, missing = list[_Made](), list[str]()
+    for each in made:
+        size = sum(len(other.data or "") for other in (*kept, each))
+        why = each.why or (texts("play.too_large", size=f"{size / 1e6:.1f}") if size > MOST_BYTES else "")
+        if not why:
+            kept.append(each)
+        else:
+            missing.append(why if len(made) == 1 else texts("play.concerns", why=why, names=", ".join(each.names)))
+    if not kept:
+        return PlayPart(None, tuple(missing))
+    words = json.dumps(texts.section("play"), separators=(",", ":")).replace("<", "\\u003c")
+    data = f'{{"words":{words},"parts":[{",".join(str(each.data) for each in kept)}]}}'
+    return PlayPart(data, tuple(missing), tuple(each.kind for each in kept))

@@ -4,8 +4,7 @@
 const holder = document.getElementById("play-data");
 if (!holder || typeof DecompressionStream === "undefined") return;
 const told = JSON.parse(holder.textContent);
-const facts = told.facts;
-const words = facts.words;
+const { words } = told;
 const say = (key, values = {}) => words[key].replace(/\{(\w+)\}/g, (_, name) => values[name]);
 const NOTHING = 1e-9;
 
@@ -14,22 +13,27 @@ const NOTHING = 1e-9;
 const TYPES = {
   uint8: Uint8Array, uint16: Uint16Array, int16: Int16Array, float32: Float32Array,
 };
-const tables = {};
+// of the sequences that are played now: all those of one kind share them
+let facts = told.parts[0].facts;
+let tables, COUNT, SAMPLES, STEP_S, field;
 
-const unpack = async () => {
-  const zipped = Uint8Array.from(atob(told.block), (letter) => letter.charCodeAt(0));
+const unpack = async (part) => {
+  const zipped = Uint8Array.from(atob(part.block), (letter) => letter.charCodeAt(0));
   const stream = new Blob([zipped]).stream().pipeThrough(new DecompressionStream("deflate"));
   const block = await new Response(stream).arrayBuffer();
-  for (const [name, [type, offset, count]] of Object.entries(told.arrays)) {
-    tables[name] = new TYPES[type](block, offset, count);
+  part.tables = {};
+  for (const [name, [type, offset, count]] of Object.entries(part.arrays)) {
+    part.tables[name] = new TYPES[type](block, offset, count);
   }
-  told.block = "";
+  part.block = "";
 };
 
-let COUNT, SAMPLES, STEP_S, field;
-const prepare = () => {
+const enter = (part) => {
+  ({ facts, tables } = part);
+  if (facts.kind === "list") return;
   COUNT = facts.tracks.count;
   SAMPLES = tables.people_cells.length / COUNT;
   STEP_S = facts.tracks.step_s;
-  field = tables.scaling ? lookupField() : positionsField();
+  part.field = part.field || (tables.scaling ? lookupField() : positionsField());
+  field = part.field;
 };

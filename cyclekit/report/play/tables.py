@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 
 from cyclekit.estimate.history import TaskTimes
-from cyclekit.estimate.joint.answer import waits_are_known
 from cyclekit.estimate.nominal import STEP_S, nominal_tasks
 from cyclekit.estimate.program import stands_of
 from cyclekit.estimate.resample import RESAMPLES, TOGETHER, resampled_alike
@@ -60,27 +59,25 @@ def playable(page: PageInputs) -> SafetyModel | str:
         return "no_model"
     if model.problem != "now":
         return "not_now"
-    if waits_are_known(model):
-        return "waits"
-    return model if _played(page) else "both"
+    return model
 
 
-def _played(page: PageInputs) -> list[CycleEstimate]:
-    """Return the sequences of the robot alone, beside operators of any order."""
+def played_alone(page: PageInputs) -> list[CycleEstimate]:
+    """Return the sequences of the robot alone, with logged operators of any order."""
     return [each for each in page.ranked if each.estimator == "rollout" and not each.plan and each.operator is None]
 
 
-def tables_of(page: PageInputs, model: SafetyModel) -> Tables:
+def tables_of(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimate]) -> Tables:
     """Return facts (plain JSON values) and arrays of a page's sequences.
 
     Args:
         page: What the page is made of.
         model: What answers for it, as `playable` has found.
+        shown: Sequences of the robot alone.
 
     Raises:
         CyclekitError: There is no operator track, or the tables would be too large.
     """
-    shown = _played(page)
     dataset, _ = in_memory(page.dataset)
     model, check = on_states_of(model, dataset), shown[0].check
     legs = nominal_tasks(dataset)

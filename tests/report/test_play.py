@@ -26,7 +26,7 @@ from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.walk import roll_all
 from cyclekit.report import compose_report
 from cyclekit.report.inputs import PageInputs
-from cyclekit.report.play import PlayPart, part, play_part, scaling_table
+from cyclekit.report.play import PlayPart, part, play_part, scaling_grid
 from cyclekit.report.play.packed import UNKNOWN, in_steps, in_units, packed, units_per_metre
 from cyclekit.report.texts import load_texts
 
@@ -114,8 +114,8 @@ def test_a_page_says_why_it_cannot_be_played_with(logged, monkeypatch):
         assert len(found.missing) == 1
         assert "This concerns: plan for both." in found.missing[0]
         patched.undo()
-        patched.setattr(scaling_table, "MOST_ENTRIES", 10)
-        assert "million entries" in play_part(PageInputs(texts, logged, DistanceModel(), [short])).missing[0]
+        patched.setattr(scaling_grid, "FEW_ENTRIES", 10)
+        assert "too many for a table" in play_part(PageInputs(texts, logged, DistanceModel(), [short])).missing[0]
     monkeypatch.setattr(part, "MOST_BYTES", 1000)
     assert "MB" in play_part(PageInputs(texts, logged, rule, [short])).missing[0]
 

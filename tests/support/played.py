@@ -56,6 +56,22 @@ class Network:
         return np.clip((apart_m - 0.9) / 1.6, 0.1, 1.0)
 
 
+class Steps(Network):
+    """Has of a classifier what a rollout asks: the paper's staircase, each step a few centimetres wide."""
+
+    network, levels = "classifier", (0.0, 0.25, 0.5, 0.75, 1.0)
+    thresholds_m, width_m = np.array([1.2, 1.5, 1.9, 2.4]), 0.01
+
+    def probabilities(self, positions: np.ndarray) -> np.ndarray:
+        apart_m = np.linalg.norm(positions[:, :3].astype(float) - positions[:, 3:], axis=1)
+        beyond = 1.0 / (1.0 + np.exp(np.clip((self.thresholds_m - apart_m[:, None]) / self.width_m, -50.0, 50.0)))
+        ends = np.ones((len(beyond), 1))
+        return -np.diff(np.hstack([ends, beyond, 0.0 * ends]), axis=1)
+
+    def predict(self, positions: np.ndarray) -> np.ndarray:
+        return self.probabilities(positions) @ np.array(self.levels)
+
+
 class Gate:
     """A safety function of two states: the operator is on the left, where the robot is slow, or not."""
 

@@ -1,9 +1,10 @@
 """The part of the page to play with: other orders, other thresholds, and the cycle time that follows.
 
-`tables` collects what the script needs (`scaling_table` where the model is no rule of positions), `both` where robot
-and operator wait for each other, `lists` for plans of task lists; `packed` puts it into the page. The script, in parts
-by concern, rolls it out in the browser in the steps of `estimate.walk`, `estimate.joint` or `learning.task_times.roll`
-and corrects it as `estimate` does. Its numbers are held against the library's by tests.
+`tables` collects what the script needs for sequences of the robot alone, `both` for cells with waits and plans for
+both agents, `lists` for plans of task lists. If the model has no rule of positions, `scaling_grid` samples a network
+and `scaling_table` any other model. `packed` puts the tables into the page. The script rolls cycles out in the browser
+in the steps of `estimate.walk`, `estimate.joint` or `learning.task_times.roll`, and corrects them as `estimate` does.
+Tests compare its numbers with the library's.
 """
 
 from cyclekit.report.play.part import PlayPart as PlayPart

@@ -80,10 +80,13 @@ const summed = (array, from, count) => { // steps become values again; both wrap
 };
 const metres = (array) => Float64Array.from(array, (units) => (units === UNKNOWN ? NaN : units / facts.per_metre));
 
-const positionsField = () => { // a field: `at` a point of a task and between two samples, what is s, and was it logged
+const peopleOf = () => {
   for (let k = 0; k < COUNT; k += 1) summed(tables.tracks, 3 * k * SAMPLES, SAMPLES);
+  return metres(tables.tracks);
+};
+const positionsField = () => { // a field: `at` a point of a task and between two samples, what is s, and was it logged
   summed(tables.paths, 0, tables.paths.length / 3);
-  const people = metres(tables.tracks);
+  const people = peopleOf();
   const paths = metres(tables.paths);
   const r = [0, 0, 0];
   const h = [0, 0, 0];

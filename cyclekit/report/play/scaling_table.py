@@ -16,6 +16,7 @@ from cyclekit.estimate.spread import logged_support
 from cyclekit.estimate.transit import cells_of
 from cyclekit.estimate.walk import FINE_STEP_S
 from cyclekit.learning.rules.safety import RuleSafety
+from cyclekit.report.play.scaling_grid import stepwise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Vector
 
 MOST_ENTRIES = 20_000_000
-"""A larger table takes minutes to fill, and no page holds it."""
+"""Maximum number of entries of a table: a larger one takes minutes to fill, and no page holds it."""
 PATH_S, HUMAN_M = 0.1, 0.03
 """Nominal time between the points of a motion, and edge of the cells, where the operator's position counts."""
 GRID = 200
@@ -81,7 +82,7 @@ def scaling_table(
         for name, scaling in zip(("scaling", "rising"), asked, strict=False):
             found[name].append(_nearest(book, scaling).reshape(-1, len(cells)))
         found["support"].append(known.near_logged(robot_m, human_m).astype(np.uint8).reshape(-1, len(cells)))
-    arrays |= {name: _steps(np.concatenate(parts)) for name, parts in found.items() if parts}
+    arrays |= {name: stepwise(np.concatenate(parts)) for name, parts in found.items() if parts}
     arrays |= {"values": book.astype(np.float32), "people_cells": code.astype(np.uint16).ravel()}
     facts: dict[str, Any] = {"cells": len(cells), "lags": lags, "fastest": max(levels, default=1.0), "moves": []}
     if isinstance(model, OnStates):
@@ -111,8 +112,3 @@ def _nearest(book: Vector, values: Vector) -> NDArray[np.uint8]:
     """Return which value of an ascending book of at most 256 lies nearest to each."""
     middles = (book[1:] + book[:-1]) / 2
     return np.searchsorted(middles, np.clip(values, 0.0, 1.0)).astype(np.uint8)
-
-
-def _steps(table: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the steps from point to point in place of the values: they wrap, and need a third of the room."""
-    return np.diff(table, axis=0, prepend=np.zeros_like(table[:1]))

@@ -34,6 +34,6 @@ const enter = (part) => {
   COUNT = facts.tracks.count;
   SAMPLES = tables.people_cells.length / COUNT;
   STEP_S = facts.tracks.step_s;
-  part.field = part.field || (tables.scaling ? lookupField() : positionsField());
+  part.field = part.field || (tables.nodes ? gridField() : tables.scaling ? lookupField() : positionsField());
   field = part.field;
 };

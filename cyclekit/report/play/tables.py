@@ -26,6 +26,7 @@ from cyclekit.learning.rules.distances import TO_LINK
 from cyclekit.learning.rules.quantities import RulePlace, quantities
 from cyclekit.learning.rules.safety import RuleSafety, distances_of
 from cyclekit.report.play.packed import in_steps, in_units, units_per_metre
+from cyclekit.report.play.scaling_grid import scaling_grid, smooth
 from cyclekit.report.play.scaling_table import scaling_table, thinned
 
 if TYPE_CHECKING:
@@ -126,17 +127,25 @@ def field_of(
     legs = legs if isinstance(model, OnStates) else thinned(legs)
     dynamics = Dynamics.of(dataset.card.dynamics, model)
     paths = [leg.xyz_m for leg in legs.values()]
+    if smooth(model):
+        told = _positions(dataset, legs, tracks, arrays, spots=False)
+        return told | {"rule": scaling_grid(model, dynamics, paths, tracks.xyz_m.reshape(-1, 3), arrays)}, legs
     return {"rule": scaling_table(model, dynamics, dataset, paths, tracks, arrays)}, legs
 
 
 def _positions(
-    dataset: Dataset, legs: Mapping[str, NominalTask], tracks: OperatorTracks, arrays: Arrays
+    dataset: Dataset,
+    legs: Mapping[str, NominalTask],
+    tracks: OperatorTracks,
+    arrays: Arrays,
+    *,
+    spots: bool = True,
 ) -> dict[str, Any]:
     """Put positions of robot and operator into `arrays`, and which pairs were logged; return their facts."""
     paths = np.concatenate([leg.xyz_m for leg in legs.values()])
     unit = units_per_metre(tracks.xyz_m, paths)
     arrays["tracks"], arrays["paths"] = (in_steps(in_units(xyz_m, unit)) for xyz_m in (tracks.xyz_m, paths))
-    return {"per_metre": unit, "support": _support(dataset, paths, tracks, arrays)}
+    return {"per_metre": unit, "support": _support(dataset, paths, tracks, arrays, spots=spots)}
 
 
 def _rule(model: RuleSafety) -> dict[str, Any]:
@@ -195,7 +204,9 @@ def _legs(
     return found
 
 
-def _support(dataset: Dataset, paths: NDArray[np.float64], tracks: OperatorTracks, arrays: Arrays) -> dict[str, Any]:
+def _support(
+    dataset: Dataset, paths: NDArray[np.float64], tracks: OperatorTracks, arrays: Arrays, *, spots: bool
+) -> dict[str, Any]:
     """Put the cells of each point and of each sample into `arrays`; return how many cells of operators there are.
 
     `support` (R, H) says which pairs of cells were logged. The operator is away where he slows the robot nowhere:
@@ -206,12 +217,13 @@ def _support(dataset: Dataset, paths: NDArray[np.float64], tracks: OperatorTrack
     on_floor = np.where(np.isnan(people), 0.0, people)  # an unknown height is that of the floor there
     robots, arrays["robot_cells"] = _numbered(np.floor(paths / ROBOT_M))
     humans, arrays["people_cells"] = _numbered(np.floor(on_floor / HUMAN_M), absent)
-    at, spots = spots_of(people)
     middles = (robots + 0.5) * ROBOT_M, (humans + 0.5) * HUMAN_M
     rows, columns = np.repeat(middles[0], len(humans), axis=0), np.tile(middles[1], (len(robots), 1))
     arrays["support"] = logged_support(dataset).near_logged(rows, columns).astype(np.uint8)
-    arrays["people_spots"] = np.where(absent, NOBODY, at).astype(np.uint16)
-    arrays["spots"] = spots.astype(np.float32)
+    if spots:
+        at, spots_m = spots_of(people)
+        arrays["people_spots"] = np.where(absent, NOBODY, at).astype(np.uint16)
+        arrays["spots"] = spots_m.astype(np.float32)
     return {"operators": len(humans)}
 
 

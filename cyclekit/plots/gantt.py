@@ -161,18 +161,26 @@ def draw_blocks(
     legend: Mapping[str, str],
     takt_s: float | None = None,
     tip: Tip = lambda _figure, _artist, _text, _row: None,
+    *,
+    like: Sequence[Block] = (),
 ) -> None:
-    """Draw a time chart on axes that fill a figure of `height_in`; other arguments as of `draw_gantt`.
+    """Draw a time chart on axes that fill a figure of `height_in`.
 
-    `tip` is called with figure, artist, text and task of everything that has a tooltip.
+    Args:
+        axes: Where to draw.
+        blocks: The cycles, the top one first.
+        legend: Colour by meaning.
+        takt_s: A line across all of them, s.
+        tip: Called with figure, artist, text and task of everything that has a tooltip.
+        like: Cycles with which the chart shares its time axis and left margin; by default its own.
     """
     figure: Figure = axes.figure  # type: ignore[assignment]  # no subfigure
     figure.set_layout_engine("none")
     width_in, all_in = figure.get_size_inches().tolist()
     body_in = sum(block.height_in for block in blocks)
-    left_in = _left_in(blocks, width_in)
+    left_in = _left_in(like or blocks, width_in)
     axes.set_position((left_in / width_in, _FOOT_IN / all_in, 1 - (left_in + _RIGHT_IN) / width_in, body_in / all_in))
-    end_s = 1.01 * max(max((block.end_s for block in blocks), default=1.0), takt_s or 0.0)
+    end_s = 1.01 * max(max((block.end_s for block in like or blocks), default=1.0), takt_s or 0.0)
     axes.set(xlim=(0.0, end_s), ylim=(body_in, 0.0))
     axes.set_xlabel("time, s")
     for side in ("top", "right", "left"):

@@ -6,6 +6,7 @@ Each function draws one figure for a width in inches and leaves out what does no
 
 from __future__ import annotations
 
+import math
 import textwrap
 from typing import TYPE_CHECKING
 
@@ -25,13 +26,23 @@ if TYPE_CHECKING:
 
 FEW_ROWS, MANY_ROWS = 9, 16
 _ROW_IN, _LOW_ROW_IN, _LOWEST_ROW_IN = 0.42, 0.31, 0.25
+_KEY_ROW_IN = 0.2
 
 
 def cycle_times(
     width_in: float, estimates: Sequence[CycleEstimate], labels: Mapping[str, str], takt_s: float | None = None
 ) -> Figure:
     """One row per sequence: 5 % to 95 % of cycles as a bar, the mean a dot, nominal time a tick, the takt a line."""
-    figure, axes = _rows(width_in, len(estimates), bottom_in=0.95)
+    low, high = _levels(estimates)
+    entries = [
+        ("o", colours.NOMINAL, labels["mean"]),
+        ("s", "#b9c8db", labels["cycles"].format(low=low, high=high)),
+        ("|", MUTED, labels["without"]),
+    ]
+    if takt_s is not None:
+        entries.append(("|", colours.SCALING_ANCHORS[0][1], labels["takt"]))
+    columns = _columns(entries, width_in)
+    figure, axes = _rows(width_in, len(estimates), bottom_in=0.75 + _KEY_ROW_IN * math.ceil(len(entries) / columns))
     for row, each in enumerate(estimates):
         quantiles = sorted(each.quantiles_s.items())
         if quantiles:
@@ -57,15 +68,7 @@ def cycle_times(
     axes.set_xlabel(labels["seconds"])
     axes.margins(x=0.06)
     axes.grid(axis="x")
-    low, high = _levels(estimates)
-    entries = [
-        ("o", colours.NOMINAL, labels["mean"]),
-        ("s", "#b9c8db", labels["cycles"].format(low=low, high=high)),
-        ("|", MUTED, labels["without"]),
-    ]
-    if takt_s is not None:
-        entries.append(("|", colours.SCALING_ANCHORS[0][1], labels["takt"]))
-    _key(figure, axes, entries, width_in)
+    _key(figure, axes, entries, columns)
     return figure
 
 
@@ -109,14 +112,18 @@ def _two_lines(name: str, longest: int) -> str:
     return "\n".join(lines[:2]) + ("…" if len(lines) > 2 else "")
 
 
-def _key(figure: Figure, axes: Axes, entries: Sequence[tuple[str, str, str]], width_in: float) -> None:
-    """A legend above the plot: one line on a wide screen, two columns on a phone."""
+def _columns(entries: Sequence[tuple[str, str, str]], width_in: float) -> int:
+    """Return the number of columns of the legend: one line on a wide screen, one or two columns on a phone."""
+    short = max(len(text) for _, _, text in entries) <= 16
+    return len(entries) if width_in == WIDE_IN else 2 if len(entries) > 3 and short else 1
+
+
+def _key(figure: Figure, axes: Axes, entries: Sequence[tuple[str, str, str]], columns: int) -> None:
+    """Draw a legend above the plot."""
     handles = [
         axes.plot([], [], marker, color=colour, markersize=7, markeredgewidth=1.4 if marker == "|" else 0)[0]
         for marker, colour, _ in entries
     ]
-    short = max(len(text) for _, _, text in entries) <= 16
-    columns = len(entries) if width_in == WIDE_IN else 2 if len(entries) > 3 and short else 1
     figure.legend(
         handles,
         [text for _, _, text in entries],

@@ -37,7 +37,7 @@ _FAINTEST = 0.02
 
 def staircase(width_in: float, found: LoggedResponse, levels: Sequence[float], labels: Mapping[str, str]) -> Figure:
     """Scaling against distance: samples as squares in the scaling's colour, mean of the log, mean of the model."""
-    figure = Figure(figsize=(width_in, 3.5 if width_in == WIDE_IN else 3.2), layout="constrained")
+    figure = Figure(figsize=(width_in, 2.7 if width_in == WIDE_IN else 3.2), layout="constrained")
     axes = figure.add_subplot()
     for level in levels:
         axes.axhline(level, color=RULE, linewidth=0.8, zorder=0)

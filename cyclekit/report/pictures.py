@@ -34,25 +34,32 @@ class Picture:
         name: Short and unique on the page; ids inside the SVG start with it.
         alt: Alternative text for screen readers.
         draw: Makes the figure for a width in inches.
+        paper: Make the parts that are printed instead, one below the other; empty: the whole picture is printed.
     """
 
     name: str
     alt: str
     draw: Callable[[float], Figure]
+    paper: tuple[Callable[[float], Figure], ...] = ()
 
     @cached_property
     def wide(self) -> str:
         """SVG element for a wide screen."""
-        return self._drawn(WIDE_IN, "w")
+        return self._drawn(self.draw, WIDE_IN, "w")
 
     @cached_property
     def narrow(self) -> str:
         """SVG element for a phone."""
-        return self._drawn(NARROW_IN, "n")
+        return self._drawn(self.draw, NARROW_IN, "n")
 
-    def _drawn(self, width_in: float, version: str) -> str:
+    @cached_property
+    def printed(self) -> tuple[str, ...]:
+        """SVG elements for paper, as wide as for a wide screen."""
+        return tuple(self._drawn(draw, WIDE_IN, f"p{number}") for number, draw in enumerate(self.paper))
+
+    def _drawn(self, draw: Callable[[float], Figure], width_in: float, version: str) -> str:
         with plain_style():
-            return _to_svg(self.draw(width_in), f"{self.name}-{version}", self.alt)
+            return _to_svg(draw(width_in), f"{self.name}-{version}", self.alt)
 
 
 def _to_svg(figure: Figure, prefix: str, alt: str) -> str:

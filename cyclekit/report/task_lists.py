@@ -6,13 +6,12 @@ import datetime as dt
 import re
 from collections import Counter
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.metadata import version as installed
 from typing import TYPE_CHECKING
 
 from cyclekit.estimate.baseline import listed_cycle, listed_cycles
 from cyclekit.report.document import MARK
-from cyclekit.report.figures.time_chart import MOST_SEQUENCES, alt_of, draw
+from cyclekit.report.figures.time_chart import MOST_SEQUENCES, time_chart
 from cyclekit.report.numbers import UNKNOWN, count, fixed, given, percent
 from cyclekit.report.page import ReportFacts
 from cyclekit.report.pictures import Picture
@@ -119,7 +118,7 @@ def report_tasks(
     parts = [*_ranking(found, takt_s), *(_plan(one) for one in found), *_order(planned), *_changes(changed)]
     if found:
         drawn = [*([today] if today else []), *found[:MOST_SEQUENCES]]
-        parts[0] = replace(parts[0], chart=_chart(texts, drawn, takt_s))
+        parts[0] = replace(parts[0], chart=time_chart(texts, drawn, takt_s))
     parts += [] if found and today else _logged(texts, dataset, takt_s)
     parts += [*([_learned(card)] if card else []), _trust(card, missing)]
     headline = in_words(texts, held) if held else _logged_in_words(dataset, takt_s)
@@ -147,10 +146,6 @@ def _today(dataset: Dataset, today: Today | None, title: str) -> CycleEstimate |
     return listed_cycle(dataset, today.names, title) if today and today.order and today.executions else None
 
 
-def _chart(texts: ReportTexts, drawn: Sequence[CycleEstimate], takt_s: float | None) -> Picture:
-    return Picture("timechart", alt_of(texts, drawn), partial(draw, drawn, takt_s))
-
-
 def _logged(texts: ReportTexts, dataset: Dataset, takt_s: float | None) -> list[Part]:
     """Return the logged executions as a time chart, with its numbers."""
     found = listed_cycles(dataset)
@@ -163,7 +158,7 @@ def _logged(texts: ReportTexts, dataset: Dataset, takt_s: float | None) -> list[
             rows.append([one.name, task.agent, str(turn[task.agent]), task.task, *times])
     heads = ["cycle", "agent", "no.", "task", "start, s", "end, s", "end in 90 % of cycles, s", "wait, s"]
     said = next(text for which, text in _WHICH.items() if which in found) if found else ""
-    chart = _chart(texts, list(found.values()), takt_s) if found else None
+    chart = time_chart(texts, list(found.values()), takt_s) if found else None
     return [Part("Logged executions", [said], heads, rows, chart, folded=True)] if found else []
 
 

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 from matplotlib.figure import Figure as Drawing
-from report_pages import draw_only
+from report_pages import draw_only, estimate
 
 from cyclekit.report import compose_report, figures
+from cyclekit.report.charts import cycle_times
 from cyclekit.report.figures import Chart, Figure
 from cyclekit.report.inputs import PageInputs
-from cyclekit.report.pictures import Picture
+from cyclekit.report.pictures import NARROW_IN, Picture
 from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
@@ -68,3 +69,13 @@ def test_its_table_is_in_the_words_and_its_words_can_be_replaced(
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert f"{dataset.tasks().height} Aufgaben" in page
     assert section in page
+
+
+def test_the_legend_leaves_room_for_the_only_row_on_a_phone():
+    labels = {name: name for name in ("seconds", "mean", "cycles", "tip")} | {
+        "without": "without safety slow-down", "takt": "takt, 40 s",
+    }  # fmt: skip
+    drawing = cycle_times(NARROW_IN, [estimate()], labels, 40.0)
+    drawing.draw_without_rendering()
+    height_in = drawing.axes[0].get_position().height * drawing.get_size_inches()[1]
+    assert height_in > 0.35

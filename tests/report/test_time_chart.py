@@ -18,8 +18,9 @@ from cyclekit.estimate.baseline import logged_cycle, logged_order
 from cyclekit.estimate.result import PARTS, PlannedShare, TaskShare
 from cyclekit.plots import colours
 from cyclekit.report import compose_report
-from cyclekit.report.figures.time_chart import draw
-from cyclekit.report.pictures import Picture, plain_style
+from cyclekit.report.figures.time_chart import PAPER_IN, draw, time_chart
+from cyclekit.report.pictures import WIDE_IN, Picture, plain_style
+from cyclekit.report.texts import load_texts
 
 SHARES = (
     TaskShare("a->b", 12.0, 5.0, 5.0, 2.0, 0.0, 10.0, 15.0),
@@ -147,3 +148,16 @@ def test_the_page_about_the_logs_draws_what_was_logged(dataset, tmp_path, monkey
     assert sum(map(sum, cycle.operator_at.values())) == pytest.approx(PARTS, abs=0.02)
     text = compose_report(dataset, None, tmp_path / "r.html").path.read_text("utf-8")
     assert 'id="timechart-w-figure_1"' in text
+
+
+@pytest.mark.usefixtures("words_only")
+def test_a_high_chart_is_printed_cycle_by_cycle_on_one_time_axis():
+    longer = replace(ONE, name="longer", tasks=(*ONE.tasks, TaskShare("c->a", 40.0, 40.0, 0.0, 0.0, 0.0)))
+    few, many = [ONE], [ONE, longer, ONE, longer]
+    texts = load_texts().with_words({"time_chart": {"picture": "chart"}})
+    assert time_chart(texts, few, None).paper == ()
+    parts = [draw(WIDE_IN) for draw in time_chart(texts, many, None).paper]
+    assert len(parts) == len(many)
+    assert max(part.get_size_inches()[1] for part in parts) < PAPER_IN
+    assert len({part.axes[0].get_xlim() for part in parts}) == 1
+    assert len({tuple(part.axes[0].get_position().intervalx) for part in parts}) == 1

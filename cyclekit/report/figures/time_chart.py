@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 from cyclekit.estimate.baseline import logged_cycle, logged_order
 from cyclekit.estimate.gantt import SHOWN_S, blocks_of, legend_of
+from cyclekit.plots.gantt import draw_blocks, height_in
 from cyclekit.plots.look import tip
 from cyclekit.report.figures.figure import Chart, Figure
 from cyclekit.report.findings import task_shares
 from cyclekit.report.numbers import UNKNOWN, fixed
-from cyclekit.report.pictures import Picture
+from cyclekit.report.pictures import WIDE_IN, Picture
 from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 MOST_SEQUENCES = 4
 """Maximum number of sequences drawn; the others are in the tables."""
+PAPER_IN = 4.5
+"""Maximum height of a chart that is printed as a whole, inches."""
 PARTS = ("nominal", "safety", "dwell", "wait")
 _FIELDS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 _WORDS = {
@@ -65,23 +68,30 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
         split = _split(texts, found)
     else:
         split, tables = _logged(texts, page), tables[:1]
-    picture = Picture("timechart", alt_of(texts, drawn), partial(draw, drawn, page.takt_s))
-    yield Chart(picture, caption, table=split, more=tables)
+    yield Chart(time_chart(texts, drawn, page.takt_s), caption, table=split, more=tables)
 
 
-def draw(found: Sequence[CycleEstimate], takt_s: float | None, width_in: float) -> Drawn:
-    """Draw the time chart of these cycles."""
+def time_chart(texts: ReportTexts, found: Sequence[CycleEstimate], takt_s: float | None) -> Picture:
+    """Return the time chart of these cycles; on paper a high one is drawn cycle by cycle, so that it can break."""
+    blocks, legend = blocks_of(found), legend_of(found, takt_s)
+    whole = len(blocks) == 1 or height_in(blocks, legend, WIDE_IN) <= PAPER_IN
+    paper = () if whole else tuple(partial(draw, found, takt_s, number=number) for number in range(len(blocks)))
+    return Picture("timechart", _alt(texts, found), partial(draw, found, takt_s), paper)
+
+
+def draw(found: Sequence[CycleEstimate], takt_s: float | None, width_in: float, *, number: int | None = None) -> Drawn:
+    """Draw the time chart of these cycles, or of one of them on the same time axis; the first has the legend."""
     from matplotlib.figure import Figure as Drawn
 
-    from cyclekit.plots.gantt import draw_blocks, height_in
-
-    blocks, legend = blocks_of(found), legend_of(found, takt_s)
+    every, legend = blocks_of(found), legend_of(found, takt_s)
+    blocks = every if number is None else every[number : number + 1]
+    legend = {} if number else legend
     figure = Drawn(figsize=(width_in, height_in(blocks, legend, width_in)))
-    draw_blocks(figure.add_subplot(), blocks, legend, takt_s, tip)
+    draw_blocks(figure.add_subplot(), blocks, legend, takt_s, tip, like=every)
     return figure
 
 
-def alt_of(texts: ReportTexts, found: Sequence[CycleEstimate]) -> str:
+def _alt(texts: ReportTexts, found: Sequence[CycleEstimate]) -> str:
     """Return the alternative text of the time chart of these cycles."""
     first = found[0]
     worst = max(first.tasks, key=lambda share: share.safety_loss_s, default=None)

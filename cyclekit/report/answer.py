@@ -32,7 +32,7 @@ SURE = 0.975
 
 
 def _is_shorter(best: CycleEstimate, other: CycleEstimate) -> bool:
-    """Tell whether a mean is clearly below another: beside the same operators, else by their intervals."""
+    """Return whether one mean is clearly below another: with the same operators, or else by their intervals."""
     odds = best.beats.get(other.name)
     return best.expected_high_s < other.expected_low_s if odds is None else odds >= SURE
 
@@ -77,7 +77,7 @@ def _caption(texts: ReportTexts, works: Mapping[Work, Sequence[CycleEstimate]]) 
 
 
 def in_time(estimate: CycleEstimate, takt_s: float) -> float | None:
-    """Return the part of the single cycles that take no longer than the takt; None where there are none."""
+    """Return the share of single cycles within the takt; None without cycles."""
     cycles = np.asarray(estimate.durations_s, dtype=np.float64)
     return float((cycles <= takt_s).mean()) if len(cycles) else None
 
@@ -101,7 +101,7 @@ def _best(texts: ReportTexts, best: CycleEstimate, mean: str, interval: str) -> 
 
 
 def _warnings(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> list[str]:
-    """Return what limits the sequences, each sentence once with the names of those it holds for."""
+    """Return the limits of the sequences, each sentence once with the names of the sequences that it holds for."""
     names: dict[str, list[str]] = {}
     for each in ranked:
         for text in each.warnings:

@@ -46,7 +46,7 @@ class PageInputs:
         evaluation: Of the model.
         check: The backtest on logged executions.
         takt_s: The takt time, s.
-        baseline: Name of the sequence that the others are held against.
+        baseline: Name of the sequence that the others are compared with.
     """
 
     texts: ReportTexts
@@ -77,7 +77,7 @@ class PageInputs:
 
     @cached_property
     def answers(self) -> Predicts | None:
-        """What answers for the model: the rule beside it, or its network."""
+        """The rule of the model if it has one, else its network."""
         return answering(self.model) if isinstance(self.model, TrainedModel) else self.model
 
     @cached_property

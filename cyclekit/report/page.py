@@ -107,7 +107,7 @@ def compose_report(
         what_if: The same sequences under other conditions.
         planned: The order found for the same work.
         takt_s: Takt time to compare the cycles with, s.
-        baseline: Name of the sequence that the others are held against; by default what was logged most.
+        baseline: Name of the sequence that the others are compared with; by default the order logged most.
         missing: Optional parts that could not be computed, and why, one sentence each; shown in the last section.
         cell_name: Title of the page; the dataset's name where not given.
         kind: `html`; `json` for everything, `csv` for the seconds per task, `md` for words and tables.
@@ -155,7 +155,7 @@ def compose_report(
 
 
 def _draw(sections: dict[str, Any], say: Callable[[float, str], None]) -> None:
-    """Draw every picture, for wide screens and for phones: most of the time goes here, so it is told."""
+    """Draw every picture for wide screens and for phones, which takes most of the time; report progress."""
     pictures = [chart.picture for section in sections.values() for chart in section.get("charts", ())]
     for number, picture in enumerate(pictures):
         say(number / len(pictures), f"picture {number + 1} of {len(pictures)}")

@@ -142,7 +142,7 @@ def report_tasks(
 
 
 def _today(dataset: Dataset, today: Today | None, title: str) -> CycleEstimate | None:
-    """Return the logged cycle that the plans are held against, where its executions ran one order."""
+    """Return the logged cycle that the plans are compared with, if its executions ran one order."""
     return listed_cycle(dataset, today.names, title) if today and today.order and today.executions else None
 
 

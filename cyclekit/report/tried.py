@@ -53,7 +53,7 @@ class Tried:
 
     @staticmethod
     def of(found: WhatIf | _Answer, takt_s: float | None = None) -> Tried:
-        """Return a result of `whatif` as a row of the page, held against a takt if one is given."""
+        """Return a result of `whatif` as a row of the page, compared with a takt if one is given."""
         after, support = found.after, found.after.support
         known = support is not None and not math.isnan(support)  # a safety function that is given holds everywhere
         return Tried(
@@ -81,7 +81,7 @@ class Tried:
         return same.expected_s - self.expected_s, None, None
 
     def surely_saves(self, before: Mapping[str, CycleEstimate]) -> bool:
-        """Tell whether the whole interval is a saving; without one, the mean."""
+        """Return whether the whole interval is a saving; without an interval, whether the mean is."""
         saves = self.saves(before)
         return saves is not None and (saves[0] if saves[1] is None else saves[1]) > 0
 

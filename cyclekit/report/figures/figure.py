@@ -23,7 +23,7 @@ class Chart:
         numbers: The numbers of the picture, folded up below it.
         table: A table that is always open, below those.
         more: Further tables, folded up.
-        half: Two such charts stand side by side on paper.
+        half: Two such charts are printed side by side.
     """
 
     picture: Picture
@@ -41,8 +41,8 @@ class Figure:
 
     Attributes:
         name: Short and unique.
-        section: Where it stands: answer, where, why, helps or trust.
-        charts: Makes its charts; none where there is nothing to show.
+        section: Section of the page: answer, where, why, helps or trust.
+        charts: Makes its charts; none if there is nothing to show.
         words: Its texts, looked up as `NAME.key`, where they are not in `texts.toml`; templates can replace them.
     """
 

@@ -112,7 +112,7 @@ def _said(texts: ReportTexts, drawn: Sequence[CycleEstimate], left: int) -> Iter
 
 
 def _today(page: PageInputs) -> CycleEstimate | None:
-    """Return today's cycle, where its executions ran one order; without sequences one that was logged."""
+    """Return today's cycle if its executions ran one order; without sequences a logged cycle."""
     if page.ranked:
         today = page.verdict.today if page.verdict else None
         names = today.names if today and today.order else ()

@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats
 
 PACES = (0.8, 1.5)
-"""The operator may be made so many times as fast."""
+"""Minimum and maximum factor on the speed of the operator."""
 MOST_PARTS = 10
-"""So many parts of a source may be in advance, or as many as the cell has."""
+"""Maximum number of parts of a source in advance, unless the cell has more."""
 
 
 def played_together(page: PageInputs, *, waits: bool) -> list[CycleEstimate]:
@@ -50,7 +50,7 @@ def played_together(page: PageInputs, *, waits: bool) -> list[CycleEstimate]:
 
 
 def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimate]) -> Tables:
-    """Return facts (plain JSON values) and arrays of sequences of both agents.
+    """Return facts (plain JSON values) and arrays for sequences of both agents.
 
     Raises:
         CyclekitError: There is no operator track, or the tables would be too large.
@@ -99,7 +99,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
 
 
 def _sequence(each: CycleEstimate, planner: Planner) -> dict[str, Any]:
-    """Return what each agent does; `operator` None: whatever was logged beside this work."""
+    """Return the work of each agent; `operator` None: what operators did in logged executions of this work."""
     if not each.asked:
         return {"name": each.name, "robot": each.places, "operator": each.operator, "both": False}
     plan = TaskSequence.of_plan(each.name, each.asked)
@@ -137,7 +137,7 @@ def _drawn(segments: Segments, places: list[str]) -> tuple[dict[str, dict[str, l
 def _used(
     segments: Segments, walks: dict[str, dict[str, list[int]]], stays: dict[str, list[int]]
 ) -> tuple[Floats, list[list[int]]]:
-    """Return the positions of these walks and stays (M, 3), with first row and count of each; number them anew."""
+    """Return the positions of these walks and stays (M, 3), with first row and count of each; renumber them."""
     xyz_m, first, count = segments.table()
     lists = [*(numbers for goals in walks.values() for numbers in goals.values()), *stays.values()]
     used = sorted({0, *(number for numbers in lists for number in numbers)})
@@ -178,7 +178,7 @@ def _gates(card: CouplingCard) -> list[dict[str, Any]]:
 
 
 def _legs(legs: Mapping[str, NominalTask], thinned: Mapping[str, NominalTask], gates: Gates) -> dict[str, Any]:
-    """Return each task with its place in the points; `rows` is how many points the library has."""
+    """Return each task with its place in the points; `rows` is the number of points in the library."""
     found, first = {}, 0
     for name, leg in legs.items():
         points = len(thinned[name].xyz_m)
@@ -196,7 +196,7 @@ def _legs(legs: Mapping[str, NominalTask], thinned: Mapping[str, NominalTask], g
 
 
 def _corrected(check: Check | None, executions: int, arrays: Arrays) -> dict[str, float]:
-    """Return what corrects a rollout; how cycles are drawn again as finite logs give them goes into `arrays`."""
+    """Return the corrections of a rollout; put the resamples of its cycles into `arrays`."""
     judged = len(check.residuals) if check else 2
     arrays["drawn"] = resample_counts(SEED, executions).astype(np.uint8)
     arrays["errors"] = np.random.default_rng(SEED + 1).standard_t(max(judged - 1, 1), RESAMPLES).astype(np.float32)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cyclekit.report.play.tables import Arrays, Tables
 
 PACES = (0.8, 1.5)
-"""An agent may be made so many times as fast."""
+"""Minimum and maximum factor on the speed of an agent."""
 
 
 def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s: float | None) -> Tables:
@@ -28,7 +28,7 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
     Args:
         card: What was learned from task lists.
         shown: Estimates of plans.
-        takt_s: Takt time that the cycles are held against, s.
+        takt_s: Takt time, s.
     """
     judged, first = card.held_out, 0
     tasks, values = [], list[float]()
@@ -65,7 +65,7 @@ def _need(need: NeedCard) -> dict[str, Any]:
 
 
 def _plan(card: TaskModelCard, each: CycleEstimate) -> dict[str, Any]:
-    """Return the tasks of a plan, each with its agent's name in the logs and as it was asked for."""
+    """Return the tasks of a plan, each with its agent as named in the logs and in the plan."""
     tasks = [
         {"agent": agent_of(card, task, each.name), "asked": task.agent, "name": task.name, "after": task.after}
         | ({} if task.not_before_s is None else {"not_before_s": task.not_before_s})

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 UNKNOWN, MOST = -(2**15), 2**15 - 1
-"""Stands for a coordinate that is not known; the largest one."""
+"""Code of an unknown coordinate; largest coordinate."""
 FINEST = 10_000.0
-"""Units per metre at most."""
+"""Maximum resolution, units per metre."""
 
 
 def units_per_metre(*xyz_m: NDArray[np.floating[Any]]) -> float:
-    """Return how finely coordinates can be told in 16 bits; all of them alike."""
+    """Return the resolution of coordinates in 16 bits, units per metre; the same for all."""
     farthest = max(float(np.nanmax(np.abs(some), initial=1.0)) for some in xyz_m)
     return min(FINEST, float(np.floor(MOST / farthest)))
 
@@ -33,7 +33,7 @@ def in_units(xyz_m: NDArray[np.floating[Any]], per_metre: float) -> NDArray[np.i
 
 
 def in_steps(values: NDArray[np.int16]) -> NDArray[np.int16]:
-    """Return the steps along axis -2 in place of the values, which are small for whoever stands or walks."""
+    """Return the differences along axis -2 instead of the values: they are small, so they compress well."""
     return np.diff(values, axis=-2, prepend=np.zeros_like(values[..., :1, :]))  # it wraps, and so does the script
 
 

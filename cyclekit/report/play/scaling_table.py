@@ -1,4 +1,4 @@
-"""The scaling of a model that the script cannot ask, a network or signals of people: a table the script looks up.
+"""The scaling of a model without a rule of positions, such as trees or signals of people, as a table for the script.
 
 Rows are points of the logged motions, columns cells of operator positions or states, those of `transit`.
 """
@@ -34,7 +34,7 @@ MOST_ENTRIES = 20_000_000
 PATH_S, HUMAN_M = 0.1, 0.03
 """Nominal time between the points of a motion, and edge of the cells, where the operator's position counts."""
 GRID = 200
-"""Values of s are told to one part of this, levels of the model exactly."""
+"""Number of steps from 0 to 1 to which s is rounded; levels of the model are exact."""
 
 
 def thinned(legs: Mapping[str, NominalTask]) -> dict[str, NominalTask]:
@@ -103,12 +103,12 @@ def _pairs(paths: list[Floats], cells: Floats) -> Iterator[tuple[Floats, Floats]
 
 
 def _bounds(model: SafetyModel, dynamics: Dynamics, robot_m: Floats, human_m: Floats) -> list[Vector]:
-    """Return down to which s must fall, and up to which it may rise."""
+    """Return the value to which s must fall, and the value to which it may rise."""
     rising, falling = Follower(model, dynamics, FINE_STEP_S).bounds(robot_m, human_m)
     return [np.maximum(falling, rising), rising]
 
 
 def _nearest(book: Vector, values: Vector) -> NDArray[np.uint8]:
-    """Return which value of an ascending book of at most 256 lies nearest to each."""
+    """Return the index of the nearest value in an ascending book of at most 256."""
     middles = (book[1:] + book[:-1]) / 2
     return np.searchsorted(middles, np.clip(values, 0.0, 1.0)).astype(np.uint8)

@@ -1,6 +1,6 @@
 """What the script needs to roll out any order of the logged tasks: tasks, tracks, rule, and what corrects the result.
 
-Everything comes from the same functions as in `estimate`, so the script draws nothing by chance and fits nothing.
+Everything comes from the functions of `estimate`, so the script draws nothing at random and fits nothing.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ if TYPE_CHECKING:
     Tables = tuple[dict[str, Any], Arrays]
 
 SEED = 0
-"""Of the estimates on the page."""
+"""Seed of the estimates on the page."""
 LONGER = 3.5
-"""Tracks are this many times as long as the longest sequence at full speed; slower cycles are not known."""
+"""Length of the tracks as a multiple of the longest sequence at full speed; slower cycles are not known."""
 NOBODY = 2**16 - 1
-"""Stands for the cell of an operator who is not there."""
+"""Number of the cell of an operator who is absent."""
 MOVED_M = 0.5
-"""A threshold can be moved by this much to either side."""
+"""Maximum shift of a threshold to either side, m."""
 
 
 def playable(page: PageInputs) -> SafetyModel | str:
@@ -95,7 +95,7 @@ def tables_of(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimat
 
 
 def rest_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: OperatorTracks) -> dict[str, Any]:
-    """Return names, takt, the grid of the tracks, and in which steps and with which response cycles are walked."""
+    """Return names, takt, the grid of the tracks, and the time steps and the response of the rollout."""
     dynamics = Dynamics.of(dataset.card.dynamics, model)
     return {
         "labels": {name: dataset.label(name) for name in (*dataset.places, *dataset.human_places)},
@@ -117,7 +117,7 @@ def rest_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: Oper
 def field_of(
     model: SafetyModel, dataset: Dataset, legs: Mapping[str, NominalTask], tracks: OperatorTracks, arrays: Arrays
 ) -> tuple[dict[str, Any], Mapping[str, NominalTask]]:
-    """Put what gives the scaling into `arrays`; return its facts, and the tasks with the points that the page has.
+    """Put the rule or the table of the scaling into `arrays`; return its facts, and the tasks as the page has them.
 
     Raises:
         EstimateError: The tables would be too large.
@@ -230,7 +230,7 @@ def _support(
 def _numbered(
     cells: NDArray[np.float64], absent: NDArray[np.bool_] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
-    """Return the cells that occur (C, 3), and which one each row is in (N,); NOBODY for who is `absent`."""
+    """Return the cells that occur (C, 3), and the number of the cell of each row (N,); NOBODY where `absent`."""
     found, number = np.unique(cells, axis=0, return_inverse=True)
     return found, (number if absent is None else np.where(absent, NOBODY, number)).astype(np.uint16)
 
@@ -238,7 +238,7 @@ def _numbered(
 def _corrected(
     check: Check | None, dataset: Dataset, tracks: OperatorTracks, legs: Mapping[str, NominalTask], arrays: Arrays
 ) -> dict[str, Any]:
-    """Return what corrects a rollout: its bias, what tasks took in the logs, and how executions are drawn again."""
+    """Return the corrections of a rollout: bias, logged durations of tasks, and resampled executions."""
     executions, which = np.unique(np.array(tracks.executions), return_inverse=True)
     together = TOGETHER if tracks.runs_on else 1
     arrays["execution"] = which.astype(np.uint16)

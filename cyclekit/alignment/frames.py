@@ -17,7 +17,7 @@ from cyclekit.errors import ConfigError, ShapeError
 if TYPE_CHECKING:
     from cyclekit.schema import Floats
 
-LEAST_SPREAD_M = 0.05
+MIN_SPREAD_M = 0.05
 """Minimum spread of points off a line, m; with less, the rotation about that line is unknown."""
 MILLIMETRES = 1000.0
 SCALE_SLACK = 0.2
@@ -144,7 +144,7 @@ def _scale(a: Floats, b: Floats) -> float:
 def _refuse_line(a: Floats, b: Floats) -> None:
     for points, whose in ((a, "tracker"), (b, "robot")):
         across = np.linalg.svd(points, compute_uv=False)[1] / np.sqrt(len(points))
-        if across < LEAST_SPREAD_M:
+        if across < MIN_SPREAD_M:
             seen = f"the points of the {whose} lie within {1000 * across:.0f} mm of one line"
             raise ConfigError(
                 f"{seen}: the rotation of the frame about that line is unknown",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from cyclekit.cli.terminal import bullet, duration, percent, table
 from cyclekit.dataset.lost_time import CAUSE_NAMES
 from cyclekit.learning.coupling.waits import told
-from cyclekit.scaling.response import LEAST_RAMPS
+from cyclekit.scaling.response import MIN_RAMPS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -91,7 +91,7 @@ def _value(value: float | None, unit: str) -> str:
 def _rate(per_s: float | None, error: float | None, changes: int) -> str:
     """Return a rate in percent per second, with its interval if that is wider than the rounding."""
     if per_s is None:
-        return "at once" if changes >= 2 * LEAST_RAMPS else "not known, too few changes"
+        return "at once" if changes >= 2 * MIN_RAMPS else "not known, too few changes"
     low, high = (f"{max(0.0, 100.0 * (per_s + sign * Z95 * (error or 0.0))):.3g}" for sign in (-1, 1))
     interval = f" (95 % CI {low} to {high})" if low != high else ""
     return f"{100.0 * per_s:.3g} % per second{interval}"

@@ -22,7 +22,7 @@ _EXAMPLE = """Add one:
   places = ["home", "conveyor", "left_1", "home"]"""
 PLAN = "plan"
 """First entry of the places of a plan for robot and operator."""
-MOST_S, EARLY_S = 1e7, 1e-3
+MAX_S, EARLY_S = 1e7, 1e-3
 """Maximum length of a plan, s; tolerance for a start slightly below zero, s."""
 
 
@@ -151,7 +151,7 @@ def _plan(where: str, entry: _Entry, index: int, path: Path) -> TaskSequence:
         msg = f"{where}: [[sequence.task]] together with places, tasks or operator"
         raise ConfigError(msg, cure="Write either: a plan names the tasks of both agents itself.")
     for task in entry.task:
-        if task.not_before_s is not None and not -EARLY_S <= task.not_before_s < MOST_S:
+        if task.not_before_s is not None and not -EARLY_S <= task.not_before_s < MAX_S:
             msg = f"{where}: not_before_s = {task.not_before_s} of {task.name!r} is not a time since the cycle's start"
             raise ConfigError(msg, cure="Give seconds after the start of the cycle, 0 or more.")
     plan = [

@@ -15,13 +15,18 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 
-GAP_PERIODS, GAP_S = 5.0, 0.25
+_GAP_PERIODS, _GAP_S = 5.0, 0.25
 """Minimum length of a gap: the larger of this many median steps and this time, s."""
 ONE_INSTANT_S = 1e-6
 """Minimum step, s; closer time stamps count as one instant, since nothing in a cell is sampled faster."""
 EVEN, MOSTLY = 0.2, 0.8
 """Tolerance, as a share of the median step, and minimum share of steps that are whole multiples of it, to count lost
 samples."""
+
+
+def max_step_s(period_s: float | None) -> float:
+    """Return the maximum step between rows without a gap, s; `period_s`: their median step, None = unknown."""
+    return max(_GAP_PERIODS * (period_s or 0.0), _GAP_S)
 
 
 class Rate(NamedTuple):
@@ -85,7 +90,7 @@ class _Steps:
             return
         usual = float(np.sort(steps)[(len(steps) - 1) // 2]) if self._step_s is None else self._step_s
         self._step_s = usual
-        steps = steps[steps <= max(GAP_PERIODS * usual, GAP_S)]
+        steps = steps[steps <= max_step_s(usual)]
         whole = np.rint(steps / usual)
         self.count += len(steps)
         self._sum_s += float(steps.sum())

@@ -30,7 +30,7 @@ _ON = {"1", "1.0", "true", "on", "high", "ein"}
 _OFF = {"0", "0.0", "false", "off", "low", "aus"}
 _SAMPLED_S = 0.1
 """Maximum time between two rows, s, for which a change counts at their middle; else at the later row."""
-MOST_CHANGES = 100_000
+MAX_CHANGES = 100_000
 """Maximum number of changes of a signal per recording; more frequent ones are counters or measurements."""
 
 
@@ -55,7 +55,7 @@ def state_of(value: str) -> str:
     return "1" if word in _ON else "0" if word in _OFF else value
 
 
-MOST_VALUES = 8
+MAX_VALUES = 8
 """Maximum number of values of an event; signals with more are measurements or names."""
 
 
@@ -92,7 +92,7 @@ def every_change(entry: LogCard, read: Read, stored: Stored) -> dict[str, Vector
     """Return the change times of each signal of a recording, both edges, clock of the log, shape (N,), ascending, s.
 
     Signals are its digital outputs (bit by bit), its register and its events; those that never change, or more than
-    MOST_CHANGES times, are left out.
+    MAX_CHANGES times, are left out.
 
     Args:
         entry: The recording.
@@ -111,7 +111,7 @@ def every_change(entry: LogCard, read: Read, stored: Stored) -> dict[str, Vector
     for (name,), mine in () if events is None else events.sort("t_s").group_by("signal", maintain_order=True):
         changed = (mine["value"] != mine["value"].shift(1)).fill_null(value=True)
         found[str(name)] = mine["t_s"].filter(changed).to_numpy()
-    return {name: times for name, times in found.items() if 0 < len(times) <= MOST_CHANGES}
+    return {name: times for name, times in found.items() if 0 < len(times) <= MAX_CHANGES}
 
 
 def values_of(entry: LogCard, read: Read, stored: Stored) -> dict[str, SignalChanges]:
@@ -123,14 +123,14 @@ def values_of(entry: LogCard, read: Read, stored: Stored) -> dict[str, SignalCha
         stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
 
     Returns:
-        By name: each bit that changes, the register, and events with at most MOST_VALUES values, with words of on and
-        off as 1 and 0. Signals that change more than MOST_CHANGES times are left out.
+        By name: each bit that changes, the register, and events with at most MAX_VALUES values, with words of on and
+        off as 1 and 0. Signals that change more than MAX_CHANGES times are left out.
     """
     found = logged_bits(entry, stored, (*_BITS, REGISTER))
     events = read(entry.id, "events") if "events" in entry.tables else None
     known = pl.DataFrame() if events is None else events.drop_nulls(["t_s", "value"]).sort("t_s")
     for (name,), mine in known.group_by("signal", maintain_order=True) if known.height else ():
-        if mine["value"].n_unique() <= MOST_VALUES and mine.height <= MOST_CHANGES:
+        if mine["value"].n_unique() <= MAX_VALUES and mine.height <= MAX_CHANGES:
             words = {value: state_of(value) for value in mine["value"].unique().to_list()}
             values = mine["value"].replace_strict(words, return_dtype=pl.String).to_numpy().astype(str)
             found[str(name)] = SignalChanges(mine["t_s"].to_numpy(), values)
@@ -181,7 +181,7 @@ def _first(table: StoredTable, column: str) -> int:
 def _columns(
     entry: LogCard, columns: Sequence[str], stored: Stored
 ) -> Iterator[tuple[str, tuple[Vector, Vector, Ints, Ints]]]:
-    """Yield the changes of those columns of a robot log that are known and change at most MOST_CHANGES times."""
+    """Yield the changes of those columns of a robot log that are known and change at most MAX_CHANGES times."""
     if not entry.rows.get("robot"):
         return
     known = stored(entry.id, ["t_s"]).names
@@ -208,11 +208,11 @@ def switches(entry: LogCard, read: Read) -> dict[str, tuple[Vector, Bools]]:
 
 
 def _few(table: StoredTable, column: str) -> tuple[Vector, Vector, Ints, Ints] | None:
-    """Return the changes of a column; None if there are more than MOST_CHANGES."""
+    """Return the changes of a column; None if there are more than MAX_CHANGES."""
     kept, many = [], 0
     for changes in _changes(table, column):
         many += len(changes[0])
-        if many > MOST_CHANGES:
+        if many > MAX_CHANGES:
             return None
         kept.append(changes)
     before, at, old, new = zip(*kept, strict=True)

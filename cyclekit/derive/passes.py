@@ -35,7 +35,7 @@ from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
 from cyclekit.people.silence import absences, is_empty
 from cyclekit.scaling.levels import Staircase, find_staircase
-from cyclekit.scaling.response import MOST, SafetyResponse, read_response
+from cyclekit.scaling.response import MAX_CHANGES, SafetyResponse, read_response
 from cyclekit.storage.parquet import forget
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def _finished(
         for one, label, absence, switch in zip(made, labels, gone, watched.switches, strict=True)
     ]
     evidence = _evidence(left, made, files, levels, folder, watched.names)
-    most = max(20, MOST // max(len(some), 1))
+    most = max(20, MAX_CHANGES // max(len(some), 1))
     rest = partial(
         finish,
         spots=spots,

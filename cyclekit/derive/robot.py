@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from cyclekit.dataset.cards import note
 from cyclekit.derive.session_samples import SessionToSample
-from cyclekit.scaling.of_runs import with_scaling
+from cyclekit.scaling.run_scaling import with_scaling
 from cyclekit.segmentation.arrivals import Stands, stands_of
 from cyclekit.segmentation.dwell import Dwell, usual_dwells
 from cyclekit.segmentation.executions import Execution, find_executions, find_visits

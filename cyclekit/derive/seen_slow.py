@@ -9,14 +9,13 @@ import numpy as np
 import polars as pl
 
 from cyclekit.derive.concatenated import shifts_apart
+from cyclekit.scaling.infer.override import HALTED as HALTED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.schema import Bools, Floats, Ints, Points, Vector
 
-HALTED = 0.02
-"""Maximum scaling of a standstill."""
 HELD, AROUND = 0.02, 3
 """Maximum range of the scaling at a held level, from AROUND samples before to AROUND after."""
 DISTANCES = 2

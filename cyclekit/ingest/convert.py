@@ -18,6 +18,7 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.config import Cell, load_cell
 from cyclekit.dataset.guard import Kind, check_output
+from cyclekit.dataset.rates import max_step_s
 from cyclekit.errors import ConfigError, LogError, UnknownName
 from cyclekit.ingest.discover import cell_for, find_all, options_of
 from cyclekit.ingest.read.tool_point import TCP, with_tool_point
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
 
 
 TABLES = {name: table for name, table in schema.OF_LOGS.items() if name != "stamps"}
-GAP_PERIODS, GAP_S = 5.0, 0.25
-"""A time step longer than both, in periods and in s, is a gap; averages do not cross it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -249,7 +248,7 @@ class Thinner:
         steps = np.diff(t_s)
         if self._period_s is None and (steps > 0).any():
             self._period_s = float(np.median(steps[steps > 0]))
-        gap = (steps > max(GAP_PERIODS * (self._period_s or 0.0), GAP_S)) | (steps < 0)
+        gap = (steps > max_step_s(self._period_s)) | (steps < 0)
         length = np.floor(t_s * self._rate_hz + 1e-6)
         new = np.concatenate([[False], gap | (np.diff(length) != 0)]) if len(t_s) else np.zeros(0, bool)
         return np.cumsum(new)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import polars as pl
 
-from cyclekit.dataset.rates import GAP_PERIODS, GAP_S
+from cyclekit.dataset.rates import max_step_s
 from cyclekit.ingest.validate.task_lists import overlaps_of
 from cyclekit.inspect.facts import AgentFacts, ListedTask, SafetyFacts, Span, TaskListFacts
 from cyclekit.scaling.override_log import override_rows, response_of
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _AGENT = ("agent_name", "agent", "tasks", "overlaps", "overlap_s")
 _DECIMALS = 4
 """Number of decimals to which overrides are distinguished: integer percent, and finer."""
-MOST_ROWS = 5_000_000
+MAX_ROWS = 5_000_000
 """Approximate maximum number of rows, from the start of a log, for levels and rates: two days at 30 Hz."""
 _MANY = 10_000
 """Maximum number of different values; above, the override is continuous and rounded to two decimals."""
@@ -97,7 +97,7 @@ class SafetySurvey:
             self._period_s = float(np.median(steps[steps > 0]))
         if frame["override"].count():
             self._add_override(times, frame["override"].fill_null(np.nan).to_numpy())
-            if self._count < MOST_ROWS:
+            if self._count < MAX_ROWS:
                 self._rows.append(frame.select("t_s", "override"))
                 self._count += frame.height
         if frame["distance_m"].count():
@@ -108,8 +108,7 @@ class SafetySurvey:
         if self._last is not None:
             times, values = np.r_[self._last[0], times], np.r_[self._last[1], values]
         self._last = float(times[-1]), float(values[-1])
-        most_s = max(GAP_PERIODS * (self._period_s or 0.0), GAP_S)
-        lasted = np.clip(np.diff(times), 0.0, most_s)
+        lasted = np.clip(np.diff(times), 0.0, max_step_s(self._period_s))
         decimals = _DECIMALS if len(self._held) < _MANY else 2
         told, which = np.unique(np.round(values[:-1], decimals), return_inverse=True)
         for value, seconds in zip(told.tolist(), np.bincount(which, lasted, len(told)).tolist(), strict=True):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.dataset.rates import GAP_PERIODS, GAP_S, ONE_INSTANT_S, Rates
+from cyclekit.dataset.rates import ONE_INSTANT_S, Rates, max_step_s
 from cyclekit.dataset.time_grid import USUAL_HZ
 from cyclekit.inspect.facts import Gap, TableFacts
 from cyclekit.scaling.levels import find_staircase
@@ -56,7 +56,7 @@ class TableSurvey:
         forward = steps[steps >= ONE_INSTANT_S]
         if self._period_s is None and len(forward):
             self._period_s = float(np.median(forward))
-        silent = np.flatnonzero(steps > max(GAP_PERIODS * (self._period_s or 0.0), GAP_S))
+        silent = np.flatnonzero(steps > max_step_s(self._period_s))
         self._gaps += [Gap(float(here[at]), float(steps[at])) for at in silent.tolist()]
         self._first_s, self._last_s = min(self._first_s, float(times[0])), float(times[-1])
         self._span_s = max(self._span_s, self._last_s - self._first_s)

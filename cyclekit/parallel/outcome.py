@@ -19,7 +19,7 @@ Result = TypeVar("Result")
 
 RETRIES = 3
 """Maximum number of retries of a task whose worker died; after that, the task is considered the cause."""
-_MOST_AT_ONCE = 32
+_MAX_AT_ONCE = 32
 """Maximum number of items sent to a worker at once."""
 
 
@@ -51,7 +51,7 @@ def in_chunks(count: int, workers: int) -> list[list[int]]:
 
     Chunks have one item, unless there are many items and messages would cost more than an even load saves.
     """
-    size = max(1, min(_MOST_AT_ONCE, count // (8 * workers)))
+    size = max(1, min(_MAX_AT_ONCE, count // (8 * workers)))
     return [list(range(first, min(first + size, count))) for first in range(0, count, size)]
 
 

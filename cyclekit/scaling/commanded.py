@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from cyclekit.scaling.ways import (
+from cyclekit.scaling.transitions import (
     HELD_S,
-    Hold,
+    HeldLevel,
     RampRates,
-    Way,
+    Transition,
     begin_of,
     fresh,
-    holds_of,
+    held_levels,
     repeats,
     tolerance_of,
-    ways_of,
+    transitions_of,
 )
 
 if TYPE_CHECKING:
@@ -133,20 +133,20 @@ def _commands(t_s: Vector, scaling: Vector, levels: Vector, rates: RampRates) ->
     t_s, scaling, end_s = t_s[rows], scaling[rows], float(t_s[-1])
     near, anything = tolerance_of(scaling, levels), (UNKNOWN, 0, len(levels) - 1)
     held_s = HELD_S if any(rates) else 0.0  # where the scaling jumps, one row on a level shows the command
-    holds = holds_of(t_s, scaling, levels, near, rates, held_s)
+    holds = held_levels(t_s, scaling, levels, near, rates, held_s)
     found = [_Command(-np.inf, *anything)]
-    ways = ways_of(scaling, holds, near)
-    leads_on = {way.first for way in ways}
-    both: list[Hold | Way] = [*holds, *ways]
-    for what in sorted(both, key=lambda one: (one.first, isinstance(one, Hold))):
-        if isinstance(what, Hold):
+    ramps = transitions_of(scaling, holds, near)
+    leads_on = {ramp.first for ramp in ramps}
+    both: list[HeldLevel | Transition] = [*holds, *ramps]
+    for what in sorted(both, key=lambda one: (one.first, isinstance(one, HeldLevel))):
+        if isinstance(what, HeldLevel):
             if found[-1].level != what.level:
                 found.append(_Command(_reached(what, t_s, scaling, near, rates), *(what.level,) * 3))
             after = what.last + 1
             if after < len(t_s) and after not in leads_on:
                 found.append(_Command(float(t_s[what.last]) + 1e-9, *anything))
         else:
-            found += _on_the_way(what, t_s, scaling, levels, near, rates)
+            found += _commands_within(what, t_s, scaling, levels, near, rates)
             if what.after is None:
                 found.append(_Command(float(t_s[min(what.last + 1, len(t_s) - 1)]), *anything))
     found.append(_Command(end_s + 1e-9, *anything))
@@ -159,61 +159,61 @@ def _in_time(commands: Sequence[_Command]) -> list[_Command]:
     return [command._replace(since_s=float(begin)) for command, begin in zip(commands, since, strict=True)]
 
 
-def _on_the_way(
-    way: Way, t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: RampRates
+def _commands_within(
+    ramp: Transition, t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: RampRates
 ) -> list[_Command]:
     """Return the commands of a transition: at each level that it passes, the command is beyond."""
-    rate, top = rates.of(rises=way.rises), len(levels) - 1
+    rate, top = rates.of(rises=ramp.rises), len(levels) - 1
     begins_s = (
-        begin_of(way, t_s, scaling, levels, rate) if way.before is not None else _turn_of(way, t_s, scaling, rates)
+        begin_of(ramp, t_s, scaling, levels, rate) if ramp.before is not None else _turn_time(ramp, t_s, scaling, rates)
     )
-    if rate is None and way.after is not None and way.before is not None:
-        return [_Command(begins_s, *(way.after,) * 3)]
-    rows = slice(way.first, way.last + 1)
+    if rate is None and ramp.after is not None and ramp.before is not None:
+        return [_Command(begins_s, *(ramp.after,) * 3)]
+    rows = slice(ramp.first, ramp.last + 1)
     values, times = scaling[rows], t_s[rows]
     change = abs(float(values[-1] - values[0])) if len(values) else 0.0
     if len(values) and times[-1] - times[0] > _SLOWER * (change / rate if rate else 0.0) + _STALLS_S:
         return [_Command(begins_s, UNKNOWN, 0, top)]
-    if way.rises:
+    if ramp.rises:
         next_one = np.searchsorted(levels, np.maximum.accumulate(values) - near)
     else:
         next_one = np.searchsorted(levels, np.minimum.accumulate(values) + near, side="right") - 1
     next_one = next_one.clip(0, top)
-    if way.before is not None:  # the scaling may still be near the level that it left
-        first = way.before + (1 if way.rises else -1)
-        next_one = np.maximum(next_one, first) if way.rises else np.minimum(next_one, first)
-    if way.after is not None:
-        next_one = np.minimum(next_one, way.after) if way.rises else np.maximum(next_one, way.after)
+    if ramp.before is not None:  # the scaling may still be near the level that it left
+        first = ramp.before + (1 if ramp.rises else -1)
+        next_one = np.maximum(next_one, first) if ramp.rises else np.minimum(next_one, first)
+    if ramp.after is not None:
+        next_one = np.minimum(next_one, ramp.after) if ramp.rises else np.maximum(next_one, ramp.after)
     if not len(next_one):
-        next_one, times = np.array([way.after if way.after is not None else UNKNOWN]), np.array([begins_s])
+        next_one, times = np.array([ramp.after if ramp.after is not None else UNKNOWN]), np.array([begins_s])
     new = np.flatnonzero(np.diff(next_one, prepend=-2))
     begin = times[new].tolist()
     begin[0] = begins_s
-    edge = top if way.rises else 0
+    edge = top if ramp.rises else 0
     found = [
         _Command(
-            since, level if level in {edge, way.after} else UNKNOWN,
-            level if way.rises else (level if level == way.after else 0),
-            (level if level == way.after else top) if way.rises else level,
+            since, level if level in {edge, ramp.after} else UNKNOWN,
+            level if ramp.rises else (level if level == ramp.after else 0),
+            (level if level == ramp.after else top) if ramp.rises else level,
         )
         for since, level in zip(begin, next_one[new].tolist(), strict=True)
     ]  # fmt: skip
-    if way.after is None or way.after == edge or found[-1].level != way.after:
+    if ramp.after is None or ramp.after == edge or found[-1].level != ramp.after:
         return found
-    return [*found[:-1], _last_part(found[-1], top, rises=way.rises, reached_s=float(times[-1]))]
+    return [*found[:-1], _last_part(found[-1], top, rises=ramp.rises, reached_s=float(times[-1]))]
 
 
-def _reached(hold: Hold, t_s: Vector, scaling: Vector, near: float, rates: RampRates) -> float:
+def _reached(hold: HeldLevel, t_s: Vector, scaling: Vector, near: float, rates: RampRates) -> float:
     """Return the time at which a level is certainly reached, s: a slow ramp is near a level before it reaches it."""
     rate = rates.of(rises=bool(scaling[hold.first] > scaling[hold.first - 1])) if hold.first else None
     return min(float(t_s[hold.first]) + (near / rate if rate else 0.0), float(t_s[hold.last]))
 
 
-def _turn_of(way: Way, t_s: Vector, scaling: Vector, rates: RampRates) -> float:
+def _turn_time(ramp: Transition, t_s: Vector, scaling: Vector, rates: RampRates) -> float:
     """Return the start of a transition that left no level, s: where its ramp meets the one before it."""
-    before, first, after = max(way.first - 1, 0), way.first, min(way.first + 1, len(t_s) - 1)
-    sign = 1.0 if way.rises else -1.0
-    came, goes = rates.of(rises=not way.rises), rates.of(rises=way.rises)
+    before, first, after = max(ramp.first - 1, 0), ramp.first, min(ramp.first + 1, len(t_s) - 1)
+    sign = 1.0 if ramp.rises else -1.0
+    came, goes = rates.of(rises=not ramp.rises), rates.of(rises=ramp.rises)
     if not sign * scaling[before] > sign * scaling[first] or came is None or goes is None:  # no turning point seen
         return float(t_s[before])
     gone = sign * (scaling[after] - scaling[before]) - goes * (t_s[after] - t_s[before])

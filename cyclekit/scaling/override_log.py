@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import polars as pl
 
-from cyclekit.dataset.rates import GAP_PERIODS, GAP_S
+from cyclekit.dataset.rates import max_step_s
 from cyclekit.scaling.levels import find_staircase
 from cyclekit.scaling.response import LevelChange, changes_of, rate_of
 
@@ -44,7 +44,7 @@ def override_rows(safety: pl.DataFrame) -> OverrideRows | None:
     if not (steps > 0).any():
         return None
     period_s = float(np.median(steps[steps > 0]))
-    silent = steps > max(GAP_PERIODS * period_s, GAP_S)
+    silent = steps > max_step_s(period_s)
     return OverrideRows(t_s, override, np.cumsum(np.append(False, silent)), 1.0 / period_s)
 
 

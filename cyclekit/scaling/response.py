@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cyclekit.scaling.agreement import LATENCIES_S, PlacesBefore, agreement_of
-from cyclekit.scaling.ways import RampRates, begin_of, fresh, holds_of, repeats, tolerance_of, ways_of
+from cyclekit.scaling.transitions import RampRates, begin_of, fresh, held_levels, repeats, tolerance_of, transitions_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.scaling.ways import Way
+    from cyclekit.scaling.transitions import Transition
     from cyclekit.schema import Points, Vector
 
 
@@ -27,15 +27,15 @@ RAMP_ROWS = 1
 """Maximum number of rows between its levels for a transition without a slope; the mean number then gives the rate."""
 JUMP_ROWS = 0.1
 """Minimum share of short transitions with a row between their levels; below, the scaling jumps."""
-LEAST_RAMPS = 5
+MIN_RAMPS = 5
 """Minimum number of ramps to determine a rate."""
-LEAST_ALIKE, ALIKE = 3, 0.05
+MIN_ALIKE, ALIKE = 3, 0.05
 """Minimum number of slopes that determine a rate if they agree; their relative tolerance."""
 _WHOLE = 0.85
 """Share of a step above which a change from row to row is limited by the step, not by the rate."""
 _AGREE = 0.3
 """Relative tolerance between the slope of a few ramps and the rate from the number of rows in all ramps."""
-LEAST_SEEN = 20
+MIN_SEEN = 20
 """Minimum number of rows between levels to determine the increment of the scaling."""
 _ALIKE = 2e-4
 """Tolerance for equal scalings, as logged."""
@@ -43,7 +43,7 @@ SHORT_S = 1.0
 """Maximum duration of a transition without a slope, s."""
 GROUPS = 10
 """Number of groups of changes for the jackknife standard error of a rate."""
-MOST = 20_000
+MAX_CHANGES = 20_000
 """Maximum number of changes that are used."""
 
 
@@ -112,17 +112,17 @@ def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[Le
     rows = fresh(scaling, repeats(t_s, scaling))
     t_s, scaling = t_s[rows], scaling[rows]
     near = tolerance_of(scaling, steps)
-    ways = ways_of(scaling, holds_of(t_s, scaling, steps, near, RampRates()), near)
-    slopes = [_slope(way, t_s, scaling) for way in ways]
+    ramps = transitions_of(scaling, held_levels(t_s, scaling, steps, near, RampRates()), near)
+    slopes = [_slope(ramp, t_s, scaling) for ramp in ramps]
     usual = {
-        rises: _usual([slope for way, slope in zip(ways, slopes, strict=True) if way.rises is rises and slope[0]])
+        rises: _usual([slope for ramp, slope in zip(ramps, slopes, strict=True) if ramp.rises is rises and slope[0]])
         for rises in (False, True)
     }
 
     def found() -> list[LevelChange]:
         return [
-            _change(way, slope, t_s, scaling, steps, usual[way.rises], near)
-            for way, slope in zip(ways, slopes, strict=True)
+            _change(ramp, slope, t_s, scaling, steps, usual[ramp.rises], near)
+            for ramp, slope in zip(ramps, slopes, strict=True)
         ]
 
     if None in usual.values():  # ramps of few rows: their number gives the rate, and the rate gives the starts
@@ -131,11 +131,11 @@ def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[Le
     return found()
 
 
-def _slope(way: Way, t_s: Vector, scaling: Vector) -> tuple[float | None, float]:
+def _slope(ramp: Transition, t_s: Vector, scaling: Vector) -> tuple[float | None, float]:
     """Return the rate of a transition (None with too few rows), and its change over these rows."""
-    first, last = way.first, way.last
-    if way.before is None or way.after is None:  # at a turning point it may be constant for a moment
-        first, last = first + (way.before is None), last - (way.after is None)
+    first, last = ramp.first, ramp.last
+    if ramp.before is None or ramp.after is None:  # at a turning point it may be constant for a moment
+        first, last = first + (ramp.before is None), last - (ramp.after is None)
     if last - first + 1 <= RAMP_ROWS:
         return None, 0.0
     at, values = t_s[first : last + 1], scaling[first : last + 1]
@@ -143,7 +143,7 @@ def _slope(way: Way, t_s: Vector, scaling: Vector) -> tuple[float | None, float]
 
 
 def _change(
-    way: Way,
+    ramp: Transition,
     slope: tuple[float | None, float],
     t_s: Vector,
     scaling: Vector,
@@ -152,17 +152,18 @@ def _change(
     near: float,
 ) -> LevelChange:
     rate, change = slope
-    begin_s = begin_of(way, t_s, scaling, levels, usual or rate)
-    step = -1 if way.before is None else way.before - (not way.rises)
-    if way.before is None or way.after is None:
-        return LevelChange(begin_s, step, way.rises, rate, change)
-    rows = slice(max(way.first - 1, 0), way.last + 2)
+    begin_s = begin_of(ramp, t_s, scaling, levels, usual or rate)
+    before, after, first, last = ramp.before, ramp.after, ramp.first, ramp.last
+    step = -1 if before is None else before - (not ramp.rises)
+    if before is None or after is None:
+        return LevelChange(begin_s, step, ramp.rises, rate, change)
+    rows = slice(max(first - 1, 0), last + 2)
     row_s = np.diff(t_s[rows])
-    most = float(np.abs(np.diff(scaling[rows]) / row_s).max()) if way.last >= way.first else None
-    whole = abs(float(levels[way.after] - levels[way.before])) - 2 * near  # within that it is on a level
-    gone = tuple(np.abs(scaling[way.first : way.last + 1] - levels[way.before]).tolist()) if rate is None else ()
+    most = float(np.abs(np.diff(scaling[rows]) / row_s).max()) if last >= first else None
+    whole = abs(float(levels[after] - levels[before])) - 2 * near  # within that it is on a level
+    gone = tuple(np.abs(scaling[first : last + 1] - levels[before]).tolist()) if rate is None else ()
     return LevelChange(
-        begin_s, step, way.rises, rate, whole, (way.last - way.first + 1) * float(np.median(row_s)), most, near, gone
+        begin_s, step, ramp.rises, rate, whole, (last - first + 1) * float(np.median(row_s)), most, near, gone
     )  # fmt: skip
 
 
@@ -173,7 +174,7 @@ def _usual(slopes: Sequence[tuple[float | None, float]]) -> float | None:
         slopes: Rates, and the change at each.
     """
     told = [(rate, weight) for rate, weight in slopes if rate]
-    if len(told) < LEAST_RAMPS:
+    if len(told) < MIN_RAMPS:
         return None
     rate, weight = np.array(told).T
     usual = _weighted_median(rate, weight)
@@ -183,7 +184,7 @@ def _usual(slopes: Sequence[tuple[float | None, float]]) -> float | None:
 
 def _alike(rates: Sequence[float]) -> float | None:
     """Return the median of a few rates if they agree, else None."""
-    middle = float(np.median(rates)) if len(rates) >= LEAST_ALIKE else np.inf
+    middle = float(np.median(rates)) if len(rates) >= MIN_ALIKE else np.inf
     return middle if np.abs(np.array(rates) / middle - 1.0).max(initial=0.0) <= ALIKE and middle < np.inf else None
 
 
@@ -210,7 +211,7 @@ def rate_of(changes: Sequence[LevelChange]) -> float | None:
         return slope
     spent_s = sum(change.way_s or 0.0 for change in timed)
     fastest = [change.most_per_s for change in short if change.most_per_s is not None]
-    if len(fastest) < max(LEAST_RAMPS, JUMP_ROWS * len(short)):
+    if len(fastest) < max(MIN_RAMPS, JUMP_ROWS * len(short)):
         return None
     stride = _stride(np.sort([gone for change in short for gone in change.gone]))
     mean = sum(_off_levels(change, stride) for change in timed) / spent_s
@@ -225,7 +226,7 @@ def rate_of(changes: Sequence[LevelChange]) -> float | None:
 
 def error_of(changes: Sequence[LevelChange]) -> float | None:
     """Return the jackknife standard error of the rate in one direction (Efron 1982); None: too few changes."""
-    groups = min(GROUPS, len(changes) // LEAST_RAMPS)
+    groups = min(GROUPS, len(changes) // MIN_RAMPS)
     left_out = [[one for i, one in enumerate(changes) if i % groups != k] for k in range(groups)]
     rates = [rate for some in left_out if (rate := rate_of(some)) is not None]
     if groups < 3 or len(rates) < groups:
@@ -238,7 +239,7 @@ def _stride(gone: Vector) -> float | None:
 
     A controller changes the scaling once per cycle, so that few values occur; None if the data do not show that.
     """
-    if len(gone) < LEAST_SEEN:
+    if len(gone) < MIN_SEEN:
         return None
     apart = np.diff(gone, prepend=0.0)
     stride = float(apart[apart > _ALIKE].min(initial=np.inf))
@@ -268,7 +269,7 @@ class Changes:
 
     @classmethod
     def of(
-        cls, changes: Sequence[LevelChange], t_s: Vector, robot_m: Points, human_m: Points, most: int = MOST
+        cls, changes: Sequence[LevelChange], t_s: Vector, robot_m: Points, human_m: Points, most: int = MAX_CHANGES
     ) -> Changes:
         """Look up the positions before the changes of one session, for at most `most` evenly spread ones.
 

@@ -29,7 +29,7 @@ SURE = 0.02
 """Maximum standard deviation of inferred scalings that are compared."""
 COMPARED, ROUGHLY = 20_000, 1500
 """Maximum number of compared samples per session: for the fine search, and for the coarse one."""
-LEAST = 200
+MIN_ROWS = 200
 """Minimum number of compared samples."""
 NEAR_S, FAR_S = (-0.5, 1.5), (-60.0, 60.0)
 """Range of the robot's delay after the log, s: with known clock offset, and with unknown one."""
@@ -117,7 +117,7 @@ def match_of(logged: SafetyOverride, runs: Iterable[tuple[Run, Sequence[Inferred
         runs: The runs of the session without logged scaling, each with its inferred parts.
     """
     t_s, scaling = _sure(runs)
-    if len(t_s) < LEAST or np.ptp(scaling) < CAPPED:
+    if len(t_s) < MIN_ROWS or np.ptp(scaling) < CAPPED:
         return OverrideMatch(0.0, 0.0, TOO_LITTLE)
     step = -(-len(t_s) // COMPARED)
     t_s, scaling = t_s[::step], scaling[::step]

@@ -19,7 +19,7 @@ _KINDS = {
     stat.S_IFBLK: "a device",
     stat.S_IFDIR: "a folder",
 }
-_MOST_BYTES = 200
+_MAX_BYTES = 200
 """Maximum length of a name, bytes: file systems allow 255; the rest is for prefix and suffix."""
 
 
@@ -47,6 +47,6 @@ def resolved(path: Path) -> Path:
 def shortened(name: str) -> str:
     """Return a name with room for a suffix; a long one is cut and made unique by a hash of the whole."""
     whole = name.encode("utf-8", "surrogateescape")
-    if len(whole) <= _MOST_BYTES:
+    if len(whole) <= _MAX_BYTES:
         return name
-    return f"{whole[: _MOST_BYTES - 13].decode('utf-8', 'ignore')}-{hashlib.sha256(whole).hexdigest()[:12]}"
+    return f"{whole[: _MAX_BYTES - 13].decode('utf-8', 'ignore')}-{hashlib.sha256(whole).hexdigest()[:12]}"

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from tcp_speed import tcp_speed
 
-from cyclekit.scaling.infer.advance import advance
 from cyclekit.scaling.infer.limits import limits_along
 from cyclekit.scaling.infer.override import infer_overrides
-from cyclekit.scaling.infer.path import along, path_of
+from cyclekit.scaling.infer.path import match_to_path, path_of
+from cyclekit.scaling.infer.rate_along_path import rate_along_path
 from cyclekit.scaling.infer.reference import _tcp_peak as tcp_peak
 from cyclekit.segmentation.executions import Execution, Visit
 from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, PAUSED, Halt, RobotRun
@@ -342,14 +342,14 @@ def test_runs_that_know_their_scaling_are_references_for_those_that_do_not():
 @given(st.floats(0.02, 1.0), st.integers(3, 300), st.floats(0.0, 1e4))
 def test_a_line_without_noise_has_its_slope_whatever_the_length(rate: float, rows: int, start: float):
     t = start + np.arange(rows) * PERIOD_S
-    found, deviation = advance(t, 5.0 + rate * (t - start), np.full(rows, 1e-8))
+    found, deviation = rate_along_path(t, 5.0 + rate * (t - start), np.full(rows, 1e-8))
     assert_allclose(found, rate, atol=1e-6)
     assert (deviation > 0).all()
 
 
 def test_where_nothing_is_known_the_deviation_is_infinite():
     t = np.arange(50) * PERIOD_S
-    found, deviation = advance(t, t, np.full(50, np.inf))
+    found, deviation = rate_along_path(t, t, np.full(50, np.inf))
     assert np.isinf(deviation).all()
     assert np.isfinite(found).all()
 
@@ -360,7 +360,7 @@ def test_a_repetition_is_found_where_it_is_on_the_path(seed: int, rate: float):
     reference, _ = run(lambda _: 1.0, noise=0.0)
     path = path_of(reference.t_s, reference.xyz_m / NOISE_M)
     one, _ = run(lambda _: rate, seed=seed)
-    place = along(path, one.t_s, one.xyz_m / NOISE_M)
+    place = match_to_path(path, one.t_s, one.xyz_m / NOISE_M)
     true = np.minimum(one.t_s * rate, 2.0)
     clear = np.isfinite(place.variance_s2)
     assert clear.mean() > 0.8

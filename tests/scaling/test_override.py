@@ -18,7 +18,7 @@ from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.scaling.infer.override import _goes as goes
-from cyclekit.scaling.of_runs import AfterHalts, halts_at_places, scalings_after_halts
+from cyclekit.scaling.run_scaling import AfterHalts, halts_at_places, scalings_after_halts
 from cyclekit.segmentation.arrivals import Stand
 from cyclekit.segmentation.executions import Execution, Visit
 from cyclekit.segmentation.motion import RobotRun

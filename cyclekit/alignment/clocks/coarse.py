@@ -25,7 +25,7 @@ FAR_M = 4.0
 """Maximum distance of a person, m; larger ones count as this."""
 REACH_S = 120.0
 """Maximum offset, s."""
-LEAST_SHARE = 0.6
+MIN_SHARE = 0.6
 TOO_WEAK = 0.2
 AMBIGUOUS = 0.9
 
@@ -47,7 +47,7 @@ def coarse_fit(people: Sequence[Points], tcp_m: Points, scaling: Vector, *, step
     slow = 1.0 - scaling
     reach = round(REACH_S / step_s)
     count = max((len(track) for track in people), default=0)
-    least = LEAST_SHARE * min(count, len(tcp_m))
+    least = MIN_SHARE * min(count, len(tcp_m))
     lags = np.arange(-min(reach, count), min(reach, len(tcp_m)) + 1)
     score = np.array([_agreement(people, tcp_m, slow, int(lag), least) for lag in lags])
     if not np.isfinite(score).any():

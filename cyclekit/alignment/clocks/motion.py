@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 GRID_HZ = 50.0
 HALF_S = 0.06
 """Half width of the window for speed, s: 1 mm of noise gives less than 12 mm/s."""
-LEAST_S, LEAST_SHARE = 10.0, 0.5
+MIN_S, MIN_SHARE = 10.0, 0.5
 """Minimum overlap of the logs at a lag: in s, and as share of the shorter log."""
 WEAK, TOO_WEAK = 0.7, 0.4
 """Correlation below which a fit gets a warning, and below which it is rejected."""
 AMBIGUOUS = 0.9
-WINDOWS, LEAST_WINDOWS = 12, 5
+WINDOWS, MIN_WINDOWS = 12, 5
 WINDOW_S = (20.0, 120.0)
 REACH_S = 1.0
 """Maximum difference of a window's lag from that of the window before, s."""
@@ -63,7 +63,7 @@ def fit_motion(log_s: Vector, log_m: Points, robot_s: Vector, robot_m: Points) -
             fit = replace(again, rate=again.rate * rate, offset_s=again.offset_s + again.rate * first * (1 - rate))
     if fit is None:
         raise ConfigError(
-            f"the body moves in both logs at the same time for less than {LEAST_S:g} s",
+            f"the body moves in both logs at the same time for less than {MIN_S:g} s",
             cure="Check that sees_as names the body on the flange, and that both logs are of one run.",
         )
     if (fit.correlation or 0.0) < TOO_WEAK:
@@ -76,7 +76,7 @@ def fit_motion(log_s: Vector, log_m: Points, robot_s: Vector, robot_m: Points) -
 
 def _common(log_s: Vector, mine: Vector, robot_s: Vector, theirs: Vector) -> ClockFit | None:
     """Return the fit around the lag at which the whole logs agree best; None if they hardly overlap."""
-    overlap = max(LEAST_S * GRID_HZ, LEAST_SHARE * min(np.isfinite(mine).sum(), np.isfinite(theirs).sum()))
+    overlap = max(MIN_S * GRID_HZ, MIN_SHARE * min(np.isfinite(mine).sum(), np.isfinite(theirs).sum()))
     lags, score = _correlation(theirs, mine, overlap)
     if not np.isfinite(score).any():
         return None
@@ -189,14 +189,14 @@ def _followed_rate(mine: Vector, theirs: Vector) -> float | None:
         return None
     best: tuple[float, int, int] = (TOO_WEAK, 0, 0)
     for begin in (len(mine) // 5, len(mine) // 2 - stretch // 2, 4 * len(mine) // 5 - stretch):
-        lags, score = _correlation(theirs, mine[begin : begin + stretch], LEAST_SHARE * stretch)
+        lags, score = _correlation(theirs, mine[begin : begin + stretch], MIN_SHARE * stretch)
         if np.isfinite(score).any():
             top = int(np.nanargmax(score))
             best = max(best, (float(score[top]), begin, int(lags[top]) - begin))
     if best[0] <= TOO_WEAK:
         return None
     middles, found = _windows(mine, theirs, best[1], best[2])
-    if len(middles) < LEAST_WINDOWS:
+    if len(middles) < MIN_WINDOWS:
         return None
     i, j = np.triu_indices(len(middles), 1)
     return 1.0 + float(np.median((found[j] - found[i]) / (middles[j] - middles[i])))
@@ -241,7 +241,7 @@ def _line(
     log_s: Vector, middles: Vector, lags: Vector, offset: float, shift: float
 ) -> tuple[float, float, float | None, int | None]:
     """Return (offset, rate, residual, windows) of a robust line through the windows."""
-    if len(middles) < LEAST_WINDOWS:
+    if len(middles) < MIN_WINDOWS:
         return offset, 1.0, None, None
     x, y = log_s[0] + middles / GRID_HZ, shift + lags / GRID_HZ
     about = float(np.median(x))

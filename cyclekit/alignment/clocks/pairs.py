@@ -27,7 +27,7 @@ SURE_S = 0.02
 """Residual up to which an event is never rejected, s: a controller cycle plus a tracker cycle."""
 WINDOW_S = 0.5
 """Tolerance of the first match, s: 50 ppm over an hour is 0.18 s."""
-MOST = 2000
+MAX_TIMES = 2000
 """Maximum number of events used from each log, the first ones."""
 AMBIGUOUS = 0.9
 """Minimum ratio of pairs at the second-best offset to those at the best one for a warning."""
@@ -104,7 +104,7 @@ def fit_events(log_s: Vector, other_s: Vector) -> ClockFit:
 
 
 def _first_ones(times_s: Vector) -> Vector:
-    return times_s[:MOST]  # not every n-th one: that may be another event in the other log
+    return times_s[:MAX_TIMES]  # not every n-th one: that may be another event in the other log
 
 
 def _first_line(x: Vector, y: Vector) -> tuple[float, float, float]:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.learning.rules.law_rows import LawRows
-    from cyclekit.scaling.ways import RampRates
+    from cyclekit.scaling.transitions import RampRates
     from cyclekit.schema import Bools, Vector
 
 LATEST_S, STEP_S = 1.0, 0.1

@@ -14,7 +14,7 @@ from cyclekit.learning.labelling import without_slider
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.earlier import earlier
 from cyclekit.learning.rules.links import to_nearest_link
-from cyclekit.scaling.ways import RampRates
+from cyclekit.scaling.transitions import RampRates
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.dataset.signals import MOST_VALUES, SignalChanges
+from cyclekit.dataset.signals import MAX_VALUES, SignalChanges
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -103,7 +103,7 @@ def _events(dataset: Dataset, sessions: set[str]) -> dict[str, dict[str, SignalC
         events = dataset.recorded(record.id, "events")
         known = pl.DataFrame() if events is None else events.drop_nulls(["t_s", "value"]).sort("t_s")
         for (name,), mine in known.group_by("signal", maintain_order=True) if known.height else ():
-            if mine["value"].n_unique() <= MOST_VALUES:
+            if mine["value"].n_unique() <= MAX_VALUES:
                 t_s = mine["t_s"].to_numpy() * record.clock.rate + record.clock.offset_s
                 found.setdefault(str(name), {})[record.session] = SignalChanges(
                     t_s, mine["value"].to_numpy().astype(str)

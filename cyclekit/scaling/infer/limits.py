@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 NEAR_S, FAR_S = 0.03, 0.12
 """Range of times from an edge, s, for the line that gives the speed on its side; nearer rows are smoothed."""
-LEAST_ROWS = 4
+MIN_ROWS = 4
 """Minimum number of rows for a line; in slower logs, no edge is found."""
-LEAST = 0.1
+MIN_STEP = 0.1
 """Minimum jump, as share of the speed."""
 BEYOND_S = 0.1
 """Minimum jump, as time, s, that the robot's acceleration would need for it."""
@@ -45,7 +45,7 @@ def limits_along(nominal_s: Vector, points: Points) -> Vector:
     lasts_s = float(nominal_s[-1] - nominal_s[0])
     period = lasts_s / max(len(nominal_s) - 1, 1)
     rows, gap = (round(part / period) if period > 0.0 else 0 for part in (FAR_S - NEAR_S, NEAR_S))
-    if rows < LEAST_ROWS or len(nominal_s) < 4 * (rows + gap):
+    if rows < MIN_ROWS or len(nominal_s) < 4 * (rows + gap):
         return none
     even = nominal_s[0] + period * np.arange(len(nominal_s))
     place = np.column_stack([np.interp(even, nominal_s, column) for column in points.T])
@@ -72,7 +72,7 @@ def _edges(speed: Vector, rows: int, gap: int, period: float) -> list[tuple[int,
     usual = np.maximum(before, after)
     with np.errstate(invalid="ignore"):
         least = np.maximum(
-            np.maximum(LEAST * usual, BEYOND_S * gentle), CLEAR * np.maximum(missed_before, missed_after)
+            np.maximum(MIN_STEP * usual, BEYOND_S * gentle), CLEAR * np.maximum(missed_before, missed_after)
         )
         edge = (np.minimum(before, after) > SLOW * most) & (np.abs(jump) > least)
     found: list[tuple[int, float]] = []

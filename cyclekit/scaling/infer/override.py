@@ -4,7 +4,7 @@ The source paper defines it as "the ratio between the measured velocity and the 
 the human presence". That ratio is computed as the rate at which the nominal time of the path advances. Each repetition
 of a motion is matched to the path by place (`path`). The nominal time comes from runs with nobody in the cell, or from
 the fastest pace of all repetitions at each place (`reference`). The rate is fitted as piecewise constant with ramps
-(`advance`). Where it cannot be determined, it is unknown, with the reason.
+(`rate_along_path`). Where it cannot be determined, it is unknown, with the reason.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cyclekit.parallel.engine import LOCAL, Engine
-from cyclekit.scaling.infer.advance import advance
-from cyclekit.scaling.infer.path import along
+from cyclekit.scaling.infer.path import match_to_path
+from cyclekit.scaling.infer.rate_along_path import rate_along_path
 from cyclekit.scaling.infer.reference import (
     AMONG,
     Reference,
@@ -43,7 +43,7 @@ __all__ = ["Reference", "infer_overrides"]
 
 UNSURE = 0.1
 """Maximum standard deviation of an inferred scaling; above, it is unknown."""
-LEAST_SD = 3e-4
+MIN_SD = 3e-4
 """Standard deviation of the reference."""
 EDGE_SD = 0.05
 """Maximum standard deviation added for the change from row to row (ramps, edges)."""
@@ -51,16 +51,16 @@ SLOW = 0.2
 """Minimum logged scaling for a row to be used for the speed at full override."""
 PATHS = 4
 """Maximum number of different paths between two places."""
-LEAST_NOISE = 1e-6
+MIN_NOISE = 1e-6
 """Minimum noise of a coordinate, rad or m: the resolution of written logs."""
 HALTED, CRAWL_M_S = 0.02, 6e-3
 """Maximum scaling of a stopped robot; maximum TCP speed of one, m/s, or 2 * HALTED of its usual speed if larger."""
-_NOISE_LEGS, _NOISE_ROWS = 40, 4000
+_NOISE_MOTIONS, _NOISE_ROWS = 40, 4000
 _AT_ONCE = 64
 _NONE, _NO_GAPS = np.empty(0), np.empty(0, np.int8)
 
 
-class _Leg(NamedTuple):
+class _Motion(NamedTuple):
     """A motion between two visits: rows `first` to `last` of a run, and its duration."""
 
     task: str
@@ -90,21 +90,21 @@ def infer_overrides(
         The inferred parts of each run (none for a run with a logged scaling), and the references of each task, one
         per path.
     """
-    left = _legs(runs, executions)
+    left = _motions(runs, executions)
     noise = _noise(runs, left)
-    found: dict[str, list[Reference]] = {leg.task: [] for leg in left}
-    parts: list[tuple[_Leg, InferredScaling, int]] = []
+    found: dict[str, list[Reference]] = {motion.task: [] for motion in left}
+    parts: list[tuple[_Motion, InferredScaling, int]] = []
     asked = set(found)
     for attempt in range(PATHS):
-        tried = _references(runs, [leg for leg in left if leg.task in asked], set(alone), noise)
-        todo = _chunks(runs, [leg for leg in left if leg.task in tried])
-        results: dict[_Leg, InferredScaling | None] = {}
+        tried = _references(runs, [motion for motion in left if motion.task in asked], set(alone), noise)
+        todo = _chunks(runs, [motion for motion in left if motion.task in tried])
+        results: dict[_Motion, InferredScaling | None] = {}
         for done in engine.map(partial(_matched, references=tried, noise=noise), todo):
-            results |= zip(done.item.legs, done.get(), strict=True)
+            results |= zip(done.item.motions, done.get(), strict=True)
             progress((attempt + len(results) / len(left)) / PATHS)
-        parts += [(leg, part, attempt) for leg in left if (part := results.get(leg)) is not None]
-        others = [leg for leg in left if results.get(leg) is None]
-        asked = {leg.task for leg, _, which in parts if which == attempt}
+        parts += [(motion, part, attempt) for motion in left if (part := results.get(motion)) is not None]
+        others = [motion for motion in left if results.get(motion) is None]
+        asked = {motion.task for motion, _, which in parts if which == attempt}
         for task in asked:
             found[task].append(tried[task])
         left = others
@@ -114,29 +114,29 @@ def infer_overrides(
     return _told(runs, parts, left, references), references
 
 
-def _legs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[_Leg]:
+def _motions(runs: Sequence[Run], executions: Sequence[Execution]) -> list[_Motion]:
     """Return every motion, in order of time."""
-    legs = []
+    motions = []
     for execution in sorted(executions, key=lambda e: (e.run, e.visits[0].first if e.visits else 0)):
         run = runs[execution.run]
         for start, goal in pairwise(execution.visits):
             if goal.first - start.last >= 4:
                 lasts_s = run.time_at(goal.first) - run.time_at(start.last)
-                legs.append(_Leg(f"{start.place}->{goal.place}", execution.run, start.last, goal.first, lasts_s))
-    return legs
+                motions.append(_Motion(f"{start.place}->{goal.place}", execution.run, start.last, goal.first, lasts_s))
+    return motions
 
 
 class _Chunk(NamedTuple):
     """Motions of one run that are processed together."""
 
     run: Run
-    legs: list[_Leg]
+    motions: list[_Motion]
 
 
-def _chunks(runs: Sequence[Run], legs: Sequence[_Leg]) -> list[_Chunk]:
+def _chunks(runs: Sequence[Run], motions: Sequence[_Motion]) -> list[_Chunk]:
     """Return motions in chunks, in order of time, so that each part of a log is read once."""
     found: list[_Chunk] = []
-    for _, mine in groupby(legs, key=lambda leg: leg.run):
+    for _, mine in groupby(motions, key=lambda motion: motion.run):
         every = list(mine)
         found += [_Chunk(runs[every[0].run], every[i : i + _AT_ONCE]) for i in range(0, len(every), _AT_ONCE)]
     return found
@@ -145,14 +145,14 @@ def _chunks(runs: Sequence[Run], legs: Sequence[_Leg]) -> list[_Chunk]:
 def _matched(
     chunk: _Chunk, *, references: Mapping[str, Reference], noise: Mapping[int, Vector]
 ) -> list[InferredScaling | None]:
-    return [_inferred(chunk.run, leg, references[leg.task], noise) for leg in chunk.legs]
+    return [_inferred(chunk.run, motion, references[motion.task], noise) for motion in chunk.motions]
 
 
-def _noise(runs: Sequence[Run], legs: Sequence[_Leg]) -> dict[int, Vector]:
+def _noise(runs: Sequence[Run], motions: Sequence[_Motion]) -> dict[int, Vector]:
     """Return the noise of each coordinate, by number of coordinates, from third differences (smooth motion cancels)."""
     thirds: dict[int, list[Points]] = {}
-    for leg in legs[:: max(1, len(legs) // _NOISE_LEGS)]:
-        points, _ = runs[leg.run].posture(leg.first, min(leg.last, leg.first + _NOISE_ROWS))
+    for motion in motions[:: max(1, len(motions) // _NOISE_MOTIONS)]:
+        points, _ = runs[motion.run].posture(motion.first, min(motion.last, motion.first + _NOISE_ROWS))
         fresh = points[np.concatenate([[True], (np.diff(points, axis=0) != 0).any(axis=1)])]
         if len(fresh) > 8:
             thirds.setdefault(points.shape[1], []).append(np.diff(fresh, 3, axis=0))
@@ -160,13 +160,13 @@ def _noise(runs: Sequence[Run], legs: Sequence[_Leg]) -> dict[int, Vector]:
         count: 1.4826 * np.nanmedian(np.abs(np.concatenate(parts)), axis=0) / np.sqrt(20.0)
         for count, parts in thirds.items()
     }
-    return {count: np.maximum(values, LEAST_NOISE) for count, values in spread.items()}
+    return {count: np.maximum(values, MIN_NOISE) for count, values in spread.items()}
 
 
-def _repetition(run: Run, leg: _Leg, noise: Mapping[int, Vector]) -> Repetition | None:
+def _repetition(run: Run, motion: _Motion, noise: Mapping[int, Vector]) -> Repetition | None:
     """Return a motion; None if any of its coordinates is unknown."""
-    part = run.window(leg.first, leg.last)
-    points, slider = run.posture(leg.first, leg.last)
+    part = run.window(motion.first, motion.last)
+    points, slider = run.posture(motion.first, motion.last)
     if points.shape[1] not in noise or not np.isfinite(points).all():
         return None
     known = part.scaling if run.knows_scaling else np.ones(len(slider))
@@ -175,18 +175,18 @@ def _repetition(run: Run, leg: _Leg, noise: Mapping[int, Vector]) -> Repetition 
 
 
 def _references(
-    runs: Sequence[Run], legs: Sequence[_Leg], alone: set[int], noise: Mapping[int, Vector]
+    runs: Sequence[Run], motions: Sequence[_Motion], alone: set[int], noise: Mapping[int, Vector]
 ) -> dict[str, Reference]:
     """Return the reference of each task for the path of its fastest repetitions, if there is one."""
-    by_task: dict[str, list[_Leg]] = {}
-    for leg in legs:
-        by_task.setdefault(leg.task, []).append(leg)
+    by_task: dict[str, list[_Motion]] = {}
+    for motion in motions:
+        by_task.setdefault(motion.task, []).append(motion)
     found = {}
     for task, mine in by_task.items():
-        sure = [leg for leg in mine if leg.run in alone or runs[leg.run].knows_scaling]
-        fastest = sorted(sure or mine, key=lambda leg: leg.lasts_s)[: 2 * AMONG]
-        in_order = sorted(fastest, key=lambda leg: (leg.run, leg.first))
-        repetitions = [_repetition(runs[leg.run], leg, noise) for leg in in_order]
+        sure = [motion for motion in mine if motion.run in alone or runs[motion.run].knows_scaling]
+        fastest = sorted(sure or mine, key=lambda motion: motion.lasts_s)[: 2 * AMONG]
+        in_order = sorted(fastest, key=lambda motion: (motion.run, motion.first))
+        repetitions = [_repetition(runs[motion.run], motion, noise) for motion in in_order]
         reference = reference_of([r for r in repetitions if r is not None], alone=bool(sure))
         if reference is not None:
             found[task] = reference
@@ -201,51 +201,53 @@ def _with_shares(found: Mapping[str, Sequence[Reference]]) -> dict[str, list[Ref
 
 def _told(
     runs: Sequence[Run],
-    parts: Sequence[tuple[_Leg, InferredScaling, int]],
-    left: Sequence[_Leg],
+    parts: Sequence[tuple[_Motion, InferredScaling, int]],
+    left: Sequence[_Motion],
     found: Mapping[str, Sequence[Reference]],
 ) -> list[list[InferredScaling]]:
     """Return the parts of each run without a logged scaling; for motions without a reference, only the reason."""
     told: list[list[InferredScaling]] = [[] for _ in runs]
-    for leg, part, number in parts:
-        never_full = found[leg.task][number].slowed < 1.0
-        told[leg.run].append(_unknown(leg, NEVER_FULL) if never_full else part)
-    for leg in left:
-        told[leg.run].append(_unknown(leg, OTHER_PATH if leg.task in found else NO_REFERENCE))
+    for motion, part, number in parts:
+        never_full = found[motion.task][number].slowed < 1.0
+        told[motion.run].append(_unknown(motion, NEVER_FULL) if never_full else part)
+    for motion in left:
+        told[motion.run].append(_unknown(motion, OTHER_PATH if motion.task in found else NO_REFERENCE))
     return [[] if run.knows_scaling else mine for run, mine in zip(runs, told, strict=True)]
 
 
-def _unknown(leg: _Leg, why: int) -> InferredScaling:
-    nothing = np.full(leg.last + 1 - leg.first, np.nan, np.float32)
-    return InferredScaling(leg.first, nothing, nothing, np.full(len(nothing), why, np.int8))
+def _unknown(motion: _Motion, why: int) -> InferredScaling:
+    nothing = np.full(motion.last + 1 - motion.first, np.nan, np.float32)
+    return InferredScaling(motion.first, nothing, nothing, np.full(len(nothing), why, np.int8))
 
 
-def _inferred(run: Run, leg: _Leg, reference: Reference, noise: Mapping[int, Vector]) -> InferredScaling | None:
+def _inferred(run: Run, motion: _Motion, reference: Reference, noise: Mapping[int, Vector]) -> InferredScaling | None:
     """Return the scaling of one repetition, with the reason where it is unknown.
 
     None if it takes another path, or if its coordinates are unknown. Empty for a run with a logged scaling.
     """
-    repetition = _repetition(run, leg, noise)
+    repetition = _repetition(run, motion, noise)
     if repetition is None or repetition.points.shape[1] != reference.path.points.shape[1]:
         return None
     if run.knows_scaling:
-        return None if takes_another(reference.path, repetition) else InferredScaling(leg.first, _NONE, _NONE, _NO_GAPS)
-    place = along(reference.path, repetition.t_s, repetition.points)
-    if is_elsewhere(reference.path, place.off):
+        return (
+            None if takes_another(reference.path, repetition) else InferredScaling(motion.first, _NONE, _NONE, _NO_GAPS)
+        )
+    match = match_to_path(reference.path, repetition.t_s, repetition.points)
+    if is_elsewhere(reference.path, match.off):
         return None
-    nominal = np.interp(place.own_s, reference.path.own_s, reference.path.nominal_s)
-    rate, deviation = advance(repetition.t_s, nominal, place.variance_s2)
+    nominal = np.interp(match.own_s, reference.path.own_s, reference.path.nominal_s)
+    rate, deviation = rate_along_path(repetition.t_s, nominal, match.variance_s2)
     rate, deviation = rate / repetition.slider, deviation / repetition.slider
-    deviation = np.hypot(np.hypot(deviation, LEAST_SD), np.minimum(np.abs(np.gradient(rate)), EDGE_SD))
-    row = np.clip(np.searchsorted(reference.path.own_s, place.own_s), 0, len(reference.confirmed) - 1)
+    deviation = np.hypot(np.hypot(deviation, MIN_SD), np.minimum(np.abs(np.gradient(rate)), EDGE_SD))
+    row = np.clip(np.searchsorted(reference.path.own_s, match.own_s), 0, len(reference.confirmed) - 1)
     gap = np.zeros(len(rate), np.int8)
     gap[deviation > UNSURE] = TOO_SLOW
-    gap[~reference.confirmed[row] | is_common_stop(reference, repetition.t_s, rate, place.own_s)] = NO_REFERENCE
-    gap[(rate < HALTED) & _goes(run.window(leg.first, leg.last).speed_m_s)] = NO_REFERENCE
+    gap[~reference.confirmed[row] | is_common_stop(reference, repetition.t_s, rate, match.own_s)] = NO_REFERENCE
+    gap[(rate < HALTED) & _goes(run.window(motion.first, motion.last).speed_m_s)] = NO_REFERENCE
     for halt in run.halts:
-        gap[max(halt.first - leg.first, 0) : max(halt.last + 1 - leg.first, 0)] = halt.gap
+        gap[max(halt.first - motion.first, 0) : max(halt.last + 1 - motion.first, 0)] = halt.gap
     known = np.where(gap == 0, np.array([np.clip(rate, 0.0, 1.0), deviation]), np.nan).astype(np.float32)
-    return InferredScaling(leg.first, known[0], known[1], gap)
+    return InferredScaling(motion.first, known[0], known[1], gap)
 
 
 def _goes(speed_m_s: Vector) -> Bools:

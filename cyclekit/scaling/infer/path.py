@@ -2,7 +2,7 @@
 
 Points are joint angles if logged, else TCP positions, each coordinate divided by its noise, so that distances are in
 standard deviations. Repetitions are matched by place, never by time: a robot that stops, is slowed, or blends a corner
-slightly differently is still on its path. Its speed along the path is computed by `advance`.
+slightly differently is still on its path. Its speed along the path is computed by `rate_along_path`.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _smoothed(points: Points, half: int, period_s: float) -> tuple[Points, Point
 
 
 @dataclass(frozen=True)
-class Along:
+class PathMatch:
     """Position of a repetition along a path, row by row.
 
     Attributes:
@@ -130,7 +130,7 @@ class Along:
     off: Vector
 
 
-def along(path: Path, t_s: Vector, points: Points) -> Along:
+def match_to_path(path: Path, t_s: Vector, points: Points) -> PathMatch:
     """Return the position of each row of a repetition along a path.
 
     Args:
@@ -150,7 +150,7 @@ def along(path: Path, t_s: Vector, points: Points) -> Along:
     variance[_written_twice(t_s, points) & np.isfinite(variance)] = np.inf
     off = np.linalg.norm(points - x, axis=1)
     misfit = np.maximum(np.interp(own, path.own_s, path.misfit), off / np.sqrt(points.shape[1]))
-    return Along(own, variance * (1.0 + np.maximum(misfit**2 - FITS**2, 0.0)), off)
+    return PathMatch(own, variance * (1.0 + np.maximum(misfit**2 - FITS**2, 0.0)), off)
 
 
 def _written_twice(t_s: Vector, points: Points) -> Bools:

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.scaling.infer.advance import advance
 from cyclekit.scaling.infer.limits import limits_along
-from cyclekit.scaling.infer.path import SMOOTH_S, Path, along, path_of
+from cyclekit.scaling.infer.path import SMOOTH_S, Path, match_to_path, path_of
+from cyclekit.scaling.infer.rate_along_path import rate_along_path
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -104,10 +104,10 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
     path = path_of(fastest[0].t_s, fastest[0].points)
     rates, deviations, stops, ways = [], [], [], []
     for repetition in fastest:
-        found = along(path, repetition.t_s, repetition.points)
+        found = match_to_path(path, repetition.t_s, repetition.points)
         if is_elsewhere(path, found.off):
             continue
-        rate, deviation = advance(repetition.t_s, found.own_s, found.variance_s2)
+        rate, deviation = rate_along_path(repetition.t_s, found.own_s, found.variance_s2)
         stops.append(_stops(repetition.t_s, rate, found.own_s))
         rows = np.searchsorted(np.maximum.accumulate(found.own_s), path.own_s, side="right") - 1
         rows = np.clip(rows, 0, len(rate) - 1)
@@ -132,7 +132,7 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
 def takes_another(path: Path, repetition: Repetition) -> bool:
     """Return whether a repetition takes another path between the same places."""
     thin = np.unique(np.linspace(0, len(repetition.t_s) - 1, LOOKED_AT).astype(np.int64))
-    return is_elsewhere(path, along(path, repetition.t_s[thin], repetition.points[thin]).off)
+    return is_elsewhere(path, match_to_path(path, repetition.t_s[thin], repetition.points[thin]).off)
 
 
 def is_elsewhere(path: Path, off: Vector) -> bool:

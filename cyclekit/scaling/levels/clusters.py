@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
 
 
-_LEAST_EPS = 0.01
+_MIN_EPS = 0.01
 _USUAL_HOLD_S = 1.5
 """Duration of a short plateau, s; eps must cover the error of its mean."""
 _GRIDS = (0.05, 0.01)
@@ -43,9 +43,8 @@ def by_density(values: Vector, eps: float, min_samples: int) -> Ints:
     return dbscan_1d(values, eps=eps, min_samples=min_samples)
 
 
-def by_kmeans(values: Vector, eps: float, min_samples: int) -> Ints:
+def by_kmeans(values: Vector, _eps: float, _min_samples: int) -> Ints:
     """Return the cluster of every value by K-means with the best silhouette, shape (T,); arguments as `by_density`."""
-    del eps, min_samples
     points = condense(values)
     return by_silhouette(points)[points.of]
 
@@ -79,7 +78,7 @@ class Cluster:
 
 def usual_eps(noise: float, rate_hz: float) -> float:
     """Return the spread of the means of short plateaus of one level, for the noise of one sample."""
-    return float(max(_LEAST_EPS, 3.5 * noise / samples_in(_USUAL_HOLD_S, rate_hz) ** 0.5))
+    return float(max(_MIN_EPS, 3.5 * noise / samples_in(_USUAL_HOLD_S, rate_hz) ** 0.5))
 
 
 def of_plateaus(plateaus: Plateaus, value: Vector, eps: float, min_samples: int) -> Cluster:
@@ -122,7 +121,7 @@ def cluster_values(values: Vector, method: str, eps: float | None, min_samples: 
         min_samples: Minimum number of neighbours of DBSCAN.
         noise: Standard deviation of one value.
     """
-    eps = max(_LEAST_EPS, 3.5 * noise) if eps is None else eps
+    eps = max(_MIN_EPS, 3.5 * noise) if eps is None else eps
     if values.size == 0:
         return Cluster(np.empty(0), None, np.empty(0))
     cluster = FINDERS[method](values, eps, min_samples)

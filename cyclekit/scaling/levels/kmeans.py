@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 BINS = 2048
-MOST = 10
+MAX_CLUSTERS = 10
 """Maximum number of clusters."""
 
 
@@ -49,7 +49,7 @@ def condense(values: Vector, *, bins: int = BINS) -> Weighted:
     return Weighted(point, np.bincount(of, minlength=point.size).astype(np.float64), of.astype(np.int64))
 
 
-def kmeans_1d(points: Weighted, most: int = MOST) -> list[tuple[Ints, float]]:
+def kmeans_1d(points: Weighted, most: int = MAX_CLUSTERS) -> list[tuple[Ints, float]]:
     """Return the optimal clusters and their squared error for k = 1 to `most` (or to the number of points).
 
     Returns:
@@ -115,7 +115,7 @@ def silhouette_1d(points: Weighted, cluster: Ints) -> float:
     return float((score * w).sum() / w.sum())
 
 
-def by_silhouette(points: Weighted, most: int = MOST) -> Ints:
+def by_silhouette(points: Weighted, most: int = MAX_CLUSTERS) -> Ints:
     """Return the cluster of every point for the number of clusters with the best silhouette (1 if all are equal)."""
     if points.value.size < 2:
         return np.zeros(points.value.size, np.int64)

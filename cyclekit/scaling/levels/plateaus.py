@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Ints, Vector
 
 
-_LEAST_NOISE = 1e-4
+_MIN_NOISE = 1e-4
 _WINDOW_S = 50.0
 """A window of (50 s x rate x noise)^(2/3) samples separates a ramp of 0.2 per second (full range in 5 s) from a
 plateau."""
 _SIGMAS = 3.5
-_LEAST_STEP = 0.01
+_MIN_STEP = 0.01
 """Minimum tolerance for the means of two windows to agree."""
 _DRIFT = 0.03
 """Maximum change along a plateau; more is a slow ramp."""
@@ -78,10 +78,10 @@ def noise_of(values: Vector) -> float:
         values: Shape (T,), finite.
     """
     if values.size < 3:
-        return _LEAST_NOISE
+        return _MIN_NOISE
     second = values[2:] - 2 * values[1:-1] + values[:-2]
     quartile, median = np.quantile(np.abs(second), (0.25, 0.5)) / 6**0.5
-    return max(float(min(quartile / 0.3186, median / 0.6745)), _LEAST_NOISE)
+    return max(float(min(quartile / 0.3186, median / 0.6745)), _MIN_NOISE)
 
 
 def find_plateaus(values: Vector, run: Ints, *, rate_hz: float = USUAL_HZ, most_noise: float = np.inf) -> Plateaus:
@@ -94,7 +94,7 @@ def find_plateaus(values: Vector, run: Ints, *, rate_hz: float = USUAL_HZ, most_
         most_noise: Maximum noise; for known levels, an eighth of their smallest distance.
     """
     if values.size == 0:
-        return Plateaus(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), _LEAST_NOISE)
+        return Plateaus(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), _MIN_NOISE)
     noise = min(noise_of(values), most_noise)
     bounds = samples_in(_NARROWEST_S, rate_hz), samples_in(_WIDEST_S, rate_hz)
     window = int(np.clip(np.ceil((_WINDOW_S * rate_hz * noise) ** (2 / 3)), *bounds))
@@ -104,8 +104,10 @@ def find_plateaus(values: Vector, run: Ints, *, rate_hz: float = USUAL_HZ, most_
         run = np.cumsum(np.diff(run, prepend=run[0]) + np.abs(np.diff(slopes.on_ramp, prepend=False)) != 0)
         begin, stop = _bounds(run)
     first, end = _cores(_steady(values, begin, stop, window, noise), run)
-    reach = _by_hinges if noise > _HINGE_NOISE else _by_samples
-    first, end = reach(values, first, end, begin, stop, window, noise)
+    if noise > _HINGE_NOISE:
+        first, end = _by_hinges(values, first, end, stop, window)
+    else:
+        first, end = _by_samples(values, first, end, begin, stop, window, noise)
     keep = (
         ~slopes.on_ramp[first]
         & (end - first >= samples_in(_SHORTEST_S, rate_hz, least=2))
@@ -135,8 +137,8 @@ def _steady(values: Vector, begin: Ints, stop: Ints, window: int, noise: float) 
     left = np.where(before > 0, (total[at] - total[low]) / np.maximum(before, 1), values)
     right = np.where(after > 0, (total[high] - total[at + 1]) / np.maximum(after, 1), values)
     deviation = noise * np.sqrt(1 / np.maximum(before, 1) + 1 / np.maximum(after, 1))
-    agree = np.abs(right - left) <= np.maximum(_SIGMAS * deviation, _LEAST_STEP)
-    itself = np.abs(values - 0.5 * (left + right)) <= np.maximum(1.3 * _SIGMAS * noise, _LEAST_STEP)
+    agree = np.abs(right - left) <= np.maximum(_SIGMAS * deviation, _MIN_STEP)
+    itself = np.abs(values - 0.5 * (left + right)) <= np.maximum(1.3 * _SIGMAS * noise, _MIN_STEP)
     return np.asarray(agree & itself & (high - low > 1))
 
 
@@ -151,7 +153,7 @@ def _by_samples(
     values: Vector, first: Ints, end: Ints, begin: Ints, stop: Ints, window: int, noise: float
 ) -> tuple[Ints, Ints]:
     """Extend every core over neighbouring samples of its value; where two meet, the earlier one ends."""
-    near = max(3.0 * noise, 0.2 * _LEAST_STEP)
+    near = max(3.0 * noise, 0.2 * _MIN_STEP)
     mean = _means(values, first, end)
     first, end = first.copy(), end.copy()
     for _ in range(window + 1):
@@ -159,18 +161,15 @@ def _by_samples(
         end = end + grows
         grows = (first > begin[first]) & (np.abs(values[np.maximum(first - 1, 0)] - mean) <= near)
         first = first - grows
-    end[:-1] = np.minimum(end[:-1], np.maximum(first[1:], end[:-1] * 0))
+    end[:-1] = np.minimum(end[:-1], first[1:])
     return first, np.maximum(end, first)
 
 
-def _by_hinges(
-    values: Vector, first: Ints, end: Ints, begin: Ints, stop: Ints, window: int, noise: float
-) -> tuple[Ints, Ints]:
+def _by_hinges(values: Vector, first: Ints, end: Ints, stop: Ints, window: int) -> tuple[Ints, Ints]:
     """Fit the times at which each core is left and the next one reached: value, straight line, value.
 
     Cores too far apart for a hinge are not extended.
     """
-    del noise
     mean = _means(values, first, end)
     first, end = first.copy(), end.copy()
     for k in range(first.size - 1):
@@ -179,7 +178,6 @@ def _by_hinges(
             continue
         leave, reach, _ = _hinge(values[a:b], mean[k], mean[k + 1])
         end[k], first[k + 1] = a + leave, a + reach
-    del begin
     return first, end
 
 
@@ -238,7 +236,7 @@ def _is_flat(values: Vector, first: Ints, end: Ints, noise: float) -> Bools:
     straight = np.abs(slope) * count <= np.maximum(_DRIFT, 3 * noise / np.sqrt(spread) * count)
     squares = np.concatenate([[0.0], np.cumsum(values**2)])
     variance = (squares[end] - squares[first]) / count - ((total[end] - total[first]) / count) ** 2
-    return np.asarray(straight & (variance <= max(2 * noise, _LEAST_STEP) ** 2))
+    return np.asarray(straight & (variance <= max(2 * noise, _MIN_STEP) ** 2))
 
 
 def _robust_mean(values: Vector, first: Ints, end: Ints, noise: float) -> Vector:
@@ -247,7 +245,7 @@ def _robust_mean(values: Vector, first: Ints, end: Ints, noise: float) -> Vector
     owner = np.repeat(np.arange(first.size), count)
     rows = np.arange(int(count.sum())) + np.repeat(first - np.concatenate([[0], np.cumsum(count)[:-1]]), count)
     mean = _means(values, first, end)
-    near = np.abs(values[rows] - mean[owner]) <= max(4 * noise, _LEAST_STEP)
+    near = np.abs(values[rows] - mean[owner]) <= max(4 * noise, _MIN_STEP)
     total = np.bincount(owner[near], weights=values[rows][near], minlength=first.size)
     kept = np.bincount(owner[near], minlength=first.size)
     return np.where(kept > 0, total / np.maximum(kept, 1), mean)

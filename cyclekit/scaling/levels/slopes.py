@@ -33,7 +33,7 @@ _MOSTLY = 0.6
 """Minimum share of the time on straight slopes that is spent at one rate."""
 _NOISY = 0.025
 """Maximum noise: above, two levels with a short ramp between them look like a long ramp."""
-_LEAST_S = 3.0
+_MIN_S = 3.0
 """Minimum time on ramps to determine their rate, s."""
 
 
@@ -66,7 +66,7 @@ def find_slopes(values: Vector, begin: Rows, stop: Rows, rate_hz: float, noise: 
             break
         slope, straight = _lines(values, begin, stop, half, noise)
         for way in (straight & (slope > 0), straight & (slope < 0)):
-            usual = _usual(np.abs(slope[way]), samples_in(_LEAST_S, rate_hz))
+            usual = _usual(np.abs(slope[way]), samples_in(_MIN_S, rate_hz))
             alike = way & _is_alike(np.abs(slope), usual)
             on_ramp |= _spread(alike, half)
             varied |= _spread(way & ~alike, half)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from cyclekit.schema import Floats, Ints, Vector
 
-LEAST_HELD_S = 1.0
+MIN_HELD_S = 1.0
 """Minimum time, s, for which a level is held, over all plateaus; short, so that rare levels are found."""
 PLATEAU = "plateau"
 """Default method to find levels; those of `FINDERS` ignore the order in time."""
@@ -111,7 +111,7 @@ def find_staircase(
     stretch = unbroken(runs, known)
     most_noise = np.inf if levels is None else float(np.diff(np.unique(levels)).min(initial=1.0)) / 8
     plateaus = find_plateaus(values[known], stretch[known], rate_hz=rate_hz, most_noise=most_noise)
-    least = samples_in(LEAST_HELD_S, rate_hz, least=3) if min_samples is None else min_samples
+    least = samples_in(MIN_HELD_S, rate_hz, least=3) if min_samples is None else min_samples
     if levels is not None:
         return _finish(values, stretch, plateaus, Cluster.fixed(levels), None)
     if method != PLATEAU:

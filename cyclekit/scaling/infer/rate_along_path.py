@@ -22,7 +22,7 @@ DOUBLINGS = 7
 """Maximum number of doublings: a window has up to 2**7 rows on either side."""
 MISFIT = 3.0
 """Maximum excess of a window's misfit over that of noise, in standard deviations."""
-_LEAST = 1e-18  # minimum information of a window
+_MIN_INFORMATION = 1e-18  # minimum information of a window
 
 
 @dataclass(frozen=True)
@@ -65,13 +65,13 @@ class _Fit:
     def slope(self) -> Vector:
         """The line's slope."""
         tt, ty = self.sums[3:5]
-        return np.asarray(np.divide(ty, tt, out=np.zeros_like(tt), where=tt > _LEAST))
+        return np.asarray(np.divide(ty, tt, out=np.zeros_like(tt), where=tt > _MIN_INFORMATION))
 
     @property
     def variance(self) -> Vector:
         """The slope's variance; infinite where the window has no information."""
         tt = self.sums[3]
-        return np.asarray(np.divide(1.0, tt, out=np.full_like(tt, np.inf), where=tt > _LEAST))
+        return np.asarray(np.divide(1.0, tt, out=np.full_like(tt, np.inf), where=tt > _MIN_INFORMATION))
 
     @property
     def agrees(self) -> Bools:
@@ -82,7 +82,7 @@ class _Fit:
         return np.asarray(misfit <= freedom + MISFIT * np.sqrt(2.0 * freedom) + MISFIT)
 
 
-def advance(t_s: Vector, nominal_s: Vector, variance_s2: Vector) -> tuple[Vector, Vector]:
+def rate_along_path(t_s: Vector, nominal_s: Vector, variance_s2: Vector) -> tuple[Vector, Vector]:
     """Return the rate of nominal time from each row to the next, and its standard deviation, shapes (T,).
 
     The last row repeats the one before it.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cyclekit.dataset.cards import Note, note
-from cyclekit.scaling.infer.override import Reference, infer_overrides
+from cyclekit.scaling.infer.override import HALTED, Reference, infer_overrides
 from cyclekit.scaling.levels import find_staircase
 from cyclekit.scaling.safety_override import logged_apart
 from cyclekit.segmentation.arrivals import Stands, stands_of
@@ -27,9 +27,8 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.executions import Execution
     from cyclekit.segmentation.stored_run import Run
 
-HALTED, HALTED_S = 0.02, 0.3
-"""Maximum scaling of a stop by the safety system; minimum time, s, that a robot has left but not moved to count as
-stopped."""
+HALTED_S = 0.3
+"""Minimum time, s, that a robot has left but not moved to count as stopped."""
 AFTER = 3
 """Number of rows after a stop at which the scaling is that of the next level."""
 SAME, FULL = 0.05, 0.97

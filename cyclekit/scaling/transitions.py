@@ -34,7 +34,7 @@ _FEW_ROWS = 20
 """Minimum number of such changes to recognise a log that repeats its values."""
 
 
-class Hold(NamedTuple):
+class HeldLevel(NamedTuple):
     """A level held from row `first` to row `last`, inclusive."""
 
     level: int
@@ -42,7 +42,7 @@ class Hold(NamedTuple):
     last: int
 
 
-class Way(NamedTuple):
+class Transition(NamedTuple):
     """Transition: a rise or fall of the scaling.
 
     Attributes:
@@ -103,9 +103,9 @@ def tolerance_of(scaling: Vector, levels: Vector) -> float:
     return min(max(ON_LEVEL, _SIGMAS * noise_of(known)), apart / 4) + 1e-9
 
 
-def holds_of(
+def held_levels(
     t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: RampRates, held_s: float = HELD_S
-) -> list[Hold]:
+) -> list[HeldLevel]:
     """Return where the levels are held.
 
     Args:
@@ -128,18 +128,18 @@ def holds_of(
     for row in np.flatnonzero((label[first] >= 0) & (t_s[last] - t_s[first] >= held_s)).tolist():
         a, b = int(first[row]), int(last[row])
         ends = a == 0 or b == len(label) - 1 or np.isnan(scaling[a - 1]) or np.isnan(scaling[b + 1])
-        passes = _slopes(t_s[a : b + 1], scaling[a : b + 1], rates) if ends else _passes(scaling, a, b, near)
+        passes = _is_on_ramp(t_s[a : b + 1], scaling[a : b + 1], rates) if ends else _passes(scaling, a, b, near)
         if t_s[b] - t_s[a] >= least_s and not passes:
-            found.append(Hold(int(label[a]), a, b))
+            found.append(HeldLevel(int(label[a]), a, b))
     return found
 
 
-def _slopes(t_s: Vector, scaling: Vector, rates: RampRates) -> bool:
+def _is_on_ramp(t_s: Vector, scaling: Vector, rates: RampRates) -> bool:
     """Return whether rows near a level, at an end of the known scaling, are on a ramp: at least half as steep."""
     if len(t_s) < 2:
         return False
-    way = t_s - t_s.mean()
-    slope = float(way @ (scaling - scaling.mean()) / (way @ way))
+    centred_s = t_s - t_s.mean()
+    slope = float(centred_s @ (scaling - scaling.mean()) / (centred_s @ centred_s))
     rate = rates.of(rises=slope > 0)
     return rate is not None and abs(slope) > rate / 2
 
@@ -152,23 +152,23 @@ def _passes(scaling: Vector, first: int, last: int, near: float) -> bool:
     return abs(change) > near and change * through > 0
 
 
-def ways_of(scaling: Vector, holds: Sequence[Hold], near: float) -> list[Way]:
+def transitions_of(scaling: Vector, holds: Sequence[HeldLevel], near: float) -> list[Transition]:
     """Return the transitions before, between and after held levels, in order of time.
 
     Args:
         scaling: Shape (T,), NaN = unknown; no transition extends across it.
-        holds: From `holds_of`.
-        near: As in `holds_of`.
+        holds: From `held_levels`.
+        near: As in `held_levels`.
     """
-    around = [Hold(-1, -1, -1), *holds, Hold(-1, len(scaling), len(scaling))]
-    return [way for one, other in pairwise(around) for way in _between(scaling, one, other, max(_TURN, 1.5 * near))]
+    around = [HeldLevel(-1, -1, -1), *holds, HeldLevel(-1, len(scaling), len(scaling))]
+    return [ramp for one, other in pairwise(around) for ramp in _between(scaling, one, other, max(_TURN, 1.5 * near))]
 
 
-def _between(scaling: Vector, one: Hold, other: Hold, turn: float) -> Iterator[Way]:
+def _between(scaling: Vector, one: HeldLevel, other: HeldLevel, turn: float) -> Iterator[Transition]:
     first, end = one.last + 1, other.first
     if first == end:
         if one.level not in {-1, other.level} and other.level >= 0:
-            yield Way(other.level > one.level, one.level, other.level, first, end - 1)
+            yield Transition(other.level > one.level, one.level, other.level, first, end - 1)
         return
     rows = np.flatnonzero(np.isfinite(scaling[first:end])) + first
     for part in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
@@ -176,12 +176,12 @@ def _between(scaling: Vector, one: Hold, other: Hold, turn: float) -> Iterator[W
             continue
         before = one.level if part[0] == first and one.level >= 0 else None
         after = other.level if part[-1] == end - 1 and other.level >= 0 else None
-        yield from _one_way(scaling, int(part[0]), int(part[-1]), before, after, turn)
+        yield from _split_at_turns(scaling, int(part[0]), int(part[-1]), before, after, turn)
 
 
-def _one_way(
+def _split_at_turns(
     scaling: Vector, first: int, last: int, before: int | None, after: int | None, turn: float
-) -> Iterator[Way]:
+) -> Iterator[Transition]:
     """Split rows without a held level at the turning points of the scaling."""
     ends = (max(first - (before is not None), 0), last + (after is not None))
     cuts = _turns(scaling[ends[0] : ends[1] + 1], turn)
@@ -192,7 +192,7 @@ def _one_way(
         is_first, is_last = number == 0, number == len(edges) - 2
         if abs(change) <= turn and not (is_first and is_last and None not in {before, after} and before != after):
             continue
-        yield Way(
+        yield Transition(
             change > 0, before if is_first else None, after if is_last else None,
             max(a, first), min(b, last) if is_last else b - 1,
         )  # fmt: skip
@@ -200,7 +200,7 @@ def _one_way(
 
 def _turns(values: Vector, turn: float) -> list[int]:
     """Return the rows of the turning points: reversals by more than `turn`."""
-    if min(_back(values), _back(-values)) <= turn:
+    if min(_largest_fall(values), _largest_fall(-values)) <= turn:
         return []
     found: list[int] = []
     low = high = 0
@@ -219,30 +219,30 @@ def _turns(values: Vector, turn: float) -> list[int]:
     return found
 
 
-def _back(values: Vector) -> float:
+def _largest_fall(values: Vector) -> float:
     """Return the maximum fall from a previous maximum."""
     return float((np.maximum.accumulate(values) - values).max(initial=0.0))
 
 
-def begin_of(way: Way, t_s: Vector, scaling: Vector, levels: Vector, rate: float | None) -> float:
+def begin_of(ramp: Transition, t_s: Vector, scaling: Vector, levels: Vector, rate: float | None) -> float:
     """Return the start of a transition, s: where its ramp leaves the level, else halfway between two rows.
 
     Args:
-        way: One of `ways_of`.
+        ramp: One of `transitions_of`.
         t_s: Time, shape (T,), s.
         scaling: Shape (T,).
         levels: Shape (P,), ascending.
         rate: Change of the scaling per second; None: it jumps.
     """
-    left_s = float(t_s[max(way.first - 1, 0)])
-    if way.before is None:
+    left_s = float(t_s[max(ramp.first - 1, 0)])
+    if ramp.before is None:
         return left_s
-    if way.last < way.first or rate is None:
-        reached_s = float(t_s[min(way.first, len(t_s) - 1)])
-        step = 0.0 if rate is None or way.after is None else abs(levels[way.after] - levels[way.before]) / rate
+    if ramp.last < ramp.first or rate is None:
+        reached_s = float(t_s[min(ramp.first, len(t_s) - 1)])
+        step = 0.0 if rate is None or ramp.after is None else abs(levels[ramp.after] - levels[ramp.before]) / rate
         return 0.5 * (left_s + max(left_s, reached_s - step))
-    rows = slice(way.first, way.last + 1)
-    gone = np.abs(scaling[rows] - levels[way.before])
-    next_one = way.before + (1 if way.rises else -1)  # the command may have paused at this level
-    soon = gone < max(abs(levels[next_one] - levels[way.before]) - ON_LEVEL, float(gone[0]) + 1e-9)
+    rows = slice(ramp.first, ramp.last + 1)
+    gone = np.abs(scaling[rows] - levels[ramp.before])
+    next_one = ramp.before + (1 if ramp.rises else -1)  # the command may have paused at this level
+    soon = gone < max(abs(levels[next_one] - levels[ramp.before]) - ON_LEVEL, float(gone[0]) + 1e-9)
     return float(np.median(t_s[rows][soon] - gone[soon] / rate))

@@ -23,7 +23,7 @@ from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
 from cyclekit.derive.operator_tasks import operator_tasks
 from cyclekit.derive.over_sessions import Passes, is_much
 from cyclekit.derive.reaction_time import reaction_time
-from cyclekit.derive.robot import numbered, robot_of, with_stands
+from cyclekit.derive.robot import numbered, robot_of, with_standstills
 from cyclekit.derive.sample_file import in_order, shared_files
 from cyclekit.derive.seen_slow import Switches, joined, rows_of
 from cyclekit.derive.session_end import Finished, Left, finish
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from cyclekit.people.silence import Absence
     from cyclekit.schema import Floats, Progress
     from cyclekit.segmentation.stored_run import Run
-    from cyclekit.segmentation.time_account import Leg
+    from cyclekit.segmentation.time_account import ExecutedTask
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def derive(
     looks = passes.over(look, groups, 0.0, 0.2, "motion")
     sessions = numbered(looks)
     robot = robot_of(looks, sessions, cell, passes.engine, lambda done, told: progress(0.2 + 0.3 * done, told))
-    works, dwells = with_stands(passes, sessions, robot)
+    works, dwells = with_standstills(passes, sessions, robot)
     sample = partial(
         samples_of, places=robot.places, dwells=dwells, sources=sources, read=read, cell=cell, folder=folder
     )
@@ -258,7 +258,7 @@ def _unseen(finished: Sequence[Finished]) -> list[Note]:
     return [note("operator-unseen", samples=samples, sessions=sessions)] if samples else []
 
 
-def _times_of(legs: Sequence[Leg]) -> Floats:
+def _times_of(legs: Sequence[ExecutedTask]) -> Floats:
     never = (np.inf, -np.inf)
     times = [
         (leg.start_s, leg.arrival_s, leg.arrival_s + leg.dwell_s, leg.end_s)

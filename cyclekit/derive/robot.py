@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, NamedTuple
 from cyclekit.dataset.cards import note
 from cyclekit.derive.session_samples import SessionToSample
 from cyclekit.scaling.run_scaling import with_scaling
-from cyclekit.segmentation.arrivals import Stands, stands_of
+from cyclekit.segmentation.arrivals import PlaceStandstills, place_standstills
 from cyclekit.segmentation.dwell import Dwell, usual_dwells
 from cyclekit.segmentation.executions import Execution, find_executions, find_visits
 from cyclekit.segmentation.places import find_places, with_turns
-from cyclekit.segmentation.standstills import find_stops
+from cyclekit.segmentation.standstills import find_standstills
 from cyclekit.segmentation.waits import with_waits
 from cyclekit.storage.parquet import keeping
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cyclekit.derive.session_look import Look
     from cyclekit.parallel.engine import Engine
     from cyclekit.schema import Ints, Progress
-    from cyclekit.segmentation.standstills import Stop
+    from cyclekit.segmentation.standstills import Standstill
     from cyclekit.segmentation.stored_run import Run
 
 MANY_EXECUTIONS, ONCE = 10, 3
@@ -69,7 +69,7 @@ def robot_of(
 ) -> RobotInSessions:
     """Find places and executions in all sessions, and the scaling where it was not logged."""
     runs: list[Run] = []
-    stops: list[Stop] = []
+    stops: list[Standstill] = []
     for look in looks:
         stops += [replace(stop, run=stop.run + len(runs)) for stop in look.stops]
         runs += look.runs
@@ -82,7 +82,7 @@ def robot_of(
         new = {number for number in known if not runs[number].knows_scaling}
         if new:  # now that the scaling is known, protective stops are not standstills of the program
             stops = [stop for stop in stops if stop.run not in new]
-            stops += [stop for number in sorted(new) for stop in find_stops(scaled[number], number)]
+            stops += [stop for number in sorted(new) for stop in find_standstills(scaled[number], number)]
             places, executions = _divided(scaled, sorted(stops, key=lambda stop: stop.run), marks, cell)
     by_run: list[list[Execution]] = [[] for _ in scaled]
     for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
@@ -91,7 +91,7 @@ def robot_of(
 
 
 def _divided(
-    runs: Sequence[Run], stops: list[Stop], marks: Sequence[Ints], cell: Cell
+    runs: Sequence[Run], stops: list[Standstill], marks: Sequence[Ints], cell: Cell
 ) -> tuple[dict[str, Place], list[Execution]]:
     """Return the places and executions of runs."""
     places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
@@ -122,7 +122,7 @@ def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Ex
     return [Execution(number, (), False) for number in range(len(runs)) if number not in covered]
 
 
-def with_stands(
+def with_standstills(
     passes: Passes, sessions: Sequence[Session], robot: RobotInSessions
 ) -> tuple[list[SessionToSample], dict[str, Dwell]]:
     """Return the input of the sample pass for each session, and the usual dwell at each place."""
@@ -135,11 +135,11 @@ def with_stands(
         )
         for session in sessions
     ]
-    stands = passes.over(partial(_stands, places=robot.places), works, 0.5, 0.6, "stands")
-    every = {key: stand for mine in stands for key, stand in mine.items()}
+    standstills = passes.over(partial(_place_standstills, places=robot.places), works, 0.5, 0.6, "standstills")
+    every = {key: standstill for mine in standstills for key, standstill in mine.items()}
     dwells = usual_dwells([found for mine in robot.executions for found in mine], every)
-    return [replace(work, stands=mine) for work, mine in zip(works, stands, strict=True)], dwells
+    return [replace(work, standstills=mine) for work, mine in zip(works, standstills, strict=True)], dwells
 
 
-def _stands(work: SessionToSample, *, places: Mapping[str, Place]) -> Stands:
-    return stands_of(work.runs, work.executions, places)
+def _place_standstills(work: SessionToSample, *, places: Mapping[str, Place]) -> PlaceStandstills:
+    return place_standstills(work.runs, work.executions, places)

@@ -12,7 +12,7 @@ from cyclekit.alignment.recording_clocks import place_in_time
 from cyclekit.dataset.sessions import LogGroup, Session
 from cyclekit.scaling.safety_override import override_of
 from cyclekit.segmentation.load_runs import load_runs
-from cyclekit.segmentation.standstills import Stop, find_stops
+from cyclekit.segmentation.standstills import Standstill, find_standstills
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,7 +39,7 @@ class Look:
     session: Session
     runs: list[StoredRun]
     marks: list[Ints]
-    stops: list[Stop]
+    stops: list[Standstill]
     override: SafetyOverride | None
 
 
@@ -66,6 +66,6 @@ def look_at(
     span_s = (min(starts), max(ends))
     session = Session(group.name, recordings, group.reference, span_s=span_s, nobody_logged=group.nobody_logged)
     runs, marks = load_runs(session, read, stored, cell)
-    stops = [stop for number, run in enumerate(runs) for stop in find_stops(run, number)]
+    stops = [stop for number, run in enumerate(runs) for stop in find_standstills(run, number)]
     override = None if all(run.knows_scaling for run in runs) else override_of(session, read)
     return Look(session, runs, marks, stops, override)

@@ -21,7 +21,7 @@ from cyclekit.derive.task_lists import listed_in, operator_rows
 from cyclekit.errors import EstimateError
 from cyclekit.people.activity import Seen, Stays, Watch
 from cyclekit.segmentation.stored_run import Run, Sampled, sampled
-from cyclekit.segmentation.time_account import Leg, account
+from cyclekit.segmentation.time_account import ExecutedTask, time_account
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cyclekit.derive.sample_file import Column
     from cyclekit.people.silence import Silence
     from cyclekit.schema import Points, Vector
-    from cyclekit.segmentation.arrivals import Stands
+    from cyclekit.segmentation.arrivals import PlaceStandstills
     from cyclekit.segmentation.dwell import Dwell
     from cyclekit.segmentation.executions import Execution
 
@@ -50,13 +50,13 @@ class SessionToSample:
         session: The session.
         runs: Runs of its robot, by index.
         executions: Their executions, in order of time.
-        stands: Times of the robot's arrival and departure at each visit.
+        standstills: Times of the robot's arrival and departure at each visit.
     """
 
     session: Session
     runs: Mapping[int, Run]
     executions: Sequence[Execution]
-    stands: Stands
+    standstills: PlaceStandstills
 
 
 @dataclass
@@ -88,7 +88,7 @@ class Made:
     later: list[tuple[Stays, float]] = field(default_factory=list)
     origins: set[str] = field(default_factory=set)
     silences: list[Silence] = field(default_factory=list)
-    legs: list[Leg] = field(default_factory=list)
+    legs: list[ExecutedTask] = field(default_factory=list)
 
 
 def samples_of(
@@ -186,7 +186,7 @@ class _Course:
     t_s: Vector
     robot: Sampled | None
     inferred: bool
-    legs: Sequence[Leg]
+    legs: Sequence[ExecutedTask]
     goals_m: Points
 
     @property
@@ -206,7 +206,7 @@ def _courses(
             course = _Course(name, False, _times(name, *session.span_s, cell), None, False, [], np.empty((0, 3)))
         else:
             run = work.runs[execution.run]
-            legs = account(run, execution, work.stands, dwells) if execution.visits else []
+            legs = time_account(run, execution, work.standstills, dwells) if execution.visits else []
             ends = (legs[0].start_s, legs[-1].end_s) if legs else (run.time_at(0), run.time_at(run.rows - 1))
             robot = sampled(run, _times(name, *ends, cell))
             goals_m = np.array([places[leg.goal_place].xyz_m for leg in legs]).reshape(-1, 3)
@@ -259,7 +259,7 @@ def _task_columns(t: Vector, course: _Course) -> dict[str, Column]:
     }
 
 
-def _task_rows(name: str, legs: Sequence[Leg]) -> list[tuple[object, ...]]:
+def _task_rows(name: str, legs: Sequence[ExecutedTask]) -> list[tuple[object, ...]]:
     return [
         (
             name, index, f"{leg.start_place}->{leg.goal_place}", leg.start_place, leg.goal_place, leg.start_s,

@@ -10,7 +10,7 @@ from cyclekit.dataset.cards import Note, note
 from cyclekit.scaling.infer.override import HALTED, Reference, infer_overrides
 from cyclekit.scaling.levels import find_staircase
 from cyclekit.scaling.safety_override import logged_apart
-from cyclekit.segmentation.arrivals import Stands, stands_of
+from cyclekit.segmentation.arrivals import PlaceStandstills, place_standstills
 from cyclekit.segmentation.dwell import usual_dwells
 from cyclekit.segmentation.motion import InferredScaling
 
@@ -78,7 +78,7 @@ def with_scaling(
     with_people = (session for session in sessions if any("people" in one.tables for one in session.recordings))
     watched = {number for session in with_people for number in session.runs}
     mine = [execution for execution in mine if execution.run in watched]
-    halts = halts_at_places(done, mine, stands_of(done, mine, places), after_halt)
+    halts = halts_at_places(done, mine, place_standstills(done, mine, places), after_halt)
     for number in left:
         done[number] = runs[number].with_scaling([*parts[number], *halts[number]])
     for number, part in apart.items():
@@ -107,7 +107,7 @@ class _Left(NamedTuple):
 
 
 def halts_at_places(
-    runs: Sequence[Run], executions: Sequence[Execution], stands: Stands, after_halts: AfterHalts
+    runs: Sequence[Run], executions: Sequence[Execution], standstills: PlaceStandstills, after_halts: AfterHalts
 ) -> list[list[InferredScaling]]:
     """Return where a standstill at a place was prolonged by a stop of the safety system: scaling 0, not a wait.
 
@@ -119,27 +119,27 @@ def halts_at_places(
     Args:
         runs: Runs with inferred scaling.
         executions: Their executions.
-        stands: Their standstills at places.
+        standstills: Their standstills at places.
         after_halts: Scalings after stops.
 
     Returns:
         The stopped rows of each run, with scaling 0.
     """
-    usual = usual_dwells(executions, stands)
+    usual = usual_dwells(executions, standstills)
     halts: list[list[InferredScaling]] = [[] for _ in runs]
     overdue, others = list[_Left](), list[float]()
     for execution in executions:
         run = runs[execution.run]
         for visit in execution.visits[1:-1]:
-            stand, dwell = stands[execution.run, visit.first, visit.last], usual[visit.place]
-            since_s = dwell.overdue_s(stand)
+            standstill, dwell = standstills[execution.run, visit.first, visit.last], usual[visit.place]
+            since_s = dwell.excess_from_s(standstill)
             last_s = run.time_at(visit.last)  # departure may precede visible motion; a robot that moves was not stopped
-            if max(stand.left_s, last_s) - stand.free_s > HALTED_S:  # stopped just as it left
-                left_s = stand.process(dwell.usual_s, dwell.ready_s(stand))[1]
-                begin, left = run.row_at(np.array([left_s, max(stand.left_s, last_s)])).tolist()
+            if max(standstill.left_s, last_s) - standstill.departed_earliest_s > HALTED_S:  # stopped just as it left
+                left_s = standstill.times(dwell.usual_s, dwell.ready_s(standstill))[1]
+                begin, left = run.row_at(np.array([left_s, max(standstill.left_s, last_s)])).tolist()
                 halts[execution.run] += [_halt(begin, left)] if begin <= left else []
                 continue
-            times = [last_s if since_s is None else since_s, min(stand.left_s, last_s), last_s + LEAVING_S]
+            times = [last_s if since_s is None else since_s, min(standstill.left_s, last_s), last_s + LEAVING_S]
             begin, left, end = run.row_at(np.array(times)).tolist()
             leaving = run.window(visit.last, end).scaling
             known = leaving[np.isfinite(leaving)]

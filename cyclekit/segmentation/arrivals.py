@@ -46,7 +46,7 @@ ramp after a stop is unknown."""
 _LONG_ROWS = 1 << 18
 
 
-class Stand(NamedTuple):
+class PlaceStandstill(NamedTuple):
     """A standstill at a place, session seconds.
 
     Attributes:
@@ -55,54 +55,54 @@ class Stand(NamedTuple):
         changes: Time of the last change of each logged signal that changed during the standstill.
     """
 
-    stopped_s: float
+    arrived_earliest_s: float
     arrived_s: float
-    free_s: float
+    departed_earliest_s: float
     left_s: float
     changes: tuple[tuple[str, float], ...] = ()
 
     @property
     def halted(self) -> bool:
         """Whether the robot was stopped as it arrived or left, so that only the bounds are known."""
-        return self.left_s > self.free_s or self.arrived_s > self.stopped_s
+        return self.left_s > self.departed_earliest_s or self.arrived_s > self.arrived_earliest_s
 
     @property
     def lasts_s(self) -> float:
         """Longest possible standstill, s."""
-        return self.left_s - self.stopped_s
+        return self.left_s - self.arrived_earliest_s
 
-    def process(self, usual_s: float, ready_s: float | None = None) -> tuple[float, float]:
+    def times(self, usual_s: float, ready_s: float | None = None) -> tuple[float, float]:
         """Return the times of arrival and departure, within their bounds as far apart as the usual process.
 
         Args:
             usual_s: Usual duration of the process.
             ready_s: End of the process, if a signal gives it.
         """
-        if self.left_s > self.free_s:
-            over_s = self.stopped_s + usual_s if ready_s is None else ready_s
-            return self.stopped_s, min(max(over_s, self.free_s), self.left_s)
+        if self.left_s > self.departed_earliest_s:
+            over_s = self.arrived_earliest_s + usual_s if ready_s is None else ready_s
+            return self.arrived_earliest_s, min(max(over_s, self.departed_earliest_s), self.left_s)
         over_s = self.left_s if ready_s is None else min(ready_s, self.left_s)
-        return min(max(over_s - usual_s, self.stopped_s), self.arrived_s), self.left_s
+        return min(max(over_s - usual_s, self.arrived_earliest_s), self.arrived_s), self.left_s
 
 
-Stands = dict[tuple[int, int, int], Stand]
+PlaceStandstills = dict[tuple[int, int, int], PlaceStandstill]
 """Standstills by run, first and last row."""
 
 
-def stands_of(
+def place_standstills(
     runs: Mapping[int, Run] | Sequence[Run], executions: Sequence[Execution], places: Mapping[str, Place]
-) -> Stands:
+) -> PlaceStandstills:
     """Return the times of arrival and departure at every visit of the executions."""
-    found: Stands = {}
+    found: PlaceStandstills = {}
     for execution in executions:
         for visit in execution.visits:
             key = (execution.run, visit.first, visit.last)
             if key not in found:
-                found[key] = stand_of(runs[execution.run], visit, np.asarray(places[visit.place].xyz_m))
+                found[key] = standstill_at(runs[execution.run], visit, np.asarray(places[visit.place].xyz_m))
     return found
 
 
-def stand_of(run: Run, visit: Visit, place_m: Vector) -> Stand:
+def standstill_at(run: Run, visit: Visit, place_m: Vector) -> PlaceStandstill:
     """Return the times of arrival and departure of one visit; of a standstill of many minutes, only its ends are read.
 
     Args:
@@ -122,7 +122,7 @@ def stand_of(run: Run, visit: Visit, place_m: Vector) -> Stand:
     stopped, left = -stopped, max(left, -stopped)
     changes = ((name, _last(when, stopped, left)) for name, when in run.changes.items())
     told = tuple((name, at_s) for name, at_s in changes if at_s is not None)
-    return Stand(stopped, min(-arrived, left), max(free, stopped), left, told)
+    return PlaceStandstill(stopped, min(-arrived, left), max(free, stopped), left, told)
 
 
 def _last(when: Vector, first_s: float, last_s: float) -> float | None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cyclekit.config import Executions
     from cyclekit.dataset.dataset import Place
     from cyclekit.schema import Ints
-    from cyclekit.segmentation.standstills import Stop
+    from cyclekit.segmentation.standstills import Standstill
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Execution:
     complete: bool
 
 
-def find_visits(stops: Sequence[Stop], places: Mapping[str, Place], runs: Sequence[Run]) -> list[list[Visit]]:
+def find_visits(stops: Sequence[Standstill], places: Mapping[str, Place], runs: Sequence[Run]) -> list[list[Visit]]:
     """Return the visits to places of each run, in order; standstills at a place without leaving it are one visit."""
     visits: list[list[Visit]] = [[] for _ in runs]
     names = list(places)

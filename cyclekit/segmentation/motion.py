@@ -47,7 +47,7 @@ class InferredScaling(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Halt:
+class ProgramStop:
     """Rows `first` to `last`, inclusive, in which the program did not run; `gap`: PAUSED or STOPPED."""
 
     first: int
@@ -81,7 +81,7 @@ class RobotRun:
     gap: NDArray[np.int8] | None = None
     q_rad: Points | None = None
     slider: Vector | None = None
-    halts: tuple[Halt, ...] = ()
+    halts: tuple[ProgramStop, ...] = ()
     is_inferred: bool = False
     changes: Mapping[str, Vector] = field(default_factory=dict)
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from cyclekit.dataset.dataset import Place
 from cyclekit.segmentation.motion import RobotRun
-from cyclekit.segmentation.standstills import Stop
+from cyclekit.segmentation.standstills import Standstill
 from cyclekit.segmentation.stored_run import Run, pieces
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ at least PASSED times as often as it stops."""
 
 
 def find_places(
-    runs: Sequence[Run], stops: Sequence[Stop], named: Mapping[str, NamedPlace], *, all_named: bool = False
+    runs: Sequence[Run], stops: Sequence[Standstill], named: Mapping[str, NamedPlace], *, all_named: bool = False
 ) -> dict[str, Place]:
     """Return the places of a cell by name: named ones first, then found ones (`place_1`, ...) by first visit.
 
@@ -88,7 +88,7 @@ def find_places(
     return places
 
 
-def _without_waits(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups: Sequence[Ints]) -> list[Ints]:
+def _without_waits(runs: Sequence[Run], stops: Sequence[Standstill], xyz: Points, groups: Sequence[Ints]) -> list[Ints]:
     """Return the groups of standstills without those at positions where the robot only waits.
 
     At such a position, it passes without a stop if it need not wait, and its standstills vary widely.
@@ -104,14 +104,14 @@ def _without_waits(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, grou
     return kept
 
 
-def _evenness(runs: Sequence[Run], stops: Sequence[Stop], group: Ints) -> float:
+def _evenness(runs: Sequence[Run], stops: Sequence[Standstill], group: Ints) -> float:
     """Return the ratio of short (10 % quantile) to long (90 % quantile) standstills of a group, 0 to 1."""
     ends = [(runs[stops[i].run], stops[i]) for i in group.tolist()]
     short_s, long_s = np.quantile([run.time_at(stop.last) - run.time_at(stop.first) for run, stop in ends], (0.1, 0.9))
     return float(short_s / long_s) if long_s > 0 else 1.0
 
 
-def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: Sequence[Ints]) -> list[Ints]:
+def _by_signals(runs: Sequence[Run], stops: Sequence[Standstill], xyz: Points, known: Sequence[Ints]) -> list[Ints]:
     """Return groups of standstills in which signals change that mark work at `known` places."""
     telling = _of_work(runs, stops, known)
     if not telling:
@@ -126,7 +126,7 @@ def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: 
     return [group for group, here in zip(groups, near, strict=True) if 2 * len(group) >= np.count_nonzero(here)]
 
 
-def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Ints]) -> set[str]:
+def _of_work(runs: Sequence[Run], stops: Sequence[Standstill], known: Sequence[Ints]) -> set[str]:
     """Return the signals that mark work; see WORKS."""
     total, inside = Counter[str](), Counter[str]()
     for run in runs:
@@ -140,7 +140,7 @@ def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Ints]) 
     return {name for name in steady if inside[name] >= WORKS * total[name]}
 
 
-def _common_edge(stops: Sequence[Stop], xyz: Points) -> Ints:
+def _common_edge(stops: Sequence[Standstill], xyz: Points) -> Ints:
     """Return the edges of recordings at a common position, if at least two and the majority share it; else none."""
     edges = np.flatnonzero(np.array([stop.edge for stop in stops], bool))
     largest = max(cluster(xyz, edges, MERGE_M), key=len, default=edges)
@@ -191,7 +191,7 @@ def cluster(xyz: Points, rows: Ints, radius_m: float) -> list[Ints]:
     return groups
 
 
-def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups: Sequence[Ints]) -> list[bool]:
+def _are_places(runs: Sequence[Run], stops: Sequence[Standstill], xyz: Points, groups: Sequence[Ints]) -> list[bool]:
     """Return which groups of standstills are places."""
     centres = [np.median(xyz[group], axis=0) for group in groups]
     free = [any(stops[i].free for i in group.tolist()) for group in groups]
@@ -268,7 +268,7 @@ APART_S = 0.5
 """Maximum time, s, between slow rows of one turn, and maximum duration of a turn."""
 
 
-def with_turns(runs: Sequence[Run], stops: Sequence[Stop]) -> list[Stop]:
+def with_turns(runs: Sequence[Run], stops: Sequence[Standstill]) -> list[Standstill]:
     """Return the standstills, and the turns at positions with more than one turn or standstill, in order.
 
     Args:
@@ -276,7 +276,7 @@ def with_turns(runs: Sequence[Run], stops: Sequence[Stop]) -> list[Stop]:
         stops: Their standstills.
     """
     turns = [
-        Stop(number, row, row, xyz, free=True)
+        Standstill(number, row, row, xyz, free=True)
         for number, run in enumerate(runs)
         for begin, part in pieces(run)
         for row, xyz in _turns(begin, part)

@@ -39,7 +39,7 @@ later."""
 
 
 @dataclass(frozen=True)
-class Stop:
+class Standstill:
     """A standstill of one run, rows `first`..`last` inclusive.
 
     Attributes:
@@ -78,21 +78,21 @@ def standing(run: Run) -> float:
     return max(min(max(4.0 * noise, 1e-4), CRAWL_M_S), AXES * step / over_s)
 
 
-def find_stops(run: Run, number: int) -> list[Stop]:
+def find_standstills(run: Run, number: int) -> list[Standstill]:
     """Return the standstills of a run of at least MIN_STOP_S and its two edges, in order."""
     stops, times = [], []
-    slow = _stands(run, standing(run))
-    for stand in _standstills(run, slow, stillness_of(run, [(one.first, one.last) for one in slow])):
-        short = stand.last_s - stand.first_s < MIN_STOP_S
-        if short and stand.first != 0 and stand.last != run.rows - 1:
+    slow = _slow_parts(run, standing(run))
+    for still in _standstills(run, slow, stillness_of(run, [(one.first, one.last) for one in slow])):
+        short = still.last_s - still.first_s < MIN_STOP_S
+        if short and still.first != 0 and still.last != run.rows - 1:
             continue
-        x, y, z = _resting_place(run, stand.first, stand.last)
-        stops.append(Stop(number, stand.first, stand.last, (x, y, z), _free(run, stand), short))
-        times.append((stand.first_s, stand.last_s))
+        x, y, z = _resting_place(run, still.first, still.last)
+        stops.append(Standstill(number, still.first, still.last, (x, y, z), _free(run, still), short))
+        times.append((still.first_s, still.last_s))
     return _with_changes(run, stops, np.array(times).reshape(-1, 2))
 
 
-def _with_changes(run: Run, stops: list[Stop], times_s: Floats) -> list[Stop]:
+def _with_changes(run: Run, stops: list[Standstill], times_s: Floats) -> list[Standstill]:
     """Return the standstills with the number of changes of each signal between their start and end times (N, 2)."""
     found: list[dict[str, int]] = [{} for _ in stops]
     for name, when in run.changes.items():
@@ -103,7 +103,7 @@ def _with_changes(run: Run, stops: list[Stop], times_s: Floats) -> list[Stop]:
 
 
 @dataclass
-class _Stand:
+class _SlowPart:
     """Rows `first`..`last` in which a robot is slow, with times and positions of both."""
 
     first: int
@@ -114,9 +114,9 @@ class _Stand:
     last_m: Vector
 
 
-def _stands(run: Run, slow_m_s: float) -> list[_Stand]:
+def _slow_parts(run: Run, slow_m_s: float) -> list[_SlowPart]:
     """Return every slow part; apparent motion by position noise does not end one."""
-    found: list[_Stand] = []
+    found: list[_SlowPart] = []
     for begin, part in pieces(run):
         still = part.speed_m_s < slow_m_s
         if begin == 0:
@@ -126,7 +126,7 @@ def _stands(run: Run, slow_m_s: float) -> list[_Stand]:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
         for a, b in edges.reshape(-1, 2).tolist():
             since, until = float(part.t_s[a]), float(part.t_s[b - 1])
-            here = _Stand(begin + a, begin + b - 1, since, until, part.xyz_m[a], part.xyz_m[b - 1])
+            here = _SlowPart(begin + a, begin + b - 1, since, until, part.xyz_m[a], part.xyz_m[b - 1])
             if found and (found[-1].last + 1 == here.first or _is_twitch(found[-1], here, run.period_s)):
                 found[-1] = _both(found[-1], here)
             else:
@@ -134,20 +134,20 @@ def _stands(run: Run, slow_m_s: float) -> list[_Stand]:
     return found
 
 
-def _standstills(run: Run, slow: list[_Stand], stillness: Stillness) -> list[_Stand]:
+def _standstills(run: Run, slow: list[_SlowPart], stillness: Stillness) -> list[_SlowPart]:
     """Return the standstills within the slow parts; the edges of the run are kept, even as a single row."""
-    found: list[_Stand] = []
+    found: list[_SlowPart] = []
     for one in _joined(run, slow, stillness, APART_S):
         still = stillness.stretches(run, one.first, one.last, one.last_s - one.first_s)
         ends = [row for row in {0, run.rows - 1} if one.first <= row <= one.last]
         kept = still + [(row, row) for row in ends if not any(a <= row <= b for a, b in still)]
-        found += [one if (a, b) == (one.first, one.last) else _stand(run, a, b) for a, b in sorted(kept)]
+        found += [one if (a, b) == (one.first, one.last) else _slow_part(run, a, b) for a, b in sorted(kept)]
     return _joined(run, found, stillness, stillness.within_s)
 
 
-def _joined(run: Run, parts: list[_Stand], stillness: Stillness, apart_s: float) -> list[_Stand]:
+def _joined(run: Run, parts: list[_SlowPart], stillness: Stillness, apart_s: float) -> list[_SlowPart]:
     """Return the parts in order; parts less than `apart_s` apart without motion between them are joined."""
-    found: list[_Stand] = []
+    found: list[_SlowPart] = []
     for one in parts:
         brief = bool(found) and one.first_s - found[-1].last_s < apart_s
         there = brief and np.linalg.norm(one.first_m - found[-1].last_m) <= stillness.reach_m
@@ -158,17 +158,17 @@ def _joined(run: Run, parts: list[_Stand], stillness: Stillness, apart_s: float)
     return found
 
 
-def _both(before: _Stand, after: _Stand) -> _Stand:
+def _both(before: _SlowPart, after: _SlowPart) -> _SlowPart:
     return replace(before, last=after.last, last_s=after.last_s, last_m=after.last_m)
 
 
-def _stand(run: Run, first: int, last: int) -> _Stand:
+def _slow_part(run: Run, first: int, last: int) -> _SlowPart:
     """Return rows `first` to `last` with times and positions of both."""
     a, b = run.window(first, first), run.window(last, last)
-    return _Stand(first, last, float(a.t_s[0]), float(b.t_s[0]), a.xyz_m[0], b.xyz_m[0])
+    return _SlowPart(first, last, float(a.t_s[0]), float(b.t_s[0]), a.xyz_m[0], b.xyz_m[0])
 
 
-def _is_twitch(before: _Stand, after: _Stand, period_s: float) -> bool:
+def _is_twitch(before: _SlowPart, after: _SlowPart, period_s: float) -> bool:
     brief = after.first_s - before.last_s < max(TWITCH_S, TWITCH_ROWS * period_s)
     return bool(brief and np.linalg.norm(after.first_m - before.last_m) < TWITCH_M)
 
@@ -180,7 +180,7 @@ def _resting_place(run: Run, first: int, last: int) -> tuple[float, float, float
     return float(x), float(y), float(z)
 
 
-def _free(run: Run, stand: _Stand) -> bool | None:
+def _free(run: Run, still: _SlowPart) -> bool | None:
     """Return whether the robot was allowed to move during a standstill; None if unknown.
 
     It was if the program could have advanced by FREE_S of nominal time. Less is not sufficient: when the safety system
@@ -188,9 +188,9 @@ def _free(run: Run, stand: _Stand) -> bool | None:
     slow path.
     """
     known, nominal_s = False, 0.0
-    for _, part in pieces(run, stand.first, stand.last):
+    for _, part in pieces(run, still.first, still.last):
         inside = np.isfinite(part.scaling)
-        inside &= (part.t_s > stand.first_s + EDGE_S) & (part.t_s < stand.last_s - EDGE_S)
+        inside &= (part.t_s > still.first_s + EDGE_S) & (part.t_s < still.last_s - EDGE_S)
         known = known or bool(inside.any())
         step_s = np.diff(part.t_s, append=part.t_s[-1:])
         nominal_s += float((part.scaling[inside] * step_s[inside]).sum())

@@ -14,9 +14,9 @@ from cyclekit.segmentation.motion import (
     NOT_LOGGED,
     PAUSED,
     STOPPED,
-    Halt,
     InferredScaling,
     Overlay,
+    ProgramStop,
     RobotRun,
     half_window,
     moving_slider,
@@ -68,7 +68,7 @@ class StoredRun:
     knows_scaling: bool
     steps: tuple[Ints, Vector]
     more: StoredTable | None = None
-    halts: tuple[Halt, ...] = ()
+    halts: tuple[ProgramStop, ...] = ()
     inferred: Overlay | None = None
     logged_apart: bool = False
     changes: Mapping[str, Vector] = field(default_factory=dict)
@@ -195,7 +195,7 @@ def runs_of(
         rows, times = zip((0, start), *inside, strict=True)
         steps = (np.array(rows, np.int64), np.array(times) + offset_s)
         halts = tuple(
-            Halt(max(a - first, 0), min(b, end - 1) - first, PAUSED if state == "paused" else STOPPED)
+            ProgramStop(max(a - first, 0), min(b, end - 1) - first, PAUSED if state == "paused" else STOPPED)
             for a, b, state in states
             if a < end and b >= first
         )

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.segmentation.arrivals import BLOCKED, Stands, fill_nearest
+from cyclekit.segmentation.arrivals import BLOCKED, PlaceStandstills, fill_nearest
 from cyclekit.segmentation.dwell import Dwell
 from cyclekit.segmentation.motion import moving_slider
 
@@ -32,7 +32,7 @@ HALTED_S = 0.2
 
 
 @dataclass(frozen=True)
-class Leg:
+class ExecutedTask:
     """One executed task, all times in session seconds; see table TASKS of `schema` for the split.
 
     `wait_s` includes `pause_s`, the time in which the program was paused or stopped, and the wait short of the goal,
@@ -54,20 +54,22 @@ class Leg:
     went_on_s: float | None = None
 
 
-def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str, Dwell]) -> list[Leg]:
+def time_account(
+    run: Run, execution: Execution, standstills: PlaceStandstills, dwells: Mapping[str, Dwell]
+) -> list[ExecutedTask]:
     """Return the tasks of one execution, in order, without gaps between them."""
     visits = execution.visits
-    mine = [stands[execution.run, visit.first, visit.last] for visit in visits]
-    legs = []
+    mine = [standstills[execution.run, visit.first, visit.last] for visit in visits]
+    tasks = []
     departure, home = mine[0].left_s, visits[0].place
     for number, (before, visit) in enumerate(pairwise(visits), 1):
-        final, stand = visit is visits[-1], mine[number]
-        lasts_s = 0.0 if final else stand.lasts_s
+        final, standstill = visit is visits[-1], mine[number]
+        lasts_s = 0.0 if final else standstill.lasts_s
         process = dwells.get(visit.place, Dwell(lasts_s, lasts_s))
-        usual, most = process.usual_s, process.most_s
-        arrival, left = stand.process(0.0) if final else stand.process(usual, process.ready_s(stand))
-        if process.overdue_s(stand._replace(left_s=stand.free_s)) is not None:
-            left = stand.left_s  # it was waiting when it was stopped, and the wait may have continued
+        usual, most = process.usual_s, process.max_s
+        arrival, left = standstill.times(0.0) if final else standstill.times(usual, process.ready_s(standstill))
+        if process.excess_from_s(standstill._replace(left_s=standstill.departed_earliest_s)) is not None:
+            left = standstill.left_s  # it was waiting when it was stopped, and the wait may have continued
         arrival = max(departure, arrival)
         stood = max(left - arrival, 0.0)
         dwell, wait = (stood, 0.0) if stood <= most else (usual, stood - usual)
@@ -75,8 +77,8 @@ def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str,
             dwell, wait = 0.0 if visit.place == home else min(stood, usual), 0.0
         short = _short_of(run, visit)
         motion = motion_time(run, departure, arrival, short)
-        legs.append(
-            Leg(
+        tasks.append(
+            ExecutedTask(
                 start_place=before.place,
                 goal_place=visit.place,
                 start_s=departure,
@@ -93,7 +95,7 @@ def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str,
             )
         )
         departure = arrival + dwell + wait
-    return legs
+    return tasks
 
 
 def paused_time(run: Run, start_s: float, end_s: float) -> float:

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
     from cyclekit.schema import Points
     from cyclekit.segmentation.executions import Execution, Visit
-    from cyclekit.segmentation.standstills import Stop
+    from cyclekit.segmentation.standstills import Standstill
     from cyclekit.segmentation.stored_run import Run
 
 MIN_STANDSTILLS = 3
 """Minimum number of standstills at a waiting position."""
 
 
-def with_waits(executions: Sequence[Execution], stops: Sequence[Stop], runs: Sequence[Run]) -> list[Execution]:
+def with_waits(executions: Sequence[Execution], stops: Sequence[Standstill], runs: Sequence[Run]) -> list[Execution]:
     """Return the executions with the rows of each visit at the waiting position before it, if any.
 
     Args:
@@ -32,16 +32,16 @@ def with_waits(executions: Sequence[Execution], stops: Sequence[Stop], runs: Seq
         stops: Standstills of all runs, in order within each run.
         runs: All runs.
     """
-    by_run: dict[int, list[Stop]] = {}
+    by_run: dict[int, list[Standstill]] = {}
     for stop in stops:
         by_run.setdefault(stop.run, []).append(stop)
     firsts = {run: [stop.first for stop in mine] for run, mine in by_run.items()}
 
-    def between(run: int, before: Visit, after: Visit) -> list[Stop]:
+    def between(run: int, before: Visit, after: Visit) -> list[Standstill]:
         mine = firsts.get(run, [])
         return by_run.get(run, [])[bisect_left(mine, before.last + 1) : bisect_left(mine, after.first)]
 
-    on_way: dict[str, list[Stop]] = {}
+    on_way: dict[str, list[Standstill]] = {}
     for execution in executions:
         for before, after in pairwise(execution.visits):
             on_way.setdefault(after.place, []).extend(between(execution.run, before, after))
@@ -61,7 +61,7 @@ def with_waits(executions: Sequence[Execution], stops: Sequence[Stop], runs: Seq
     return known
 
 
-def _spots(stops: Sequence[Stop]) -> Points:
+def _spots(stops: Sequence[Standstill]) -> Points:
     """Return the waiting positions short of one place, shape (S, 3), m: standstills, half of them free to move."""
     xyz = np.array([stop.xyz_m for stop in stops]).reshape(-1, 3)
     able = np.array([not stop.edge for stop in stops], bool)
@@ -73,7 +73,9 @@ def _spots(stops: Sequence[Stop]) -> Points:
     return np.array([np.median(xyz[group], axis=0) for group in kept]).reshape(-1, 3)
 
 
-def _reached(run: Run, before: Visit, after: Visit, stops: Sequence[Stop], spots: Points) -> tuple[int, int] | None:
+def _reached(
+    run: Run, before: Visit, after: Visit, stops: Sequence[Standstill], spots: Points
+) -> tuple[int, int] | None:
     """Return first and last row at a waiting position between two visits, equal if passed; None if not reached."""
     there = [stop for stop in stops if lengths(spots - np.asarray(stop.xyz_m)).min() <= MERGE_M]
     if there:

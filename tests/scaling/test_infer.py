@@ -20,7 +20,7 @@ from cyclekit.scaling.infer.path import match_to_path, path_of
 from cyclekit.scaling.infer.rate_along_path import rate_along_path
 from cyclekit.scaling.infer.reference import _tcp_peak as tcp_peak
 from cyclekit.segmentation.executions import Execution, Visit
-from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, PAUSED, Halt, RobotRun
+from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, PAUSED, ProgramStop, RobotRun
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -174,7 +174,7 @@ def test_no_edge_is_seen_in_a_log_of_few_rows_a_second():
 def test_while_the_program_is_paused_the_scaling_is_unknown():
     runs = [run(lambda _: 1.0, seed=seed)[0] for seed in range(3)]
     held, _ = run(lambda t: 0.0 if 0.8 <= t < 1.6 else 1.0, seed=4)
-    pause = Halt(100, 199, PAUSED)
+    pause = ProgramStop(100, 199, PAUSED)
     found = inferred([*runs, replace(held, halts=(pause,))])[3]
     assert np.isnan(found.scaling[100:200]).all()
     assert found.gap is not None

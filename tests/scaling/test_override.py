@@ -19,7 +19,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.scaling.infer.override import _goes as goes
 from cyclekit.scaling.run_scaling import AfterHalts, halts_at_places, scalings_after_halts
-from cyclekit.segmentation.arrivals import Stand
+from cyclekit.segmentation.arrivals import PlaceStandstill
 from cyclekit.segmentation.executions import Execution, Visit
 from cyclekit.segmentation.motion import RobotRun
 
@@ -150,7 +150,7 @@ def test_a_robot_that_left_and_is_not_seen_to_move_is_halted(left_s: float, halt
     t_s = np.arange(200) / 10.0
     run = RobotRun(t_s, np.zeros((200, 3)), np.zeros(200), np.full(200, np.nan), is_inferred=True)
     visits = tuple(Visit(place, row, last) for place, row, last in (("a", 0, 20), ("b", 50, 110), ("c", 180, 199)))
-    stands = {(0, visit.first, visit.last): Stand(5.0, 5.0, left_s, left_s) for visit in visits}
-    (found,) = halts_at_places([run], [Execution(0, visits, complete=True)], stands, AfterHalts(np.empty(0), 1.0))
+    standstills = {(0, visit.first, visit.last): PlaceStandstill(5.0, 5.0, left_s, left_s) for visit in visits}
+    (found,) = halts_at_places([run], [Execution(0, visits, complete=True)], standstills, AfterHalts(np.empty(0), 1.0))
     assert sum(len(part.scaling) for part in found) == pytest.approx(10.0 * halted_s + bool(halted_s))
     assert all((part.scaling == 0.0).all() for part in found)

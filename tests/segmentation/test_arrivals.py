@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cyclekit.segmentation.arrivals import Stand, stand_of
+from cyclekit.segmentation.arrivals import PlaceStandstill, standstill_at
 from cyclekit.segmentation.executions import Visit
 from cyclekit.segmentation.motion import RobotRun
 
@@ -36,48 +36,50 @@ def run(scaling, *, rate: int = 125, known=lambda t: True, noise_m: float = NOIS
     return RobotRun(t, xyz, np.zeros(len(t)), told), Visit("table", int(seen[0]), int(seen[-1]))
 
 
-def found(*args, **options) -> Stand:
-    return stand_of(*run(*args, **options), np.array([1.0, 0.0, 0.0]))
+def found(*args, **options) -> PlaceStandstill:
+    return standstill_at(*run(*args, **options), np.array([1.0, 0.0, 0.0]))
 
 
 @pytest.mark.parametrize("rate", [125, 500])
 @pytest.mark.parametrize("scaling", [1.0, 0.25, 0.1])
 def test_the_slow_beginning_and_end_of_a_motion_are_followed_into_the_noise(scaling: float, rate: int):
-    stand = found(lambda _: scaling, rate=rate)
-    assert not stand.halted
-    assert (stand.arrived_s, stand.left_s) == pytest.approx((ARRIVES, LEAVES), abs=0.03 if scaling > 0.1 else 0.08)
+    standstill = found(lambda _: scaling, rate=rate)
+    assert not standstill.halted
+    assert (standstill.arrived_s, standstill.left_s) == pytest.approx(
+        (ARRIVES, LEAVES), abs=0.03 if scaling > 0.1 else 0.08
+    )
 
 
 def test_a_robot_halted_a_hair_after_it_left_had_left():
-    stand = found(lambda t: 0.0 if 5.16 < t < 9.0 else 0.25)
-    assert stand.left_s == pytest.approx(LEAVES, abs=0.05)
-    assert stand.free_s == stand.left_s
+    standstill = found(lambda t: 0.0 if 5.16 < t < 9.0 else 0.25)
+    assert standstill.left_s == pytest.approx(LEAVES, abs=0.05)
+    assert standstill.departed_earliest_s == standstill.left_s
 
 
 def test_a_robot_halted_a_hair_before_its_goal_arrives_after_the_halt():
-    stand = found(lambda t: 0.0 if 0.5 < t < 2.84 else 0.25)
-    assert stand.arrived_s == pytest.approx(ARRIVES, abs=0.05)
+    standstill = found(lambda t: 0.0 if 0.5 < t < 2.84 else 0.25)
+    assert standstill.arrived_s == pytest.approx(ARRIVES, abs=0.05)
 
 
 def test_a_halt_a_hair_after_it_left_is_told_without_a_logged_scaling_too():
-    stand = found(lambda t: 0.0 if 5.16 < t < 9.0 else 0.25, known=lambda t: t < 2.5 or t > 9.5)
-    assert stand.left_s == pytest.approx(LEAVES, abs=0.1)
+    standstill = found(lambda t: 0.0 if 5.16 < t < 9.0 else 0.25, known=lambda t: t < 2.5 or t > 9.5)
+    assert standstill.left_s == pytest.approx(LEAVES, abs=0.1)
 
 
 def test_in_a_halt_it_left_at_some_time_in_it_and_if_in_doubt_after_the_usual_process():
-    stand = found(lambda t: 0.0 if 4.0 < t < 9.0 else 1.0)
-    assert stand.halted
-    assert (stand.free_s, stand.left_s) == pytest.approx((4.0, 9.0), abs=0.02)
-    assert stand.process(1.7) == pytest.approx((ARRIVES, ARRIVES + 1.7), abs=0.03)
-    assert stand.process(0.2) == pytest.approx((ARRIVES, 4.0), abs=0.03)
-    assert stand.process(60.0) == pytest.approx((ARRIVES, 9.0), abs=0.03)
+    standstill = found(lambda t: 0.0 if 4.0 < t < 9.0 else 1.0)
+    assert standstill.halted
+    assert (standstill.departed_earliest_s, standstill.left_s) == pytest.approx((4.0, 9.0), abs=0.02)
+    assert standstill.times(1.7) == pytest.approx((ARRIVES, ARRIVES + 1.7), abs=0.03)
+    assert standstill.times(0.2) == pytest.approx((ARRIVES, 4.0), abs=0.03)
+    assert standstill.times(60.0) == pytest.approx((ARRIVES, 9.0), abs=0.03)
 
 
 def test_in_a_halt_it_arrived_so_long_before_it_left_as_the_process_takes():
-    stand = Stand(stopped_s=2.0, arrived_s=6.0, free_s=7.0, left_s=7.0)
-    assert stand.process(1.5) == (5.5, 7.0)
-    assert stand.process(0.1) == (6.0, 7.0)
-    assert stand.process(9.0) == (2.0, 7.0)
+    standstill = PlaceStandstill(arrived_earliest_s=2.0, arrived_s=6.0, departed_earliest_s=7.0, left_s=7.0)
+    assert standstill.times(1.5) == (5.5, 7.0)
+    assert standstill.times(0.1) == (6.0, 7.0)
+    assert standstill.times(9.0) == (2.0, 7.0)
 
 
 @pytest.mark.parametrize("rate", [50, 125, 500])
@@ -86,5 +88,5 @@ def test_a_motion_that_begins_at_its_full_speed_begins_at_the_last_row_at_rest(r
     x = 0.5 * (np.maximum(1.0 - t, 0.0) + np.maximum(t - 4.0, 0.0))
     log = RobotRun(t, np.column_stack([x, 0.0 * t, 0.0 * t]), np.zeros(len(t)), np.ones(len(t)))
     still = np.flatnonzero(x < 1e-9)
-    stand = stand_of(log, Visit("table", int(still[0]), int(still[-1])), np.zeros(3))
-    assert (stand.arrived_s, stand.left_s) == pytest.approx((1.0, 4.0), abs=0.02 if rate == 500 else 1e-6)
+    standstill = standstill_at(log, Visit("table", int(still[0]), int(still[-1])), np.zeros(3))
+    assert (standstill.arrived_s, standstill.left_s) == pytest.approx((1.0, 4.0), abs=0.02 if rate == 500 else 1e-6)

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from cyclekit.config import Cell, Source
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
-from cyclekit.segmentation.arrivals import Stand
-from cyclekit.segmentation.dwell import AHEAD_S, Dwell, Sign, usual_dwells
+from cyclekit.segmentation.arrivals import PlaceStandstill
+from cyclekit.segmentation.dwell import MIN_LEAD_S, Dwell, EndSignal, usual_dwells
 from cyclekit.segmentation.executions import Execution, Visit
 
 if TYPE_CHECKING:
@@ -99,54 +99,60 @@ def test_after_waiting_a_signal_tells_how_much_of_a_halt_was_loss(tmp_path: Path
     assert tasks["wait_s"].to_list() == pytest.approx([0.0] * 4 + [2.0] + [0.0] * 7, abs=0.03)
 
 
-def stands(after_s: dict[str, list[float]], lasts_s: list[float], *, halted: int = 0) -> Dwell:
+def standstills(after_s: dict[str, list[float]], lasts_s: list[float], *, halted: int = 0) -> Dwell:
     """Return the dwell of stands of these lengths; the signals last changed so long before each departure."""
     visits = tuple(Visit("table", i, i) for i in range(len(lasts_s) + 2))
     found = {}
     for i, visit in enumerate(visits):
         lasts = lasts_s[i - 1] if 0 < i <= len(lasts_s) else 1.0
         told = tuple((name, 100.0 * i - mine[i - 1]) for name, mine in after_s.items() if 0 < i <= len(mine))
-        free_s = 100.0 * i - (0.5 if 0 < i <= halted else 0.0)
-        found[0, visit.first, visit.last] = Stand(100.0 * i - lasts, 100.0 * i - lasts, free_s, 100.0 * i, told)
+        departed_earliest_s = 100.0 * i - (0.5 if 0 < i <= halted else 0.0)
+        found[0, visit.first, visit.last] = PlaceStandstill(
+            100.0 * i - lasts, 100.0 * i - lasts, departed_earliest_s, 100.0 * i, told
+        )
     return usual_dwells([Execution(0, visits, complete=True)], found)["table"]
 
 
 def test_the_steadiest_signal_is_the_sign_of_a_place():
-    dwell = stands({"grip": [0.4, 0.4, 0.41, 3.0, 0.4], "lamp": [0.5, 0.8, 1.4, 2.0, 0.7]}, [1.0, 2.0, 3.0, 9.0, 1.0])
-    assert dwell.sign is not None
-    assert (dwell.sign.signal, dwell.sign.after_s) == ("grip", pytest.approx(0.4))
+    dwell = standstills(
+        {"grip": [0.4, 0.4, 0.41, 3.0, 0.4], "lamp": [0.5, 0.8, 1.4, 2.0, 0.7]}, [1.0, 2.0, 3.0, 9.0, 1.0]
+    )
+    assert dwell.end_signal is not None
+    assert (dwell.end_signal.signal, dwell.end_signal.after_s) == ("grip", pytest.approx(0.4))
 
 
 @pytest.mark.parametrize(
     "after_s",
     [
-        pytest.param([AHEAD_S / 2] * 6, id="it follows the motion"),
+        pytest.param([MIN_LEAD_S / 2] * 6, id="it follows the motion"),
         pytest.param([0.4, 0.9, 1.3, 1.9, 2.5, 0.7], id="it is not steady"),
         pytest.param([0.4, 0.4], id="it changes in too few stands"),
     ],
 )
 def test_other_signals_are_no_sign(after_s: list[float]):
-    assert stands({"grip": after_s}, [1.0, 2.0, 3.0, 9.0, 1.0, 1.0]).sign is None
+    assert standstills({"grip": after_s}, [1.0, 2.0, 3.0, 9.0, 1.0, 1.0]).end_signal is None
 
 
 def test_stands_in_which_it_was_halted_do_not_say_what_is_usual():
-    assert stands({"grip": [9.0, 9.0, 0.4, 0.4, 0.4]}, [9.5, 9.5, 1.0, 1.0, 1.0], halted=2).sign == Sign(
-        "grip", pytest.approx(0.4), pytest.approx(0.45)
-    )
+    assert standstills(
+        {"grip": [9.0, 9.0, 0.4, 0.4, 0.4]}, [9.5, 9.5, 1.0, 1.0, 1.0], halted=2
+    ).end_signal == EndSignal("grip", pytest.approx(0.4), pytest.approx(0.45))
 
 
 @at_most(60)
 @given(waits_s=st.floats(0, 30), held_s=st.floats(0, 30), usual_s=st.floats(0.3, 5))
 def test_a_stand_is_overdue_since_the_process_was_over_however_long_it_waited_before(waits_s, held_s, usual_s):
     after_s = 0.5 * usual_s
-    dwell = Dwell(usual_s, usual_s + 0.05, Sign("grip", after_s, after_s + 0.05))
-    stand = Stand(10.0, 10.0, left := 10.0 + waits_s + usual_s + held_s, left, (("grip", 10.0 + waits_s + after_s),))
-    since = dwell.overdue_s(stand)
+    dwell = Dwell(usual_s, usual_s + 0.05, EndSignal("grip", after_s, after_s + 0.05))
+    standstill = PlaceStandstill(
+        10.0, 10.0, left := 10.0 + waits_s + usual_s + held_s, left, (("grip", 10.0 + waits_s + after_s),)
+    )
+    since = dwell.excess_from_s(standstill)
     if held_s > 0.051:
         assert since == pytest.approx(10.0 + waits_s + usual_s)
     elif held_s < 0.049:
         assert since is None
     if abs(waits_s + held_s - 0.05) > 1e-3:  # without the signal waiting looks the same
-        assert (dwell.overdue_s(stand._replace(changes=())) is not None) == (waits_s + held_s > 0.05)
-    arrived, departed = stand.process(usual_s, dwell.ready_s(stand))
-    assert (arrived, departed) == (stand.arrived_s, stand.left_s)
+        assert (dwell.excess_from_s(standstill._replace(changes=())) is not None) == (waits_s + held_s > 0.05)
+    arrived, departed = standstill.times(usual_s, dwell.ready_s(standstill))
+    assert (arrived, departed) == (standstill.arrived_s, standstill.left_s)

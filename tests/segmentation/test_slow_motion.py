@@ -15,7 +15,7 @@ from tcp_speed import tcp_speed
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.segmentation.motion import RobotRun
-from cyclekit.segmentation.standstills import find_stops
+from cyclekit.segmentation.standstills import find_standstills
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,7 +53,7 @@ def test_a_robot_that_goes_slowly_between_two_stands_stands_twice(
     xyz = there(t_s, speed_m_s, way_s) + noise_m * np.random.default_rng(seed).standard_normal((len(t_s), 3))
     if quantum_m:
         xyz = np.round(xyz / quantum_m) * quantum_m
-    stops = find_stops(run_of(xyz, rate_hz), 0)
+    stops = find_standstills(run_of(xyz, rate_hz), 0)
     spans = [(t_s[stop.first], t_s[stop.last]) for stop in stops if stop.last > stop.first]
     slack_s = 0.15 + 2.0 / rate_hz + 8 * (noise_m + quantum_m) / speed_m_s
     before, after = [(a, b) for a, b in spans if a < STAND_S], [(a, b) for a, b in spans if a >= STAND_S]
@@ -69,7 +69,7 @@ def test_a_robot_that_goes_slowly_between_two_stands_stands_twice(
 def test_a_robot_that_settles_or_drifts_stands_all_the_while():
     t_s = np.arange(0, 60, 0.008)
     settling = 1e-4 * np.exp(-t_s) + 2e-6 * t_s
-    stops = find_stops(run_of(np.column_stack([settling, 0 * t_s, 0 * t_s]), 125.0), 0)
+    stops = find_standstills(run_of(np.column_stack([settling, 0 * t_s, 0 * t_s]), 125.0), 0)
     assert [(stop.first, stop.last) for stop in stops] == [(0, len(t_s) - 1)]
 
 

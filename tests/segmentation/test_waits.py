@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from cyclekit.config import Executions
-from cyclekit.segmentation.arrivals import stands_of
+from cyclekit.segmentation.arrivals import place_standstills
 from cyclekit.segmentation.dwell import usual_dwells
 from cyclekit.segmentation.executions import find_executions, find_visits
 from cyclekit.segmentation.motion import RobotRun
 from cyclekit.segmentation.places import find_places
-from cyclekit.segmentation.standstills import find_stops
-from cyclekit.segmentation.time_account import Leg, account
+from cyclekit.segmentation.standstills import find_standstills
+from cyclekit.segmentation.time_account import ExecutedTask, time_account
 from cyclekit.segmentation.waits import with_waits
 
 STEP_S, WAY_S, DWELL_S = 0.01, 1.0, 0.8
@@ -43,15 +43,15 @@ def _run(halted_s: float = 0.0, at_end: tuple[tuple[float, float], ...] = ()) ->
     return RobotRun(t_s, xyz, np.asarray(speed, np.float64), np.concatenate(scaling))
 
 
-def _legs(run: RobotRun) -> list[Leg]:
-    stops = find_stops(run, 0)
+def _legs(run: RobotRun) -> list[ExecutedTask]:
+    stops = find_standstills(run, 0)
     places = find_places([run], stops, {})
     assert sorted(round(place.xyz_m[0], 2) for place in places.values()) == [0.0, END_M]
     visits = find_visits(stops, places, [run])
     executions = find_executions(visits, places, Executions("file"), [np.empty(0, np.int64)])
     executions = with_waits(executions, stops, [run])
-    stands = stands_of([run], executions, places)
-    return account(run, executions[0], stands, usual_dwells(executions, stands))
+    standstills = place_standstills([run], executions, places)
+    return time_account(run, executions[0], standstills, usual_dwells(executions, standstills))
 
 
 def test_standing_short_of_a_place_is_wait() -> None:

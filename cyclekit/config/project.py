@@ -11,11 +11,11 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from cyclekit.config.toml_file import followed, read_toml
+from cyclekit.config.toml_file import read_toml, to_dataclass
 from cyclekit.config.write import toml_value
 from cyclekit.errors import ConfigError
 from cyclekit.storage.files import resolved
-from cyclekit.storage.remote.folders import is_url, join
+from cyclekit.storage.remote.folders import from_folder
 from cyclekit.text.durations import seconds_in
 
 PROJECT_FILE = "cyclekit.toml"
@@ -73,14 +73,14 @@ def load_project(path: Path) -> Project:
     file = path / PROJECT_FILE if path.is_dir() else path
     if not file.exists():
         raise ConfigError(f"{file}: no such project file", cure="Make one: cyclekit init FOLDER_OF_LOGS")
-    told = followed(str(file), read_toml(file), Project)
+    told = to_dataclass(str(file), read_toml(file), Project)
     try:
         _ = told.takt_s
     except ValueError as error:
         raise ConfigError(f"{file}: takt: {error}", cure='takt = "105s"') from error
-    places = {key: _place(file.parent, getattr(told, key)) for key in _PLACES if getattr(told, key) is not None}
+    places = {key: from_folder(file.parent, getattr(told, key)) for key in _PLACES if getattr(told, key) is not None}
     name = told.name or resolved(file).parent.name
-    return replace(told, **places, name=name, logs=tuple(_place(file.parent, each) for each in told.logs))
+    return replace(told, **places, name=name, logs=tuple(from_folder(file.parent, each) for each in told.logs))
 
 
 _PLACES = ("cell", "dataset", "model", "sequences", "jobs", "estimates", "report", "template")
@@ -121,7 +121,3 @@ _EXAMPLES = {
     "baseline": "left table first",
     "template": "look",
 }
-
-
-def _place(here: Path, text: str) -> str:
-    return text if is_url(text) else join(here, text)

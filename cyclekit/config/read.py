@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.config.arms import MODELS
 from cyclekit.config.cells import CLOCK_KEYS, Cell, Executions, Frame, Matrix, Number, Point, Robot, Wait
-from cyclekit.config.toml_file import followed, list_at, read_toml, refuse_twice, table_at
+from cyclekit.config.toml_file import read_toml, refuse_twice, require_list, require_table, to_dataclass
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.storage.files import resolved
 
@@ -37,10 +37,10 @@ def load_cell(path: Path) -> Cell:
         UnknownName: A key is unknown.
     """
     raw, where = read_toml(path), str(path)
-    entries = list_at(where, raw, "sources")
+    entries = require_list(where, raw, "sources")
     sources = [_source(f"{where} sources[{i}]", entry) for i, entry in enumerate(entries)]
-    told = [_operator_signal(entry) for entry in list_at(where, raw, "operator_signals")]
-    cell = followed(where, {**raw, "sources": sources, "operator_signals": told}, Cell)
+    told = [_operator_signal(entry) for entry in require_list(where, raw, "operator_signals")]
+    cell = to_dataclass(where, {**raw, "sources": sources, "operator_signals": told}, Cell)
     refuse_twice(where, "operator signal", [one.name for one in cell.operator_signals])
     if cell.all_places_named and not cell.places:
         raise ConfigError(f"{where}: all_places_named = true, but no place is named", cure="Name them: [places.NAME]")
@@ -85,7 +85,7 @@ def _check_robot(where: str, robot: Robot) -> None:
 
 def _source(where: str, entry: object) -> dict[str, object]:
     """Return a source's keys, with start and frame converted for `Source`."""
-    found = dict(table_at(where, entry))
+    found = dict(require_table(where, entry))
     _one_clock(where, found)
     if "start" in found:
         found["start"] = _start(where, found["start"])
@@ -105,7 +105,7 @@ def _operator_signal(entry: object) -> object:
 
 def _map(where: str, raw: object) -> dict[str, object]:
     """Return the settings of the adapter; all of them can be stored as JSON."""
-    found = dict(table_at(where, raw))
+    found = dict(require_table(where, raw))
     waiting: list[tuple[str, object]] = list(found.items())
     while waiting:
         key, value = waiting.pop()
@@ -141,7 +141,7 @@ def _start(where: str, value: object) -> str:
 
 
 def _frame(where: str, raw: object) -> Frame:
-    told = followed(where, raw, _Frame)
+    told = to_dataclass(where, raw, _Frame)
     if told.rotation is None:
         yaw = math.radians(told.yaw_deg or 0.0)
         c, s = math.cos(yaw), math.sin(yaw)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from cyclekit.config.toml_file import followed, list_at, read_toml, refuse_twice
+from cyclekit.config.toml_file import read_toml, refuse_twice, require_list, to_dataclass
 from cyclekit.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -92,10 +92,10 @@ def load_sequences(path: Path) -> list[TaskSequence]:
         if isinstance(error.__cause__, FileNotFoundError):
             raise ConfigError(f"{path}: no such file", cure=_EXAMPLE) from error
         raise
-    entries = list_at(str(path), raw, "sequence")
+    entries = require_list(str(path), raw, "sequence")
     if not entries and not set(raw) - {"sequence"}:
         raise ConfigError(f"{path}: no [[sequence]] in it", cure=_EXAMPLE)
-    file = followed(str(path), raw, _File)
+    file = to_dataclass(str(path), raw, _File)
     found = [_sequence(path, entry, i) for i, entry in enumerate(file.sequence)]
     refuse_twice(str(path), "sequence", [sequence.name for sequence in found])
     return found

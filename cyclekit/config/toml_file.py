@@ -1,7 +1,7 @@
 """A TOML file as checked values, with errors that name the file, the key, the expected value and the cure.
 
-`read_toml` parses; `followed` converts a table to a frozen dataclass. msgspec checks each value against the type of its
-field; its errors are converted to messages here.
+`read_toml` parses; `to_dataclass` converts a table to a frozen dataclass. msgspec checks each value against the type of
+its field; its errors are converted to messages here.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def read_toml(path: Path) -> dict[str, object]:
         raise ConfigError(f"{path}: nested too deeply for TOML", cure="Check the file.") from error
 
 
-def followed(where: str, raw: object, kind: type[Table], **given: object) -> Table:
+def to_dataclass(where: str, raw: object, kind: type[Table], **given: object) -> Table:
     """Return a table as a dataclass; nested tables become the dataclasses of its fields.
 
     Args:
@@ -71,13 +71,13 @@ def followed(where: str, raw: object, kind: type[Table], **given: object) -> Tab
     hints = get_type_hints(kind, include_extras=True)
     keys = [each for each in fields(kind) if each.name not in given]  # type: ignore[arg-type]
     known = [each.name for each in keys]
-    for key in table_at(where, raw):
+    for key in require_table(where, raw):
         if key not in known:
             raise UnknownName(where, "key", str(key), known)
     values: dict[str, object] = {}
     for each in keys:
-        if each.name in table_at(where, raw):
-            values[each.name] = _value(where, each, table_at(where, raw)[each.name], hints[each.name])
+        if each.name in require_table(where, raw):
+            values[each.name] = _value(where, each, require_table(where, raw)[each.name], hints[each.name])
         elif each.default is MISSING and each.default_factory is MISSING:
             raise ConfigError(f"{where}: no {each.name!r}", cure=f"Add {each.name} = …")
     try:
@@ -86,7 +86,7 @@ def followed(where: str, raw: object, kind: type[Table], **given: object) -> Tab
         raise ConfigError(f"{where}: {error}", cure=_PAGE) from error
 
 
-def table_at(where: str, raw: object) -> Mapping[str, Any]:
+def require_table(where: str, raw: object) -> Mapping[str, Any]:
     """Return `raw`, which must be a table.
 
     Raises:
@@ -97,7 +97,7 @@ def table_at(where: str, raw: object) -> Mapping[str, Any]:
     return raw
 
 
-def list_at(where: str, raw: Mapping[str, Any], key: str) -> list[Any]:
+def require_list(where: str, raw: Mapping[str, Any], key: str) -> list[Any]:
     """Return the list under `key`; empty if absent.
 
     Raises:
@@ -127,20 +127,20 @@ def _value(where: str, each: Field[Any], value: object, hint: Any) -> Any:  # no
         (hint,) = (kind for kind in get_args(hint) if kind is not NoneType)
     origin, inner = get_origin(hint), get_args(hint)
     if _is_table(hint):
-        return value if isinstance(value, hint) else followed(f"{where} {each.name}", value, hint)
+        return value if isinstance(value, hint) else to_dataclass(f"{where} {each.name}", value, hint)
     if origin is tuple and _is_table(inner[0]):
-        entries = list_at(where, {each.name: value}, each.name)
-        return tuple(followed(f"{where} {each.name}[{i}]", entry, inner[0]) for i, entry in enumerate(entries))
+        entries = require_list(where, {each.name: value}, each.name)
+        return tuple(to_dataclass(f"{where} {each.name}[{i}]", entry, inner[0]) for i, entry in enumerate(entries))
     if origin is Mapping and _is_table(inner[1]):
-        tables = table_at(f"{where} [{each.name}]", value).items()
-        return {name: followed(f"{where} [{each.name}.{name}]", entry, inner[1]) for name, entry in tables}
+        tables = require_table(f"{where} [{each.name}]", value).items()
+        return {name: to_dataclass(f"{where} [{each.name}.{name}]", entry, inner[1]) for name, entry in tables}
     if origin is Literal and value not in inner:
         raise UnknownName(where, f"value of {each.name}", str(value), inner)
     try:
         return msgspec.convert(value, hint)
     except (ValueError, OverflowError) as error:
         if origin is tuple and not isinstance(value, list):
-            list_at(where, {each.name: value}, each.name)
+            require_list(where, {each.name: value}, each.name)
         at, said = in_words(error)
         raise ConfigError(f"{where}: {each.name}{at} = {value!r}: {said}", cure=_cure(each, value, hint)) from error
 

@@ -23,6 +23,7 @@ from cyclekit.dataset.guard import check_output
 from cyclekit.errors import ModelError, NothingPublished, UnknownName
 from cyclekit.fleet.read import FleetCell
 from cyclekit.fleet.stages import (
+    SHOWN,
     STAGES,
     CellAtWork,
     Stage,
@@ -30,9 +31,9 @@ from cyclekit.fleet.stages import (
     State,
     asked_for,
     dataset_of,
-    is_there,
-    mark_of,
-    work_on,
+    fingerprint_of,
+    output_exists,
+    run_stages,
 )
 from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.task_times.saved import TaskTimesModel, holds_task_times, load_task_times
@@ -47,8 +48,6 @@ if TYPE_CHECKING:
     from cyclekit.learning.unseen.model import UnseenOperator
 
 LEDGER = "cyclekit.json"
-_SHOWN = 3
-"""Maximum number of estimates named in a result."""
 
 
 @dataclass(frozen=True)
@@ -163,13 +162,13 @@ def run_project(
     places: dict[Kind, str] = {"dataset": told.dataset, "model": told.model, page: told.report}
     for kind, place in places.items():
         check_output(place, kind, inputs, option=f"{file}")
-    rows = work_on(cell, stages=tuple(stages), known=PROJECT_STAGES, progress=progress)
+    rows = run_stages(cell, stages=tuple(stages), known=PROJECT_STAGES, progress=progress)
     return ProjectRun(file, told, tuple(rows), _warnings(cell))
 
 
 def _warnings(cell: FleetCell) -> tuple[str, ...]:
     """Return the warnings of dataset, recordings and model, each once."""
-    dataset, model = dataset_of(cell), _model(cell)
+    dataset, model = dataset_of(cell), _model_of_any_kind(cell)
     found = []
     if dataset is not None:
         found += texts(dataset.card.warnings)
@@ -188,9 +187,9 @@ def _train(work: CellAtWork) -> tuple[State, str]:
     cell, dataset = work.cell, dataset_of(work.cell)
     if dataset is None:
         return STAGES["train"](work)
-    lists, mark = dataset.holds_task_lists_alone, mark_of(dataset)
+    lists, mark = dataset.holds_task_lists_alone, fingerprint_of(dataset)
     known = holds_task_times(cell.model) if lists else holds_unseen(cell.model)
-    if known and work.ledger.marks.get("train") == mark and _model(cell) is not None:
+    if known and work.ledger.marks.get("train") == mark and _model_of_any_kind(cell) is not None:
         return "unchanged", f"learned from these {'task lists' if lists else 'logs'}"
     if lists:
         found = train_task_times(dataset, out=cell.model, progress=work.tell)
@@ -204,22 +203,22 @@ def _train(work: CellAtWork) -> tuple[State, str]:
 
 def _estimate(work: CellAtWork) -> tuple[State, str]:
     """Estimate the sequences if dataset, model, sequences or takt time changed."""
-    project, dataset, model = _project(work), dataset_of(work.cell), _model(work.cell)
+    project, dataset, model = _project(work), dataset_of(work.cell), _model_of_any_kind(work.cell)
     if dataset is None or model is None:
         return "skipped", "there is no dataset" if dataset is None else "there is no model"
     written = first_sequences(dataset, project)
     wanted = load_sequences(Path(project.sequences))
-    mark = mark_of(dataset, plain(model.card), asked_for(wanted), project.takt_s)
+    mark = fingerprint_of(dataset, plain(model.card), asked_for(wanted), project.takt_s)
     ask = partial(estimate_cycles, model, dataset, wanted, out=project.estimates)
     work.estimates = cache(partial(ask, takt_s=project.takt_s, progress=work.tell))
-    if work.ledger.marks.get("estimate") == mark and is_there(project.estimates):
+    if work.ledger.marks.get("estimate") == mark and output_exists(project.estimates):
         return "unchanged", "same dataset, model, sequences and takt"
     found = work.estimates()
     work.ledger = replace(work.ledger, marks={**work.ledger.marks, "estimate": mark})
     means = [f"{one.name} {one.expected_s:.1f} s" for one in found]
     told = [f"wrote {written}"] if written else []
     refused = [f"not answered: {one.error.seen}" for one in found.refused]
-    return "done", "; ".join([*told, *means[:_SHOWN], *refused])
+    return "done", "; ".join([*told, *means[:SHOWN], *refused])
 
 
 def _report(work: CellAtWork) -> tuple[State, str]:
@@ -227,7 +226,7 @@ def _report(work: CellAtWork) -> tuple[State, str]:
     done = work.ledger.stages.get("estimate")
     if done is None or done.state in ("failed", "skipped"):
         work.cell, work.estimates = dataclass_replace(work.cell, sequences=None), lambda: None
-    model, dataset = _model(work.cell), dataset_of(work.cell)
+    model, dataset = _model_of_any_kind(work.cell), dataset_of(work.cell)
     if isinstance(model, TaskTimesModel) and dataset is not None and not is_url(work.cell.report):
         return _report_lists(work, model, dataset)
     return STAGES["report"](work)
@@ -237,8 +236,8 @@ def _report_lists(work: CellAtWork, model: TaskTimesModel, dataset: Dataset) -> 
     """Write the report of a dataset of task lists."""
     cell = work.cell
     wanted = [] if cell.sequences is None else load_sequences(Path(cell.sequences))
-    mark = mark_of(dataset, plain(model.card), asked_for(wanted), cell.looks)
-    if work.ledger.reported == mark and is_there(cell.report):
+    mark = fingerprint_of(dataset, plain(model.card), asked_for(wanted), cell.looks)
+    if work.ledger.reported == mark and output_exists(cell.report):
         return "unchanged", "nothing is new"
     told = work.tell
     facts = write_report(
@@ -248,7 +247,7 @@ def _report_lists(work: CellAtWork, model: TaskTimesModel, dataset: Dataset) -> 
     return "done", facts.headline
 
 
-def _model(cell: FleetCell) -> TrainedModel | TaskTimesModel | UnseenOperator | None:
+def _model_of_any_kind(cell: FleetCell) -> TrainedModel | TaskTimesModel | UnseenOperator | None:
     try:
         if holds_unseen(cell.model):
             return load_unseen(cell.model)

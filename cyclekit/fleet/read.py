@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta
 
-from cyclekit.config.toml_file import followed, list_at, read_toml, refuse_twice, table_at
+from cyclekit.config.toml_file import read_toml, refuse_twice, require_list, require_table, to_dataclass
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.storage.files import resolved
-from cyclekit.storage.remote.folders import is_url, join
+from cyclekit.storage.remote.folders import from_folder, is_url, join
 from cyclekit.storage.safe_path import unfit
 
 if TYPE_CHECKING:
@@ -124,28 +124,26 @@ def load_fleet(path: Path) -> Fleet:
     for key in raw:
         if key not in ("fleet", "cell"):
             raise UnknownName(str(path), "key", key, ("fleet", "cell"))
-    shared = dict(table_at(f"{path} [fleet]", raw.get("fleet", {})))
+    shared = dict(require_table(f"{path} [fleet]", raw.get("fleet", {})))
     name, out = (str(shared.pop(key, path.stem)) for key in ("name", "out"))
-    followed(f"{path} [fleet]", shared, FleetCell, **dict.fromkeys(_OF_A_CELL))
-    entries = list_at(str(path), raw, "cell")
+    to_dataclass(f"{path} [fleet]", shared, FleetCell, **dict.fromkeys(_OF_A_CELL))
+    entries = require_list(str(path), raw, "cell")
     if not entries:
         cure = 'Add them:\n  [[cell]]\n  name = "press-1"\n  sources = ["logs/press-1"]'
         raise ConfigError(f"{path}: no [[cell]] in it", cure=cure)
-    out = _place(here, out)
+    out = from_folder(here, out)
     cells = [_cell(f"{path} cell[{number}]", shared, entry, here) for number, entry in enumerate(entries)]
     refuse_twice(str(path), "cell", [cell.name for cell in cells])
     return Fleet(name, out, tuple(replace(cell, folder=join(out, cell.name)) for cell in cells))
 
 
 def _cell(where: str, shared: Mapping[str, Any], entry: object, here: Path) -> FleetCell:
-    cell = followed(where, {**shared, **table_at(where, entry)}, FleetCell, folder="")
+    cell = to_dataclass(where, {**shared, **require_table(where, entry)}, FleetCell, folder="")
     if unfit(cell.name):
         raise ConfigError(
             f"{where}: name = {cell.name!r} is not a valid folder name on every system", cure="Choose another name."
         )
-    paths = {key: _place(here, told) for key in ("cell_file", "sequences") if (told := getattr(cell, key)) is not None}
-    return replace(cell, **paths, sources=tuple(_place(here, source) for source in cell.sources))  # type: ignore[arg-type]
-
-
-def _place(here: Path, text: str) -> str:
-    return text if is_url(text) else str(here / text)
+    paths = {
+        key: from_folder(here, told) for key in ("cell_file", "sequences") if (told := getattr(cell, key)) is not None
+    }
+    return replace(cell, **paths, sources=tuple(from_folder(here, source) for source in cell.sources))  # type: ignore[arg-type]

@@ -16,7 +16,7 @@ from cyclekit.dataset.cards import plain
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import CyclekitError
 from cyclekit.fleet.read import REPORT, Fleet, load_fleet
-from cyclekit.fleet.stages import STAGES, StageResult, noted, read_ledger, work_on
+from cyclekit.fleet.stages import STAGES, StageResult, read_ledger, record_stage, run_stages
 from cyclekit.learning.training import need_torch
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.report.fleet_page import CellLine, fleet_page
@@ -97,14 +97,14 @@ def run_fleet(
         need_torch()
     _check(fleet, stages)
     rows: dict[str, list[StageResult]] = {}
-    for done in engine.map(partial(work_on, stages=tuple(stages)), fleet.cells):
+    for done in engine.map(partial(run_stages, stages=tuple(stages)), fleet.cells):
         cell = done.item
         if done.error is None:
             rows[cell.name] = done.get()
         else:  # its worker died repeatedly and could not record that
             rows[cell.name] = [StageResult(cell.name, stages[0], "failed", str(done.error))]
             with suppress(CyclekitError):  # if the ledger itself cannot be written
-                noted(cell, read_ledger(cell), rows[cell.name][0])
+                record_stage(cell, read_ledger(cell), rows[cell.name][0])
         if progress:
             progress(len(rows) / len(fleet.cells), _said(rows[cell.name][-1]))
     if "report" in stages:

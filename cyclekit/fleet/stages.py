@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from cyclekit.fleet.read import FleetCell
     from cyclekit.learning.evaluation.evaluate import Evaluation
 
-_SHOWN = 3
-"""Maximum number of unreadable logs named in a result."""
+SHOWN = 3
+"""Maximum number of unreadable logs, or of estimates, named in a result."""
 State = Literal["done", "unchanged", "failed", "skipped"]
 
 
@@ -80,7 +80,7 @@ class CellAtWork:
     tell: Progress = lambda _fraction, _text: None
 
 
-def work_on(
+def run_stages(
     cell: FleetCell,
     *,
     stages: Sequence[str],
@@ -106,7 +106,7 @@ def work_on(
         except Exception as error:  # a bug in one cell must not stop the others
             state, text = "failed", f"internal error: {type(error).__name__}: {error}"
         row = StageResult(cell.name, stage, state, text)
-        work.ledger = noted(cell, work.ledger, row)
+        work.ledger = record_stage(cell, work.ledger, row)
         rows.append(row)
     return rows
 
@@ -124,7 +124,7 @@ def read_ledger(cell: FleetCell) -> CellLedger:
     return replace(found, cell=cell.name)
 
 
-def noted(cell: FleetCell, ledger: CellLedger, row: StageResult) -> CellLedger:
+def record_stage(cell: FleetCell, ledger: CellLedger, row: StageResult) -> CellLedger:
     """Record the result of a stage, and return the updated ledger."""
     now = dt.datetime.now(tz=dt.UTC).isoformat(timespec="seconds")
     done = StageCard(state=row.state, text=row.text, at=now)
@@ -150,7 +150,7 @@ def _ingest(work: CellAtWork) -> tuple[State, str]:
     if not cell.pseudonymise:
         days = days_of(Dataset.open(report.dataset), [mirrored(place) for place in logs])
     unread = tuple(f"{path}: {reason}" for path, reason in report.not_read)
-    work.ledger = replace(work.ledger, days=days, not_read=unread[:_SHOWN], not_read_more=max(0, len(unread) - _SHOWN))
+    work.ledger = replace(work.ledger, days=days, not_read=unread[:SHOWN], not_read_more=max(0, len(unread) - SHOWN))
     told = f"{report.executions} executions, {report.recordings_new} recordings read"
     told += f"; not read: {work.ledger.unread}" if unread else ""
     return ("unchanged" if report.unchanged else "done"), told
@@ -160,7 +160,7 @@ def _train(work: CellAtWork) -> tuple[State, str]:
     cell, dataset = work.cell, dataset_of(work.cell)
     if dataset is None:
         return "skipped", "there is no dataset"
-    model = _model(cell)
+    model = _trained_model(cell)
     if model is not None and (kept := _still_good(model, dataset)) is not None:
         return "unchanged", kept
     spec = ModelSpec.of(seed=cell.seed, epochs=cell.epochs)
@@ -189,14 +189,14 @@ def _still_good(model: TrainedModel, dataset: Dataset) -> str | None:
 
 def _report(work: CellAtWork) -> tuple[State, str]:
     cell, days = work.cell, work.ledger.days
-    dataset, model = dataset_of(cell), _model(cell)
+    dataset, model = dataset_of(cell), _trained_model(cell)
     if dataset is None:
         return "skipped", "there is no dataset"
     wanted = [] if cell.sequences is None else load_sequences(mirrored(cell.sequences))
     dated = {session: day.isoformat() for session, day in days.items()}
     card = None if model is None else plain(model.card)
-    mark = mark_of(dataset, card, asked_for(wanted), dated, cell.looks)
-    if work.ledger.reported == mark and is_there(cell.report):
+    mark = fingerprint_of(dataset, card, asked_for(wanted), dated, cell.looks)
+    if work.ledger.reported == mark and output_exists(cell.report):
         return "unchanged", "nothing is new"
     judged = None if model is None else _judged(model, dataset)
     drift = "there is no model" if model is None else since_last_month(model, dataset, days)
@@ -220,13 +220,13 @@ def asked_for(sequences: Sequence[TaskSequence]) -> list[object]:
     return [[each.name, each.places, each.operator, [vars(task) for task in each.plan]] for each in sequences]
 
 
-def mark_of(dataset: Dataset, *others: object) -> str:
+def fingerprint_of(dataset: Dataset, *others: object) -> str:
     """Return a hash of the version, the dataset and other plain values, to detect changes."""
     known = [version("cyclekit"), fingerprint(dataset), *others]
     return hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def is_there(place: str) -> bool:
+def output_exists(place: str) -> bool:
     """Return whether an output still exists; assumed for a URL."""
     return is_url(place) or Path(place).exists()
 
@@ -255,7 +255,7 @@ def dataset_of(cell: FleetCell) -> Dataset | None:
         return None
 
 
-def _model(cell: FleetCell) -> TrainedModel | None:
+def _trained_model(cell: FleetCell) -> TrainedModel | None:
     try:
         return load_model(cell.model)
     except (ModelError, NothingPublished):  # none, or one of an earlier version

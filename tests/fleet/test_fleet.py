@@ -22,7 +22,7 @@ from cyclekit.dataset.cards import FiguresCard, SplitCard, TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.fleet.months import day_in, days_of, since_last_month, since_training
-from cyclekit.fleet.stages import work_on
+from cyclekit.fleet.stages import run_stages
 from cyclekit.learning.networks.saved import load_model
 from cyclekit.parallel.engine import Engine
 from cyclekit.report.fleet_page import CellLine, fleet_page
@@ -181,7 +181,7 @@ def test_a_fault_of_ours_in_one_cell_is_told_as_one(one_day: Path, tmp_path: Pat
 
     (cell,) = fleets.load_fleet(fleet_of(tmp_path, one_day, "a")).cells
     monkeypatch.setitem(fleets.STAGES, "ingest", faulty)
-    (row,) = work_on(cell, stages=["ingest"])
+    (row,) = run_stages(cell, stages=["ingest"])
     assert (row.state, row.text) == ("failed", "internal error: KeyError: 'no such thing'")
 
 

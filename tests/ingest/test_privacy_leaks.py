@@ -18,7 +18,7 @@ from cyclekit.cli import run
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, LogError
 from cyclekit.fleet import load_fleet
-from cyclekit.fleet.stages import work_on
+from cyclekit.fleet.stages import run_stages
 from cyclekit.ingest.ingest import ingest
 from cyclekit.ingest.pseudonymise import without_times
 from cyclekit.learning.networks.spec import ModelSpec
@@ -220,7 +220,7 @@ def test_a_fleet_forgets_the_days_of_before(named: Path, tmp_path: Path) -> None
     ledger = Path(cell.folder) / "cell.json"
     ledger.parent.mkdir(parents=True)
     ledger.write_text(json.dumps({"days": {"2025-10-09_Anna_Muster": "2025-10-09"}}), encoding="utf-8")
-    work_on(cell, stages=["ingest"])
+    run_stages(cell, stages=["ingest"])
     assert not leaking(Path(cell.folder))
 
 

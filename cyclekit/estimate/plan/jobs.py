@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta
 
-from cyclekit.config.toml_file import followed, read_toml
+from cyclekit.config.toml_file import read_toml, to_dataclass
 from cyclekit.errors import ConfigError, UnknownName
 
 if TYPE_CHECKING:
@@ -172,4 +172,4 @@ def load_jobs(path: Path) -> Jobs:
     raw = read_toml(path)
     if not raw:
         raise ConfigError(f"{path}: no jobs in it", cure=_EXAMPLE)
-    return followed(str(path), raw, Jobs, shown=str(path), unlogged=frozenset())
+    return to_dataclass(str(path), raw, Jobs, shown=str(path), unlogged=frozenset())

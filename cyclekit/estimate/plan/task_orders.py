@@ -22,7 +22,7 @@ import numpy as np
 from msgspec import Meta
 
 from cyclekit.config.sequences import PlannedTask, TaskSequence
-from cyclekit.config.toml_file import followed, read_toml
+from cyclekit.config.toml_file import read_toml, to_dataclass
 from cyclekit.config.write import sequence_to_toml
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.gantt import gantt_figure
@@ -145,7 +145,7 @@ def load_task_jobs(path: Path) -> TaskJobs:
     if "task" not in raw:
         seen = f"{path}: no [[task]] in it, and a model of task times orders tasks of both agents"
         raise ConfigError(seen, cure=_EXAMPLE)
-    return followed(str(path), raw, TaskJobs, shown=str(path))
+    return to_dataclass(str(path), raw, TaskJobs, shown=str(path))
 
 
 def plan_tasks(

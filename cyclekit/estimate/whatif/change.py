@@ -52,7 +52,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from cyclekit.config.cells import Levels, Number, Point
-from cyclekit.config.toml_file import followed, list_at, read_toml
+from cyclekit.config.toml_file import read_toml, require_list, to_dataclass
 from cyclekit.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -259,9 +259,9 @@ def load_changes(path: Path) -> list[Change]:
         ConfigError: The file cannot be read, holds no change, or a change is invalid.
     """
     raw = read_toml(path)
-    if not list_at(str(path), raw, "change") and not set(raw) - {"change"}:
+    if not require_list(str(path), raw, "change") and not set(raw) - {"change"}:
         raise ConfigError(f"{path}: no [[change]] in it", cure=_EXAMPLE)
-    return [_change(entry, number) for number, entry in enumerate(followed(str(path), raw, _File).change)]
+    return [_change(entry, number) for number, entry in enumerate(to_dataclass(str(path), raw, _File).change)]
 
 
 @dataclass(frozen=True)

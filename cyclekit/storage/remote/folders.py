@@ -48,6 +48,11 @@ def join(place: Path | str, name: str) -> str:
     return f"{url.rstrip('/')}/{name}{mark}{options}"
 
 
+def from_folder(folder: Path, place: str) -> str:
+    """Return a path given in a file of `folder`, to which it may be relative; a URL is unchanged."""
+    return place if is_url(place) else join(folder, place)
+
+
 def local(place: Path | str) -> Path:
     """Return the local path of a folder, fetched if it is at a URL.
 

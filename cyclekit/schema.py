@@ -7,6 +7,7 @@ zero.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ import polars as pl
 from cyclekit.errors import ShapeError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     import numpy as np
     from numpy.typing import NDArray
@@ -30,9 +31,9 @@ if TYPE_CHECKING:
     Singles = NDArray[np.float32]
     Ints = NDArray[np.int64]
     Bools = NDArray[np.bool_]
-    Progress = Callable[[float, str], None]
-    """Callback for progress: fraction done, 0 to 1, and text."""
 
+Progress = Callable[[float, str], None]
+"""Callback for progress: fraction done, 0 to 1, and text."""
 _AS_IT_IS = pl.QueryOptFlags.none()
 SCHEMA_VERSION = 5
 """Version of the dataset layout; a dataset of another version is rejected."""

@@ -11,13 +11,12 @@ from types import NoneType, UnionType
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from cyclekit.errors import UnknownName, WrongType
+from cyclekit.schema import Progress as Progress
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 Place = str | Path
-Progress = Callable[[float, str], None]
-"""Called with the fraction done, 0 to 1, and a text."""
 
 
 def checked(function: Callable[P, R], home: str | None = None, name: str | None = None) -> Callable[P, R]:

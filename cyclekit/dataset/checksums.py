@@ -37,6 +37,8 @@ _AT_ONCE, _TAKEN = 4, 64
 _SEAL = ',\n "card_blake3": "{}"\n}}\n'
 _ENDS_AS_SEALED = re.compile(r',\n "[^"\n]*": "[0-9a-f]{64}"\n}\n\Z')
 
+_MAX_KNOWN = 1 << 17
+"""Maximum number of cached digests: those of 32 GiB."""
 _known: dict[tuple[int, ...], str] = {}
 """Cached digests by device, inode, size and time of a file, piece size and piece number."""
 
@@ -177,14 +179,16 @@ def _of_part(part: tuple[int, Path, int, Sequence[int]]) -> list[str]:
     try:
         about = file.stat()
         identity = (about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns, piece)
-        missing = [number for number in numbers if (*identity, number) not in _known]
+        known = {number: _known.get((*identity, number)) for number in numbers}
+        missing = [number for number, digest in known.items() if digest is None]
         found = dict(zip(missing, _hashed_pieces(file, piece, missing), strict=True)) if missing else {}
-        digests = [_known.get((*identity, number)) or found[number] for number in numbers]
         if time.time_ns() - about.st_mtime_ns > _YOUNG_NS:
+            if len(_known) + len(found) > _MAX_KNOWN:
+                _known.clear()
             _known.update({(*identity, number): digest for number, digest in found.items()})
     except OSError:
         return [""] * len(numbers)
-    return digests
+    return [known[number] or found[number] for number in numbers]
 
 
 def _hashed_pieces(file: Path, piece: int, numbers: Iterable[int]) -> Iterator[str]:

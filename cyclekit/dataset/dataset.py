@@ -268,7 +268,7 @@ class Dataset:
 
     def every_task(self) -> pl.DataFrame:
         """Return one row per task of either agent, found in motion or from a task list (table TASKS)."""
-        self._files.check_memory([self._files.whole(TASKS)], list(schema.TASKS))
+        self._files.check_memory([self._files.verified_file(TASKS)], list(schema.TASKS))
         return self._files.collected(self._tasks(list(schema.TASKS)), TASKS)
 
     def done_tasks(self) -> pl.DataFrame:
@@ -278,7 +278,7 @@ class Dataset:
 
     def quarantine(self) -> pl.DataFrame:
         """Return every row that was set aside (table QUARANTINE), ordered by recording."""
-        file = self._files.whole(QUARANTINE)
+        file = self._files.verified_file(QUARANTINE)
         self._files.check_memory([file], list(schema.QUARANTINE))
         rows = self._files.scan([file], schema.QUARANTINE, list(schema.QUARANTINE))
         return self._files.collected(rows, QUARANTINE)
@@ -345,7 +345,7 @@ class Dataset:
         return int(sum(one.end_s - one.start_s for one in entries) * self.rate_hz) + 2 * len(entries)
 
     def _tasks(self, columns: Sequence[str]) -> pl.LazyFrame:
-        file = self._files.whole(TASKS)
+        file = self._files.verified_file(TASKS)
         return self._mine(self._files.scan([file], schema.TASKS, columns, added=schema.ADDED_TO_TASKS))
 
     def _scan(self, files: Sequence[Path], columns: Sequence[str]) -> pl.LazyFrame:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.dataset.checksums import change, changes, reading, unreadable
-from cyclekit.dataset.footers import check_rows, sample_files
+from cyclekit.dataset.row_counts import check_rows, sample_files
 from cyclekit.dataset.shared_index import INDEX, RECORDING, shared_rows
 from cyclekit.errors import DatasetError
 from cyclekit.storage.memory import memory_limit_bytes
@@ -77,9 +77,9 @@ class DatasetFiles:
         else:
             names = sorted(name for name in self._listed if name.startswith("samples/"))
         stems = {name: name.removeprefix("samples/").removesuffix(".parquet") for name in names}
-        return [self.whole(name) for name in names if parts is None or stems[name] in parts]
+        return [self.verified_file(name) for name in names if parts is None or stems[name] in parts]
 
-    def whole(self, name: str) -> Path:
+    def verified_file(self, name: str) -> Path:
         """Return a file that will be read completely.
 
         Raises:
@@ -167,7 +167,7 @@ class DatasetFiles:
         """
         near = pl.col("t_s").is_between(first_s, last_s)
         if self._size(name) < PARTLY_BYTES:
-            return pl.scan_parquet(self.whole(name), glob=False).filter(near)
+            return pl.scan_parquet(self.verified_file(name), glob=False).filter(near)
         from cyclekit.storage.parquet_layout import spans  # local: reading logs does not need Arrow
 
         file, wanted = self._with_footer(name), None if columns is None else {"t_s", *columns}
@@ -176,14 +176,14 @@ class DatasetFiles:
         rows = pl.scan_parquet(self._checked(name, within), glob=False).filter(near)
         return rows if columns is None else rows.select(list(dict.fromkeys(["t_s", *columns])))
 
-    def of_columns(self, name: str, columns: Sequence[str]) -> Path:
+    def verified_columns(self, name: str, columns: Sequence[str]) -> Path:
         """Return a file of which only some columns will be read, by Arrow, which reads nothing else of a large file.
 
         Raises:
             DatasetError: It is missing or damaged there.
         """
         if self._size(name) < SMALL_TABLE_BYTES:
-            return self.whole(name)
+            return self.verified_file(name)
         from cyclekit.storage.parquet_layout import spans
 
         file = self._with_footer(name)
@@ -216,9 +216,13 @@ class DatasetFiles:
         Raises:
             DatasetError: The file or the index is missing or damaged, or the number of rows differs from the card.
         """
-        if not self.has(INDEX) or not self.whole(INDEX) or (rows := shared_rows(self._path, recording, table)) is None:
+        if (
+            not self.has(INDEX)
+            or not self.verified_file(INDEX)
+            or (rows := shared_rows(self._path, recording, table)) is None
+        ):
             return None
-        file = self.whole(rows.file)
+        file = self.verified_file(rows.file)
         if rows.count != count:
             seen = f"the index states {rows.count:,} rows of {recording}, dataset.json {count:,}"
             raise unreadable(file, self._path, seen)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from cyclekit import schema
 from cyclekit.dataset import checksums
 from cyclekit.dataset.cards import BadCard, dataset_card, parse_json, read_content
-from cyclekit.dataset.footers import check_tables
+from cyclekit.dataset.row_counts import check_tables
 from cyclekit.errors import DatasetError, command_line
 from cyclekit.storage.atomic import recover
 from cyclekit.storage.identify import DATASET_CARD, kind_of_path, kind_of_toml

@@ -41,7 +41,7 @@ class RecordedTables:
             return self._files.collected(shared, _recorded(recording, table))
         if (name := self._native(recording, table)) is None:
             return None
-        file = self._files.whole(name)
+        file = self._files.verified_file(name)
         with checksums.reading(file, self._path):
             rows = pl.scan_parquet(file, glob=False)
             columns = rows.collect_schema().names()
@@ -64,7 +64,7 @@ class RecordedTables:
         if (shared := self._shared(recording, table)) is not None:
             yield self._files.collected(shared.select("t_s"), _recorded(recording, table))
             return
-        file = self._files.of_columns(self._native(recording, table) or _recorded(recording, table), ["t_s"])
+        file = self._files.verified_columns(self._native(recording, table) or _recorded(recording, table), ["t_s"])
         with checksums.reading(file, self._path):
             stored = StoredTable(file, ("t_s",))
             for begin, end in stored.groups:
@@ -78,7 +78,7 @@ class RecordedTables:
         if self._shared(recording, "robot") is not None and (rows := shared_rows(self._path, recording, "robot")):
             return SharedTable(self._path, rows, columns)
         name = self._native(recording, "robot") or _recorded(recording, "robot")
-        file = self._files.of_columns(name, columns)
+        file = self._files.verified_columns(name, columns)
         with checksums.reading(file, self._path):
             return StoredTable(file, columns)
 

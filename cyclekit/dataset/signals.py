@@ -154,7 +154,7 @@ def logged_bits(entry: LogCard, stored: Stored, columns: Sequence[str] = tuple(_
     return found
 
 
-def held_bits(entry: LogCard, stored: Stored, names: Collection[str]) -> dict[str, SignalChanges]:
+def constant_bits(entry: LogCard, stored: Stored, names: Collection[str]) -> dict[str, SignalChanges]:
     """Return those of the named inputs and outputs that are logged but never change, with their value.
 
     `logged_bits` leaves them out: most bits of a controller never change, and only a comparison of recordings shows

@@ -53,7 +53,7 @@ def inputs_in_plane(X: Points) -> Points:
     return inputs
 
 
-def said_of_height(samples: pl.DataFrame) -> list[str]:
+def height_notes(samples: pl.DataFrame) -> list[str]:
     """Return a sentence on the share of samples in which the operator's height is unknown; nothing if always known.
 
     Args:

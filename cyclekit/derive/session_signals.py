@@ -10,8 +10,8 @@ import numpy as np
 import polars as pl
 
 from cyclekit.dataset.cards import note
-from cyclekit.dataset.signals import INPUT, OUTPUT, SignalChanges, held_bits, values_of
 from cyclekit.derive.concatenated import APART_S, commanded_samples, shifts_apart
+from cyclekit.dataset.signals import INPUT, OUTPUT, SignalChanges, constant_bits, values_of
 from cyclekit.derive.operator_signals import FoundSignals, SignalEvidence, find_signals
 from cyclekit.derive.seen_slow import Switches
 from cyclekit.scaling.response import LevelChange, SafetyResponse, changes_of, rate_of
@@ -139,7 +139,7 @@ def _add_held(made: Sequence[Made], values: dict[str, dict[str, SignalChanges]],
         wired = not is_tracked(mine) or any(name.startswith(INPUT) for name in values[mine.session])
         if wired and (lacks := bits.difference(values[mine.session])):
             for entry in mine.recordings:
-                for name, held in held_bits(entry, stored, lacks).items():
+                for name, held in constant_bits(entry, stored, lacks).items():
                     values[mine.session].setdefault(name, held._replace(t_s=_ALWAYS_S))
     for name in names:
         states = {mine.session: values[mine.session].get(name) for mine in made}

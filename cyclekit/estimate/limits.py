@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.alignment.clocks import ASSUMED
-from cyclekit.dataset.unknown_height import said_of_height
+from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import EstimateError, ModelError
 from cyclekit.estimate.check import Check, check_rollout
 from cyclekit.estimate.entry import LEAST_SUPPORT
@@ -102,7 +102,7 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     if model.card.operator_signals or not isinstance(model, OnStates):
         found += left_out(model.card, dataset)
     samples = dataset.samples(columns=["execution", "human_x_m", "human_z_m", "human_gap", "scaling_origin"])
-    found += said_of_height(samples)
+    found += height_notes(samples)
     absent = samples.filter(nobody_there()).height / max(samples.height, 1)
     if absent > 0.01 and not isinstance(model, OnStates) and model.card.scaling_without_operator is None:
         found.append(f"in {absent:.0%} of the samples there is no operator: full speed assumed")

@@ -42,13 +42,12 @@ from cyclekit.learning.unseen.saved import holds_unseen, load_unseen
 from cyclekit.storage.atomic import recover
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from cyclekit.dataset.cards import ClockCard, OperatorCard, RecordingCard
     from cyclekit.ingest.discover import Log
     from cyclekit.inspect.facts import SafetyFacts, TaskListFacts
-
-    Progress = Callable[[float, str], None]
+    from cyclekit.schema import Progress
 
 _OF_SAMPLES = (*lost_time.COLUMNS, "scaling_sd", "scaling_gap", "scaling_origin")
 

@@ -15,7 +15,7 @@ from cyclekit import schema
 from cyclekit.dataset.cards import LevelShare, MetricsCard, Note, RowsCard, StandardisationCard, TrainingCard, note
 from cyclekit.dataset.dataset import Dataset, People
 from cyclekit.dataset.guard import check_output
-from cyclekit.dataset.unknown_height import said_of_height
+from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import ModelError
 from cyclekit.extras import need
 from cyclekit.learning.coupling.learn import learn_coupling
@@ -148,7 +148,7 @@ def _card(
         *found.notes,
         *mixed(dataset),
         *(one for one in dataset.card.warnings if one.code in OF_FRAMES),
-        *(note("model-data", text=text) for text in said_of_height(found.seen)),
+        *(note("model-data", text=text) for text in height_notes(found.seen)),
         *found.staircase.warnings,
         *_other_opinion(dataset, found.seen, found.staircase),
         *beaten,

@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.alignment.clocks import ASSUMED
-from cyclekit.dataset.unknown_height import in_plane, said_of_height
+from cyclekit.dataset.unknown_height import height_notes, in_plane
 from cyclekit.replay.crowd import Skeletons, other_people, skeletons
 from cyclekit.replay.floor import FloorZones, learned_zones, rule_shapes
 
@@ -255,7 +255,7 @@ def _notes(rows: pl.DataFrame, joints: JointAngles | None, model: PredictsNow | 
         notes.append(f"The log has no robot tool position: {seen}.")
     if not rows["human_x_m"].count():
         notes.append("No operator position: the operator was absent or not tracked.")
-    notes += [f"{text[0].upper()}{text[1:]}." for text in said_of_height(rows)]
+    notes += [f"{text[0].upper()}{text[1:]}." for text in height_notes(rows)]
     if not rows["scaling"].count():
         notes.append("Speed scaling is unknown in this execution.")
     if model is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from fabricated import fabricate_dataset
 
+from cyclekit.dataset import checksums
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError
 from cyclekit.storage import memory
@@ -117,3 +119,15 @@ def test_a_limit_of_a_container_is_read(tmp_path: Path, monkeypatch: pytest.Monk
     (tmp_path / "some").write_text("1073741824\n")
     monkeypatch.setattr(memory, "_CGROUPS", (str(tmp_path / "none"), str(tmp_path / "max"), str(tmp_path / "some")))
     assert memory._container() == 1 << 30
+
+
+def test_the_cache_of_digests_is_limited(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(checksums, "_MAX_KNOWN", 3)
+    monkeypatch.setattr(checksums, "_known", {})
+    for number in range(5):
+        file = tmp_path / str(number)
+        file.write_bytes(bytes(number))
+        os.utime(file, (1.0, 1.0))  # a digest of a file written just now is not cached
+    first = checksums.listed(tmp_path)
+    assert 0 < len(checksums._known) <= 3
+    assert checksums.listed(tmp_path) == first

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.config.sequences import TaskSequence
-from cyclekit.dataset.unknown_height import said_of_height
+from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
 from cyclekit.estimate.joint.answer import waits_are_known
 from cyclekit.estimate.limits import ENDLESS, validated
@@ -178,7 +178,7 @@ def plan(
         doubts=found.doubts,
         alarm=found.check.alarm if found.check else None,
         unlogged=tuple(unlogged),
-        notes=tuple(said_of_height(dataset.samples(columns=["human_x_m", "human_z_m"]))),
+        notes=tuple(height_notes(dataset.samples(columns=["human_x_m", "human_z_m"]))),
     )
 
 

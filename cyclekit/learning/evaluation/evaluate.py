@@ -14,7 +14,7 @@ import numpy as np
 
 from cyclekit.dataset.cards import MetricsCard, plain
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.dataset.unknown_height import said_of_height
+from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.learning.evaluation.baselines import Rival, boosted, rivals
 from cyclekit.learning.evaluation.drift import Drift, drift
@@ -183,7 +183,7 @@ def evaluate(
         notes.append(
             f"{len(executions)} of {every} executions are evaluated, drawn at random: the memory is too small for all"
         )
-    notes += said_of_height(dataset.samples(executions, columns=["human_x_m", "human_z_m"]))
+    notes += height_notes(dataset.samples(executions, columns=["human_x_m", "human_z_m"]))
     if same:
         tell(0.4, "reading the training samples of the baselines")
         learned = _rows(model, dataset, some_executions(dataset, _learned_from(model), memory_rows()))

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.dataset.cards import plain
-from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE, said_of_height
+from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE, height_notes
 from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.learning.rules.distances import DISTANCES
@@ -266,7 +266,7 @@ def _rows(dataset: Dataset) -> tuple[ScalingSamples, list[str]]:
     """Return the samples, and notes on unknown heights."""
     robots, humans = ([f"{who}_{axis}_m" for axis in "xyz"] for who in ("robot", "human"))
     rows = dataset.samples(columns=["execution", "t_s", "scaling", *robots, *humans])
-    told = said_of_height(rows)
+    told = height_notes(rows)
     rows = rows.with_columns(human_z_m=HUMAN_Z_IN_PLANE)
     known = rows.drop_nulls(["robot_x_m", *humans, "scaling"])
     robot, human = (known.select(names).to_numpy() for names in (robots, humans))

@@ -8,14 +8,14 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.people.tracks import SPOT_M
+from cyclekit.people.tracks import PLACE_M
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.dataset.cards import ExecutionCard
     from cyclekit.dataset.dataset import Place
-    from cyclekit.people.activity import Stays
+    from cyclekit.people.activity import OperatorStandstills
 
 AWAY_S = 1.5
 """Minimum absence, s: an operator who returns to a place sooner has not left it."""
@@ -31,7 +31,7 @@ class _Visit(NamedTuple):
 
 def operator_tasks(
     cards: Sequence[ExecutionCard],
-    stays: Sequence[Stays],
+    stays: Sequence[OperatorStandstills],
     spots: Mapping[str, Place],
     until_s: Sequence[float] | None = None,
 ) -> list[tuple[object, ...]]:
@@ -72,10 +72,10 @@ def operator_tasks(
     return schema.conform(pl.DataFrame(rows, schema=kinds), schema.TASKS).rows()
 
 
-def _visits(stays: Stays, spots: Mapping[str, Place]) -> list[_Visit]:
+def _visits(stays: OperatorStandstills, spots: Mapping[str, Place]) -> list[_Visit]:
     names = list(spots)
     centres = np.array([spots[name].xyz_m[:2] for name in names]).reshape(-1, 2)
-    reach_m = np.array([max(spots[name].radius_m, SPOT_M) for name in names])
+    reach_m = np.array([max(spots[name].radius_m, PLACE_M) for name in names])
     found: list[_Visit] = []
     for (arrived_s, left_s), xyz_m in zip(stays.times_s.tolist(), stays.at_m, strict=True):
         far = np.linalg.norm(centres - xyz_m[:2], axis=1)

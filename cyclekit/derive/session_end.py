@@ -12,8 +12,8 @@ from cyclekit import schema
 from cyclekit.derive.causes import Evidence, lost_shares
 from cyclekit.derive.sample_file import AT_ONCE, write_samples
 from cyclekit.derive.seen_slow import Switches, rows_of
-from cyclekit.people.activity import Stays, with_goals
-from cyclekit.people.tracks import goals_from_stays
+from cyclekit.people.activity import OperatorStandstills, with_goals
+from cyclekit.people.tracks import goals_from_standstills
 from cyclekit.scaling.response import Changes, LevelChange, changes_of
 from cyclekit.segmentation.stored_run import Run, pieces
 from cyclekit.storage.parquet import parts_of
@@ -50,7 +50,7 @@ class Left:
     part: str
     runs: Sequence[Run]
     label: NDArray[np.int32]
-    stays: Sequence[Stays]
+    stays: Sequence[OperatorStandstills]
     absence: Absence
     switches: Mapping[str, Switches]
     legs: Floats
@@ -221,7 +221,7 @@ def _goals(left: Left, spots: Mapping[str, Place]) -> list[str | None]:
     """Return the operator's goal at each sample, from standstills; None where logged events give it."""
     if left.told:
         return [None] * len(left.label)
-    return [goal for s in left.stays for goal in goals_from_stays(s.spans, s.at_m, s.samples, spots)]
+    return [goal for s in left.stays for goal in goals_from_standstills(s.spans, s.at_m, s.samples, spots)]
 
 
 def _with_absence(samples: pl.DataFrame, until_s: Vector, from_s: Vector) -> pl.DataFrame:

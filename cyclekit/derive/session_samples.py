@@ -19,7 +19,7 @@ from cyclekit.dataset.sessions import WITHOUT_PLACES, Session
 from cyclekit.derive.sample_file import AT_ONCE, Coded, SampleRows, in_frames, write_samples
 from cyclekit.derive.task_lists import listed_in, operator_rows
 from cyclekit.errors import EstimateError
-from cyclekit.people.activity import Seen, Stays, Watch
+from cyclekit.people.activity import OperatorStandstills, Seen, SessionPeople
 from cyclekit.segmentation.stored_run import Run, Sampled, sampled
 from cyclekit.segmentation.time_account import ExecutedTask, time_account
 
@@ -84,8 +84,8 @@ class Made:
     samples: int = 0
     cards: list[ExecutionCard] = field(default_factory=list)
     tasks: list[tuple[object, ...]] = field(default_factory=list)
-    stays: list[Stays] = field(default_factory=list)
-    later: list[tuple[Stays, float]] = field(default_factory=list)
+    stays: list[OperatorStandstills] = field(default_factory=list)
+    later: list[tuple[OperatorStandstills, float]] = field(default_factory=list)
     origins: set[str] = field(default_factory=set)
     silences: list[Silence] = field(default_factory=list)
     legs: list[ExecutedTask] = field(default_factory=list)
@@ -129,16 +129,16 @@ def samples_of(
                 continue
             courses = _courses(work, dwells, places, cell)
             if (first := next(courses, None)) is not None:
-                watch = Watch(session, sources, read, cell)
-                yield from _rows(session, chain([first], courses), watch, mine)
+                people = SessionPeople(session, sources, read, cell)
+                yield from _rows(session, chain([first], courses), people, mine)
                 listed_rows, said = operator_rows(session, mine.cards, read)
                 mine.tasks.extend(listed_rows)
-                seen = watch.cards()
+                seen = people.cards()
                 mine.recordings = tuple(
                     replace(one, operator=seen.get(one.id), listed=said if "task_list" in one.tables else ())
                     for one in session.recordings
                 )
-                mine.silences.extend(watch.silences)
+                mine.silences.extend(people.silences)
 
     frames = in_frames(rows(), AT_ONCE)
     if (begin := next(frames, None)) is not None:
@@ -146,13 +146,13 @@ def samples_of(
     return made
 
 
-def _rows(session: Session, courses: Iterable[_Course], watch: Watch, made: Made) -> Iterator[SampleRows]:
+def _rows(session: Session, courses: Iterable[_Course], people: SessionPeople, made: Made) -> Iterator[SampleRows]:
     """Yield the samples of a session in parts, as an execution may be as long as its log; fill `made`."""
     before: tuple[Seen, Vector, Points] | None = None
     for course in courses:
-        seen = watch.during(course.t_s, course.tcp_m)
+        seen = people.during(course.t_s, course.tcp_m)
         if before is not None:
-            made.later.append(watch.stays_until(float(course.t_s[0]), *before))
+            made.later.append(people.standstills_until(float(course.t_s[0]), *before))
         before = seen, course.t_s, course.tcp_m
         for first in range(0, len(course.t_s), AT_ONCE):
             yield _columns(course, seen, slice(first, first + AT_ONCE))
@@ -162,9 +162,9 @@ def _rows(session: Session, courses: Iterable[_Course], watch: Watch, made: Made
         made.tasks.extend(_task_rows(course.name, course.legs))
         made.legs.extend(course.legs)
         made.cards.append(_card(session, course, made.part))
-        made.stays.append(seen.stays)
+        made.stays.append(seen.standstills)
     if before is not None:
-        made.later.append(watch.stays_until(np.inf, *before))
+        made.later.append(people.standstills_until(np.inf, *before))
 
 
 @dataclass(frozen=True)

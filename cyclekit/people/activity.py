@@ -20,14 +20,14 @@ from cyclekit.people.silence import Silence
 from cyclekit.people.tracks import (
     REASONS,
     PersonTrack,
-    find_spots,
-    find_stays,
+    find_operator_places,
+    find_operator_standstills,
     gap_reasons,
     goals_from_events,
     ids_are_real,
     link_by_motion,
     nearest_person,
-    spot,
+    operator_place,
     without_jumps,
 )
 
@@ -65,7 +65,7 @@ class _Log:
 
 
 @dataclass(frozen=True)
-class Stays:
+class OperatorStandstills:
     """Standstills of the operator in one execution.
 
     Attributes:
@@ -94,13 +94,13 @@ class Seen:
         reasons: Whether any log of the session sees an operator, or why not, shape (T,), indices into REASONS; None =
             there is no log of people.
         goals: Goal from events at each of the T samples; empty if the session has no goal events.
-        stays: Standstills of the operator.
+        standstills: Standstills of the operator.
     """
 
     human_m: Points
     reasons: NDArray[np.int8] | None
     goals: list[str | None]
-    stays: Stays
+    standstills: OperatorStandstills
 
     def columns(self, rows: slice) -> dict[str, NDArray[Any] | list[str | None]]:
         """Return the operator's columns of table SAMPLES for some samples; NaN = null."""
@@ -113,7 +113,7 @@ class Seen:
         return columns
 
 
-class Watch:
+class SessionPeople:
     """The people of one session, evaluated execution by execution."""
 
     def __init__(self, session: Session, sources: Mapping[str, Source | None], read: Read, cell: Cell) -> None:
@@ -145,9 +145,11 @@ class Watch:
         goals = goals_from_events(*self._events, t_s) if len(self._events[0]) else []
         if self._nobody_logged and not found:
             found = [np.full(len(t_s), REASONS.index("outside"), np.int8)]
-        return Seen(human_m, np.min(found, axis=0) if found else None, goals, _stays(t_s, human_m, goals))
+        return Seen(human_m, np.min(found, axis=0) if found else None, goals, _standstills(t_s, human_m, goals))
 
-    def stays_until(self, next_s: float, seen: Seen, t_s: Vector, tcp_m: Points) -> tuple[Stays, float]:
+    def standstills_until(
+        self, next_s: float, seen: Seen, t_s: Vector, tcp_m: Points
+    ) -> tuple[OperatorStandstills, float]:
         """Return the operator's standstills from the start of an execution to that of the next, and the end time, s.
 
         Args:
@@ -160,13 +162,13 @@ class Watch:
         last_s, rate_hz = float(t_s[-1]), self._cell.rate_hz
         count = int(min(next_s - last_s, last_s - float(t_s[0])) * rate_hz)
         if count <= 0:
-            return seen.stays, last_s
+            return seen.standstills, last_s
         more_s = last_s + np.arange(1, count + 1) / rate_hz
         more_m = nearest_person(
             self._tracks, more_s, np.tile(tcp_m[-1], (count, 1)), bridge_s=self._cell.bridge_s, width_s=1.0 / rate_hz
         )
         whole_s, whole_m = np.concatenate([t_s, more_s]), np.concatenate([seen.human_m, more_m])
-        return _stays(whole_s, whole_m, []), float(whole_s[-1])
+        return _standstills(whole_s, whole_m, []), float(whole_s[-1])
 
     @property
     def silences(self) -> list[Silence]:
@@ -184,45 +186,47 @@ class Watch:
         }
 
 
-def _stays(t_s: Vector, human_m: Points, goals: Sequence[str | None]) -> Stays:
-    spans = find_stays(t_s, human_m)
+def _standstills(t_s: Vector, human_m: Points, goals: Sequence[str | None]) -> OperatorStandstills:
+    spans = find_operator_standstills(t_s, human_m)
     at_m = np.array([np.median(human_m[a : b + 1], axis=0) for a, b in spans]).reshape(-1, 3)
     # The middle sample decides, because at the end the next button is pressed before the operator is seen to walk.
     middles = [goals[(a + b) // 2] for a, b in spans] if goals else []
     times_s = np.array([(t_s[a], t_s[b]) for a, b in spans]).reshape(-1, 2)
-    return Stays(len(t_s), spans, times_s, at_m, middles, told=bool(goals))
+    return OperatorStandstills(len(t_s), spans, times_s, at_m, middles, told=bool(goals))
 
 
-def operator_places(stays: Sequence[Stays], cell: Cell) -> dict[str, Place]:
+def operator_places(standstills: Sequence[OperatorStandstills], cell: Cell) -> dict[str, Place]:
     """Return the operator's places: those of the cell file, and those of goals known only from buttons.
 
     Without goal events and places in the cell file, they are clusters of the operator's standstills.
 
     Args:
-        stays: Standstills of every execution of every session.
+        standstills: Standstills of every execution of every session.
         cell: Cell with its places.
     """
-    spots = {name: Place(name, p.xyz_m, p.radius_m, inferred=False) for name, p in cell.human_places.items()}
-    if not any(mine.told for mine in stays):
-        spots = spots or find_spots(np.concatenate([np.empty((0, 3)), *(mine.at_m for mine in stays)]))
+    places = {name: Place(name, p.xyz_m, p.radius_m, inferred=False) for name, p in cell.human_places.items()}
+    if not any(mine.told for mine in standstills):
+        places = places or find_operator_places(
+            np.concatenate([np.empty((0, 3)), *(mine.at_m for mine in standstills)])
+        )
     at: dict[str, list[Vector]] = {}
-    for mine in stays:
+    for mine in standstills:
         for name, xyz_m in zip(mine.goals, mine.at_m, strict=False):  # empty without goal events
-            if name is not None and name not in spots:
+            if name is not None and name not in places:
                 at.setdefault(name, []).append(xyz_m)
-    return spots | {name: spot(name, np.array(points)) for name, points in sorted(at.items())}
+    return places | {name: operator_place(name, np.array(points)) for name, points in sorted(at.items())}
 
 
-def with_goals(samples: pl.DataFrame, goals: Sequence[str | None], spots: Mapping[str, Place]) -> pl.DataFrame:
+def with_goals(samples: pl.DataFrame, goals: Sequence[str | None], places: Mapping[str, Place]) -> pl.DataFrame:
     """Return samples with the operator's task and g_h.
 
     Args:
         samples: Rows of table SAMPLES, from `Seen`.
         goals: Name of the goal at each sample.
-        spots: All places of the operator.
+        places: All places of the operator.
     """
     nowhere = (np.nan, np.nan, np.nan)
-    at = np.array([spots[name].xyz_m if name and name in spots else nowhere for name in goals]).reshape(-1, 3)
+    at = np.array([places[name].xyz_m if name and name in places else nowhere for name in goals]).reshape(-1, 3)
     columns = (pl.Series(f"human_goal_{axis}_m", at[:, k], nan_to_null=True) for k, axis in enumerate("xyz"))
     return samples.with_columns(*columns, pl.Series("human_task", goals, dtype=pl.String))
 

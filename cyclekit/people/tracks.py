@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Ints, Points, Vector
 
 
-STAY_M_S = 0.2
+STILL_M_S = 0.2
 """Horizontal speed, m/s, below which the operator stands still."""
-STAY_S = 0.8
+STILL_S = 0.8
 """Minimum duration of a standstill, s; shorter ones are hesitations."""
-SPOT_M = 0.4
+PLACE_M = 0.4
 """Maximum distance, m, of standstills at the same place."""
 
 
@@ -263,52 +263,52 @@ def goals_from_events(t_event_s: Vector, values: Sequence[str], t_s: Vector) -> 
     return [values[i] if i >= 0 else None for i in last.tolist()]
 
 
-def find_stays(t_s: Vector, human_m: Points) -> list[tuple[int, int]]:
-    """Return the standstills in one execution's samples as (first, last) rows: slow for at least STAY_S."""
+def find_operator_standstills(t_s: Vector, human_m: Points) -> list[tuple[int, int]]:
+    """Return the standstills in one execution's samples as (first, last) rows: slow for at least STILL_S."""
     if len(t_s) < 3:
         return []
     speed = np.linalg.norm(np.gradient(human_m[:, :2], t_s, axis=0), axis=1)
-    still = speed < STAY_M_S  # NaN compares false: an unseen operator is not at a standstill
+    still = speed < STILL_M_S  # NaN compares false: an unseen operator is not at a standstill
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     spans = [(a, b - 1) for a, b in edges.reshape(-1, 2).tolist()]
-    return [(a, b) for a, b in spans if t_s[b] - t_s[a] >= STAY_S]
+    return [(a, b) for a, b in spans if t_s[b] - t_s[a] >= STILL_S]
 
 
-def find_spots(stays: Points) -> dict[str, Place]:
+def find_operator_places(standstills: Points) -> dict[str, Place]:
     """Return the places of the operator from standstills (M, 3), m, named `spot_1`, ... by frequency.
 
     A place needs at least two standstills and 1 % of all of them.
     """
-    rows = np.arange(len(stays), dtype=np.int64)
-    floor = np.column_stack([stays[:, :2], np.zeros(len(stays))])
-    groups = [g for g in cluster(floor, rows, SPOT_M) if len(g) >= max(2, 0.01 * len(stays))]
-    spots = {}
+    rows = np.arange(len(standstills), dtype=np.int64)
+    floor = np.column_stack([standstills[:, :2], np.zeros(len(standstills))])
+    groups = [g for g in cluster(floor, rows, PLACE_M) if len(g) >= max(2, 0.01 * len(standstills))]
+    places = {}
     for number, group in enumerate(sorted(groups, key=len, reverse=True), 1):
-        spots[f"spot_{number}"] = spot(f"spot_{number}", stays[group])
-    return spots
+        places[f"spot_{number}"] = operator_place(f"spot_{number}", standstills[group])
+    return places
 
 
-def spot(name: str, points: Points) -> Place:
+def operator_place(name: str, points: Points) -> Place:
     """Return the place at the median of standstills (M, 3), m; without heights its z is 0, that of the robot's base."""
     heights = points[np.isfinite(points[:, 2]), 2]
     x, y = (round(float(v), 4) for v in np.nanmedian(points[:, :2], axis=0))
-    return Place(name, (x, y, round(float(np.median(heights)), 4) if len(heights) else 0.0), SPOT_M, inferred=True)
+    return Place(name, (x, y, round(float(np.median(heights)), 4) if len(heights) else 0.0), PLACE_M, inferred=True)
 
 
-def goals_from_stays(
-    stays: Sequence[tuple[int, int]], at_m: Points, samples: int, spots: Mapping[str, Place]
+def goals_from_standstills(
+    standstills: Sequence[tuple[int, int]], at_m: Points, samples: int, places: Mapping[str, Place]
 ) -> list[str | None]:
     """Return the goal per sample: the place of the present or next standstill, None if none follows.
 
-    `stays` are from `find_stays`; `at_m` are the operator's positions in them, shape (M, 3), m.
+    `standstills` are from `find_operator_standstills`; `at_m` are the operator's positions in them, shape (M, 3), m.
     """
     goals: list[str | None] = [None] * samples
-    names = list(spots)
-    centres = np.array([spots[name].xyz_m[:2] for name in names]).reshape(-1, 2)
+    names = list(places)
+    centres = np.array([places[name].xyz_m[:2] for name in names]).reshape(-1, 2)
     begin = 0
-    for (_, last), xyz_m in zip(stays, at_m, strict=True):
+    for (_, last), xyz_m in zip(standstills, at_m, strict=True):
         far = np.linalg.norm(centres - xyz_m[:2], axis=1)
-        if len(far) and far.min() <= SPOT_M:
+        if len(far) and far.min() <= PLACE_M:
             goals[begin : last + 1] = [names[int(far.argmin())]] * (last + 1 - begin)
         begin = last + 1
     return goals

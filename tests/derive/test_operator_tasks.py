@@ -8,15 +8,15 @@ from cyclekit import schema
 from cyclekit.dataset.cards import ExecutionCard
 from cyclekit.dataset.dataset import Place
 from cyclekit.derive.operator_tasks import operator_tasks
-from cyclekit.people.activity import Stays
+from cyclekit.people.activity import OperatorStandstills
 
 COLUMNS = list(schema.TASKS)
 SPOTS = {name: Place(name, (x_m, 0.0, 1.0), 0.2, inferred=True) for name, x_m in (("bench", 1.0), ("rest", 3.0))}
 
 
-def _stays(*times_s: tuple[float, float]) -> Stays:
+def _stays(*times_s: tuple[float, float]) -> OperatorStandstills:
     at_m = np.array([[1.0, 0.0, 1.0], [3.0, 0.0, 1.0]])[: len(times_s)]
-    return Stays(0, [(0, 0)] * len(times_s), np.array(times_s), at_m, [], told=False)
+    return OperatorStandstills(0, [(0, 0)] * len(times_s), np.array(times_s), at_m, [], told=False)
 
 
 def test_where_it_is_known_until_the_next_execution_no_visit_is_cut_by_the_robots_end() -> None:

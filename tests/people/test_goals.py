@@ -11,7 +11,12 @@ import pytest
 
 from cyclekit.dataset.dataset import Dataset, Place
 from cyclekit.ingest.ingest import ingest
-from cyclekit.people.tracks import find_spots, find_stays, goals_from_events, goals_from_stays
+from cyclekit.people.tracks import (
+    find_operator_places,
+    find_operator_standstills,
+    goals_from_events,
+    goals_from_standstills,
+)
 
 if TYPE_CHECKING:
     from simulated_cells import SimulatedCell
@@ -31,22 +36,22 @@ def staying() -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_stay_is_found_where_the_operator_stands_and_not_where_they_walk_or_are_not_seen():
     t_s, human = staying()
-    stays = find_stays(t_s, human)
+    stays = find_operator_standstills(t_s, human)
     edges = [float(t_s[row]) for stay in stays for row in stay]
     assert edges == pytest.approx([0.0, 3.0, 5.0, 8.0, 10.0, 12.9], abs=0.11)
     human[70:] = np.nan
-    assert len(find_stays(t_s, human)) == 2
+    assert len(find_operator_standstills(t_s, human)) == 2
 
 
 def test_without_buttons_the_goal_is_the_spot_of_the_stay_that_runs_or_comes_next():
     t_s, human = staying()
-    stays = find_stays(t_s, human)
-    spots = find_spots(np.array([np.median(human[a : b + 1], axis=0) for a, b in stays]))
+    stays = find_operator_standstills(t_s, human)
+    spots = find_operator_places(np.array([np.median(human[a : b + 1], axis=0) for a, b in stays]))
     assert list(spots) == ["spot_1"]  # a spot needs two stays, and x = 2 has one
     assert spots["spot_1"].xyz_m == pytest.approx((0.0, 0.0, 0.2))
     spots["spot_2"] = Place("spot_2", (2.0, 0.0, 0.2), 0.4, inferred=True)
     at_m = np.array([np.median(human[a : b + 1], axis=0) for a, b in stays])
-    goals = goals_from_stays(stays, at_m, len(human), spots)
+    goals = goals_from_standstills(stays, at_m, len(human), spots)
     assert [goals[int(10 * t)] for t in (1.0, 4.0, 6.0, 9.0, 12.0)] == [
         "spot_1",
         "spot_2",
@@ -54,7 +59,7 @@ def test_without_buttons_the_goal_is_the_spot_of_the_stay_that_runs_or_comes_nex
         "spot_1",
         "spot_1",
     ]
-    assert goals_from_stays(stays[:1], at_m[:1], len(human), spots)[60] is None
+    assert goals_from_standstills(stays[:1], at_m[:1], len(human), spots)[60] is None
 
 
 def test_the_operators_task_and_goal_are_those_of_the_buttons(boxes: SimulatedCell):

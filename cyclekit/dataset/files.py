@@ -216,11 +216,10 @@ class DatasetFiles:
         Raises:
             DatasetError: The file or the index is missing or damaged, or the number of rows differs from the card.
         """
-        if (
-            not self.has(INDEX)
-            or not self.verified_file(INDEX)
-            or (rows := shared_rows(self._path, recording, table)) is None
-        ):
+        if not self.has(INDEX):
+            return None
+        self.verified_file(INDEX)
+        if (rows := shared_rows(self._path, recording, table)) is None:
             return None
         file = self.verified_file(rows.file)
         if rows.count != count:

@@ -10,8 +10,8 @@ import numpy as np
 import polars as pl
 
 from cyclekit.dataset.cards import note
-from cyclekit.derive.concatenated import APART_S, commanded_samples, shifts_apart
 from cyclekit.dataset.signals import INPUT, OUTPUT, SignalChanges, constant_bits, values_of
+from cyclekit.derive.concatenated import APART_S, commanded_samples, shifts_apart
 from cyclekit.derive.operator_signals import FoundSignals, SignalEvidence, find_signals
 from cyclekit.derive.seen_slow import Switches
 from cyclekit.scaling.response import LevelChange, SafetyResponse, changes_of, rate_of

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.standstills import Standstill
     from cyclekit.segmentation.stored_run import Run
 
-MIN_STANDSTILLS = 3
+MIN_COUNT = 3
 """Minimum number of standstills at a waiting position."""
 
 
@@ -67,9 +67,7 @@ def _spots(stops: Sequence[Standstill]) -> Points:
     able = np.array([not stop.edge for stop in stops], bool)
     groups = cluster(xyz, np.flatnonzero(able), MERGE_M)
     free = np.array([stop.free is True for stop in stops], bool)
-    kept = [
-        group for group in groups if len(group) >= MIN_STANDSTILLS and 2 * np.count_nonzero(free[group]) >= len(group)
-    ]
+    kept = [group for group in groups if len(group) >= MIN_COUNT and 2 * np.count_nonzero(free[group]) >= len(group)]
     return np.array([np.median(xyz[group], axis=0) for group in kept]).reshape(-1, 3)
 
 

@@ -99,24 +99,21 @@ def test_after_waiting_a_signal_tells_how_much_of_a_halt_was_loss(tmp_path: Path
     assert tasks["wait_s"].to_list() == pytest.approx([0.0] * 4 + [2.0] + [0.0] * 7, abs=0.03)
 
 
-def standstills(after_s: dict[str, list[float]], lasts_s: list[float], *, halted: int = 0) -> Dwell:
-    """Return the dwell of stands of these lengths; the signals last changed so long before each departure."""
+def dwell_of(after_s: dict[str, list[float]], lasts_s: list[float], *, halted: int = 0) -> Dwell:
+    """Return the dwell of standstills of these lengths; `after_s`: time from last change to departure, s."""
     visits = tuple(Visit("table", i, i) for i in range(len(lasts_s) + 2))
     found = {}
     for i, visit in enumerate(visits):
         lasts = lasts_s[i - 1] if 0 < i <= len(lasts_s) else 1.0
         told = tuple((name, 100.0 * i - mine[i - 1]) for name, mine in after_s.items() if 0 < i <= len(mine))
-        departed_earliest_s = 100.0 * i - (0.5 if 0 < i <= halted else 0.0)
-        found[0, visit.first, visit.last] = PlaceStandstill(
-            100.0 * i - lasts, 100.0 * i - lasts, departed_earliest_s, 100.0 * i, told
-        )
+        free_s = 100.0 * i - (0.5 if 0 < i <= halted else 0.0)
+        arrived_s, left_s = 100.0 * i - lasts, 100.0 * i
+        found[0, visit.first, visit.last] = PlaceStandstill(arrived_s, arrived_s, free_s, left_s, told)
     return usual_dwells([Execution(0, visits, complete=True)], found)["table"]
 
 
 def test_the_steadiest_signal_is_the_sign_of_a_place():
-    dwell = standstills(
-        {"grip": [0.4, 0.4, 0.41, 3.0, 0.4], "lamp": [0.5, 0.8, 1.4, 2.0, 0.7]}, [1.0, 2.0, 3.0, 9.0, 1.0]
-    )
+    dwell = dwell_of({"grip": [0.4, 0.4, 0.41, 3.0, 0.4], "lamp": [0.5, 0.8, 1.4, 2.0, 0.7]}, [1.0, 2.0, 3.0, 9.0, 1.0])
     assert dwell.end_signal is not None
     assert (dwell.end_signal.signal, dwell.end_signal.after_s) == ("grip", pytest.approx(0.4))
 
@@ -130,13 +127,13 @@ def test_the_steadiest_signal_is_the_sign_of_a_place():
     ],
 )
 def test_other_signals_are_no_sign(after_s: list[float]):
-    assert standstills({"grip": after_s}, [1.0, 2.0, 3.0, 9.0, 1.0, 1.0]).end_signal is None
+    assert dwell_of({"grip": after_s}, [1.0, 2.0, 3.0, 9.0, 1.0, 1.0]).end_signal is None
 
 
 def test_stands_in_which_it_was_halted_do_not_say_what_is_usual():
-    assert standstills(
-        {"grip": [9.0, 9.0, 0.4, 0.4, 0.4]}, [9.5, 9.5, 1.0, 1.0, 1.0], halted=2
-    ).end_signal == EndSignal("grip", pytest.approx(0.4), pytest.approx(0.45))
+    assert dwell_of({"grip": [9.0, 9.0, 0.4, 0.4, 0.4]}, [9.5, 9.5, 1.0, 1.0, 1.0], halted=2).end_signal == EndSignal(
+        "grip", pytest.approx(0.4), pytest.approx(0.45)
+    )
 
 
 @at_most(60)

@@ -229,9 +229,8 @@ def _inferred(run: Run, motion: _Motion, reference: Reference, noise: Mapping[in
     if repetition is None or repetition.points.shape[1] != reference.path.points.shape[1]:
         return None
     if run.knows_scaling:
-        return (
-            None if takes_another(reference.path, repetition) else InferredScaling(motion.first, _NONE, _NONE, _NO_GAPS)
-        )
+        elsewhere = takes_another(reference.path, repetition)
+        return None if elsewhere else InferredScaling(motion.first, _NONE, _NONE, _NO_GAPS)
     match = match_to_path(reference.path, repetition.t_s, repetition.points)
     if is_elsewhere(reference.path, match.off):
         return None

@@ -1,11 +1,13 @@
 """Cells where robot and operator wait for each other: expected cycle times of new orders, waits, wait conditions.
 
-Each scene is logged with its signals, with positions only, and as a task list; then with waits in half of the joint
-tasks, and without waits. Estimates for orders of both agents that were never logged are compared with fresh executions.
-Also printed: the sums of logged durations of the robot's tasks (history), and the estimate of a model without wait
-conditions.
+Each scene is logged with its signals, by positions alone, and as a task list; then with waits in half of the joint
+tasks, and as if nobody waited for anybody; and by the robot's log alone with buttons and sensors as its inputs, where
+the order of the robot is asked for beside operators in any order of theirs.
+Orders of both agents that no execution followed are held against fresh executions. Beside the estimate stand the sums
+of logged durations of the robot's tasks (history) and the estimate of a model that knows no conditions.
 
-    python benchmarks/coupling.py --work DIR [--scenes shared-fixture] [--kinds signals positions list half uncoupled]
+    python benchmarks/coupling.py --work DIR [--scenes shared-fixture]
+        [--kinds signals positions list half uncoupled robot robot-uncoupled]
         [--executions 60 200] [--seeds 1 2] [--orders 8] [--fresh 1000] [--plans]
 
 With --plans, the order chosen by `plan` is compared with the best of all orders of a small set of jobs: one half of the
@@ -22,12 +24,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from cells import JUDGED_SEED, dataset_of, logged
+from cells import JUDGED_SEED, Logged, dataset_of, logged
 from msgspec import structs
 from rich.console import Console
 from rich.table import Table
 
 from cyclekit.api.plan import plan_order
+from cyclekit.api.train import train_model
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.estimate.plan.jobs import ROW, Jobs
 from cyclekit.estimate.rollout import estimate
@@ -35,7 +38,7 @@ from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times import learn
 from cyclekit_sim import COUPLED, SimulationOptions, fresh_cycles, random_orders
 from cyclekit_sim.coupled_list import listed_conditions, task_plan
-from cyclekit_sim.coupled_scenes import JOINT_TIMES
+from cyclekit_sim.coupled_scenes import JOINT_TIMES, wired
 from cyclekit_sim.coupled_truth import conditions
 
 if TYPE_CHECKING:
@@ -53,7 +56,11 @@ KINDS = {
     "list": SimulationOptions(task_list=True),
     "half": SimulationOptions(coupling=0.5),
     "uncoupled": SimulationOptions(coupling=0.0),
+    "robot": SimulationOptions(people="none"),
+    "robot-uncoupled": SimulationOptions(people="none", coupling=0.0),
 }
+ALONE = ("robot", "robot-uncoupled")
+"""Logs of the robot alone, with buttons and sensors as its inputs: the operator's order is unknown, any of these."""
 HEAD = ("cell", "logged", "mean |error|, %", "bias, %", "worst, %", "no conditions, %", "history, %", "CI coverage",
         "90 % coverage", "robot waits, s", "operator waits, s", "missed", "invented")  # fmt: skip
 
@@ -86,6 +93,28 @@ def fresh(asked: argparse.Namespace, scene: str, order: Order, number: int, stre
     return np.load(file)
 
 
+def fresh_alone(
+    asked: argparse.Namespace, scene: str, order: Order, number: int, strength: float
+) -> NDArray[np.float64]:
+    """As `fresh`, of the robot alone, each beside an operator in another order of his."""
+    file = asked.work / "fresh-coupled" / f"{scene}-alone-{strength:g}-{number}-{asked.fresh}.npy"
+    if not file.is_file():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        others = [each["operator"] for each in random_orders(scene, JUDGED_SEED + 7, asked.fresh)]
+        options, seed = SimulationOptions(coupling=strength), JUDGED_SEED + number
+        found = fresh_cycles(scene, order, cycles=asked.fresh, seed=seed, options=options, operators=others)
+        np.save(file, np.array([found.robot_s, found.robot_waits_s, np.zeros(asked.fresh)]))
+    return np.load(file)
+
+
+def learned(asked: argparse.Namespace, scene: str, kind: str, executions: int, seed: int) -> Logged:
+    """Return a logged cell with its model; of the robot alone that of an unseen operator."""
+    if kind not in ALONE:
+        return logged(asked.work, scene, executions, seed=seed, options=KINDS[kind], kind=kind, rules=True)
+    dataset = dataset_of(asked.work, scene, executions, seed=seed, options=KINDS[kind], kind=kind)
+    return Logged(scene, dataset, train_model(dataset))
+
+
 def unseen_orders(asked: argparse.Namespace, scene: str) -> list[tuple[int, Order]]:
     """Return random orders of the scene that were never logged, from another seed than the logs."""
     return list(enumerate(random_orders(scene, JUDGED_SEED, asked.orders)))
@@ -102,7 +131,7 @@ def rows_of(asked: argparse.Namespace, scene: str, kind: str, executions: int, s
     options = KINDS[kind]
     if kind == "list":
         return _listed(asked, scene, executions, seed)
-    cell = logged(asked.work, scene, executions, seed=seed, options=options, kind=kind, rules=True)
+    cell = learned(asked, scene, kind, executions, seed)
     card = cell.model.card.coupling
     missed, invented = compared(card, scene, kind)
     without = dataclasses.replace(cell.model, card=structs.replace(cell.model.card, coupling=None))
@@ -110,7 +139,8 @@ def rows_of(asked: argparse.Namespace, scene: str, kind: str, executions: int, s
     plans = [plan_of(str(number), order) for number, order in orders]
     places = [TaskSequence(str(number), order["robot"]) for number, order in orders]
     began = time.process_time()
-    if kind == "uncoupled":
+    alone_or_free = kind in ALONE or kind == "uncoupled"
+    if alone_or_free:
         both = {each.name: each for each in estimate(cell.model, cell.dataset, places, refused=_refuse)}
     else:
         both = {each.name: each for each in estimate(cell.model, cell.dataset, plans, refused=_refuse)}
@@ -128,9 +158,11 @@ def rows_of(asked: argparse.Namespace, scene: str, kind: str, executions: int, s
         name = str(number)
         if name not in both:
             continue
-        entry, true = both[name], fresh(asked, scene, order, number, options.coupling)
+        truth = fresh_alone if kind in ALONE else fresh
+        entry, true = both[name], truth(asked, scene, order, number, options.coupling)
         mean = float(true[0].mean())
         told = [sum(share.wait_s for share in entry.plan if share.kind == who) for who in ("robot", "operator")]
+        told = [entry.wait_s, 0.0] if kind in ALONE else told
         found.append(
             Row(
                 entry.expected_s / mean - 1,
@@ -179,7 +211,14 @@ def _listed(asked: argparse.Namespace, scene: str, executions: int, seed: int) -
 def compared(card: CouplingCard | None, scene: str, kind: str) -> tuple[int, int]:
     """Return the numbers of true conditions missed and of false ones found; print those found."""
     known = KINDS[kind].signals
-    there = {_true(each, known) for each in conditions(COUPLED[scene])} if KINDS[kind].coupling else set()
+    cell = wired(COUPLED[scene]) if kind in ALONE else COUPLED[scene]
+    there = {_true(each, known) for each in conditions(cell)} if KINDS[kind].coupling else set()
+    if kind in ALONE:
+        there = {
+            (each["agent"], each["place"], "signal", each["signal"], each["needs"]["back"])  # type: ignore[index]
+            for each in conditions(cell)
+            if each["agent"] == "robot" and KINDS[kind].coupling
+        }
     got = set()
     for gate in card.gates if card else ():
         for need in gate.conditions:

@@ -179,7 +179,15 @@ def coupling_table(found: CouplingCard | None) -> str:
     parts = [table(["who waits ", "until ", "lag, s", "5-95%", "held", "decided"], rows)]
     for source in found.sources:
         gap = f"{_quantile(source.gap_s, 0.05):.1f} to {_quantile(source.gap_s, 0.95):.1f} s"
-        parts.append(f"parts of {source.signal} come {gap} apart; at most {source.buffer} wait at {source.taken_by}")
+        if not source.after:
+            parts.append(
+                f"parts of {source.signal} come {gap} apart; at most {source.buffer} wait at {source.taken_by}"
+            )
+        for one in source.after:
+            lag = f"{max(_quantile(one.lag_s, 0.05), 0.0):.1f} to {_quantile(one.lag_s, 0.95):.1f} s"
+            turn = ", 1 earlier" if one.back else ""
+            said = f"{source.signal} {source.event} comes {lag} after robot {one.event} {one.place}{turn}"
+            parts.append(f"{said}, or {gap} after the one before, whichever is later")
     return "\n".join(parts)
 
 

@@ -138,8 +138,9 @@ def operator_tracks(
     """
     step = 1.0 / dataset.rate_hz
     on_states = isinstance(model, OnStates)
-    found = _in_states(dataset, model) if isinstance(model, OnStates) else _names_and_tracks(dataset, goals=goals)
-    names, tracks = found
+    names, tracks = (
+        logged_courses(dataset, model) if model is not None and on_states else _names_and_tracks(dataset, goals=goals)
+    )
     complete = set(dataset.executions.filter("complete")["execution"].to_list())
     seen_in = [name for name in tracks if name in complete and tracks[name].seen]
     begins = [name for name in seen_in if tracks[name].followed]
@@ -285,6 +286,11 @@ def _is_chance(here: NDArray[np.int64], usual: NDArray[np.int64]) -> bool:
 def logged_tracks(dataset: Dataset) -> dict[str, LoggedTrack]:
     """Return the operator's log in each execution, by name; short gaps are bridged."""
     return _names_and_tracks(dataset, goals=False)[1]
+
+
+def logged_courses(dataset: Dataset, model: SafetyModel) -> tuple[list[str], dict[str, LoggedTrack]]:
+    """Return what people may be at, and what was logged of them in each execution: states for a model of states."""
+    return _in_states(dataset, model) if isinstance(model, OnStates) else _names_and_tracks(dataset, goals=False)
 
 
 def _names_and_tracks(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, LoggedTrack]]:

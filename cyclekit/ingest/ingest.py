@@ -261,11 +261,12 @@ def _with_waits(derived: Derived, read: Read, stored: Stored, cell: Cell) -> tup
     last one are included.
     """
     tasks, bits = derived.tasks, partial(logged_bits, stored=stored)
-    courses = courses_of(derived.executions, tasks, derived.recordings, read, bits)
+    fields = [one.signal for one in derived.operator_signals]
+    courses = courses_of(derived.executions, tasks, derived.recordings, read, bits, fields)
     coupling = learn_executions(courses, tasks, cell.waits)
     if coupling is not None and coupling.coupled:
         tasks = derived.tasks_to_next
-        courses = courses_of(derived.executions, tasks, derived.recordings, read, bits)
+        courses = courses_of(derived.executions, tasks, derived.recordings, read, bits, fields)
         coupling = learn_executions(courses, tasks, cell.waits)
     return (tasks if coupling is None else with_waits_named(tasks, courses, coupling)), coupling
 

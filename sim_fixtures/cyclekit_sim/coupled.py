@@ -11,7 +11,7 @@ from cyclekit_sim.arm import Array
 from cyclekit_sim.choices import FRESH, LOGGED, ROBOT, SEQUENCE, stream
 from cyclekit_sim.coupled_program import Order, check_order, plan_all, random_order
 from cyclekit_sim.coupled_run import CoupledTrace, make_cell, run_cells
-from cyclekit_sim.coupled_scenes import COUPLED, Coupled
+from cyclekit_sim.coupled_scenes import COUPLED, Coupled, wired
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.motion import MotionTable
 from cyclekit_sim.options import SimulationOptions
@@ -83,7 +83,7 @@ def coupled_work(name: str, seed: int, options: SimulationOptions, executions: i
     Raises:
         SimulationError: Such a cell does not support these options.
     """
-    cell = _cell(name)
+    cell = _cell(name) if options.people != "none" else wired(_cell(name))
     if executions < 1:
         raise SimulationError(f"executions is {executions}: simulate at least one")
     if options.logs != "csv" or options.causes or options.operator_log or not options.with_operator:
@@ -114,22 +114,41 @@ class FreshCycles:
 
 
 def fresh_cycles(
-    scene: str, order: Order, *, cycles: int, seed: int, options: SimulationOptions = _DEFAULT
+    scene: str,
+    order: Order,
+    *,
+    cycles: int,
+    seed: int,
+    options: SimulationOptions = _DEFAULT,
+    operators: Sequence[tuple[str, ...]] = (),
 ) -> FreshCycles:
     """Run one order of both agents repeatedly, without writing logs.
 
     The random streams are independent of those of `simulate` for all seeds.
 
+    Args:
+        scene: Which cell.
+        order: Of both agents.
+        cycles: How often.
+        seed: Of what is drawn.
+        options: How strongly they are coupled, and the dynamics of the safety function.
+        operators: Orders of the operator that take turns, in place of his in `order`.
+
     Raises:
         SimulationError: The scene has no waits, or the order does not belong to it.
     """
     cell = _cell(scene)
-    check_order(cell, order)
+    orders: list[Order] = [{**order, "operator": each} for each in operators] or [order]
+    for each in orders:
+        check_order(cell, each)
     table = plan_all(cell, [order])
     done = []
     for first in range(0, cycles, _FRESH_BATCH):
         numbers = range(first, min(first + _FRESH_BATCH, cycles))
-        cells = [make_cell(cell, order, table, seed, number, options.coupling, FRESH) for number in numbers]
+        cells = [
+            make_cell(cell, orders[number % len(orders)], table, seed, number, options.coupling, FRESH)
+            for number in numbers
+        ]
         done += run_cells(cell, cells, table, options)[0]
     waits = ([each.waited_s(agent) for each in done] for agent in ("robot", "operator"))
     robot_s = np.array([each.ends_s["robot"][-2] for each in done])  # the last segment is its idle stay at home

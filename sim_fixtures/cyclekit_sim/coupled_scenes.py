@@ -7,7 +7,7 @@ belongs to the k-th of the other. Geometry and times are ours, tuned for cycles 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from cyclekit_sim.motion import Place
@@ -184,3 +184,11 @@ def _fed_line() -> Coupled:
 
 
 COUPLED: dict[str, Coupled] = {cell.scene.name: cell for cell in (_shared_fixture(), _handover(), _fed_line())}
+
+
+def wired(cell: Coupled) -> Coupled:
+    """Return a cell whose buttons and sensors are all digital inputs of the robot, as where no tracker logs events."""
+    taken = set(cell.bits.values())
+    free = (number for number in range(1, 8) if number not in taken)
+    names = ((key, name if name.startswith(INPUT) else f"{INPUT}{next(free)}") for key, name in cell.signals.items())
+    return replace(cell, signals=dict(names))

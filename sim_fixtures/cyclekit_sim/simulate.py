@@ -157,9 +157,10 @@ def set_up(name: str, options: SimulationOptions) -> tuple[Scene, SimulationOpti
 
 def _prepare(scene: str, seed: int, options: SimulationOptions, executions: int) -> Work | CoupledWork:
     if scene in COUPLED:
-        if options.people not in (None, "tracker") or options.plc_trace:
-            raise SimulationError(f"{scene} has no fields, so it cannot log their signals: use people = 'tracker'")
-        return coupled_work(scene, seed, dataclasses.replace(options, people="tracker"), executions)
+        if options.people not in (None, "tracker", "none") or options.plc_trace:
+            seen = f"{scene} has no fields, so it cannot log their signals"
+            raise SimulationError(f"{seen}: use people = 'tracker' or 'none'")
+        return coupled_work(scene, seed, dataclasses.replace(options, people=options.people or "tracker"), executions)
     if options.coupling != 1.0 or not options.signals or options.task_list:
         raise SimulationError(f"{scene}: coupling, signals and task lists are only for {', '.join(COUPLED)}")
     cell, options = set_up(scene, options)

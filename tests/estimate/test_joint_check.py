@@ -44,7 +44,7 @@ def test_cycles_that_vary_much_are_no_bias(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(f"{module}.MOST", count)
     cell: Any = SimpleNamespace(
         dataset=None,
-        segments=SimpleNamespace(orders=dict.fromkeys(names, ())),
+        logged=dict.fromkeys(names, ()),
         model=SimpleNamespace(card=SimpleNamespace(held_out=())),
         roll=lambda plans, **_: rolled[: len(plans)],
     )

@@ -108,8 +108,11 @@ class SourceCard(Card, frozen=True, kw_only=True):
         gap_s: Time from one `set` to the next, while there is room.
         first_s: Time from the start of the execution to the first one.
         buffer: Number of parts that may wait; the next one then comes after one is taken.
-        taken_by: Place of the robot where a part is taken.
+        taken_by: Place of the robot where a part is taken, or at or before which it waits for the signal.
         inferred: Whether it was learned from standstills of the robot there, without a signal.
+        event: Which change of the signal is waited for.
+        after: Events of the robot that must have come, such as the part that it has brought: whoever gives the signal
+            then does so a lag later. There is no buffer then.
     """
 
     signal: Name
@@ -118,6 +121,13 @@ class SourceCard(Card, frozen=True, kw_only=True):
     buffer: Annotated[int, Meta(ge=1, le=1000)] = 1
     taken_by: Name
     inferred: bool = False
+    event: Literal["set", "cleared"] = "set"
+    after: Annotated[tuple[ConditionCard, ...], Meta(max_length=4)] = ()
+
+    @property
+    def brings(self) -> Literal["set", "cleared", "arrives"]:
+        """What comes, as conditions name it."""
+        return "arrives" if self.inferred else self.event
 
 
 class CouplingCard(Card, frozen=True, kw_only=True):

@@ -26,6 +26,7 @@ from cyclekit.estimate.question import Altered, Question
 from cyclekit.estimate.ranked import ranked
 from cyclekit.estimate.resample import interval_of_mean, least_wide, share_within
 from cyclekit.estimate.result import SPLIT, CycleEstimate, TaskShare
+from cyclekit.estimate.safety import OnStates
 from cyclekit.learning.out_of_core import in_memory
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 CYCLES, OF_MANY, MANY, BEST = 1000, 120, 40, 12
 """Cycles per plan; with more than MANY plans, OF_MANY cycles each, then CYCLES for the BEST."""
 WHY = "both agents rolled out together: learned safety function, logged walks and stays, who waits for whom"
+WHY_ALONE = "robot rolled out with learned waits for signals, beside the logged speed or courses of people"
 RESAMPLES = 1000
 NOT_JUDGED = "not validated on logged executions, so no bias is known or corrected: too few of them can be rolled out"
 
@@ -89,10 +91,11 @@ def estimate_both(
     if not other_cell:
         refuse_biased(judged)
     found = answers.found(sequences, judged, refuse, tell)
-    limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, ask.model)]
+    limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, cell.model)]
+    unseen = cell.model.doubts if isinstance(cell.model, OnStates) else ()
     told = []
     for entry, _ in found:
-        doubts = (*entry.doubts, *extrapolation_of(entry), *(judged.doubts if judged else ()), *unknown)
+        doubts = (*unseen, *entry.doubts, *extrapolation_of(entry), *(judged.doubts if judged else ()), *unknown)
         few = [few_tracks(entry)] if entry.executions < FEW_EXECUTIONS else []
         told.append(replace(entry, doubts=doubts, warnings=(*doubts, *few, *limits)))
     tell(1.0, "done")
@@ -201,7 +204,7 @@ class JointAnswers:
             safety_by_activity_s={name: lost for name, lost in cycles.activity_s.items() if lost > 0.0},
             durations_s=tuple(durations.tolist()),
             estimator=ask.estimator,
-            why=WHY,
+            why=WHY_ALONE if self._cell.unseen else WHY,
             executions=self._cell.executions,
             calibrated=check is not None and check.coverage is not None,
             takt_s=ask.takt_s,

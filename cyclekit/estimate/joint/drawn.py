@@ -41,7 +41,7 @@ class EventColumns:
         """
         times = np.full((count, len(self.events) + 2), NEVER)
         for agenda, rows in agendas:
-            mine = np.array([self._number[event] for event, _ in agenda.events])
+            mine = np.array([self._number[event] for event, _ in agenda.events], np.int64)
             times[rows[:, None], mine] = np.inf
         return times
 
@@ -137,6 +137,10 @@ class Drawn:
                 if leg.place:
                     self.stay[rows, n] = chosen(segments.stay(leg.place), self._level(rows, f"stay {key}", turns[key]))
                 turns[key] += 1
+
+    def levels(self, key: str, turn: int) -> Vector:
+        """Return a level in (0, 1) for each row: spread evenly over the cycles of a question, and shuffled."""
+        return self._level(np.arange(len(self.which)), key, turn)
 
     def _level(self, rows: Ints, key: str, turn: int) -> Vector:
         """Return a level in (0, 1) per row: spread evenly over the cycles of a question, and shuffled."""

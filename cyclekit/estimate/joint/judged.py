@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.check import FEW_EXECUTIONS, LEAST, MOST, OWN_BIAS, Check, compare
@@ -14,6 +15,7 @@ from cyclekit.estimate.joint.roll import longest_s
 from cyclekit.estimate.joint.unexplained import unexplained_waits
 from cyclekit.estimate.judges import judge
 from cyclekit.estimate.logged import logged_durations, logged_sequences
+from cyclekit.estimate.safety import OnStates
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,10 +74,10 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
         levels: Quantile levels that the estimate will report.
         seed: Seed of the draws.
     """
-    sequences = [each for each in logged_sequences(cell.dataset, planner.nominal) if each.name in cell.segments.orders]
+    sequences = [each for each in logged_sequences(cell.dataset, planner.nominal) if each.name in cell.logged]
     if len(sequences) > MOST:
         sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, MOST).astype(int)]
-    orders = {each.name: tuple(visit.place for visit in cell.segments.orders[each.name]) for each in sequences}
+    orders = {each.name: tuple(visit.place for visit in cell.logged[each.name]) for each in sequences}
     plans = [planner.plan(replace(each, operator=orders[each.name])) for each in sequences]
     until_s = max((longest_s(plan) for plan in plans), default=0.0)
     rolled = list(cell.roll(plans, cycles=DRAWS, seed=seed, until_s=until_s))
@@ -98,8 +100,18 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
     scores = _scores(logged, crossed * found.factor) if len(ended) >= FEW_EXECUTIONS else ()
     mean_s = float(logged.mean())
     waits = unexplained_waits(cell.dataset, [each.name for each in sequences], mean_s)
-    ours = {"scores": scores, "unexplained_s": waits.wait_s, "unseen_error": waits.by_order_s / mean_s}
+    unseen_s = float(np.hypot(waits.by_order_s, _unseen_people_s(cell, [each.name for each in sequences])))
+    ours = {"scores": scores, "unexplained_s": waits.wait_s, "unseen_error": unseen_s / mean_s}
     return JointCheck(**{**vars(found), **ours})
+
+
+def _unseen_people_s(cell: JointCell, executions: Sequence[str]) -> float:
+    """Return how far an order may move the safety loss of an execution where no log shows people, s."""
+    if not isinstance(cell.model, OnStates):
+        return 0.0
+    lost = cell.dataset.tasks().filter(pl.col("execution").is_in(list(executions)))
+    sums = lost.group_by("execution").agg(pl.col("safety_loss_s").fill_null(0.0).sum())["safety_loss_s"].to_numpy()
+    return cell.model.unseen_error * float(sums.std(ddof=1)) if len(sums) > 1 else 0.0
 
 
 def _scores(logged: Vector, crossed: Vector) -> tuple[float, ...]:

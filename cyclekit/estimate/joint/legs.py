@@ -15,7 +15,7 @@ import numpy as np
 from cyclekit.errors import UnknownName
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from cyclekit.config.sequences import PlannedTask
     from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
@@ -112,17 +112,7 @@ class Gates:
     def needs(self, agent: str, at: str, place: str, turn: int) -> tuple[Need, ...]:
         """Return the needs of passage number `turn` of a gate."""
         gate = self.at(agent, at, place)
-        return tuple(
-            Need(
-                (one.agent, one.place, event_kind(one), number),
-                np.array(one.lag_s),
-                one.needed,
-                one.together,
-                turn // one.turns.every,
-            )
-            for one in (gate.conditions if gate else ())
-            if (number := one.turns.event(turn, one.back)) is not None
-        )
+        return needs_of(gate.conditions if gate else (), turn)
 
     def waits(self, agent: str) -> bool:
         """Return whether an agent ever waits; if so, its stays are longer than its work."""
@@ -132,6 +122,21 @@ class Gates:
         """Return the quantiles of an agent's own work at a place, if learned."""
         gate = self.at(agent, "leave", place)
         return np.array(gate.own_s) if gate is not None and max(gate.own_s) > 0.0 else None
+
+
+def needs_of(conditions: Iterable[ConditionCard], turn: int) -> tuple[Need, ...]:
+    """Return what the passage number `turn` needs of these conditions."""
+    return tuple(
+        Need(
+            (one.agent, one.place, event_kind(one), number),
+            np.array(one.lag_s),
+            one.needed,
+            one.together,
+            turn // one.turns.every,
+        )
+        for one in conditions
+        if (number := one.turns.event(turn, one.back)) is not None
+    )
 
 
 def event_kind(condition: ConditionCard) -> str:

@@ -40,9 +40,7 @@ class Planner:
         self._cell, self.nominal = cell, nominal
         self._orders: dict[tuple[str, ...], Agenda] = {}
         self.waited_for = _waited_for(cell)
-        self._went = {
-            one.execution: one.places for one in cell.dataset.card.executions if one.execution in cell.segments.orders
-        }
+        self._went = {one.execution: one.places for one in cell.dataset.card.executions if one.execution in cell.logged}
 
     def plan(self, sequence: TaskSequence) -> Plan:
         """Return the plan of both agents.
@@ -67,6 +65,9 @@ class Planner:
             UnknownName: A place does not exist.
         """
         order = tuple(order)
+        if order and self._cell.unseen:
+            seen = f"{where}: no log shows the operator, so his tasks are unknown: {order[0]}"
+            raise EstimateError(seen, cure="Leave his tasks out, or ingest the tracker's log too.")
         if order not in self._orders:
             self._check(order, where)
             self._orders[order] = operator_agenda(order, self._cell.gates, self._cell.work_s, self._cell.first_stays_s)
@@ -85,6 +86,8 @@ class Planner:
         Raises:
             EstimateError: There are none.
         """
+        if self._cell.unseen:
+            return [()]
         same = Counter(sequence.places[1:])
         found = [name for name, went in self._went.items() if Counter(went[1:]) == same]
         if not found:
@@ -97,12 +100,12 @@ class Planner:
                 f"{seen}, so the operator's tasks during this work are unknown",
                 cure='Name his places, operator = ["...", "..."], or plan for both: [[sequence.task]].',
             )
-        return [tuple(visit.place for visit in self._cell.segments.orders[name]) for name in found]
+        return [tuple(visit.place for visit in self._cell.logged[name]) for name in found]
 
     @property
     def logged_orders(self) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
         """Places of robot and operator in each execution whose operator order a sequence may use."""
-        orders = self._cell.segments.orders
+        orders = self._cell.logged
         return [(went, tuple(visit.place for visit in orders[name])) for name, went in self._went.items()]
 
     def _counted(self, places: Sequence[str]) -> Counter[str]:
@@ -117,7 +120,7 @@ class Planner:
         if not robot.names:
             cure = 'Add one: agent = "robot", name = "start->goal".'
             raise EstimateError(f"{where}: no task of the robot", cure=cure)
-        self._check(operator.names, where)
+        self.operator(operator.names, where)
         places = self.chained(robot.names, where)
         program = lay_out(TaskSequence(sequence.name, places, file=sequence.file), self.nominal, self._cell.dataset)
         return Plan(

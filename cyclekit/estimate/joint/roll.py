@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.drawn import Drawn, EventColumns
-from cyclekit.estimate.joint.legs import Agenda, AgendaLeg, Gates, Need
+from cyclekit.estimate.joint.legs import Agenda, AgendaLeg, Gates, Need, needs_of
+from cyclekit.estimate.joint.people import LoggedMotions, LoggedPeople, OperatorPositions
 from cyclekit.estimate.joint.visits import Segments
 from cyclekit.estimate.joint.walk import JointCycles, LegTimes, walk_both
-from cyclekit.estimate.safety import Dynamics, SafetyModel, holds_everywhere
+from cyclekit.estimate.safety import Dynamics, OnStates, SafetyModel, holds_everywhere
+from cyclekit.estimate.signal_states import on_states_of
 from cyclekit.estimate.spread import logged_support
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from cyclekit.dataset.cards import CouplingCard, SourceCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.joint.legs import Event
-    from cyclekit.estimate.support import Support
+    from cyclekit.estimate.joint.visits import OperatorVisit
+    from cyclekit.estimate.joint.walk import Presence, Unhindered
+    from cyclekit.estimate.safety import Logged
     from cyclekit.schema import Ints, Vector
 
 ROWS = 8192
@@ -93,20 +97,39 @@ class JointCell:
         """Read the operator's visits.
 
         Raises:
-            EstimateError: The logs hold no operator, or he never stays at a place.
+            EstimateError: There is no operator in the logs, or he never stays at a place; and it is not known that the
+                robot alone waits.
         """
-        self.model, self.dataset, self.coupling = model, dataset, coupling
+        self.model, self.dataset, self.coupling = on_states_of(model, dataset), dataset, coupling
         self.gates, self.segments = Gates(coupling), Segments(dataset)
         self.dynamics = dynamics or Dynamics.of(dataset.card.dynamics, model)
         self.pace = 1.0  # factor on the logged durations of the operator
-        if not self.segments.orders:
+        if not self.segments.orders and not self.unseen:
             seen = f"{dataset.path}: no complete execution has an operator who stays at one of his places"
             raise EstimateError(seen, cure="Ingest the tracker's log too; name [human_places.*] in the cell file.")
 
     @property
+    def unseen(self) -> bool:
+        """Whether no log shows what the operator does: signals alone tell what the robot waits for."""
+        gates = self.coupling.gates if self.coupling is not None else ()
+        return bool(gates) and not self.segments.orders and all(gate.agent == "robot" for gate in gates)
+
+    @cached_property
+    def logged(self) -> Mapping[str, tuple[OperatorVisit, ...]]:
+        """What the operator did in each logged execution that it rests on, by its name; nothing where he is unseen."""
+        if not self.unseen:
+            return self.segments.orders
+        return {one.execution: () for one in self.dataset.card.executions if one.complete and not one.reference}
+
+    @cached_property
+    def motions(self) -> LoggedMotions:
+        """Where unseen people were, or in which state, along logged motions."""
+        return LoggedMotions(self.dataset, self.model)
+
+    @property
     def executions(self) -> int:
-        """Number of logged executions with an operator."""
-        return len(self.segments.orders)
+        """Number of logged executions that the rollout is based on."""
+        return len(self.logged)
 
     @cached_property
     def work_s(self) -> dict[str, Vector]:
@@ -121,8 +144,10 @@ class JointCell:
         return {place: self.pace * stays for place, stays in found.items() if len(stays)}
 
     @cached_property
-    def support(self) -> Support | None:
+    def support(self) -> Logged | None:
         """Logged positions; None if the safety function is valid everywhere."""
+        if isinstance(self.model, OnStates):
+            return self.model
         return None if holds_everywhere(self.model) else logged_support(self.dataset)
 
     def roll(
@@ -158,7 +183,14 @@ class JointCell:
         robot, operator = (
             Drawn(agendas, mine, turn, cycles, columns, seed) for agendas, mine in ((robots, which), (operators, does))
         )
-        operator.draw_segments(self.segments, self.pace)
+        people_of: Callable[[Unhindered], Presence]
+        if self.unseen:
+            people = LoggedPeople(self.motions, robot)
+            people_of = lambda _: people  # noqa: E731
+        else:
+            operator.draw_segments(self.segments, self.pace)
+            step_s = 1.0 / self.dataset.rate_hz
+            people_of = partial(OperatorPositions, segments=self.segments, step_s=step_s, pace=self.pace)
         parts = [Drawn([source], np.zeros_like(which), turn, cycles, columns, seed) for source in sources]
         walked = walk_both(
             self.model,
@@ -166,25 +198,29 @@ class JointCell:
             operator,
             parts,
             events_s,
-            self.segments,
-            step_s=1.0 / self.dataset.rate_hz,
+            people_of,
             until_s=until_s,
             support=self.support,
             dynamics=self.dynamics,
-            pace=self.pace,
         )
         for n, plan in enumerate(plans):
             yield _of_one(plan, walked, np.flatnonzero(which == n), columns, number, does)
 
     def source(self, source: SourceCard, robots: Sequence[Agenda]) -> Agenda:
-        """Return the agenda of a source of parts: one part after the other, while the buffer has room."""
+        """Return how a signal comes: one after the other, as long as there is room, or after what the robot does."""
         taken = [event for agenda in robots for event, _ in agenda.events if event[1:3] == (source.taken_by, "leaves")]
-        count = 1 + max((event[3] for event in taken), default=-1)
+        wanted = [need.event for agenda in robots for leg in agenda.legs for need in leg.needs]
+        mine = [event for event in wanted if event[:3] == ("signal", source.signal, source.brings)]
+        count = 1 + max((event[3] for event in (mine if source.after else taken)), default=-1)
         legs = []
         for part in range(count):
-            needs = (Need(("robot", source.taken_by, "leaves", part - source.buffer)),) if part >= source.buffer else ()
+            if source.after:
+                needs = needs_of(source.after, part)
+            else:
+                room = part - source.buffer
+                needs = (Need(("robot", source.taken_by, "leaves", room)),) if room >= 0 else ()
             own = np.array(source.gap_s if part else source.first_s)
-            passes = (("signal", source.signal, "arrives" if source.inferred else "set", part),)
+            passes = (("signal", source.signal, source.brings, part),)
             legs.append(
                 AgendaLeg(part, "", np.empty((0, 3)), own_s=own, name=source.signal, needs=needs, passes=passes)
             )
@@ -279,7 +315,7 @@ def _stuck(plan: Plan, walked: JointCycles, row: int, columns: EventColumns) -> 
 def unbrought(plan: Plan, coupling: CouplingCard | None) -> list[str]:
     """Return what a plan leaves out, one sentence each: waits for a signal that no agent sets."""
     sources = coupling.sources if coupling else ()
-    brought = {(source.signal, "arrives" if source.inferred else "set") for source in sources}
+    brought = {(source.signal, source.brings) for source in sources}
     found: dict[str, None] = {}
     for agenda in (plan.robot, *plan.operators):
         for leg in agenda.legs:

@@ -8,7 +8,7 @@ Event times are exact within a step: an agent that waited uses the rest of the s
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -17,11 +17,10 @@ from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, asked_ofte
 from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from cyclekit.estimate.joint.drawn import Drawn
-    from cyclekit.estimate.joint.visits import Segments
-    from cyclekit.estimate.support import Support
+    from cyclekit.estimate.safety import Logged
     from cyclekit.schema import Bools, Floats, Ints, Vector
 
 OWN, PLANNED = -1, -2
@@ -104,52 +103,6 @@ class Unhindered:
         self._events_s[rows[:, None], columns] = arrives[:, None]
 
 
-class OperatorPositions:
-    """Positions of the operators over time."""
-
-    def __init__(self, operator: Unhindered, segments: Segments, step_s: float, pace: float = 1.0) -> None:
-        self._operator, self._pace = operator, pace
-        self._xyz_m, self._first, self._count = segments.table()
-        self._step_s = step_s
-        drawn = operator.drawn
-        kinds = sorted({leg.place for agenda in drawn.agendas for leg in agenda.legs if leg.place})
-        self.activities = tuple(kinds)
-        number = {name: n for n, name in enumerate(kinds)} | {"": len(kinds)}
-        legs = drawn.own_s.shape[1]
-        self._kind = np.full((len(drawn.agendas), legs), len(kinds))
-        self._starts = np.zeros(len(drawn.agendas), dtype=np.int64)
-        for a, agenda in enumerate(drawn.agendas):
-            self._kind[a, : len(agenda.legs)] = [number[leg.place] for leg in agenda.legs]
-            self._starts[a] = next((n for n, leg in enumerate(agenda.legs) if leg.start is not None), 0)
-        self._leg = np.zeros(len(drawn.which), dtype=np.int64)
-
-    def at(self, t_s: float, rows: Ints) -> tuple[Floats, Ints]:
-        """Return the operators' positions (N, 3) in these rows, and the index of their place (N,)."""
-        drawn, times = self._operator.drawn, self._operator.times
-        agenda = drawn.which[rows]
-        while True:
-            leg = self._leg[rows]
-            on = (times.passes_s[rows, leg] <= t_s) & (leg < drawn.last[agenda])
-            if not on.any():
-                break
-            self._leg[rows[on]] += 1
-        before = np.maximum(leg - 1, 0)
-        departs = np.where(leg > 0, times.passes_s[rows, before], 0.0)
-        arrives = times.arrives_s[rows, leg]
-        walks = t_s < arrives
-        starts = self._starts[agenda]
-        still = leg < starts  # before his first walk he is at its start
-        segment = np.where(walks, drawn.walk[rows, leg], drawn.stay[rows, leg])
-        segment = np.where(still, drawn.walk[rows, starts], segment)
-        since = np.where(still, 0.0, np.where(walks, (t_s - departs) / self._pace, t_s - arrives)) / self._step_s
-        since = np.minimum(since, self._count[segment] - 1)
-        whole = since.astype(np.int64)
-        row = self._first[segment] + whole
-        here, after = self._xyz_m[row], self._xyz_m[row + 1]
-        between = here + (after - here) * (since - whole)[:, None]
-        return np.where(np.isnan(between), here, between), self._kind[agenda, leg]
-
-
 class RobotLine:
     """The robot in N cycles: its leg, its progress on it, and what it waits for."""
 
@@ -183,12 +136,15 @@ class RobotLine:
         for name in ("row", "part", "leg", "_at", "_clock", "_end"):
             setattr(self, name, getattr(self, name)[going])
 
+    def gone(self, ahead_s: Vector) -> Vector:
+        """Return which part of its way each row will have gone then, shape (N,)."""
+        part = np.minimum(self._at + ahead_s, self._end) / np.maximum(self._end, 1e-9)
+        return np.where(self.part == MOVES, part, 1.0)
+
     def where(self, ahead_s: Vector) -> Floats:
         """Return the TCP (N, 3) of the rows after their motions have advanced by `ahead_s` (N,)."""
-        agenda = self.drawn.which[self.row]
+        agenda, gone = self.drawn.which[self.row], self.gone(ahead_s)
         last = self._rows[agenda, self.leg] - 1
-        gone = np.minimum(self._at + ahead_s, self._end) / np.maximum(self._end, 1e-9)
-        gone = np.where(self.part == MOVES, gone, 1.0)
         return np.asarray(self._xyz_m[self._first[agenda, self.leg] + (gone * last + 0.5).astype(np.int64)])
 
     def advance(self, scaling: Vector, until_s: float) -> tuple[Vector, Ints]:
@@ -237,6 +193,25 @@ class RobotLine:
         self._end[some] = np.where(part == MOVES, self.drawn.own_s[row, leg], self._way_s[agenda, leg])
 
 
+class Presence(Protocol):
+    """Where the people of N cycles are.
+
+    Attributes:
+        activities: Names of what they may be at.
+    """
+
+    activities: tuple[str, ...]
+
+    def at(self, t_s: float, line: RobotLine, gone: Vector, /) -> tuple[Floats, Ints]:
+        """Return positions (N, 3), m, or states (N, D), of the rows under way, and at what people are (N,).
+
+        Args:
+            t_s: Time since the start of the cycle.
+            line: The robot in all rows.
+            gone: Which part of its way each row has gone, shape (N,).
+        """
+
+
 @dataclass(frozen=True)
 class JointCycles:
     """N cycles of both agents.
@@ -266,13 +241,11 @@ def walk_both(
     operator: Drawn,
     sources: Sequence[Drawn],
     events_s: Floats,
-    segments: Segments,
+    people_of: Callable[[Unhindered], Presence],
     *,
-    step_s: float,
     until_s: float,
-    support: Support | None = None,
+    support: Logged | None = None,
     dynamics: Dynamics,
-    pace: float = 1.0,
 ) -> JointCycles:
     """Simulate N cycles to their ends.
 
@@ -282,16 +255,14 @@ def walk_both(
         operator: Draws for the operator.
         sources: Draws for sources of parts, N rows each.
         events_s: Event times from `EventColumns.times`; filled in place.
-        segments: Positions of the operator.
-        step_s: Time between samples of the segments.
+        people_of: Returns where people are, from what the operator does.
         until_s: Cycles that have not ended by then are abandoned: their remaining times are inf.
         support: Test for logged positions; None: `looked` stays 0.
         dynamics: Response of s to the safety function.
-        pace: Factor on the logged duration of the operator's walks.
     """
     line = RobotLine(robot, events_s, FINE_STEP_S)
     others = [Unhindered(drawn, events_s) for drawn in (operator, *sources)]
-    people, count = OperatorPositions(others[0], segments, step_s, pace), len(robot.which)
+    people, count = people_of(others[0]), len(robot.which)
     follower = None if at_once(model, dynamics) else Follower(model, dynamics, FINE_STEP_S)
     asks_after = 1 if asked_often(model) else round(TIME_STEP_S / FINE_STEP_S)
     looks_after = round(SUPPORT_EVERY_S / FINE_STEP_S)
@@ -302,8 +273,9 @@ def walk_both(
     settle(others, np.arange(count))
     for number in range(int(until_s / FINE_STEP_S)):
         if number % asks_after == 0:
-            tcp = line.where(scaling * asks_after * FINE_STEP_S / 2)
-            human, doing = people.at((number + asks_after / 2) * FINE_STEP_S, line.row)
+            ahead_s = scaling * asks_after * FINE_STEP_S / 2
+            tcp = line.where(ahead_s)
+            human, doing = people.at((number + asks_after / 2) * FINE_STEP_S, line, line.gone(ahead_s))
             scaling = scaling_in_step(model, follower, line, tcp, human)
             if support is not None and number % looks_after == 0:
                 known[line.row] += support.near_logged(tcp, human)

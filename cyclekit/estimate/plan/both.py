@@ -47,7 +47,7 @@ class Both:
         self.cell = JointCell(model, dataset, model.card.coupling)
         self._planner, self._jobs = Planner(self.cell, nominal_tasks(dataset)), jobs
         self.robots = orders_to_try(jobs, seed)
-        self.operators = [jobs.operator] if jobs.operator else []
+        self.operators: list[tuple[str, ...]] = [jobs.operator] if jobs.operator else []
         if len(jobs.operator) > 1:
             mine = replace(
                 jobs, visit=jobs.operator, start="", end=None, via=None, before=(), operator=(), unlogged=frozenset()

@@ -32,14 +32,18 @@ def altered_coupling(change: Change, card: CouplingCard | None) -> CouplingCard 
     if change.no_wait or set(change.faster) - {"operator"}:
         seen = f"{where}: no_wait and a faster robot are for models of task lists, but this cell has positions"
         raise EstimateError(seen, cure="Name a wait in without_waits; change the levels for a faster robot.")
+    if change.faster and all(gate.agent == "robot" for gate in card.gates):
+        seen = f"{where}: no log shows the operator, so what a faster one changes is unknown"
+        raise EstimateError(seen, cure="Ingest the tracker's log too, or change without_waits or buffer.")
     known = {shown(gate): gate for gate in card.gates if gate.conditions}
     if missing := [name for name in change.without_waits if name not in known]:
         raise UnknownName(where, "wait", missing[0], known)
-    places = {one.place for gate in card.gates for one in gate.conditions if one.back > 0}
+    places = {_freed(gate, one) for gate in card.gates for one in gate.conditions if one.back > 0}
     if missing := [name for name in change.more_places if name not in places]:
         raise UnknownName(where, "place that must be free again", missing[0], places)
-    if missing := [name for name in change.buffer if name not in {source.signal for source in card.sources}]:
-        raise UnknownName(where, "source of parts", missing[0], {source.signal for source in card.sources})
+    parts = {source.signal for source in card.sources if not source.after}
+    if missing := [name for name in change.buffer if name not in parts]:
+        raise UnknownName(where, "source of parts", missing[0], parts)
     sources = (replace(one, buffer=change.buffer.get(one.signal, one.buffer)) for one in card.sources)
     return replace(card, gates=tuple(_gate(change, gate) for gate in card.gates), sources=tuple(sources))
 
@@ -55,10 +59,15 @@ def _gate(change: Change, gate: GateCard) -> GateCard:
     return replace(
         gate,
         own_s=tuple(seconds / pace for seconds in gate.own_s),
-        conditions=tuple(_condition(change, one) for one in conditions),
+        conditions=tuple(_condition(change, gate, one) for one in conditions),
     )
 
 
-def _condition(change: Change, one: ConditionCard) -> ConditionCard:
-    """Return a condition; if it needs a free place, each additional place lets it refer to one turn further back."""
-    return replace(one, back=one.back + change.more_places.get(one.place, 0)) if one.back else one
+def _condition(change: Change, gate: GateCard, one: ConditionCard) -> ConditionCard:
+    """Return a condition; one that a place is free again looks back one more turn for each further place."""
+    return replace(one, back=one.back + change.more_places.get(_freed(gate, one), 0)) if one.back else one
+
+
+def _freed(gate: GateCard, one: ConditionCard) -> str:
+    """Return which place is free again by a condition: a signal tells so of the place that the agent goes to."""
+    return gate.place if one.agent == "signal" else one.place

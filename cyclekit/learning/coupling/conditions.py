@@ -94,6 +94,24 @@ def find_conditions(
     return gates
 
 
+def find_answer(gate: Passages, times: Times) -> Condition | None:
+    """Return after which event of the robot the changes of a signal come, if any; `gate` then knows it.
+
+    Args:
+        gate: The changes as passages of whoever gives the signal, each ready since the one before it.
+        times: Of all events.
+    """
+    robots = {event: at for event, at in times.items() if event.agent == "robot"}
+    candidates = _candidates(robots, gate, "operator")
+    least = least_gain(min(len(gate.left_s), SEEN)) + np.log(max(len(candidates), 1))
+    before = float(gate.causes().log_likelihood.sum())
+    found = _best_of(robots, gate, candidates, before, least, follows=False)  # no signal brings the robot
+    if found is None:
+        return None
+    gate.since_s[gate.gate, found[0]] = found[1]
+    return found[0]
+
+
 def _candidates(times: Times, gate: Passages, agent: Agent) -> list[Condition]:
     """Return the possible conditions of a gate; if one side is twice as frequent, also those of every second one."""
     found = []
@@ -208,9 +226,18 @@ def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Fou
 
 
 def _best_of(
-    times: Times, gate: Passages, candidates: Sequence[Condition], before: float, least: float
+    times: Times,
+    gate: Passages,
+    candidates: Sequence[Condition],
+    before: float,
+    least: float,
+    *,
+    follows: bool = True,
 ) -> _Found | None:
-    """Return the best condition whose gain in log-likelihood over `before` is at least `least`."""
+    """Return the best of some conditions that raise the log-likelihood from `before` by at least so much.
+
+    With `follows` none of them may follow own work.
+    """
     tried: list[_Found] = []
     for condition in candidates:
         since = since_event(times, gate, condition)
@@ -219,7 +246,11 @@ def _best_of(
         since = _later(condition, since)
         causes = gate.causes(since)
         decided = causes.share[-1].sum() * gate.step >= LEAST_DECIDED
-        if decided and not _follows(causes, since[:: gate.step]) and not _ahead(gate, causes, since[:: gate.step]):
+        if (
+            decided
+            and not (follows and _follows(causes, since[:: gate.step]))
+            and not _ahead(gate, condition, causes, since[:: gate.step])
+        ):
             tried.append((condition, since, float(causes.log_likelihood.sum()) - before))
     tried.sort(key=lambda each: -each[2])
     good = [each for each in tried if each[2] >= least]
@@ -245,10 +276,14 @@ def _follows(causes: Causes, since: Vector) -> bool:
     return bool(np.mean(own <= by_event.max() + EARLY_S) > FOLLOWS)
 
 
-def _ahead(gate: Passages, causes: Causes, since: Vector) -> bool:
-    """Return whether an operator leaves before most of the events that would decide his departure: implausible."""
+def _ahead(gate: Passages, condition: Condition, causes: Causes, since: Vector) -> bool:
+    """Tell whether an agent goes before most of the events that it would react to: nobody does.
+
+    A signal changes after the robot has gone because it has gone: its part is missing.
+    """
     by_event = since[causes.share.argmax(axis=0) == len(causes.share) - 1]
-    return gate.gate.agent == "operator" and len(by_event) > 0 and float(np.median(by_event)) < 0.0
+    reacts = gate.gate.agent == "operator" or condition.event.agent == "signal"
+    return reacts and len(by_event) > 0 and float(np.median(by_event)) < 0.0
 
 
 def _before(condition: Condition, since: Vector) -> float:

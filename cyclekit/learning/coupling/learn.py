@@ -1,4 +1,4 @@
-"""Learns the wait conditions of robot and operator from a dataset with positions of both."""
+"""The card of who waits for whom, learned from positions of both agents, or of the robot alone with signals."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard, SourceCard
 from cyclekit.errors import DatasetError
+from cyclekit.learning.coupling.answers import is_own_tool
 from cyclekit.learning.coupling.conditions import (
     KEPT,
     LEAST_DECIDED,
@@ -45,23 +46,24 @@ AGENTS: tuple[Agent, ...] = ("robot", "operator")
 
 
 def learn_coupling(dataset: Dataset) -> CouplingCard | None:
-    """Return the learned wait conditions; None if too few complete executions show both agents."""
+    """Return who waits for whom in a dataset; None in too few executions, or of the robot alone without waits."""
     if dataset.card.coupling is not None and not dataset.is_part:
         return dataset.card.coupling
-    if len(dataset.positions) < 2:
+    if "robot" not in dataset.positions:
         return None
     try:
         every, mine = dataset.every_task(), dataset.tasks()
     except DatasetError:  # without tasks the safety function can still be learned
         return None
-    courses = courses_of(dataset.card.executions, every, dataset.recordings, dataset.recorded, dataset.bits)
+    fields = [one.signal for one in dataset.card.operator_signals]
+    courses = courses_of(dataset.card.executions, every, dataset.recordings, dataset.recorded, dataset.bits, fields)
     return learn_executions(courses, mine, dataset.card.settings.waits)
 
 
 def learn_executions(
     courses: Sequence[ExecutionVisits], tasks: pl.DataFrame, told: Sequence[Wait] = ()
 ) -> CouplingCard | None:
-    """Return the wait conditions learned from executions; None if there are fewer than LEAST_EXECUTIONS.
+    """Return who waits for whom in some executions; None in too few, or of the robot alone where it does not wait.
 
     Args:
         courses: The executions.
@@ -74,6 +76,8 @@ def learn_executions(
     if len(courses) < LEAST_EXECUTIONS:
         return None
     found = learn_courses(courses[:: -(-len(courses) // MOST_EXECUTIONS)], told)
+    if not found.coupled and not any(course.visits["operator"] for course in courses):
+        return None
     phases = _phases(tasks)
     gates = (replace(gate, phase=phases[gate.place]) if _short(gate, phases) else gate for gate in found.gates)
     return replace(found, gates=tuple(gates))
@@ -87,6 +91,9 @@ def learn_courses(courses: Sequence[ExecutionVisits], told: Sequence[Wait] = ())
         courses = with_parts(courses, unseen)
         passages["robot"] = find_conditions(courses, "robot", told)
     barred: dict[Agent, set[Event]] = {agent: set() for agent in AGENTS}
+    while (tools := _tools(courses, passages["robot"]) - barred["robot"]) and not told:
+        barred["robot"] |= tools
+        passages["robot"] = find_conditions(courses, "robot", told, barred["robot"])
     while circle := next(in_circles(passages["robot"], passages["operator"]), None):
         agent, event = circle
         if event in barred[agent]:  # given in the cell file
@@ -112,6 +119,14 @@ def _unseen(
     by_file = {wait.leaving for wait in told if wait.agent == "robot"}
     found = (find_unseen_parts(courses, place) for place in leaving if place not in by_signal | by_file)
     return tuple(source for source in found if source is not None)
+
+
+def _tools(courses: Sequence[ExecutionVisits], gates: Sequence[Passages]) -> set[Event]:
+    """Return signals of the robot's own tools that it was said to wait for, in logs without operators."""
+    if any(course.visits["operator"] for course in courses):
+        return set()
+    pairs = [(one.event, gate.gate) for gate in gates for one in gate.found if one.event.agent == "signal"]
+    return {event for event, gate in pairs if gate.at == "leave" and is_own_tool(courses, event, gate.place)}
 
 
 def _usual_work_s(gates: Sequence[Passages]) -> float:

@@ -1,4 +1,4 @@
-"""Learns the arrival of parts that the robot waits for: gaps between parts, and buffer size."""
+"""How signals come that the robot waits for: parts by their gaps and how many may wait, others by what they answer."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.cards.coupling import GateCard, SourceCard
+from cyclekit.learning.coupling.answers import find_answers
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier, take_apart
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits
 
@@ -22,19 +23,30 @@ FULL = 0.98
 
 
 def find_sources(courses: Sequence[ExecutionVisits], gates: Sequence[GateCard]) -> tuple[SourceCard, ...]:
-    """Return the sources of the signals that the robot waits for at its places."""
-    pairs = {
-        (one.place, gate.place)
+    """Return the sources of the signals that the robot waits for.
+
+    Where operators were logged these are parts that come to its places. Where none was, somebody or something unseen
+    gives every signal: after what the robot has done (`answers`), or as parts come.
+    """
+    unseen = not any(course.visits["operator"] for course in courses)
+    waits = {
+        (Event(one.agent, one.place, one.event), gate.place): gate.at
         for gate in gates
         for one in gate.conditions
-        if (gate.agent, gate.at, one.agent, one.event) == ("robot", "leave", "signal", "set")
+        if gate.agent == "robot" and one.agent == "signal" and one.event in ("set", "cleared")
     }
-    found = (_source(courses, signal, place) for signal, place in sorted(pairs))
-    return tuple(source for source in found if source is not None)
+    found: dict[Event, SourceCard] = {}
+    for (event, place), at in sorted(waits.items()):
+        source = find_answers(courses, event, place) if unseen else None
+        if source is None and (unseen or (at, event.event) == ("leave", "set")):
+            source = _source(courses, event, place)
+        if source is not None and (event not in found or source.after):
+            found[event] = source
+    return tuple(found.values())
 
 
-def _source(courses: Sequence[ExecutionVisits], signal: str, place: str) -> SourceCard | None:
-    came = [course.events.get(Event("signal", signal, "set"), np.empty(0)) for course in courses]
+def _source(courses: Sequence[ExecutionVisits], event: Event, place: str) -> SourceCard | None:
+    came = [course.events.get(event, np.empty(0)) for course in courses]
     taken = [course.events.get(Event("robot", place, "leaves"), np.empty(0)) for course in courses]
     begins = [course.visits["robot"][0].left_s for course in courses]
     first = np.array([at[0] - begin for at, begin in zip(came, begins, strict=True) if len(at)])
@@ -47,7 +59,8 @@ def _source(courses: Sequence[ExecutionVisits], signal: str, place: str) -> Sour
     decided = take_apart(since).share.argmax(axis=0) == 0
     gaps = reverse_kaplan_meier(since[0], decided * 1.0, np.ones(len(decided), np.bool_))
     return SourceCard(
-        signal=signal,
+        signal=event.place,
+        event="cleared" if event.event == "cleared" else "set",
         gap_s=quantiles(since[0], gaps),
         first_s=quantiles(first, np.full(len(first), 1.0 / len(first))),
         buffer=buffer,

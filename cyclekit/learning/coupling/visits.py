@@ -79,10 +79,12 @@ def courses_of(
     recordings: Sequence[RecordingCard],
     read: Read,
     bits: Bits,
+    fields: Collection[str] = (),
 ) -> list[ExecutionVisits]:
-    """Return the complete executions in which both agents were seen.
+    """Return the complete executions in which both agents were seen; of logs without operators those of the robot.
 
-    Digital inputs of the robot count only if the operator gives them; most come from grippers, conveyors and doors.
+    An input of the robot counts where the operator gives it: most inputs tell of grippers, conveyors and doors. Where
+    no operator was logged every signal counts; what it waits for is then judged by `conditions` and `answers`.
 
     Args:
         executions: Cards of the executions.
@@ -90,11 +92,11 @@ def courses_of(
         recordings: Recordings of their sessions.
         read: Returns a native table of a recording (id, table), None if there is none.
         bits: Returns the inputs and outputs of a recording, in its own clock.
+        fields: Signals that show people: their cost is safety loss, not a wait.
     """
     cards = {card.execution: card for card in executions if card.complete}
     mine = tasks.filter(pl.col("agent_name").is_null(), pl.col("execution").is_in(list(cards)))
-    if "operator" not in mine["agent"]:
-        return []
+    people = "operator" in mine["agent"]
     sessions = {card.session for card in cards.values()}
     told = {session: _signals(recordings, session, read) for session in sessions}
     inputs = {session: _inputs(recordings, session, bits) for session in sessions}
@@ -103,16 +105,35 @@ def courses_of(
         card = cards[str(name)]
         robot = _of_robot(rows.filter(pl.col("agent") == "robot"))
         operator = _of_operator(rows.filter(pl.col("agent") == "operator"), card.start_s)
-        if not robot or not operator:
+        if not robot or bool(operator) is not people:
             continue
         end_s = float(np.nanmax([card.end_s, *(s for one in operator for s in (one.arrived_s, one.left_s))]))
         every = inputs[card.session] | told[card.session]
         changes = {key: at[(at >= card.start_s) & (at <= end_s)] for key, at in every.items()}
+        if not people:
+            every = {key: at for key, at in every.items() if key[0] not in fields}
+            changes = {key: at for key, at in changes.items() if key in every}
+            changes = _with_states(changes, every, card.start_s)
         events = {Event("signal", *key): at for key, at in changes.items()}
         visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
         found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events))
+    if not people:
+        return found
     doubtful = {key for some in inputs.values() for key in some} - {key for some in told.values() for key in some}
     return _with_givers(found, {Event("signal", *key) for key in doubtful})
+
+
+def _with_states(
+    changes: Mapping[tuple[str, str], Vector], every: Mapping[tuple[str, str], Vector], start_s: float
+) -> dict[tuple[str, str], Vector]:
+    """Return the changes in an execution; a part or a release that is there when it begins has come before."""
+    found = dict(changes)
+    for name in {name for name, _ in every}:
+        on, off = (every.get((name, state), np.empty(0)) for state in ("set", "cleared"))
+        last = [float(at[at < start_s].max(initial=-np.inf)) for at in (on, off)]
+        if last[0] > last[1]:
+            found[name, "set"] = np.concatenate([[last[0]], changes[name, "set"]])
+    return found
 
 
 def _of_robot(rows: pl.DataFrame) -> list[PlaceVisit]:

@@ -17,6 +17,7 @@ from cyclekit import schema
 from cyclekit.dataset.cards import LevelShare, RowsCard, SplitCard, TrainingCard, note
 from cyclekit.dataset.cards.unseen import UnseenOperatorCard
 from cyclekit.errors import DatasetError, command_line
+from cyclekit.learning.coupling.learn import learn_coupling
 from cyclekit.learning.networks.cell import cell_of, fingerprint
 from cyclekit.learning.networks.saved import MODEL_VERSION
 from cyclekit.learning.unseen.hidden import fit, log_likelihoods, of_levels
@@ -175,4 +176,5 @@ def _card(dataset: Dataset, levels: tuple[float, ...], courses: dict[str, Course
         mean_scaling=float(np.array(levels)[known].mean()),
         rows=RowsCard(train=len(known), validation=0, test=0),
         split=SplitCard(train=tuple(courses)),
+        coupling=learn_coupling(dataset),
     )

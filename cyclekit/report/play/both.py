@@ -13,6 +13,7 @@ import numpy as np
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import CouplingCard
+from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.answer import CYCLES, RESAMPLES, resample_counts
 from cyclekit.estimate.joint.judged import JointCheck
 from cyclekit.estimate.joint.legs import Gates, event_kind, told_needs
@@ -59,6 +60,9 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     dataset, _ = in_memory(page.dataset)
     legs = nominal_tasks(dataset)
     cell = JointCell(model, dataset, card)
+    if cell.unseen:
+        seen = "no log shows the operator, and without his places other orders cannot be played here"
+        raise EstimateError(seen, cure="Ask estimate, plan and whatif.")
     arrays: Arrays = {}
     planner = Planner(cell, legs)
     sequences = [_sequence(each, planner) for each in shown]

@@ -10,8 +10,8 @@ from cyclekit.dataset.cards import Note, note
 from cyclekit.scaling.infer.override import HALTED, Reference, infer_overrides
 from cyclekit.scaling.levels import find_staircase
 from cyclekit.scaling.safety_override import logged_apart
-from cyclekit.segmentation.arrivals import PlaceStandstills, place_standstills
-from cyclekit.segmentation.dwell import usual_dwells
+from cyclekit.segmentation.arrivals import REST_M, PlaceStandstills, place_standstills
+from cyclekit.segmentation.dwell import Dwell, usual_dwells
 from cyclekit.segmentation.motion import InferredScaling
 
 if TYPE_CHECKING:
@@ -35,6 +35,8 @@ SAME, FULL = 0.05, 0.97
 """Tolerance for equal scalings; minimum scaling of full speed."""
 COMMONER = 2.0
 """Minimum ratio of a scaling's frequency after stops to that after usual standstills, for it to indicate a stop."""
+CLEAR = 5.0
+"""Minimum remaining distance of a robot stopped short of a place, in standard deviations of the noise."""
 LEAVING_S = 2.0
 """Maximum time after a departure, s, in which the scaling must be known."""
 SPARSE = 10
@@ -130,8 +132,16 @@ def halts_at_places(
     overdue, others = list[_Left](), list[float]()
     for execution in executions:
         run = runs[execution.run]
-        for visit in execution.visits[1:-1]:
-            standstill, dwell = standstills[execution.run, visit.first, visit.last], usual[visit.place]
+        for visit in execution.visits[1:]:
+            standstill = standstills[execution.run, visit.first, visit.last]
+            final = visit is execution.visits[-1]
+            dwell = Dwell(0.0, 0.0) if final else usual[visit.place]
+            arrival_s = standstill.times(dwell.usual_s, dwell.ready_s(standstill))[0]
+            end = int(run.row_at(np.array([arrival_s]))[0])
+            if _halted_short(run, visit.first, end, standstill.left_s):
+                halts[execution.run].append(_halt(visit.first, end - 1))
+            if final:
+                continue
             since_s = dwell.excess_from_s(standstill)
             last_s = run.time_at(visit.last)  # departure may precede visible motion; a robot that moves was not stopped
             if max(standstill.left_s, last_s) - standstill.departed_earliest_s > HALTED_S:  # stopped just as it left
@@ -151,6 +161,17 @@ def halts_at_places(
         if after_halts.tells(one.scaling, others):
             halts[one.run].append(_halt(one.begin, one.left))
     return halts
+
+
+def _halted_short(run: Run, first: int, arrived: int, left_s: float) -> bool:
+    """Tell whether a robot that was not seen to move from row `first` on was halted short of where it then arrived."""
+    left = int(run.row_at(np.array([left_s]))[0])
+    if arrived >= left or run.time_at(arrived) - run.time_at(first) <= HALTED_S:
+        return False
+    before, after = run.window(first, arrived - 1).xyz_m, run.window(arrived, left).xyz_m
+    noise = [xyz.std(axis=0) / np.sqrt(len(xyz)) for xyz in (before, after)]
+    way = float(np.linalg.norm(np.median(before, axis=0) - np.median(after, axis=0)))
+    return way > max(REST_M, CLEAR * float(np.linalg.norm(noise)))
 
 
 def _halt(first: int, last: int) -> InferredScaling:

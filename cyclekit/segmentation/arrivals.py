@@ -50,8 +50,8 @@ class PlaceStandstill(NamedTuple):
     """A standstill at a place, session seconds.
 
     Attributes:
-        stopped_s, arrived_s: Bounds of the arrival; they differ if the safety system stopped the robot just there.
-        free_s, left_s: Bounds of the departure, likewise.
+        arrived_earliest_s, arrived_s: Bounds of the arrival; they differ if the safety system stopped the robot there.
+        departed_earliest_s, left_s: Bounds of the departure, likewise.
         changes: Time of the last change of each logged signal that changed during the standstill.
     """
 

@@ -154,3 +154,20 @@ def test_a_robot_that_left_and_is_not_seen_to_move_is_halted(left_s: float, halt
     (found,) = halts_at_places([run], [Execution(0, visits, complete=True)], standstills, AfterHalts(np.empty(0), 1.0))
     assert sum(len(part.scaling) for part in found) == pytest.approx(10.0 * halted_s + bool(halted_s))
     assert all((part.scaling == 0.0).all() for part in found)
+
+
+@pytest.mark.parametrize(("way_m", "halted"), [(2e-4, True), (0.0, False)])
+def test_a_robot_that_goes_the_last_hair_later_was_halted_short_of_its_place(way_m: float, halted: bool):
+    """It is not seen to move from 5 s on, and goes the rest of its way at 8 s."""
+    t_s = np.arange(2000) / 100.0
+    xyz = np.random.default_rng(0).normal(0.0, 1e-5, (2000, 3))
+    xyz[:800, 0] += way_m
+    run = RobotRun(t_s, xyz, np.zeros(2000), np.full(2000, np.nan), is_inferred=True)
+    visits = tuple(Visit(place, row, last) for place, row, last in (("a", 0, 200), ("b", 500, 850), ("c", 1800, 1999)))
+    standstills = {
+        (0, 0, 200): PlaceStandstill(0.0, 0.0, 2.0, 2.0),
+        (0, 500, 850): PlaceStandstill(8.0, 8.0, 8.5, 8.5),
+        (0, 1800, 1999): PlaceStandstill(18.0, 18.0, 19.9, 19.9),
+    }
+    (found,) = halts_at_places([run], [Execution(0, visits, complete=True)], standstills, AfterHalts(np.empty(0), 1.0))
+    assert [(part.first, len(part.scaling)) for part in found] == ([(500, 300)] if halted else [])

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cyclekit.parallel.engine import LOCAL, Engine
+from cyclekit.scaling.infer.full_speed import confirmed_by_limits
 from cyclekit.scaling.infer.path import match_to_path
 from cyclekit.scaling.infer.rate_along_path import rate_along_path
 from cyclekit.scaling.infer.reference import (
@@ -97,6 +98,7 @@ def infer_overrides(
     asked = set(found)
     for attempt in range(PATHS):
         tried = _references(runs, [motion for motion in left if motion.task in asked], set(alone), noise)
+        tried = confirmed_by_limits(tried, [reference for mine in found.values() for reference in mine], noise)
         todo = _chunks(runs, [motion for motion in left if motion.task in tried])
         results: dict[_Motion, InferredScaling | None] = {}
         for done in engine.map(partial(_matched, references=tried, noise=noise), todo):

@@ -71,7 +71,9 @@ class Reference:
 
     Attributes:
         path: Places and nominal times.
-        confirmed: Whether WITNESSES repetitions reached the pace, or the cell was empty, for each row of the path.
+        confirmed: Per row of the path, whether WITNESSES repetitions reached the pace, the cell was empty, or the motion
+            reaches a limit that other motions reach (`full_speed`).
+        repetitions: Number of repetitions.
         stops: Stops shared by every repetition, as `own_s` of the path; they may be programmed.
         alone: Whether it was recorded with nobody in the cell.
         peak: Maximum speed and acceleration at nominal pace, (2, D + 1): of each joint (or axis), in units of its
@@ -88,18 +90,19 @@ class Reference:
     peak: Points
     noise: Points
     straight: bool
+    repetitions: int
     slowed: float = 1.0
 
 
 def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference | None:
-    """Return the reference of a motion; None if there is only one repetition, and that not in an empty cell.
+    """Return the reference of a motion; None without repetitions.
 
     Args:
         repetitions: Repetitions of one motion between two places; those that take another path are ignored.
         alone: Whether they were recorded with nobody in the cell.
     """
     fastest = sorted(repetitions, key=lambda r: float(r.t_s[-1] - r.t_s[0]))[:AMONG]
-    if not fastest or (len(fastest) == 1 and not alone):
+    if not fastest:
         return None
     path = path_of(fastest[0].t_s, fastest[0].points)
     rates, deviations, stops, ways = [], [], [], []
@@ -114,8 +117,6 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
         ways.append(_tcp_along(path, found.own_s, repetition.tcp_m))
         rates.append(rate[rows] / repetition.slider[rows])
         deviations.append(deviation[rows] / repetition.slider[rows])
-    if len(rates) < 2 and not alone:
-        return None
     pace, agreeing = _top(np.array(rates), np.array(deviations), 0.5 if alone else TOP)
     pace = pace / limits_along(_integral(1.0 / pace, path.own_s), path.points)
     return Reference(
@@ -126,6 +127,7 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
         np.column_stack([_peak(path, pace), _tcp_peak(path, pace, ways[0])]),
         np.column_stack([np.tile(_peak_noise(path), (path.points.shape[1], 1)).T, np.zeros(2)]),
         _is_straight(ways[0]),
+        len(rates),
     )
 
 

@@ -120,7 +120,7 @@ def find_evidence(rows: Rows, levels: Sequence[float], people: Sequence[str] = (
         group = np.zeros_like(chosen) if people else rows.execution[chosen]  # a field may be on in few executions
         usual = usual_levels(features[chosen], label[chosen], len(values), group)
     evidence = Evidence(top, values, usual, inputs, watching, {})
-    alone = free if usual is None and not seen.any() else free & seen & (_lowest(rows, evidence) >= top - SAME)
+    alone = free if usual is None and not seen.any() else free & seen & (lowest_usual(rows, evidence) >= top - SAME)
     fast = moving & (rows.scaling >= top - SAME)
     return Evidence(top, values, usual, inputs, watching, _limits(rows, slow, alone, fast, top))
 
@@ -171,7 +171,7 @@ PERSON, INPUT, LIMITS, STOP, UNKNOWN = range(len(SCALING_CAUSES))
 
 def _whose(rows: Rows, s: Vector, slow: Bools, same: Vector, evidence: Evidence) -> Ints:
     """Return the cause of the loss that neither inputs nor limits explain, shape (N,)."""
-    lowest = _around(_lowest(rows, evidence))
+    lowest = _around(lowest_usual(rows, evidence))
     told = np.isfinite(lowest)
     person = slow & told & (lowest <= s + same) & (lowest < evidence.top - same)
     stopped = slow & told & ~person & (s <= HALTED)
@@ -214,7 +214,7 @@ def _between(which: Ints, slow: Bools, halted: Bools, breaks: Bools) -> None:
             which[part] = PERSON
 
 
-def _lowest(rows: Rows, evidence: Evidence) -> Vector:
+def lowest_usual(rows: Rows, evidence: Evidence) -> Vector:
     """Return the lowest usual scaling for the operator's position, shape (N,); NaN = position unknown."""
     features, seen = features_of(rows, evidence.watching)
     if evidence.usual is None:
@@ -240,7 +240,7 @@ def _capping(rows: Rows, moving: Bools, top: float) -> dict[str, Input]:
         on = switch.at(rows.t_s)
         for state in (True, False):
             here, other = rows.scaling[moving & (on == state)], rows.scaling[moving & (on != state)]
-            if min(len(here), len(other)) < LEAST_ON:
+            if min(len(here), len(other)) < LEAST_ON or not (here > HALTED).any():
                 continue
             if float(np.quantile(here, ALWAYS)) < top - SAME <= float(np.quantile(other, ALWAYS)):
                 tenths = np.bincount(np.rint(here[here > HALTED] * 100).astype(np.int64))
@@ -362,4 +362,4 @@ def _limit_at(rows: Rows, evidence: Evidence) -> Vector:
     return cap
 
 
-__all__ = ["NOTHING", "Evidence", "Rows", "Switches", "find_evidence", "lost_shares"]
+__all__ = ["NOTHING", "Evidence", "Rows", "Switches", "find_evidence", "lost_shares", "lowest_usual"]

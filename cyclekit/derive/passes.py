@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -20,6 +20,7 @@ from cyclekit.dataset.cards import note
 from cyclekit.dataset.signals import switches
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
+from cyclekit.derive.halts import HaltAtPlace, halts_told
 from cyclekit.derive.operator_tasks import operator_tasks
 from cyclekit.derive.over_sessions import Passes, is_much
 from cyclekit.derive.reaction_time import reaction_time
@@ -39,7 +40,7 @@ from cyclekit.scaling.response import MAX_CHANGES, SafetyResponse, read_response
 from cyclekit.storage.parquet import forget
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from cyclekit.config import Cell, Source
@@ -49,9 +50,11 @@ if TYPE_CHECKING:
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.derive.operator_signals import FoundSignals
     from cyclekit.derive.robot import RobotInSessions
+    from cyclekit.derive.session_samples import SessionToSample
+    from cyclekit.derive.session_signals import Watched
     from cyclekit.people.silence import Absence
     from cyclekit.schema import Floats, Progress
-    from cyclekit.segmentation.stored_run import Run
+    from cyclekit.segmentation.dwell import Dwell
     from cyclekit.segmentation.time_account import ExecutedTask
 
 
@@ -115,32 +118,45 @@ def derive(
     sessions = numbered(looks)
     robot = robot_of(looks, sessions, cell, passes.engine, lambda done, told: progress(0.2 + 0.3 * done, told))
     works, dwells = with_standstills(passes, sessions, robot)
-    sample = partial(
-        samples_of, places=robot.places, dwells=dwells, sources=sources, read=read, cell=cell, folder=folder
-    )
+    sample = partial(samples_of, places=robot.places, sources=sources, read=read, cell=cell, folder=folder)
     files = shared_files(sessions, cell.rate_hz)
-    made = passes.over_files(sample, works, files, 0.6, 0.85, "samples")
+    made = passes.over_files(partial(sample, dwells=dwells), works, files, 0.6, 0.85, "samples")
     if is_much(groups) or any(run.is_inferred for run in robot.runs):
         forget()  # free the memory for samples and scaling of many hours
-    runs = {work.session.name: list(work.runs.values()) for work in works}
-    return _finished(passes, made, files, runs, robot, cell, folder, sources, read, stored)
+    learnt = _learnt(made, files, works, cell, folder, read, stored)
+    if halts := _halts(works, made, files, dwells, learnt, folder):
+        robot = robot.halted(halts)
+        works, dwells = with_standstills(passes, sessions, robot)
+        made = passes.over_files(partial(sample, dwells=dwells), works, files, 0.6, 0.85, "samples again")
+        learnt = _learnt(made, files, works, cell, folder, read, stored, learnt.evidence)
+    return _finished(passes, made, files, learnt, robot, cell, folder, sources, read)
 
 
-def _finished(
-    passes: Passes,
+class _Learnt(NamedTuple):
+    """What all sessions together tell: levels, signals of people, what is left to do, and causes of lost time."""
+
+    spots: Mapping[str, Place]
+    staircase: Staircase
+    levels: tuple[float, ...]
+    gone: list[Absence]
+    watched: Watched
+    left: list[Left]
+    evidence: Evidence
+
+
+def _learnt(
     made: Sequence[Made],
     files: Sequence[Sequence[int]],
-    runs: Mapping[str, list[Run]],
-    robot: RobotInSessions,
+    works: Sequence[SessionToSample],
     cell: Cell,
     folder: Path,
-    sources: Mapping[str, Source | None],
     read: Read,
     stored: Stored,
-) -> Derived:
-    """Find the levels and the operator's places, and complete the samples."""
-    some = [one for one in made if one.samples]
-    spots = operator_places([stays for one in some for stays in one.stays], cell)
+    evidence: Evidence | None = None,
+) -> _Learnt:
+    """Find the levels, the operator's places and, unless given, the evidence for causes of lost time."""
+    runs = {work.session.name: list(work.runs.values()) for work in works}
+    spots = operator_places([stays for one in made if one.samples for stays in one.stays], cell)
     staircase = _staircase(made, files, cell, folder)
     labels = np.split(staircase.label, np.cumsum([one.samples for one in made])[:-1]) if made else []
     levels = tuple(round(float(level), 6) for level in staircase.levels)
@@ -152,7 +168,52 @@ def _finished(
         )
         for one, label, absence, switch in zip(made, labels, gone, watched.switches, strict=True)
     ]
-    evidence = _evidence(left, made, files, levels, folder, watched.names)
+    evidence = evidence or _evidence(left, made, files, levels, folder, watched.names)
+    return _Learnt(spots, staircase, levels, gone, watched, left, evidence)
+
+
+def _halts(
+    works: Sequence[SessionToSample],
+    made: Sequence[Made],
+    files: Sequence[Sequence[int]],
+    dwells: Mapping[str, Dwell],
+    learnt: _Learnt,
+    folder: Path,
+) -> list[HaltAtPlace]:
+    """Return when robots of inferred scaling were halted at places, as far as people tell."""
+    if learnt.evidence.usual is None or not any(run.is_inferred for work in works for run in work.runs.values()):
+        return []
+    samples = (found for numbers in files for found in _samples_of(numbers, made, folder))
+    sessions = ((works[number], rows_of(some, learnt.left[number].switches)) for number, some in samples)
+    return halts_told(sessions, dwells, learnt.evidence)
+
+
+def _samples_of(numbers: Sequence[int], made: Sequence[Made], folder: Path) -> Iterator[tuple[int, pl.DataFrame]]:
+    """Yield the samples of each session in a file, with its number."""
+    if any(made[number].samples for number in numbers):
+        frame = pl.read_parquet(folder / f"{made[numbers[0]].part}.parquet", glob=False)
+        begin = 0
+        for number in numbers:
+            count = made[number].samples
+            if count:
+                yield number, frame[begin : begin + count].with_columns(step=pl.lit(None, pl.Int32))
+            begin += count
+
+
+def _finished(
+    passes: Passes,
+    made: Sequence[Made],
+    files: Sequence[Sequence[int]],
+    learnt: _Learnt,
+    robot: RobotInSessions,
+    cell: Cell,
+    folder: Path,
+    sources: Mapping[str, Source | None],
+    read: Read,
+) -> Derived:
+    """Complete the samples."""
+    some = [one for one in made if one.samples]
+    spots, staircase, levels, gone, watched, left, evidence = learnt
     most = max(20, MAX_CHANGES // max(len(some), 1))
     rest = partial(
         finish,

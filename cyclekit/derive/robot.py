@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import Note
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import Session
+    from cyclekit.derive.halts import HaltAtPlace
     from cyclekit.derive.over_sessions import Passes
     from cyclekit.derive.session_look import Look
     from cyclekit.parallel.engine import Engine
@@ -62,6 +63,14 @@ class RobotInSessions(NamedTuple):
     places: Mapping[str, Place]
     executions: Sequence[Sequence[Execution]]
     warnings: list[Note]
+
+    def halted(self, halts: Sequence[HaltAtPlace]) -> RobotInSessions:
+        """Return the same with runs halted at some times."""
+        spans: dict[int, list[tuple[float, float]]] = {}
+        for halt in halts:
+            spans.setdefault(halt.run, []).append((halt.first_s, halt.last_s))
+        runs = [run.with_halts(spans[n]) if n in spans else run for n, run in enumerate(self.runs)]
+        return self._replace(runs=runs)
 
 
 def robot_of(

@@ -12,7 +12,7 @@ from cyclekit.scaling.levels import find_staircase
 from cyclekit.scaling.safety_override import logged_apart
 from cyclekit.segmentation.arrivals import REST_M, PlaceStandstills, place_standstills
 from cyclekit.segmentation.dwell import Dwell, usual_dwells
-from cyclekit.segmentation.motion import InferredScaling
+from cyclekit.segmentation.motion import InferredScaling, halted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -139,7 +139,7 @@ def halts_at_places(
             arrival_s = standstill.times(dwell.usual_s, dwell.ready_s(standstill))[0]
             end = int(run.row_at(np.array([arrival_s]))[0])
             if _halted_short(run, visit.first, end, standstill.left_s):
-                halts[execution.run].append(_halt(visit.first, end - 1))
+                halts[execution.run].append(halted(visit.first, end - 1))
             if final:
                 continue
             since_s = dwell.excess_from_s(standstill)
@@ -147,7 +147,7 @@ def halts_at_places(
             if max(standstill.left_s, last_s) - standstill.departed_earliest_s > HALTED_S:  # stopped just as it left
                 left_s = standstill.times(dwell.usual_s, dwell.ready_s(standstill))[1]
                 begin, left = run.row_at(np.array([left_s, max(standstill.left_s, last_s)])).tolist()
-                halts[execution.run] += [_halt(begin, left)] if begin <= left else []
+                halts[execution.run] += [halted(begin, left)] if begin <= left else []
                 continue
             times = [last_s if since_s is None else since_s, min(standstill.left_s, last_s), last_s + LEAVING_S]
             begin, left, end = run.row_at(np.array(times)).tolist()
@@ -159,7 +159,7 @@ def halts_at_places(
                 overdue.append(_Left(execution.run, begin, left, float(known[0])))
     for one in overdue:
         if after_halts.tells(one.scaling, others):
-            halts[one.run].append(_halt(one.begin, one.left))
+            halts[one.run].append(halted(one.begin, one.left))
     return halts
 
 
@@ -172,11 +172,6 @@ def _halted_short(run: Run, first: int, arrived: int, left_s: float) -> bool:
     noise = [xyz.std(axis=0) / np.sqrt(len(xyz)) for xyz in (before, after)]
     way = float(np.linalg.norm(np.median(before, axis=0) - np.median(after, axis=0)))
     return way > max(REST_M, CLEAR * float(np.linalg.norm(noise)))
-
-
-def _halt(first: int, last: int) -> InferredScaling:
-    none = np.zeros(last + 1 - first)
-    return InferredScaling(first, none, none, none.astype(np.int8))
 
 
 class AfterHalts(NamedTuple):

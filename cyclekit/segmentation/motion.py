@@ -135,6 +135,20 @@ class RobotRun:
         scaling, deviation, gap = Overlay(parts).rows(0, self.rows - 1)
         return replace(self, scaling=scaling, deviation=deviation, gap=gap, is_inferred=not logged_apart)
 
+    def with_halts(self, spans_s: Sequence[tuple[float, float]]) -> RobotRun:
+        """Return a run of inferred scaling with a scaling of 0 in some times, session seconds."""
+        deviation = np.full(self.rows, np.nan) if self.deviation is None else self.deviation
+        gap = np.zeros(self.rows, np.int8) if self.gap is None else self.gap
+        whole = InferredScaling(0, self.scaling, deviation, gap)
+        rows = [self.row_at(np.array(span)).tolist() for span in spans_s]
+        return self.with_scaling([whole, *(halted(first, last) for first, last in rows)])
+
+
+def halted(first: int, last: int) -> InferredScaling:
+    """Return a scaling of 0 in rows `first` to `last`."""
+    none = np.zeros(last + 1 - first)
+    return InferredScaling(first, none, none, none.astype(np.int8))
+
 
 def moving_slider(slider: Vector | None, rows: int) -> Vector:
     """Return the slider of some rows as a factor of the speed; 1 if it is zero or unknown."""
@@ -150,6 +164,10 @@ class Overlay:
         self._begins = [part.first for part in self._parts]
         self._longest = max((len(part.scaling) for part in self._parts), default=0)
         self.is_known = any(np.isfinite(part.scaling).any() for part in self._parts)
+
+    def with_parts(self, parts: Sequence[InferredScaling]) -> Overlay:
+        """Return these and more parts."""
+        return Overlay([*self._parts, *parts])
 
     def rows(self, first: int, last: int) -> tuple[Vector, Vector, NDArray[np.int8]]:
         """Return scaling, deviation and gap of rows `first` to `last`; rows without a part are standstills."""

@@ -19,6 +19,7 @@ from cyclekit.segmentation.motion import (
     ProgramStop,
     RobotRun,
     half_window,
+    halted,
     moving_slider,
     slope,
 )
@@ -146,6 +147,13 @@ class StoredRun:
         """Return the run with its scaling replaced by `parts`; unknown (NaN) elsewhere."""
         kept = Overlay(parts)
         return replace(self, inferred=kept, knows_scaling=kept.is_known, logged_apart=logged_apart)
+
+    def with_halts(self, spans_s: Sequence[tuple[float, float]]) -> StoredRun:
+        """Return a run of inferred scaling with a scaling of 0 in some times, session seconds."""
+        if self.inferred is None:
+            return self
+        rows = [self.row_at(np.array(span)).tolist() for span in spans_s]
+        return replace(self, inferred=self.inferred.with_parts([halted(first, last) for first, last in rows]))
 
 
 Run: TypeAlias = RobotRun | StoredRun

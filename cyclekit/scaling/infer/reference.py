@@ -71,8 +71,8 @@ class Reference:
 
     Attributes:
         path: Places and nominal times.
-        confirmed: Per row of the path, whether WITNESSES repetitions reached the pace, the cell was empty, or the motion
-            reaches a limit that other motions reach (`full_speed`).
+        confirmed: Per row of the path, whether WITNESSES repetitions reached the pace, the cell was empty, or the
+            motion reaches a limit that other motions reach (`full_speed`).
         repetitions: Number of repetitions.
         stops: Stops shared by every repetition, as `own_s` of the path; they may be programmed.
         alone: Whether it was recorded with nobody in the cell.

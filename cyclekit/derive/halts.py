@@ -1,9 +1,9 @@
-"""Standstills at places that were halts: where people were while the robot stood, after its process or before it.
+"""Finds stops by people and protective stops in standstills at places, if the scaling was not logged.
 
-A scaling that was not logged says nothing while the robot stands at a place, and a wait looks like a halt. When levels
-and people are known, both can be told apart: a robot that stood where people usually stop it, until they left, was
-stopped by them. One that stood after its process, with nobody near, where that is seldom and no signal changed before
-it left, was stopped as well: by a protective stop.
+An inferred scaling is unknown while the robot stands at a place, so a wait and a stop look the same. Once levels and
+people are known they differ: a robot that stood while people were where they usually stop it, until they left, was
+stopped by them. A robot that stood after its process with nobody near, which is rare at that place, and left without a
+change of a signal, had a protective stop.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.dwell import Dwell
 
 GOES_S = 0.5
-"""A robot that people stopped goes on within this time after they left."""
+"""Maximum time, s, from the departure of people to the restart of the robot they stopped."""
 AWAY_S = 1.0
-"""People who are away for no longer did not let the robot go on."""
-MOST = 0.8
-"""Of the time from arrival to the process, the part in which people must have stopped the robot."""
-SELDOM, LEAST = 0.1, 20
-"""A protective stop prolongs at most this part of the standstills at a place, of at least so many."""
+"""Maximum absence of people, s, that does not let the robot restart."""
+NEAR_SHARE = 0.8
+"""Minimum share of the time from arrival to process in which people stop the robot."""
+SELDOM, MIN_STANDSTILLS = 0.1, 20
+"""Maximum share of standstills at a place with a protective stop; minimum number of standstills for the share."""
 SIGNAL_S = 0.5
-"""A signal that changes within this time before the robot leaves may be what it waited for."""
+"""Maximum time, s, from the change of a signal to the departure of a robot that waited for it."""
 
 
 class HaltAtPlace(NamedTuple):
-    """From when to when a run was halted, session seconds."""
+    """Start and end of a stop in a run, session seconds."""
 
     run: int
     first_s: float
@@ -48,28 +48,28 @@ class HaltAtPlace(NamedTuple):
 
 
 class _Overdue(NamedTuple):
-    """A standstill that goes on after the end of its process, which a signal told, with nobody near."""
+    """A standstill that continues with nobody near after the signal that ends its process."""
 
     place: str
     halt: HaltAtPlace
 
 
-def halts_told(
+def stops_at_places(
     sessions: Iterable[tuple[SessionToSample, Rows]], dwells: Mapping[str, Dwell], evidence: Evidence
 ) -> list[HaltAtPlace]:
-    """Return when robots of inferred scaling were halted at places.
+    """Return the stops at places of robots with inferred scaling.
 
     Args:
-        sessions: Those with samples, and these.
-        dwells: The usual dwell at each place.
-        evidence: What tells where people stop the robot.
+        sessions: Sessions with their samples.
+        dwells: Usual dwell at each place.
+        evidence: Positions at which people usually stop the robot.
     """
     if evidence.usual is None:
         return []
     halts, overdue, visits = list[HaltAtPlace](), list[_Overdue](), dict[str, int]()
     for work, mine in sessions:
         near = _Near(mine, lowest_usual(mine, evidence))
-        for run, place, stand, first_s in _stood(work):
+        for run, place, stand, first_s in _standstills_of(work):
             visits[place] = visits.get(place, 0) + 1
             if paused_time(work.runs[run], first_s, stand.left_s) > 0.0:
                 continue  # its process may have been paused
@@ -79,29 +79,29 @@ def halts_told(
                 overdue.append(_Overdue(place, late))
     for place in {one.place for one in overdue}:
         seldom = [one.halt for one in overdue if one.place == place]
-        if len(seldom) <= SELDOM * max(visits[place], LEAST):
+        if len(seldom) <= SELDOM * max(visits[place], MIN_STANDSTILLS):
             halts += seldom
     return halts
 
 
-def _stood(work: SessionToSample) -> Iterator[tuple[int, str, PlaceStandstill, float]]:
-    """Yield run, place and stand of each standstill between two motions, and when the robot was last seen to move."""
+def _standstills_of(work: SessionToSample) -> Iterator[tuple[int, str, PlaceStandstill, float]]:
+    """Yield run, place and standstill between two motions, and the last time of visible motion before it, s."""
     for execution in work.executions:
         run = work.runs[execution.run]
         for visit in execution.visits[1:-1] if run.is_inferred else ():
             stand = work.standstills[execution.run, visit.first, visit.last]
-            if not stand.halted:  # else it is known
+            if not stand.halted:  # otherwise it is a known stop
                 yield execution.run, visit.place, stand, run.time_at(visit.first)
 
 
 class _Near:
-    """Where people were where they stop the robot."""
+    """Times at which people were where they usually stop the robot."""
 
     def __init__(self, rows: Rows, lowest: Vector) -> None:
         self._t_s, self._known, self._near = rows.t_s, np.isfinite(lowest), lowest <= HALTED
 
     def during(self, first_s: float, last_s: float) -> tuple[Vector, Bools] | None:
-        """Return the times of the samples within a time, and in which of them people were near; None where unknown."""
+        """Return the sample times in a period and whether people were near at each; None if unknown."""
         part = slice(*np.searchsorted(self._t_s, [first_s, last_s]).tolist())
         if part.start == part.stop or not self._known[part].all():
             return None
@@ -109,7 +109,7 @@ class _Near:
 
 
 def _by_people(run: int, stand: PlaceStandstill, first_s: float, dwell: Dwell, near: _Near) -> list[HaltAtPlace]:
-    """Return when people halted a robot that arrived at a place, or was about to leave it."""
+    """Return the stops by people just before the arrival at a place and just before the departure."""
     found = []
     since_s, ready_s = dwell.excess_from_s(stand), dwell.ready_s(stand)
     if since_s is not None and (during := near.during(since_s, stand.left_s)) is not None:
@@ -123,13 +123,13 @@ def _by_people(run: int, stand: PlaceStandstill, first_s: float, dwell: Dwell, n
         during = near.during(stand.arrived_earliest_s, arrival_s)
         if arrival_s - stand.arrived_earliest_s > GOES_S and during is not None:
             begin_s = _until(*during, arrival_s)
-            if begin_s - stand.arrived_earliest_s <= GOES_S and float(during[1].mean()) >= MOST:
+            if begin_s - stand.arrived_earliest_s <= GOES_S and float(during[1].mean()) >= NEAR_SHARE:
                 found.append(HaltAtPlace(run, min(first_s, stand.arrived_earliest_s), arrival_s))
     return found
 
 
 def _until(t_s: Vector, near: Bools, end_s: float) -> float:
-    """Return since when people were near, short absences aside; an end, where they had left GOES_S before it."""
+    """Return the time since which people were near, ignoring short absences; `end_s` if they left GOES_S before it."""
     seen = t_s[near]
     if not len(seen) or end_s - seen[-1] > GOES_S:
         return end_s
@@ -138,7 +138,7 @@ def _until(t_s: Vector, near: Bools, end_s: float) -> float:
 
 
 def _overdue(run: int, stand: PlaceStandstill, dwell: Dwell, near: _Near) -> HaltAtPlace | None:
-    """Return since when a robot stood after its process with nobody near; None where it did not, or that is unknown."""
+    """Return the standstill after the process with nobody near; None if there is none, or people are unknown."""
     since_s, ready_s = dwell.excess_from_s(stand), dwell.ready_s(stand)
     if since_s is None or ready_s is None or stand.left_s - since_s <= HALTED_S:
         return None
@@ -148,4 +148,4 @@ def _overdue(run: int, stand: PlaceStandstill, dwell: Dwell, near: _Near) -> Hal
     return HaltAtPlace(run, since_s, stand.left_s) if during is not None else None
 
 
-__all__ = ["HaltAtPlace", "halts_told"]
+__all__ = ["HaltAtPlace", "stops_at_places"]

@@ -20,7 +20,7 @@ from cyclekit.dataset.cards import note
 from cyclekit.dataset.signals import switches
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
-from cyclekit.derive.halts import HaltAtPlace, halts_told
+from cyclekit.derive.halts import HaltAtPlace, stops_at_places
 from cyclekit.derive.operator_tasks import operator_tasks
 from cyclekit.derive.over_sessions import Passes, is_much
 from cyclekit.derive.reaction_time import reaction_time
@@ -185,7 +185,7 @@ def _halts(
         return []
     samples = (found for numbers in files for found in _samples_of(numbers, made, folder))
     sessions = ((works[number], rows_of(some, learnt.left[number].switches)) for number, some in samples)
-    return halts_told(sessions, dwells, learnt.evidence)
+    return stops_at_places(sessions, dwells, learnt.evidence)
 
 
 def _samples_of(numbers: Sequence[int], made: Sequence[Made], folder: Path) -> Iterator[tuple[int, pl.DataFrame]]:

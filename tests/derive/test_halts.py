@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from cyclekit.derive.causes import Evidence
-from cyclekit.derive.halts import HaltAtPlace, halts_told
+from cyclekit.derive.halts import HaltAtPlace, stops_at_places
 from cyclekit.derive.seen_slow import Rows
 from cyclekit.derive.usual_levels import usual_levels
-from cyclekit.segmentation.arrivals import Stand
-from cyclekit.segmentation.dwell import Dwell, Sign
+from cyclekit.segmentation.arrivals import PlaceStandstill
+from cyclekit.segmentation.dwell import Dwell, EndSignal
 from cyclekit.segmentation.executions import Execution, Visit
-from cyclekit.segmentation.motion import Halt as Pause
+from cyclekit.segmentation.motion import ProgramStop as Pause
 from cyclekit.segmentation.motion import RobotRun
 
 ROWS = 300  # at 10 Hz
-DWELL = {"b": Dwell(1.0, 1.2, Sign("gripper", 0.5, 0.6))}
+DWELL = {"b": Dwell(1.0, 1.2, EndSignal("gripper", 0.5, 0.6))}
 ARRIVED_S, LEFT_S = 10.0, 16.0
 
 
@@ -53,11 +53,11 @@ def told(
     unknown = np.full(ROWS, np.nan)
     run = RobotRun(t_s, np.zeros((ROWS, 3)), np.zeros(ROWS), unknown, is_inferred=True, halts=pauses)
     visits = (Visit("a", 0, 20), Visit("b", 100, 160), Visit("c", 280, ROWS - 1))
-    stand = Stand(ARRIVED_S, ARRIVED_S, LEFT_S, LEFT_S, (("gripper", gripper_s), *(changes or {}).items()))
+    stand = PlaceStandstill(ARRIVED_S, ARRIVED_S, LEFT_S, LEFT_S, (("gripper", gripper_s), *(changes or {}).items()))
     work: Any = SimpleNamespace(
-        runs={0: run}, executions=[Execution(0, visits, complete=True)], stands={(0, 100, 160): stand}
+        runs={0: run}, executions=[Execution(0, visits, complete=True)], standstills={(0, 100, 160): stand}
     )
-    return halts_told([(work, samples(near_s))] * overdue, DWELL, evidence())
+    return stops_at_places([(work, samples(near_s))] * overdue, DWELL, evidence())
 
 
 def test_who_is_near_until_the_robot_leaves_stopped_it_after_its_process():

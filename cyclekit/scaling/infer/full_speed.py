@@ -1,8 +1,8 @@
-"""Which parts of a motion ran at full speed although few repetitions agree: where it reaches limits of other motions.
+"""Finds the parts of a motion at full speed by limits of other motions, if few repetitions agree.
 
-Motions of one program share a few limits: the leading joint's speed and acceleration. Slowed by k, a motion has k times
-the speed and k squared times the acceleration (Hollerbach 1984), so one that reaches a limit that several confirmed
-motions have in common was at full speed there.
+Motions of one program share a few limits: speed and acceleration of the leading joint. Slowed by k, a motion has k
+times the speed and k squared times the acceleration (Hollerbach 1984). So a motion that reaches a limit shared by
+several confirmed motions was at full speed there.
 """
 
 from __future__ import annotations
@@ -20,42 +20,42 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Vector
 
 SHARED, ALIKE = 3, 0.02
-"""A limit is reached by at least SHARED motions, within this part of it."""
+"""Minimum number of motions that share a limit; tolerance, as a share of the limit."""
 SUSTAINED = 0.9
-"""A motion's speed or acceleration is the quantile that it holds for a while: jumps of the reference are short."""
+"""Quantile that serves as the maximum speed or acceleration of a motion; jumps of the reference are shorter."""
 REACHED = 0.97
-"""From this part of a limit on it is reached."""
+"""Minimum share of a limit at which it counts as reached."""
 BETWEEN_S = 0.3
-"""Between speed limit and acceleration limit, and at its ends, a jerk-limited motion reaches none for so long."""
+"""Maximum time, s, for which a jerk-limited motion at full speed reaches no limit: between limits, and at its ends."""
 CONFIRMED = 0.9
-"""A motion shows limits if at least this part of it is confirmed by its repetitions."""
+"""Minimum share of a motion that its repetitions confirm, for it to define limits."""
 HALF_S = 0.05
-"""Half of the stretch over which speed and acceleration are fitted."""
+"""Half width of the window in which speed and acceleration are fitted, s."""
 CLEAR = 10.0
-"""A limit that is less than so many times its noise does not count."""
-_LEAST_ROWS = 2  # to either side
+"""Minimum ratio of an acceleration limit to its noise."""
+_MIN_ROWS = 2  # on either side
 
 
 class _Demand(NamedTuple):
-    """Greatest speed and acceleration of all axes at nominal times (K,), and what noise they have, in rad or m."""
+    """Maximum speed and acceleration over all axes at nominal times (K,), noise of the acceleration; rad or m, s."""
 
     nominal_s: Vector
     speed: Vector
-    force: Vector
-    force_noise: float
+    acceleration: Vector
+    acceleration_noise: float
 
 
 def confirmed_by_limits(
     references: Mapping[str, Reference], others: Sequence[Reference], noise: Mapping[int, Vector]
 ) -> dict[str, Reference]:
-    """Return references, confirmed also where they reach the limits of motions that their repetitions confirm.
+    """Return references that are also confirmed where they reach the limits of confirmed motions.
 
-    One repetition that reaches none is no reference.
+    A single repetition that reaches no limit is left out.
 
     Args:
-        references: By task.
-        others: More references, of other paths.
-        noise: Standard deviation of each coordinate, by how many there are, rad or m.
+        references: References by task.
+        others: References of other paths.
+        noise: Standard deviation of each coordinate by the number of coordinates, rad or m.
     """
     every = [*references.values(), *others]
     if all(one.confirmed.all() for one in references.values()):
@@ -79,11 +79,11 @@ def confirmed_by_limits(
 
 
 def _demand(path: Path, noise: Vector) -> _Demand | None:
-    """Return speed and acceleration along a path at its nominal pace; None where it is too short."""
+    """Return speed and acceleration along a path at its nominal pace; None if it is too short."""
     period = float(path.own_s[1] - path.own_s[0])
     lasts_s = float(path.nominal_s[-1])
     count = round(lasts_s / period)
-    half = max(_LEAST_ROWS, round(HALF_S / period))
+    half = max(_MIN_ROWS, round(HALF_S / period))
     if count < 4 * half:
         return None
     nominal = np.linspace(0.0, lasts_s, count + 1)
@@ -92,10 +92,10 @@ def _demand(path: Path, noise: Vector) -> _Demand | None:
     padded = np.pad(points, ((half, half), (0, 0)), mode="edge")
     fit = np.linalg.pinv(np.vander(np.arange(-half, half + 1) * step, 4, increasing=True))
     stretches = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
-    speed, force = stretches @ fit[1], 2.0 * stretches @ fit[2]
-    along = np.linalg.norm if points.shape[1] == 3 else _greatest  # the TCP goes along a line, joints each by itself
+    speed, acceleration = stretches @ fit[1], 2.0 * stretches @ fit[2]
+    along = np.linalg.norm if points.shape[1] == 3 else _greatest  # TCP: along its path; joints: each on its own
     return _Demand(
-        nominal, along(speed, axis=1), along(force, axis=1), float(2.0 * np.linalg.norm(fit[2]) * noise.max())
+        nominal, along(speed, axis=1), along(acceleration, axis=1), float(2.0 * np.linalg.norm(fit[2]) * noise.max())
     )
 
 
@@ -104,12 +104,12 @@ def _greatest(values: Vector, axis: int) -> Vector:
 
 
 def _at_full_speed(demand: _Demand, shown: Sequence[_Demand]) -> Bools:
-    """Tell where a motion reaches the limits that others show, shape (K,), and shortly between."""
+    """Return where a motion reaches the limits of others, and the short times between, shape (K,)."""
     speed = _limit([float(np.quantile(one.speed, SUSTAINED)) for one in shown])
-    force = _limit([float(np.quantile(one.force, SUSTAINED)) for one in shown])
-    if force < CLEAR * demand.force_noise:
-        force = np.inf
-    reached = np.flatnonzero(np.maximum(demand.speed / speed, np.sqrt(demand.force / force)) >= REACHED)
+    acceleration = _limit([float(np.quantile(one.acceleration, SUSTAINED)) for one in shown])
+    if acceleration < CLEAR * demand.acceleration_noise:
+        acceleration = np.inf
+    reached = np.flatnonzero(np.maximum(demand.speed / speed, np.sqrt(demand.acceleration / acceleration)) >= REACHED)
     full = np.zeros(len(demand.speed), np.bool_)
     if not len(reached):
         return full
@@ -122,7 +122,7 @@ def _at_full_speed(demand: _Demand, shown: Sequence[_Demand]) -> Bools:
 
 
 def _limit(values: Sequence[float]) -> float:
-    """Return the greatest value that SHARED of some values have in common; infinite where there is none."""
+    """Return the maximum value that at least SHARED values have in common; infinite if there is none."""
     found = np.array(values)
     for value in np.sort(found)[::-1].tolist():
         alike = found[np.abs(found - value) <= ALIKE * value]

@@ -42,7 +42,7 @@ from rich.table import Table
 
 from cyclekit.dataset.cards import DynamicsCard, TrainingCard
 from cyclekit.estimate.check import check_rollout
-from cyclekit.estimate.logged import beside_own, logged_durations, logged_sequences
+from cyclekit.estimate.logged import logged_durations, logged_sequences, with_own_tracks
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.plan.search import every_order, random_order, tasks_of
@@ -282,7 +282,7 @@ def dynamics(asked: argparse.Namespace) -> None:
             cell.dataset.card = structs.replace(
                 cell.dataset.card, dynamics=DynamicsCard(**true) if told else DynamicsCard()
             )
-            own_s, *_ = beside_own(model, cell.dataset, executions, nominal, tracks)
+            own_s, *_ = with_own_tracks(model, cell.dataset, executions, nominal, tracks)
             off = 100 * (own_s / took - 1)
             OUT.print(f"{name}, response {'known' if told else 'unknown'}: mean |error| {np.abs(off).mean():.2f} %, "
                       f"mean {off.mean():+.2f} % +- {1.96 * off.std() / len(off) ** 0.5:.2f}")  # fmt: skip

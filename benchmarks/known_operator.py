@@ -250,7 +250,7 @@ def logged_sets(cell: Cell, count: int, seed: int = SEED) -> LoggedSets:
             end = int(np.ceil(until_s[k] / STEP_S))
             logs[k] = Stretch(every[k].where[:end], every[k].activity[:end])
             took_s[k] = Counter()
-            for task, s in zip(sequence.tasks, motion_s + cycles.stands_s[row] + cycles.safety_s[row], strict=True):
+            for task, s in zip(sequence.tasks, motion_s + cycles.standstill_s[row] + cycles.safety_s[row], strict=True):
                 took_s[k][task] += float(s)
     true_s = np.array([one.duration_s for one in cell.rolled(cell.programs, every)])
     return LoggedSets(logs, until_s, spells, took_s, [followed[n] for n in which], true_s)

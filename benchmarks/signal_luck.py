@@ -169,7 +169,7 @@ def of_seed(
         for row, k in enumerate(mine.tolist()):
             logs[k] = states[k, : int(np.ceil(cycles.duration_s[row] / STEP_S))]
             took[k] = Counter()
-            for task, s in zip(sequence.tasks, motion_s + cycles.stands_s[row] + cycles.safety_s[row], strict=True):
+            for task, s in zip(sequence.tasks, motion_s + cycles.standstill_s[row] + cycles.safety_s[row], strict=True):
                 took[k][task] += s
     programs = [lay_out(one, nominal, dataset) for one in wanted]
     found: dict[str, list[list[float]]] = {"one entry": [], "signals": [], "history": []}

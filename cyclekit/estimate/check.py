@@ -23,11 +23,11 @@ from cyclekit.estimate.history import TaskTimes, chance_of_logs, order_error
 from cyclekit.estimate.judges import judge, within
 from cyclekit.estimate.logged import (
     beginnings,
-    beside_others,
-    beside_own,
     logged_durations,
     logged_sequences,
     only_tracks,
+    with_other_tracks,
+    with_own_tracks,
 )
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.operator_model import OperatorModel, operator_model
@@ -239,25 +239,25 @@ def check_rollout(
         _enough(dataset, len(sequences))
         entries = only_tracks(entries, {sequence.name for sequence in sequences})
         tracks = beginnings(entries)
-        own, began, entered = beside_own(model, dataset, sequences, nominal, entries)
-        crossed = beside_others(model, dataset, sequences, nominal, tracks, seed=seed)
-        if np.isfinite(own).all() and not np.isinf(crossed).any():
+        own, began, entered = with_own_tracks(model, dataset, sequences, nominal, entries)
+        others = with_other_tracks(model, dataset, sequences, nominal, tracks, seed=seed)
+        if np.isfinite(own).all() and not np.isinf(others).any():
             break
     logged = logged_durations(dataset, sequences)
-    _enough(dataset, int((np.isfinite(own) & np.isfinite(crossed).any(axis=1)).sum()))
+    _enough(dataset, int((np.isfinite(own) & np.isfinite(others).any(axis=1)).sum()))
     unseen = set(model.card.held_out)
     held_out = np.array([sequence.name in unseen for sequence in sequences])
-    crossed[np.isinf(crossed)] = np.nan
-    found = compare(logged, own, crossed, held_out, levels)
-    some = np.isfinite(crossed).any(axis=1)
+    others[np.isinf(others)] = np.nan
+    found = compare(logged, own, others, held_out, levels)
+    some = np.isfinite(others).any(axis=1)
     means = np.full(len(sequences), np.nan)
-    means[some] = np.nanmean(crossed[some], axis=1) * found.factor
+    means[some] = np.nanmean(others[some], axis=1) * found.factor
     part = model.unseen_error if isinstance(model, OnStates) else 0.0
-    unseen_error, spread = unseen_people(part, logged / means, crossed[some])
+    unseen_error, spread = unseen_people(part, logged / means, others[some])
     times, chance = TaskTimes(dataset), np.zeros(len(sequences))
     if isinstance(model, OnStates):  # few operator tracks are simulated, so chance causes most of the difference
         together = TOGETHER if tracks.runs_on else 1
-        chance = chance_of_logs(times, sequences, crossed, tracks.executions, together)
+        chance = chance_of_logs(times, sequences, others, tracks.executions, together)
     return replace(
         found,
         order_error=order_error(times, sequences, means, chance),
@@ -267,18 +267,18 @@ def check_rollout(
     )
 
 
-def unseen_people(part: float, off: Vector, crossed_s: Floats) -> tuple[float, float]:
+def unseen_people(part: float, off: Vector, others_s: Floats) -> tuple[float, float]:
     """Return `unseen_error` and `spread` of a `Check`.
 
     Args:
         part: Error of expected durations, as a share of the spread of logged durations.
         off: Logged over expected durations, shape (E,); NaN if the latter is unknown.
-        crossed_s: Durations with each of K operator tracks, for the executions with known ones, shape (N, K), s.
+        others_s: Durations with each of K operator tracks, for the executions with known ones, shape (N, K), s.
     """
     if not part:
         return 0.0, 1.0
     logged = float(np.nanstd(off))
-    rolled = float(np.nanmean((np.nanstd(crossed_s, axis=1) / np.nanmean(crossed_s, axis=1)) ** 2)) ** 0.5
+    rolled = float(np.nanmean((np.nanstd(others_s, axis=1) / np.nanmean(others_s, axis=1)) ** 2)) ** 0.5
     return part * logged, logged / rolled if rolled else 1.0
 
 
@@ -295,27 +295,27 @@ def _enough(dataset: Dataset, count: int) -> None:
         raise EstimateError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
 
 
-def compare(logged_s: Vector, own_s: Vector, crossed_s: Floats, held_out: Bools, levels: Sequence[float]) -> Check:
+def compare(logged_s: Vector, own_s: Vector, others_s: Floats, held_out: Bools, levels: Sequence[float]) -> Check:
     """Compare rolled-out with logged durations.
 
     Args:
         logged_s: Logged durations, shape (E,).
         own_s: Durations rolled out with the own operator track, shape (E,).
-        crossed_s: Durations rolled out with each of K operator tracks, shape (E, K); NaN values are ignored.
+        others_s: Durations rolled out with each of K operator tracks, shape (E, K); NaN values are ignored.
         held_out: Which executions the network was not trained on, shape (E,).
         levels: Quantile levels in (0, 1).
     """
-    good = np.isfinite(own_s) & np.isfinite(crossed_s).any(axis=1)
-    logged_s, own_s, crossed_s, held_out = logged_s[good], own_s[good], crossed_s[good], held_out[good]
+    good = np.isfinite(own_s) & np.isfinite(others_s).any(axis=1)
+    logged_s, own_s, others_s, held_out = logged_s[good], own_s[good], others_s[good], held_out[good]
     count = len(logged_s)
-    mean = np.nanmean(crossed_s, axis=1)
+    mean = np.nanmean(others_s, axis=1)
     own, cross = own_s / logged_s - 1, mean / logged_s - 1
     judged = judge(own, held_out)
     reacts = (mean - own_s) / logged_s
     z = float(reacts.mean() / max(reacts.std(ddof=1) / np.sqrt(count), 1e-9)) if count > 2 else 0.0
     outer = min(min(levels), 1 - max(levels))
     enough = count >= FEW_EXECUTIONS
-    inside = np.array([holds(y, row[np.isfinite(row)], outer) for y, row in zip(logged_s, crossed_s, strict=True)])
+    inside = np.array([holds(y, row[np.isfinite(row)], outer) for y, row in zip(logged_s, others_s, strict=True)])
     return Check(
         executions=count,
         held_out=int(held_out.sum()),

@@ -108,10 +108,10 @@ def operator_at(tracks: OperatorTracks, cycle_s: float) -> dict[str, tuple[float
 
 def _ends(ask: Question, program: Program, cycles: Rolled) -> list[tuple[float, float] | tuple[None, None]]:
     """Return the interval in which each task ends in single cycles, s, for the lowest and highest quantile level."""
-    if not cycles.looked_closely or len(cycles.duration_s) < 2 or len(ask.quantiles) < 2:
+    if not cycles.simulated or len(cycles.duration_s) < 2 or len(ask.quantiles) < 2:
         return [(None, None)] * len(program.tasks)
     motion = np.array([task.nominal_s for task in program.tasks])
-    ends = np.cumsum(motion + cycles.safety_s + cycles.stands_s, axis=1)
+    ends = np.cumsum(motion + cycles.safety_s + cycles.standstill_s, axis=1)
     ends *= (cycles.duration_s / ends[:, -1])[:, None]
     quantile = ask.check.quantile if ask.check else _quantile
     low, high = min(ask.quantiles), max(ask.quantiles)
@@ -145,7 +145,7 @@ def _corrected(cycles: Rolled, factor: float) -> tuple[Rolled, float]:
 
 def _shares(program: Program, cycles: Rolled) -> Iterator[TaskShare]:
     """Yield the mean time of each task, split; what the time steps leave over is divided among the standstills."""
-    safety, stands = cycles.safety_s.mean(axis=0), cycles.stands_s.mean(axis=0)
+    safety, stands = cycles.safety_s.mean(axis=0), cycles.standstill_s.mean(axis=0)
     motion = sum(task.nominal_s for task in program.tasks) + float(safety.sum())
     stands *= (float(cycles.duration_s.mean()) - motion) / float(stands.sum())
     for task, lost, stand in zip(program.tasks, safety.tolist(), stands.tolist(), strict=True):

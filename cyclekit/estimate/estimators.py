@@ -15,7 +15,7 @@ import polars as pl
 
 from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.program import Program, draw_stands
+from cyclekit.estimate.program import Program, draw_standstills
 from cyclekit.estimate.safety import BLOCK
 from cyclekit.estimate.walk import Rolled
 
@@ -69,8 +69,8 @@ def by_average(model: TrainedModel, program: Program, tracks: OperatorTracks, se
         msg = "the operator's goals are unknown, and the average-scaling network needs them"
         raise EstimateError(msg, cure="Log button presses or name [human_places.*] in cell.toml, or use rollout.")
     count = len(tracks.executions)
-    stands = draw_stands(program, count, seed)
-    safety = np.zeros(stands.shape)
+    standstills = draw_standstills(program, count, seed)
+    safety = np.zeros(standstills.shape)
     activity_s = np.zeros((count, len(tracks.activities) + 1))
     time = np.zeros(count)
     for leg, task in enumerate(program.tasks):
@@ -79,11 +79,11 @@ def by_average(model: TrainedModel, program: Program, tracks: OperatorTracks, se
         time = _move(model, task, tracks, time)
         safety[:, leg] = time - begin - task.nominal_s
         activity_s[np.arange(count), activity] += safety[:, leg]
-        time = time + stands[:, leg]
+        time = time + standstills[:, leg]
     end = tracks.activity.shape[1] * tracks.step_s
     duration = np.where(time < end, time, np.inf)
     spliced = np.maximum(time - tracks.logged * tracks.step_s, 0.0).sum() / time.sum()
-    return Rolled(duration, stands, safety, activity_s.mean(axis=0), float("nan"), float(spliced))
+    return Rolled(duration, standstills, safety, activity_s.mean(axis=0), float("nan"), float(spliced))
 
 
 def _move(model: TrainedModel, task: NominalTask, tracks: OperatorTracks, start_s: Vector) -> Vector:
@@ -131,22 +131,22 @@ def by_history(dataset: Dataset, program: Program, seed: int = 0) -> Rolled:
     tasks = dataset.tasks().filter(pl.col("safety_loss_s").is_not_null())
     logged = {str(name): rows for (name,), rows in tasks.group_by(["task"], maintain_order=True)}
     count = HISTORY_DRAWS
-    safety, stands = np.empty((count, len(program.tasks))), np.empty((count, len(program.tasks)))
+    safety, standstills = np.empty((count, len(program.tasks))), np.empty((count, len(program.tasks)))
     for leg, task in enumerate(program.tasks):
         rows = logged[task.task]
         drawn = rng.permutation(np.arange(count) % rows.height)
         moved = (rows["arrival_s"] - rows["start_s"]).to_numpy()
         safety[:, leg] = moved[drawn] - task.nominal_s
-        stands[:, leg] = (rows["end_s"] - rows["arrival_s"]).to_numpy()[drawn]
-    duration = program_motion(program) + safety.sum(axis=1) + stands.sum(axis=1)
-    return Rolled(duration, stands, safety, np.zeros(0), 1.0, 0.0)
+        standstills[:, leg] = (rows["end_s"] - rows["arrival_s"]).to_numpy()[drawn]
+    duration = program_motion(program) + safety.sum(axis=1) + standstills.sum(axis=1)
+    return Rolled(duration, standstills, safety, np.zeros(0), 1.0, 0.0)
 
 
 def by_nominal(_dataset: Dataset, program: Program, _seed: int = 0) -> Rolled:
     """Return one cycle without an operator: every motion at full speed, every standstill of mean length."""
-    stands = np.array([[task.dwell_s + task.wait_s for task in program.tasks]])
-    duration = np.array([program_motion(program) + float(stands.sum())])
-    return Rolled(duration, stands, np.zeros(stands.shape), np.zeros(0), 1.0, 0.0)
+    standstills = np.array([[task.dwell_s + task.wait_s for task in program.tasks]])
+    duration = np.array([program_motion(program) + float(standstills.sum())])
+    return Rolled(duration, standstills, np.zeros(standstills.shape), np.zeros(0), 1.0, 0.0)
 
 
 def program_motion(program: Program) -> float:

@@ -104,7 +104,7 @@ class TaskTimes:
 
 
 def order_error(
-    times: TaskTimes, sequences: Sequence[TaskSequence], crossed_s: Vector, chance: Vector | float = 0.0
+    times: TaskTimes, sequences: Sequence[TaskSequence], others_s: Vector, chance: Vector | float = 0.0
 ) -> float | None:
     """Return the error of history due to the order, as a share of the duration, for an order of one task.
 
@@ -113,7 +113,7 @@ def order_error(
     Args:
         times: Logged task durations.
         sequences: The logged executions.
-        crossed_s: Their mean durations rolled out with the operator tracks of others, shape (E,), s.
+        others_s: Their mean durations rolled out with the operator tracks of others, shape (E,), s.
         chance: Variance of history over rollout due to the choice of executions logged and simulated, shape (E,); it
             is subtracted.
 
@@ -122,27 +122,27 @@ def order_error(
     """
     known = [s.name in times.executions and times.knows(s.tasks) for s in sequences]
     elsewhere = [times.elsewhere_s(s) if ok else np.nan for s, ok in zip(sequences, known, strict=True)]
-    squares = ((np.array(elsewhere) / crossed_s - 1.0) ** 2 - chance) * np.array([len(s.tasks) for s in sequences])
+    squares = ((np.array(elsewhere) / others_s - 1.0) ** 2 - chance) * np.array([len(s.tasks) for s in sequences])
     squares = squares[np.isfinite(squares)]
     return float(np.sqrt(max(squares.mean(), 0.0))) if len(squares) >= LEAST_ORDERS else None
 
 
 def chance_of_logs(
-    times: TaskTimes, sequences: Sequence[TaskSequence], crossed_s: Floats, executions: Sequence[str], together: int
+    times: TaskTimes, sequences: Sequence[TaskSequence], others_s: Floats, executions: Sequence[str], together: int
 ) -> Vector:
     """Return the variance of history over rollout over resampled executions, shape (E,); NaN if unknown.
 
     Args:
         times: Logged task durations.
         sequences: The logged executions.
-        crossed_s: Their durations with the operator tracks of others, shape (E, K), s; NaN if not simulated.
+        others_s: Their durations with the operator tracks of others, shape (E, K), s; NaN if not simulated.
         executions: Execution of each of the K operator tracks.
         together: Number of neighbouring executions drawn as one block.
     """
     operators = resampled(executions, 0, together=together)
     drawn = resampled_alike(executions, times.executions, 0, together=together)
     found = np.full(len(sequences), np.nan)
-    for row, (sequence, mine_s) in enumerate(zip(sequences, crossed_s, strict=True)):
+    for row, (sequence, mine_s) in enumerate(zip(sequences, others_s, strict=True)):
         walked = np.isfinite(mine_s)
         if walked.any() and times.knows(sequence.tasks):
             weight = operators[:, walked]

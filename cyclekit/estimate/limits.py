@@ -58,7 +58,7 @@ def no_answer(
 def doubts_of(cycles: Rolled, entry: CycleEstimate, check: Check | None) -> list[str]:
     """Return reasons to doubt the number of one sequence, one sentence each."""
     found = []
-    if entry.tracks and entry.estimator == "rollout" and not cycles.looked_closely:
+    if entry.tracks and entry.estimator == "rollout" and not cycles.simulated:
         found.append(
             "coarse estimate from the table of arrivals, one of many sequences: estimate it alone for an exact one; "
             "support and activities are not known"

@@ -9,10 +9,10 @@ import numpy as np
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.estimate.nominal import NominalTask, slider_losses
-from cyclekit.estimate.program import draw_stands, lay_out
+from cyclekit.estimate.program import draw_standstills, lay_out
 from cyclekit.estimate.safety import Dynamics, SafetyModel, at_once
 from cyclekit.estimate.transit import transit_table
-from cyclekit.estimate.walk import walk
+from cyclekit.estimate.walk import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -68,7 +68,7 @@ def logged_durations(dataset: Dataset, sequences: Sequence[TaskSequence]) -> Vec
     return np.array([durations[sequence.name] for sequence in sequences])
 
 
-def beside_own(
+def with_own_tracks(
     model: SafetyModel,
     dataset: Dataset,
     sequences: Sequence[TaskSequence],
@@ -87,8 +87,8 @@ def beside_own(
     """
     programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
     by_execution = dataset.tasks().sort("execution", "index").group_by(["execution"], maintain_order=True)
-    stands = {str(name): (rows["dwell_s"] + rows["wait_s"]).to_numpy() for (name,), rows in by_execution}
-    own = [np.maximum(stands[sequence.name][: len(sequence.tasks)], 1e-3) for sequence in sequences]
+    standstills = {str(name): (rows["dwell_s"] + rows["wait_s"]).to_numpy() for (name,), rows in by_execution}
+    own = [np.maximum(standstills[sequence.name][: len(sequence.tasks)], 1e-3) for sequence in sequences]
     begins = [tracks.executions.index(sequence.name) for sequence in sequences]
     later = np.arange(len(set(tracks.executions)), len(tracks.executions))
     which = np.append(np.arange(len(programs)), np.arange(len(later)) % len(programs))
@@ -96,15 +96,15 @@ def beside_own(
     counts, track = np.bincount(which), np.append(begins, later).astype(np.int64)
     drawn = [np.tile(stand, (count, 1)) for stand, count in zip(own, counts.tolist(), strict=True)]
     dynamics = Dynamics.of(dataset.card.dynamics, model)
-    walked = walk(model, programs, which[order], track[order], drawn, tracks, dynamics=dynamics, fine=True)
+    simulated = simulate(model, programs, which[order], track[order], drawn, tracks, dynamics=dynamics, fine=True)
     free_s = np.array([sum(t.nominal_s for t in p.tasks) + stand.sum() for p, stand in zip(programs, own, strict=True)])
     took_s = np.empty(len(which))
-    took_s[order] = walked.duration_s
+    took_s[order] = simulated.duration_s
     parts = np.minimum(took_s, tracks.step_s * tracks.xyz_m.shape[1]) / free_s[which]
     return took_s[: len(programs)], parts[: len(programs)], parts[len(programs) :]
 
 
-def beside_others(
+def with_other_tracks(
     model: SafetyModel,
     dataset: Dataset,
     sequences: Sequence[TaskSequence],
@@ -125,17 +125,19 @@ def beside_others(
     dynamics = Dynamics.of(dataset.card.dynamics, model)
     if at_once(model, dynamics):
         asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
-        crossed = transit_table(model, asked, tracks).durations([sequence.tasks for sequence in sequences], seed=seed)
-        crossed[np.arange(len(sequences)), own] = np.nan
-        return crossed
+        others = transit_table(model, asked, tracks).durations([sequence.tasks for sequence in sequences], seed=seed)
+        others[np.arange(len(sequences)), own] = np.nan
+        return others
     count = len(tracks.executions)
     apart = np.unique(np.linspace(1, count - 1, min(OTHERS, count - 1)).astype(np.int64))
     programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
     track = (own[:, None] + apart) % count
     drawn: dict[tuple[str, int], Floats] = {}
-    stands = [draw_stands(program, count, seed, drawn)[mine] for program, mine in zip(programs, track, strict=True)]
+    standstills = [
+        draw_standstills(program, count, seed, drawn)[mine] for program, mine in zip(programs, track, strict=True)
+    ]
     which = np.repeat(np.arange(len(programs)), len(apart))
-    walked = walk(model, programs, which, track.ravel(), stands, tracks, dynamics=dynamics)
-    crossed = np.full((len(programs), count), np.nan)
-    np.put_along_axis(crossed, track, walked.duration_s.reshape(track.shape), axis=1)
-    return crossed
+    simulated = simulate(model, programs, which, track.ravel(), standstills, tracks, dynamics=dynamics)
+    others = np.full((len(programs), count), np.nan)
+    np.put_along_axis(others, track, simulated.duration_s.reshape(track.shape), axis=1)
+    return others

@@ -33,7 +33,7 @@ class NominalTask:
         xyz_m: TCP along the motion at every STEP_S of nominal time, shape (K, 3), base frame.
         nominal_s: Duration of the motion at scaling 1: the median over its repetitions.
         dwell_s, wait_s: Mean process time and mean wait at the goal.
-        stands_s: Logged standstill times at the goal (dwell + wait), ascending, shape (N,) of N repetitions.
+        standstill_s: Logged standstill times at the goal (dwell + wait), ascending, shape (N,) of N repetitions.
     """
 
     task: str
@@ -41,7 +41,7 @@ class NominalTask:
     nominal_s: float
     dwell_s: float
     wait_s: float
-    stands_s: Vector
+    standstill_s: Vector
 
 
 def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> dict[str, NominalTask]:
@@ -58,7 +58,7 @@ def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> di
         nominal_s=pl.col("nominal_s").median(),
         dwell_s=pl.col("dwell_s").mean(),
         wait_s=pl.col("wait_s").mean(),
-        stands_s=(pl.col("dwell_s") + pl.col("wait_s")).sort(),
+        standstill_s=(pl.col("dwell_s") + pl.col("wait_s")).sort(),
     )
     slowed = pl.col("safety_loss_s") + _slider_loss(tasks)
     best = tasks.sort(slowed, "execution", "index").group_by("task", maintain_order=True).first()
@@ -74,7 +74,7 @@ def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> di
                 nominal_s=row["nominal_s_all"],
                 dwell_s=row["dwell_s_all"],
                 wait_s=row["wait_s_all"],
-                stands_s=np.array(row["stands_s"]),
+                standstill_s=np.array(row["standstill_s"]),
             )
     return found
 

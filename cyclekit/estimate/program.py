@@ -85,7 +85,9 @@ def _tasks_from(task: str, nominal: Mapping[str, NominalTask]) -> str:
     return ", ".join(known[:8]) + (" …" if len(known) > 8 else "")
 
 
-def draw_stands(program: Program, count: int, seed: int, known: dict[tuple[str, int], Floats] | None = None) -> Floats:
+def draw_standstills(
+    program: Program, count: int, seed: int, known: dict[tuple[str, int], Floats] | None = None
+) -> Floats:
     """Return a standstill time per cycle and task, shape (count, tasks), s: quantiles of logged ones, shuffled.
 
     Rare long waits for parts make cycles differ; mean standstills would hide that. A task draws the same standstills in
@@ -97,15 +99,15 @@ def draw_stands(program: Program, count: int, seed: int, known: dict[tuple[str, 
     for task in program.tasks:
         key = task.task, times[task.task]
         if key not in known:
-            known[key] = stands_of(task, count, seed, key[1])
+            known[key] = standstills_of(task, count, seed, key[1])
         drawn.append(known[key])
         times[task.task] += 1
     return np.column_stack(drawn)
 
 
-def stands_of(task: NominalTask, count: int, seed: int, occurrence: int) -> Floats:
-    """Return standstill times of a task at its n-th occurrence in a program, shape (count,), s; see `draw_stands`."""
+def standstills_of(task: NominalTask, count: int, seed: int, occurrence: int) -> Floats:
+    """Return standstill times of a task at its n-th occurrence in a program, shape (count,), s: `draw_standstills`."""
     rng = np.random.default_rng([seed, crc32(task.task.encode()), occurrence])
     level = (np.arange(count) + 0.5) / count
-    stands: Floats = np.maximum(rng.permutation(np.quantile(task.stands_s, level)), 1e-3)
-    return stands
+    standstills: Floats = np.maximum(rng.permutation(np.quantile(task.standstill_s, level)), 1e-3)
+    return standstills

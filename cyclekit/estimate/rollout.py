@@ -147,7 +147,7 @@ def estimate(
             doubts = (*unseen, *doubts_of(cycles, entry, check), *unknown)
             found.append(replace(entry, doubts=doubts, warnings=(*doubts, *limits_of_cycles(cycles, entry), *limits)))
             means.append(mean.resampled_s)
-            looked_up.append(not cycles.looked_closely)
+            looked_up.append(not cycles.simulated)
     tell(1.0, "done")
     return ranked(found, means, looked_up)
 

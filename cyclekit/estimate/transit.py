@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.time_grid import samples_in
-from cyclekit.estimate.program import stands_of
+from cyclekit.estimate.program import standstills_of
 from cyclekit.estimate.safety import SafetyModel, scaling_of
 from cyclekit.estimate.walk import Rolled
 
@@ -71,17 +71,17 @@ class TransitTable:
         code = {name: index for index, name in enumerate(self.names)}
         count = self.arrival_s.shape[1]
         time, seen = np.zeros(count), Counter[str]()
-        stands, safety = np.empty((1, len(tasks))), np.empty((1, len(tasks)))
+        standstills, safety = np.empty((1, len(tasks))), np.empty((1, len(tasks)))
         for leg, name in enumerate(tasks):
             task = code[name]
             arrival = self.arrive(np.array([task]), time[None])[0]
             stand = self._stands(task, seen[name], seed)
             seen[name] += 1
             safety[0, leg] = float(np.mean(arrival - time)) - self.tasks[task].nominal_s
-            stands[0, leg] = stand.mean()
+            standstills[0, leg] = stand.mean()
             time = arrival + stand
         unknown = float("nan")
-        return Rolled(time, stands, safety, np.zeros(0), unknown, unknown, looked_closely=False)
+        return Rolled(time, standstills, safety, np.zeros(0), unknown, unknown, simulated=False)
 
     def _some(self, sequences: Sequence[Sequence[str]], seed: int) -> Floats:
         code = {name: index for index, name in enumerate(self.names)}
@@ -92,17 +92,17 @@ class TransitTable:
         for place in range(longest):
             rows = np.array([i for i, sequence in enumerate(sequences) if len(sequence) > place])
             tasks = [sequences[i][place] for i in rows.tolist()]
-            stands = np.empty((len(rows), count))
+            standstills = np.empty((len(rows), count))
             for row, (i, name) in enumerate(zip(rows.tolist(), tasks, strict=True)):
-                stands[row] = self._stands(code[name], occurrence[i][name], seed)
+                standstills[row] = self._stands(code[name], occurrence[i][name], seed)
                 occurrence[i][name] += 1
-            time[rows] = self.arrive(np.array([code[name] for name in tasks]), time[rows]) + stands
+            time[rows] = self.arrive(np.array([code[name] for name in tasks]), time[rows]) + standstills
         return time
 
     def _stands(self, task: int, occurrence: int, seed: int) -> Floats:
         key = task, occurrence, seed
         if key not in self._drawn:
-            self._drawn[key] = stands_of(self.tasks[task], self.arrival_s.shape[1], seed, occurrence)
+            self._drawn[key] = standstills_of(self.tasks[task], self.arrival_s.shape[1], seed, occurrence)
         return self._drawn[key]
 
     def arrive(self, task: Ints, start_s: Floats) -> Floats:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.estimate.program import Program, draw_stands
+from cyclekit.estimate.program import Program, draw_standstills
 from cyclekit.estimate.safety import Dynamics, Follower, Logged, SafetyModel, asked_often, at_once, scaling_in_step
 
 if TYPE_CHECKING:
@@ -38,24 +38,24 @@ class Rolled:
 
     Attributes:
         duration_s: Shape (K,).
-        stands_s: Standstill time at each task's goal per cycle, shape (K, tasks).
+        standstill_s: Standstill time at each task's goal per cycle, shape (K, tasks).
         safety_s: Safety loss per cycle and task, shape (K, tasks).
         by_activity_s: Safety loss per operator activity, mean over cycles, shape (activities + 1,), last = unknown.
         support: Share of the time in logged cells; NaN if not requested.
         spliced: Share of the time on a track continued beyond its own log.
-        looked_closely: False if the cycles come from the table of arrivals: `stands_s` and `safety_s` are then means,
+        simulated: False if the cycles come from the table of arrivals: `standstill_s` and `safety_s` are then means,
             shape (1, tasks), and the activities are unknown.
         own_s: Time of each cycle on the track's own log, without safety loss and the safety loss: (K, 2); None if
             unknown.
     """
 
     duration_s: Vector
-    stands_s: Floats
+    standstill_s: Floats
     safety_s: Floats
     by_activity_s: Vector
     support: float
     spliced: float
-    looked_closely: bool = True
+    simulated: bool = True
     own_s: Floats | None = None
 
     def resampled_means(self, weights: Floats) -> Vector:
@@ -66,7 +66,6 @@ class Rolled:
 
         Args:
             weights: Weights of the cycles in each resample, shape (resamples, K).
-            weights: Of the cycles in each resample, shape (resamples, K).
         """
         if self.own_s is None:
             return np.asarray(weights @ self.duration_s)
@@ -107,15 +106,17 @@ def roll_all(
     at_once = max(1, ROWS // count)
     for first in range(0, len(programs), at_once):
         some = programs[first : first + at_once]
-        stands = [draw_stands(program, count, seed, drawn) for program in some]
+        standstills = [draw_standstills(program, count, seed, drawn) for program in some]
         track = np.tile(np.arange(count), len(some))
-        walked = walk(model, some, np.repeat(np.arange(len(some)), count), track, stands, tracks, support, dynamics)
-        for number, (program, stand) in enumerate(zip(some, stands, strict=True)):
-            yield _of_one(walked, slice(number * count, (number + 1) * count), program, stand, tracks)
+        simulated = simulate(
+            model, some, np.repeat(np.arange(len(some)), count), track, standstills, tracks, support, dynamics
+        )
+        for number, (program, stand) in enumerate(zip(some, standstills, strict=True)):
+            yield _of_one(simulated, slice(number * count, (number + 1) * count), program, stand, tracks)
 
 
 @dataclass(frozen=True)
-class Walked:
+class SimulatedCycles:
     """N simulated cycles, each one program with one track: duration (N,), safety loss per task (N, tasks) and activity.
 
     `known` counts support evaluations in logged cells, `looked` all of them; `spliced` is the time on continued tracks,
@@ -131,18 +132,18 @@ class Walked:
     own_loss_s: Vector
 
 
-def walk(
+def simulate(
     model: SafetyModel,
     programs: Sequence[Program],
     which: Ints,
     track: Ints,
-    stands_s: Sequence[Floats],
+    standstill_s: Sequence[Floats],
     tracks: OperatorTracks,
     support: Logged | None = None,
     dynamics: Dynamics = AT_ONCE,
     *,
     fine: bool = False,
-) -> Walked:
+) -> SimulatedCycles:
     """Simulate N cycles to their ends.
 
     Args:
@@ -150,7 +151,7 @@ def walk(
         programs: The programs.
         which: Program of each row, shape (N,), ascending.
         track: Track of each row, shape (N,).
-        stands_s: Per program, the standstill times of its rows, shape (rows, tasks), s.
+        standstill_s: Per program, the standstill times of its rows, shape (rows, tasks), s.
         tracks: The operator tracks.
         support: Test for logged positions; None leaves `known` and `looked` at 0.
         dynamics: Response of s to the safety function.
@@ -158,7 +159,7 @@ def walk(
     """
     jumps = at_once(model, dynamics)
     step_s = TIME_STEP_S if jumps and not fine else FINE_STEP_S
-    lines, people = _Lines(programs, which, stands_s, step_s), _People(tracks)
+    states, operators = _ProgramStates(programs, which, standstill_s, step_s), _OperatorPositions(tracks)
     count, samples, kinds = len(which), tracks.activity.shape[1], len(tracks.activities) + 1
     duration, activity_s = np.full(count, np.inf), np.zeros(count * kinds)
     known, looked, spliced, own_loss = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
@@ -168,13 +169,13 @@ def walk(
     rows, mine, scaling = np.arange(count), track, np.ones(count)  # of the cycles that have not ended
     for number in range(int((samples - 2) * tracks.step_s / step_s) - asks_after + 1):
         if number % asks_after == 0:
-            robot = lines.robot_at(scaling * asks_after * step_s / 2)
-            where, doing, sample = people.at((number + asks_after / 2) * step_s)
+            robot = states.robot_at(scaling * asks_after * step_s / 2)
+            where, doing, sample = operators.at((number + asks_after / 2) * step_s)
             human = where.take(mine, axis=0)
-            scaling = scaling_in_step(model, follower, lines, robot, human)
+            scaling = scaling_in_step(model, follower, states, robot, human)
         elif follower is not None:
             scaling = follower.go_on()
-        lost, left = lines.advance(scaling)
+        lost, left = states.advance(scaling)
         activity_s[rows * kinds + doing[mine]] += lost
         own = sample < tracks.logged[mine]
         spliced[rows] += step_s * ~own
@@ -182,32 +183,34 @@ def walk(
         if support is not None and number % looks_after == 0:
             known[rows] += support.near_logged(robot, human)
             looked[rows] += 1
-        arrives = lines.arrived
+        arrives = states.arrived
         if arrives.any():
             duration[rows[arrives]] = (number + 1) * step_s - left[arrives]
             rows, mine, scaling = rows[~arrives], mine[~arrives], scaling[~arrives]
-            lines.keep(~arrives)
+            states.keep(~arrives)
             if follower is not None:
                 follower.keep(~arrives)
             if not len(rows):
                 break
-    return Walked(duration, lines.losses(), activity_s.reshape(count, kinds), known, looked, spliced, own_loss)
+    return SimulatedCycles(
+        duration, states.losses(), activity_s.reshape(count, kinds), known, looked, spliced, own_loss
+    )
 
 
-class _Lines:
+class _ProgramStates:
     """State of all cycles under way, one row each: the position in the program, and the safety loss per task.
 
     The array of losses has a row for every cycle; all other arrays have one per cycle that has not ended.
     """
 
-    def __init__(self, programs: Sequence[Program], which: Ints, stands_s: Sequence[Floats], step_s: float) -> None:
+    def __init__(self, programs: Sequence[Program], which: Ints, standstill_s: Sequence[Floats], step_s: float) -> None:
         self._step_s = step_s
         legs = max(len(program.tasks) for program in programs)
         ends, rates = np.full((len(programs), 2 * legs + 1), np.inf), np.ones((len(which), legs + 1))
         for number, program in enumerate(programs):
             ends[number, : len(program.edges_s)] = program.edges_s
-            stands = [task.dwell_s + task.wait_s for task in program.tasks]
-            rates[which == number, : len(stands)] = np.array(stands) / stands_s[number]
+            standstills = [task.dwell_s + task.wait_s for task in program.tasks]
+            rates[which == number, : len(standstills)] = np.array(standstills) / standstill_s[number]
         self._ends, self._rates = ends, rates
         paths = [program.xyz_m() for program in programs]
         self._xyz = np.concatenate(paths)
@@ -282,7 +285,7 @@ class _Lines:
         self._end[rows], self._rate[rows] = self._ends[self._which[rows], part], self._rates[row, part // 2]
 
 
-class _People:
+class _OperatorPositions:
     """Operator tracks indexed by time: the positions (or states) of all operators at an instant are contiguous."""
 
     def __init__(self, tracks: OperatorTracks) -> None:
@@ -303,18 +306,20 @@ class _People:
         return np.where(np.isnan(between), here, between), self._activity[sample], sample
 
 
-def _of_one(walked: Walked, mine: slice, program: Program, stands_s: Floats, tracks: OperatorTracks) -> Rolled:
-    duration = walked.duration_s[mine]
+def _of_one(
+    simulated: SimulatedCycles, mine: slice, program: Program, standstill_s: Floats, tracks: OperatorTracks
+) -> Rolled:
+    duration = simulated.duration_s[mine]
     time_s = max(float(np.where(np.isfinite(duration), duration, 0.0).sum()), 1e-9)
-    looked = float(walked.looked[mine].sum())
-    own_loss_s = walked.own_loss_s[mine]
-    own_base_s = np.maximum(duration - walked.spliced[mine] - own_loss_s, 0.0)
+    looked = float(simulated.looked[mine].sum())
+    own_loss_s = simulated.own_loss_s[mine]
+    own_base_s = np.maximum(duration - simulated.spliced[mine] - own_loss_s, 0.0)
     return Rolled(
         duration,
-        stands_s,
-        walked.safety_s[mine, : len(program.tasks)],
-        walked.activity_s[mine].mean(axis=0),
-        float(walked.known[mine].sum()) / looked if looked else float("nan"),
-        float(walked.spliced[mine].sum()) / time_s,
+        standstill_s,
+        simulated.safety_s[mine, : len(program.tasks)],
+        simulated.activity_s[mine].mean(axis=0),
+        float(simulated.known[mine].sum()) / looked if looked else float("nan"),
+        float(simulated.spliced[mine].sum()) / time_s,
         own_s=np.stack([own_base_s, own_loss_s], axis=1),
     )

@@ -64,9 +64,9 @@ def crossing(count: int, reaction_s: float) -> Check:
     """Executions of 100 s +- 5 s; `reaction_s` is what the logged operators save by minding the robot."""
     rng = np.random.default_rng(3)
     operators = rng.normal(100.0, 5.0, count)
-    crossed = np.where(np.eye(count, dtype=bool), np.nan, operators[None, :] + rng.normal(0, 0.3, (count, count)))
+    others = np.where(np.eye(count, dtype=bool), np.nan, operators[None, :] + rng.normal(0, 0.3, (count, count)))
     logged_s = operators - reaction_s
-    return compare(logged_s, logged_s * 1.001, crossed, np.arange(count) < 20, (0.05, 0.5, 0.95))
+    return compare(logged_s, logged_s * 1.001, others, np.arange(count) < 20, (0.05, 0.5, 0.95))
 
 
 def test_an_operator_who_minds_the_robot_is_found_out():
@@ -110,8 +110,8 @@ def test_one_other_turn_among_few_unseen_executions_is_not_taken_for_one_in_so_f
     logged_s, unseen = rng.normal(100.0, 4.0, 45), np.arange(45) < 9
     own_s = logged_s * (1 + rng.normal(0.0, 0.001, 45))
     own_s[4] = logged_s[4] / 1.09
-    crossed = np.where(np.eye(45, dtype=bool), np.nan, own_s[None, :])
-    check = compare(logged_s, own_s, crossed, unseen, (0.05, 0.95))
+    others = np.where(np.eye(45, dtype=bool), np.nan, own_s[None, :])
+    check = compare(logged_s, own_s, others, unseen, (0.05, 0.95))
     assert len(check.residuals) == 45
     assert abs(check.own_bias) < 0.003
     cycles = rng.normal(100.0, 4.0, 4000)
@@ -122,8 +122,8 @@ def test_where_the_unseen_executions_come_out_worse_they_alone_judge():
     rng = np.random.default_rng(9)
     logged_s, unseen = rng.normal(100.0, 4.0, 45), np.arange(45) < 9
     own_s = logged_s * (1 + np.where(unseen, 0.02, 0.001) * rng.choice([0.5, 1.0, 1.5], 45))
-    crossed = np.where(np.eye(45, dtype=bool), np.nan, own_s[None, :])
-    check = compare(logged_s, own_s, crossed, unseen, (0.05, 0.95))
+    others = np.where(np.eye(45, dtype=bool), np.nan, own_s[None, :])
+    check = compare(logged_s, own_s, others, unseen, (0.05, 0.95))
     assert len(check.residuals) == 9
     assert check.own_bias == pytest.approx((own_s / logged_s - 1)[:9].mean())
 
@@ -132,8 +132,8 @@ def test_what_the_network_leaves_open_widens_the_interval():
     """Logged cycles scatter by 4 s about the rolled ones, which know nothing of it."""
     rng = np.random.default_rng(7)
     own_s = rng.normal(100.0, 3.0, 400)
-    crossed = np.where(np.eye(400, dtype=bool), np.nan, own_s[None, :])
-    check = compare(own_s + rng.normal(0.0, 4.0, 400), own_s, crossed, np.ones(400, dtype=bool), (0.05, 0.95))
+    others = np.where(np.eye(400, dtype=bool), np.nan, own_s[None, :])
+    check = compare(own_s + rng.normal(0.0, 4.0, 400), own_s, others, np.ones(400, dtype=bool), (0.05, 0.95))
     assert check.quantile(rng.normal(100.0, 3.0, 4000), 0.95) == pytest.approx(100 + 1.645 * 5, abs=0.5)
 
 
@@ -202,17 +202,17 @@ def test_what_nobody_saw_of_people_widens_the_interval_and_leaves_the_weight_of_
 
 def test_cycles_scatter_as_logged_executions_of_other_orders_do():
     rng = np.random.default_rng(0)
-    logged_s, crossed_s = rng.normal(100.0, 4.0, 50), rng.normal(100.0, 8.0, (50, 40))
-    unseen_error, spread = unseen_people(0.4, logged_s / 100.0, crossed_s)
+    logged_s, others_s = rng.normal(100.0, 4.0, 50), rng.normal(100.0, 8.0, (50, 40))
+    unseen_error, spread = unseen_people(0.4, logged_s / 100.0, others_s)
     assert spread == pytest.approx(0.5, rel=0.2)
     assert unseen_error == pytest.approx(0.4 * 0.04, rel=0.3)
     check = replace(crossing(50, 0.0), residuals=(0.0,) * 50)
     (low, high), (nearer, less) = (
-        [one.quantile(crossed_s.ravel(), level) for level in (0.05, 0.95)]
+        [one.quantile(others_s.ravel(), level) for level in (0.05, 0.95)]
         for one in (check, replace(check, spread=spread))
     )
     assert (less - nearer) == pytest.approx(spread * (high - low))
-    assert unseen_people(0.0, logged_s, crossed_s) == (0.0, 1.0)
+    assert unseen_people(0.0, logged_s, others_s) == (0.0, 1.0)
 
 
 def test_too_few_logged_executions_are_said_and_correct_nothing(logged: Dataset, staircase: Any, routes: Any):

@@ -11,7 +11,7 @@ from msgspec import structs
 from cyclekit.dataset.cards import DynamicsCard, TrainingCard
 from cyclekit.dataset.cards.rule import LawCard, MetresCard, RuleCard
 from cyclekit.estimate.check import check_rollout
-from cyclekit.estimate.logged import beginnings, beside_others, logged_sequences
+from cyclekit.estimate.logged import beginnings, logged_sequences, with_other_tracks
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.safety import Dynamics, Follower
@@ -79,11 +79,11 @@ def test_beside_other_operators_cycles_are_walked_where_the_robot_recovers_slowl
     nominal = nominal_tasks(logged)
     sequence = logged_sequences(logged, nominal)[3]
     tracks = beginnings(operator_tracks(logged, horizon_s=300.0))
-    (crossed,) = beside_others(staircase, logged, [sequence], nominal, tracks)
+    (others,) = with_other_tracks(staircase, logged, [sequence], nominal, tracks)
     program = lay_out(sequence, nominal, logged)
     walked = roll_out(staircase, program, tracks, None, dynamics=Dynamics.of(logged.card.dynamics)).duration_s
-    assert np.flatnonzero(np.isnan(crossed)).tolist() == [tracks.executions.index(sequence.name)]
-    assert crossed[np.isfinite(crossed)] == pytest.approx(walked[np.isfinite(crossed)])
+    assert np.flatnonzero(np.isnan(others)).tolist() == [tracks.executions.index(sequence.name)]
+    assert others[np.isfinite(others)] == pytest.approx(walked[np.isfinite(others)])
 
 
 def test_beside_other_operators_s_follows_as_the_law_does(logged: Dataset):
@@ -94,9 +94,9 @@ def test_beside_other_operators_s_follows_as_the_law_does(logged: Dataset):
     nominal = nominal_tasks(logged)
     sequence = logged_sequences(logged, nominal)[3]
     tracks = beginnings(operator_tracks(logged, horizon_s=300.0))
-    (crossed,) = beside_others(model, logged, [sequence], nominal, tracks)
+    (others,) = with_other_tracks(model, logged, [sequence], nominal, tracks)
     dynamics = Dynamics(latency_s=0.1, ramp_down_per_s=1.0, ramp_up_per_s=0.1)
     walked = roll_out(model, lay_out(sequence, nominal, logged), tracks, None, dynamics=dynamics).duration_s
-    seen = np.isfinite(crossed)
+    seen = np.isfinite(others)
     assert seen.any()
-    assert crossed[seen] == pytest.approx(walked[seen])
+    assert others[seen] == pytest.approx(walked[seen])

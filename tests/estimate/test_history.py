@@ -67,9 +67,9 @@ def test_what_the_chance_of_a_few_walked_operators_explains_is_no_error_of_the_o
     order = np.where(np.arange(len(names)) % 2, 0.7, 1.3)[:, None]
     found = []
     for cycles_s in (elsewhere[:, None] * luck, elsewhere[:, None] * luck * order):
-        crossed_s = np.full((len(names), len(names)), np.nan)
-        crossed_s[:, :12] = cycles_s
-        chance = chance_of_logs(times, sequences, crossed_s, names, 1)
+        others_s = np.full((len(names), len(names)), np.nan)
+        others_s[:, :12] = cycles_s
+        chance = chance_of_logs(times, sequences, others_s, names, 1)
         mean_s = cycles_s.mean(axis=1)
         found.append(order_error(times, sequences, mean_s, chance) / order_error(times, sequences, mean_s))
     by_chance, by_order = found

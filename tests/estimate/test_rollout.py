@@ -22,7 +22,7 @@ from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate import walk as walking
 from cyclekit.estimate.entry import _shares
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
-from cyclekit.estimate.program import Program, draw_stands
+from cyclekit.estimate.program import Program, draw_standstills
 from cyclekit.estimate.result import PARTS
 from cyclekit.estimate.rollout import estimate as estimate_validated
 from cyclekit.estimate.rollout import lay_out, roll_out
@@ -57,8 +57,8 @@ def test_rolled_along_its_own_track_an_execution_takes_as_long_as_it_did(
     tracks = operator_tracks(logged, horizon_s=200.0)
     assert list(tracks.executions) == [entry.execution for entry in entries]
     programs = [lay_out(TaskSequence("own", entry.places), nominal, logged) for entry in entries]
-    stands, every = [draw_stands(program, 1, 0) for program in programs], np.arange(len(programs))
-    rolled = walking.walk(staircase, programs, every, every, stands, tracks)
+    stands, every = [draw_standstills(program, 1, 0) for program in programs], np.arange(len(programs))
+    rolled = walking.simulate(staircase, programs, every, every, stands, tracks)
     late = rolled.duration_s - [entry.end_s - entry.start_s for entry in entries]
     assert abs(np.mean(late)) < within_s  # of about 95 s
     assert np.quantile(np.abs(late), 0.8) < within_s
@@ -108,14 +108,14 @@ def test_a_logged_stand_of_no_length_makes_that_cycle_shorter_by_its_dwell_and_n
 ):
     nominal = nominal_tasks(logged)
     first = routes[0][0] + "->" + routes[0][1]
-    stands = nominal[first].stands_s.copy()
-    nominal[first] = replace(nominal[first], stands_s=np.concatenate([[0.0, 0.0], stands[2:]]))
+    stands = nominal[first].standstill_s.copy()
+    nominal[first] = replace(nominal[first], standstill_s=np.concatenate([[0.0, 0.0], stands[2:]]))
     program = lay_out(TaskSequence("A", routes[0][:6]), nominal, logged)
     tracks, nowhere = operator_tracks(logged, horizon_s=60.0), Support(np.zeros((1, 3)), np.zeros((1, 3)))
     rolled = roll_out(constant(1.0), program, tracks, nowhere)
     motion = sum(task.nominal_s for task in program.tasks)
-    np.testing.assert_allclose(rolled.duration_s, motion + rolled.stands_s.sum(axis=1))
-    assert rolled.stands_s[:, 0].min() < 0.1
+    np.testing.assert_allclose(rolled.duration_s, motion + rolled.standstill_s.sum(axis=1))
+    assert rolled.standstill_s[:, 0].min() < 0.1
 
 
 def test_the_parts_add_up_to_the_whole_by_task_and_by_activity(logged: Dataset, staircase: Any, routes: Any):

@@ -11,12 +11,12 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.estimate import walk as walking
 from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.program import draw_stands, lay_out
+from cyclekit.estimate.program import draw_standstills, lay_out
 from cyclekit.estimate.safety import Dynamics, scaling_of
 from cyclekit.estimate.spread import logged_support
 from cyclekit.estimate.support import HUMAN_M, ROBOT_M
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
-from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S, Walked, roll_out, walk
+from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S, SimulatedCycles, roll_out, simulate
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
@@ -36,7 +36,7 @@ class Smooth:
 
 
 def by_hand(
-    model: Any, program: Program, tracks: OperatorTracks, k: int, stands_s: np.ndarray, step_s: float
+    model: Any, program: Program, tracks: OperatorTracks, k: int, standstill_s: np.ndarray, step_s: float
 ) -> dict[str, Any]:
     """Walk one program beside one track, a step at a time; the step is shared out where a motion or a stand ends."""
     ends, xyz = program.edges_s, program.xyz_m()
@@ -47,7 +47,7 @@ def by_hand(
 
     def rate_of(part: int, scaling: float) -> float:
         task = program.tasks[part // 2]
-        return scaling if part % 2 == 0 else (task.dwell_s + task.wait_s) / stands_s[part // 2]
+        return scaling if part % 2 == 0 else (task.dwell_s + task.wait_s) / standstill_s[part // 2]
 
     while part < len(ends):
         between, sample = np.modf(round((steps + 0.5) * step_s / tracks.step_s, 6))
@@ -96,9 +96,9 @@ def test_many_rows_at_once_are_each_walked_as_one_would_by_hand(
     monkeypatch.setattr(walking, "TIME_STEP_S", step_s)
     programs, tracks = asked
     support = logged_support(logged)
-    stands = [draw_stands(program, TRACKS, 3) for program in programs]
+    stands = [draw_standstills(program, TRACKS, 3) for program in programs]
     which, track = np.repeat([0, 1], TRACKS), np.tile(np.arange(TRACKS), 2)
-    found = walk(Smooth(), programs, which, track, stands, tracks, support)
+    found = simulate(Smooth(), programs, which, track, stands, tracks, support)
     samples = logged.samples()
     robot, human = (samples.select(f"{who}_{a}_m" for a in "xyz").drop_nulls().to_numpy() for who in ("robot", "human"))
     logged_cells = {(*r, *h) for r, h in zip(np.floor(robot / ROBOT_M), np.floor(human / HUMAN_M), strict=True)}
@@ -123,12 +123,12 @@ def test_rows_with_dynamics_do_not_mind_who_else_is_walked(asked: tuple[list[Pro
     """Rows that are at their end are left out, of what the dynamics remember as well."""
     programs, tracks = asked
     slow = Dynamics(latency_s=0.3, ramp_down_per_s=2.0, ramp_up_per_s=0.5, hysteresis_m=0.15)
-    stands = [draw_stands(program, TRACKS, 3) for program in programs]
+    stands = [draw_standstills(program, TRACKS, 3) for program in programs]
     which, track = np.repeat([0, 1], TRACKS), np.tile(np.arange(TRACKS), 2)
-    found = walk(Smooth(), programs, which, track, stands, tracks, dynamics=slow)
+    found = simulate(Smooth(), programs, which, track, stands, tracks, dynamics=slow)
     for row in range(2 * TRACKS):
         program, some = programs[which[row]], stands[which[row]][track[row]][None]
-        alone = walk(Smooth(), [program], np.array([0]), track[row : row + 1], [some], tracks, dynamics=slow)
+        alone = simulate(Smooth(), [program], np.array([0]), track[row : row + 1], [some], tracks, dynamics=slow)
         assert found.duration_s[row] == alone.duration_s[0]
         legs = len(program.tasks)
         np.testing.assert_array_equal(found.safety_s[row, :legs], alone.safety_s[0])
@@ -138,9 +138,9 @@ def test_a_cycle_that_does_not_end_has_lost_what_it_lost_so_far(
     constant: Any, asked: tuple[list[Program], OperatorTracks]
 ):
     programs, tracks = asked
-    stands = draw_stands(programs[0], TRACKS, 0)
+    stands = draw_standstills(programs[0], TRACKS, 0)
     both = np.array([0, 2])
-    found: Walked = walk(constant(0.0), programs[:1], 0 * both, both, [stands[both]], tracks)
+    found: SimulatedCycles = simulate(constant(0.0), programs[:1], 0 * both, both, [stands[both]], tracks)
     assert np.isinf(found.duration_s).all()
     steps = int((tracks.activity.shape[1] - 2) * tracks.step_s / TIME_STEP_S)
     np.testing.assert_allclose(found.safety_s[:, 0], steps * TIME_STEP_S)

@@ -238,7 +238,7 @@ def robot_agenda(
     for number, task in enumerate(tasks):
         place = task.task.partition("->")[2]
         own = gates.own_s("robot", place)
-        leg = AgendaLeg(number, place, task.xyz_m, task.nominal_s, own_s=task.stands_s if own is None else own)
+        leg = AgendaLeg(number, place, task.xyz_m, task.nominal_s, own_s=task.standstill_s if own is None else own)
         name = names[number] if names else task.task
         leg = replace(leg, name=task.task)
         earliest = not_before_s[number] if not_before_s else 0.0

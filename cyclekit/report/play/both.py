@@ -192,8 +192,8 @@ def _legs(legs: Mapping[str, NominalTask], thinned: Mapping[str, NominalTask], g
             "first": first,
             "points": points,
             "rows": len(leg.xyz_m),
-            "stands_s": np.round(leg.stands_s, 4).tolist() if own is None else [],
-            "logged": len(leg.stands_s),
+            "stands_s": np.round(leg.standstill_s, 4).tolist() if own is None else [],
+            "logged": len(leg.standstill_s),
         }
         first += points
     return found

@@ -12,7 +12,7 @@ import numpy as np
 
 from cyclekit.estimate.history import TaskTimes
 from cyclekit.estimate.nominal import STEP_S, nominal_tasks
-from cyclekit.estimate.program import stands_of
+from cyclekit.estimate.program import standstills_of
 from cyclekit.estimate.resample import RESAMPLES, TOGETHER, resampled_alike
 from cyclekit.estimate.safety import Dynamics, OnStates, SafetyModel, asked_often, at_once
 from cyclekit.estimate.signal_states import on_states_of
@@ -194,12 +194,12 @@ def _legs(
             "first": first,
             "points": len(leg.xyz_m),
             "stands": len(stands),
-            "logged": len(leg.stands_s),
+            "logged": len(leg.standstill_s),
         }
         first += len(leg.xyz_m)
         start, _, goal = name.partition("->")
         often = max(1, *(min(places.count(start), places.count(goal)) for places in shown))
-        stands += [stands_of(leg, count, SEED, occurrence) for occurrence in range(often)]
+        stands += [standstills_of(leg, count, SEED, occurrence) for occurrence in range(often)]
     arrays["stands"] = np.array(stands, np.float32)
     return found
 

@@ -11,7 +11,7 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.entry import LEAST_SUPPORT
 from cyclekit.estimate.joint.judged import JointCheck, judge_joint
 from cyclekit.estimate.joint.plans import Planner
-from cyclekit.estimate.joint.roll import JointCell, longest_s, unbrought
+from cyclekit.estimate.joint.roll import JointCell, longest_s, waits_without_source
 from cyclekit.estimate.joint.shares import operator_shares, planned_shares, task_shares
 from cyclekit.estimate.limits import (
     FEW_EXECUTIONS,
@@ -93,13 +93,13 @@ def estimate_both(
     found = answers.found(sequences, judged, refuse, tell)
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, cell.model)]
     unseen = cell.model.doubts if isinstance(cell.model, OnStates) else ()
-    told = []
+    entries = []
     for entry, _ in found:
         doubts = (*unseen, *entry.doubts, *extrapolation_of(entry), *(judged.doubts if judged else ()), *unknown)
         few = [few_tracks(entry)] if entry.executions < FEW_EXECUTIONS else []
-        told.append(replace(entry, doubts=doubts, warnings=(*doubts, *few, *limits)))
+        entries.append(replace(entry, doubts=doubts, warnings=(*doubts, *few, *limits)))
     tell(1.0, "done")
-    return ranked(told, [means for _, means in found], [False] * len(found))
+    return ranked(entries, [means for _, means in found], [False] * len(found))
 
 
 class JointAnswers:
@@ -225,7 +225,7 @@ def _left_out(cycles: RolledBoth, cell: JointCell) -> list[str]:
     """Return the cycles and waits that the rollout of a plan leaves out, one sentence each."""
     until_s, part = longest_s(cycles.plan), cycles.left_out
     ended = f"{part:.1%} of the cycles are left out: they end in a deadlock or do not end within {until_s:.0f} s"
-    return [*([ended] if part else []), *unbrought(cycles.plan, cell.coupling)]
+    return [*([ended] if part else []), *waits_without_source(cycles.plan, cell.coupling)]
 
 
 def _slowed(shares: Sequence[TaskShare], factor: float) -> list[TaskShare]:

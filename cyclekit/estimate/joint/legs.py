@@ -145,7 +145,7 @@ def event_kind(condition: ConditionCard) -> str:
     return "set" if given else condition.event
 
 
-def told_needs(tasks: Sequence[PlannedTask], where: str) -> dict[int, tuple[Need, ...]]:
+def precedence_needs(tasks: Sequence[PlannedTask], where: str) -> dict[int, tuple[Need, ...]]:
     """Return the tasks that each task of a plan must follow (`after`), as needs by number in the plan.
 
     Raises:
@@ -158,11 +158,11 @@ def told_needs(tasks: Sequence[PlannedTask], where: str) -> dict[int, tuple[Need
         nth = turns[task.agent, task.name]
         turns[task.agent, task.name] += 1
         needs = []
-        for told in task.after:
-            able = [key for key in count if key[1] == told and key != (task.agent, task.name)]
+        for earlier in task.after:
+            able = [key for key in count if key[1] == earlier and key != (task.agent, task.name)]
             if not able:
-                raise UnknownName(f"{where}: {task.shown}", "task", told, {each.name for each in tasks})
-            needs += [Need((key[0], told, "done", min(nth, count[key] - 1))) for key in able]
+                raise UnknownName(f"{where}: {task.shown}", "task", earlier, {each.name for each in tasks})
+            needs += [Need((key[0], earlier, "done", min(nth, count[key] - 1))) for key in able]
         found[number] = tuple(needs)
     return found
 
@@ -181,7 +181,7 @@ class _Builder:
         task: int,
         name: str,
         leg: AgendaLeg,
-        told: tuple[Need, ...],
+        precedence: tuple[Need, ...],
         not_before_s: float,
         split: Callable[[AgendaLeg, tuple[Need, ...], float], list[AgendaLeg]] | None = None,
     ) -> None:
@@ -192,7 +192,7 @@ class _Builder:
         approach = self._gates.needs(self.agent, "approach", place, turn)
         phase = gate.phase if gate is not None else 0.0
         midway = approach if split is not None and phase > 0.0 else ()
-        needs = (*told, *(() if midway else approach))
+        needs = (*precedence, *(() if midway else approach))
         if needs or not_before_s > 0.0:
             hold = AgendaLeg(task, here, self.legs[-1].path_m[-1:], needs=needs, not_before_s=not_before_s)
             self.legs.append(replace(hold, name=f"hold {place}", hold=True))
@@ -221,7 +221,7 @@ def robot_agenda(
     gates: Gates,
     *,
     names: Sequence[str] | None = None,
-    told: Mapping[int, tuple[Need, ...]] | None = None,
+    precedence: Mapping[int, tuple[Need, ...]] | None = None,
     not_before_s: Sequence[float] | None = None,
 ) -> Agenda:
     """Return the legs of a robot with consecutive tasks.
@@ -230,7 +230,7 @@ def robot_agenda(
         tasks: The tasks, in order.
         gates: Gates of the cell.
         names: Names of the tasks in the plan; None: `start->goal`.
-        told: Tasks that each must follow (`after`), by number.
+        precedence: Tasks that each must follow (`after`), by number.
         not_before_s: Earliest start of each task.
     """
     start = tasks[0].task.partition("->")[0]
@@ -242,7 +242,7 @@ def robot_agenda(
         name = names[number] if names else task.task
         leg = replace(leg, name=task.task)
         earliest = not_before_s[number] if not_before_s else 0.0
-        builder.go(number, name, leg, (told or {}).get(number, ()), earliest, _split)
+        builder.go(number, name, leg, (precedence or {}).get(number, ()), earliest, _split)
     return builder.agenda([task.task for task in tasks])
 
 
@@ -260,7 +260,7 @@ def operator_agenda(
     work_s: Mapping[str, Vector],
     first_stays_s: Mapping[str, Vector],
     *,
-    told: Mapping[int, tuple[Need, ...]] | None = None,
+    precedence: Mapping[int, tuple[Need, ...]] | None = None,
     not_before_s: Sequence[float] | None = None,
 ) -> Agenda:
     """Return the legs of an operator who visits places one after the other.
@@ -270,7 +270,7 @@ def operator_agenda(
         gates: Gates of the cell.
         work_s: Quantiles of stays at each place, which are work if he never waits; elsewhere he has no work.
         first_stays_s: Quantiles of stays at the start of an execution, for places where he is at no other time.
-        told: Tasks that each must follow (`after`), by number.
+        precedence: Tasks that each must follow (`after`), by number.
         not_before_s: Earliest start of each task.
     """
     builder = _Builder("operator", "", np.empty((0, 3)), gates)
@@ -280,5 +280,5 @@ def operator_agenda(
         own = first_stays_s.get(place, own) if number == 0 and place not in work_s else own
         leg = AgendaLeg(number, place, np.empty((0, 3)), start=builder.legs[-1].place, own_s=own, name=place)
         earliest = not_before_s[number] if not_before_s else 0.0
-        builder.go(number, place, leg, (told or {}).get(number, ()), earliest)
+        builder.go(number, place, leg, (precedence or {}).get(number, ()), earliest)
     return builder.agenda(places)

@@ -9,15 +9,15 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.joint.drawn import chosen
+from cyclekit.estimate.joint.draws import chosen
 from cyclekit.estimate.safety import OnStates
 from cyclekit.estimate.tracks import logged_courses
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.joint.drawn import Drawn
+    from cyclekit.estimate.joint.draws import CycleDraws
     from cyclekit.estimate.joint.visits import Segments
-    from cyclekit.estimate.joint.walk import RobotLine, Unhindered
+    from cyclekit.estimate.joint.walk import RobotLine, UnslowedAgent
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.schema import Floats, Ints, Vector
 
@@ -29,31 +29,31 @@ XYZ = ["robot_x_m", "robot_y_m", "robot_z_m"]
 class OperatorPositions:
     """Where the operators are, as time goes on."""
 
-    def __init__(self, operator: Unhindered, *, segments: Segments, step_s: float, pace: float = 1.0) -> None:
+    def __init__(self, operator: UnslowedAgent, *, segments: Segments, step_s: float, pace: float = 1.0) -> None:
         """Take what the operator does, his logged positions with the time between them, and how slow he walks."""
         self._operator, self._pace = operator, pace
         self._xyz_m, self._first, self._count = segments.table()
         self._step_s = step_s
-        drawn = operator.drawn
-        kinds = sorted({leg.place for agenda in drawn.agendas for leg in agenda.legs if leg.place})
+        draws = operator.draws
+        kinds = sorted({leg.place for agenda in draws.agendas for leg in agenda.legs if leg.place})
         self.activities = tuple(kinds)
         number = {name: n for n, name in enumerate(kinds)} | {"": len(kinds)}
-        legs = drawn.own_s.shape[1]
-        self._kind = np.full((len(drawn.agendas), legs), len(kinds))
-        self._starts = np.zeros(len(drawn.agendas), dtype=np.int64)
-        for a, agenda in enumerate(drawn.agendas):
+        legs = draws.own_s.shape[1]
+        self._kind = np.full((len(draws.agendas), legs), len(kinds))
+        self._starts = np.zeros(len(draws.agendas), dtype=np.int64)
+        for a, agenda in enumerate(draws.agendas):
             self._kind[a, : len(agenda.legs)] = [number[leg.place] for leg in agenda.legs]
             self._starts[a] = next((n for n, leg in enumerate(agenda.legs) if leg.start is not None), 0)
-        self._leg = np.zeros(len(drawn.which), dtype=np.int64)
+        self._leg = np.zeros(len(draws.which), dtype=np.int64)
 
     def at(self, t_s: float, line: RobotLine, _gone: Vector, /) -> tuple[Floats, Ints]:
         """Return the positions (N, 3) of the operators of the rows under way, and at what they are (N,)."""
         rows = line.row
-        drawn, times = self._operator.drawn, self._operator.times
-        agenda = drawn.which[rows]
+        draws, times = self._operator.draws, self._operator.times
+        agenda = draws.which[rows]
         while True:
             leg = self._leg[rows]
-            on = (times.passes_s[rows, leg] <= t_s) & (leg < drawn.last[agenda])
+            on = (times.passes_s[rows, leg] <= t_s) & (leg < draws.last[agenda])
             if not on.any():
                 break
             self._leg[rows[on]] += 1
@@ -63,8 +63,8 @@ class OperatorPositions:
         walks = t_s < arrives
         starts = self._starts[agenda]
         still = leg < starts  # before his first walk he is where that begins
-        segment = np.where(walks, drawn.walk[rows, leg], drawn.stay[rows, leg])
-        segment = np.where(still, drawn.walk[rows, starts], segment)
+        segment = np.where(walks, draws.walk[rows, leg], draws.stay[rows, leg])
+        segment = np.where(still, draws.walk[rows, starts], segment)
         since = np.where(still, 0.0, np.where(walks, (t_s - departs) / self._pace, t_s - arrives)) / self._step_s
         since = np.minimum(since, self._count[segment] - 1)
         whole = since.astype(np.int64)
@@ -80,7 +80,7 @@ class LoggedPeople:
     They follow the robot where they work with it, so what was logged is put at its place in the motion, not in time.
     """
 
-    def __init__(self, logged: LoggedMotions, robot: Drawn) -> None:
+    def __init__(self, logged: LoggedMotions, robot: CycleDraws) -> None:
         """Draw a logged motion for each leg of each row."""
         self.activities, self._logged = logged.activities, logged
         self._first = np.zeros(robot.own_s.shape, np.int64)

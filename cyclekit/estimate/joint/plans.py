@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.joint.legs import Agenda, operator_agenda, robot_agenda, told_needs
+from cyclekit.estimate.joint.legs import Agenda, operator_agenda, precedence_needs, robot_agenda
 from cyclekit.estimate.joint.roll import Plan
 from cyclekit.estimate.program import lay_out
 
@@ -28,7 +28,7 @@ class _Mine:
     """One agent's tasks of a plan: names, needs from `after` by number, and earliest starts."""
 
     names: tuple[str, ...]
-    told: dict[int, tuple[Need, ...]]
+    precedence: dict[int, tuple[Need, ...]]
     not_before_s: tuple[float, ...]
 
 
@@ -112,8 +112,8 @@ class Planner:
         return Counter(place for place in places[1:] if place in self.waited_for)
 
     def _of_both(self, sequence: TaskSequence) -> Plan:
-        where, told = sequence.shown, told_needs(sequence.plan, sequence.shown)
-        mine = {agent: _of_agent(agent, sequence.plan, told) for agent in AGENTS}
+        where, precedence = sequence.shown, precedence_needs(sequence.plan, sequence.shown)
+        mine = {agent: _of_agent(agent, sequence.plan, precedence) for agent in AGENTS}
         if other := {task.agent for task in sequence.plan} - set(AGENTS):
             raise UnknownName(where, "agent", min(other), AGENTS)
         robot, operator = mine["robot"], mine["operator"]
@@ -129,7 +129,7 @@ class Planner:
                 program.tasks,
                 self._cell.gates,
                 names=robot.names,
-                told=robot.told,
+                precedence=robot.precedence,
                 not_before_s=robot.not_before_s,
             ),
             (
@@ -138,7 +138,7 @@ class Planner:
                     self._cell.gates,
                     self._cell.work_s,
                     self._cell.first_stays_s,
-                    told=operator.told,
+                    precedence=operator.precedence,
                     not_before_s=operator.not_before_s,
                 ),
             ),
@@ -162,11 +162,11 @@ class Planner:
         return tuple(places)
 
 
-def _of_agent(agent: str, tasks: Sequence[PlannedTask], told: Mapping[int, tuple[Need, ...]]) -> _Mine:
+def _of_agent(agent: str, tasks: Sequence[PlannedTask], precedence: Mapping[int, tuple[Need, ...]]) -> _Mine:
     some = [(number, task) for number, task in enumerate(tasks) if task.agent == agent]
     return _Mine(
         tuple(task.name for _, task in some),
-        {mine: told[number] for mine, (number, _) in enumerate(some)},
+        {mine: precedence[number] for mine, (number, _) in enumerate(some)},
         tuple(task.not_before_s or 0.0 for _, task in some),
     )
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.joint.drawn import Drawn, EventColumns
+from cyclekit.estimate.joint.draws import CycleDraws, EventColumns
 from cyclekit.estimate.joint.legs import Agenda, AgendaLeg, Gates, Need, needs_of
 from cyclekit.estimate.joint.people import LoggedMotions, LoggedPeople, OperatorPositions
 from cyclekit.estimate.joint.visits import Segments
-from cyclekit.estimate.joint.walk import JointCycles, LegTimes, walk_both
+from cyclekit.estimate.joint.walk import JointCycles, LegTimes, simulate_both
 from cyclekit.estimate.safety import Dynamics, OnStates, SafetyModel, holds_everywhere
 from cyclekit.estimate.signal_states import on_states_of
 from cyclekit.estimate.spread import logged_support
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.joint.legs import Event
     from cyclekit.estimate.joint.visits import OperatorVisit
-    from cyclekit.estimate.joint.walk import Presence, Unhindered
+    from cyclekit.estimate.joint.walk import Presence, UnslowedAgent
     from cyclekit.estimate.safety import Logged
     from cyclekit.schema import Ints, Vector
 
@@ -181,9 +181,10 @@ class JointCell:
         done += [(agenda, np.flatnonzero(does == n)) for n, agenda in enumerate(operators)]
         events_s = columns.times([*done, *((source, every) for source in sources)], len(which))
         robot, operator = (
-            Drawn(agendas, mine, turn, cycles, columns, seed) for agendas, mine in ((robots, which), (operators, does))
+            CycleDraws(agendas, mine, turn, cycles, columns, seed)
+            for agendas, mine in ((robots, which), (operators, does))
         )
-        people_of: Callable[[Unhindered], Presence]
+        people_of: Callable[[UnslowedAgent], Presence]
         if self.unseen:
             people = LoggedPeople(self.motions, robot)
             people_of = lambda _: people  # noqa: E731
@@ -191,8 +192,8 @@ class JointCell:
             operator.draw_segments(self.segments, self.pace)
             step_s = 1.0 / self.dataset.rate_hz
             people_of = partial(OperatorPositions, segments=self.segments, step_s=step_s, pace=self.pace)
-        parts = [Drawn([source], np.zeros_like(which), turn, cycles, columns, seed) for source in sources]
-        walked = walk_both(
+        parts = [CycleDraws([source], np.zeros_like(which), turn, cycles, columns, seed) for source in sources]
+        simulated = simulate_both(
             self.model,
             robot,
             operator,
@@ -204,7 +205,7 @@ class JointCell:
             dynamics=self.dynamics,
         )
         for n, plan in enumerate(plans):
-            yield _of_one(plan, walked, np.flatnonzero(which == n), columns, number, does)
+            yield _of_one(plan, simulated, np.flatnonzero(which == n), columns, number, does)
 
     def source(self, source: SourceCard, robots: Sequence[Agenda]) -> Agenda:
         """Return how a signal comes: one after the other, as long as there is room, or after what the robot does."""
@@ -228,42 +229,42 @@ class JointCell:
 
 
 def _of_one(
-    plan: Plan, walked: JointCycles, rows: Ints, columns: EventColumns, number: dict[Agenda, int], does: Ints
+    plan: Plan, simulated: JointCycles, rows: Ints, columns: EventColumns, number: dict[Agenda, int], does: Ints
 ) -> RolledBoth | EstimateError:
-    if walked.stuck[rows].all():
+    if simulated.stuck[rows].all():
         return EstimateError(
-            f"{plan.name}: {_stuck(plan, walked, rows[0], columns)}",
+            f"{plan.name}: {_stuck(plan, simulated, rows[0], columns)}",
             cure="Change the order of one agent, or 'after'.",
         )
-    asked, rows = len(rows), rows[~walked.stuck[rows]]
-    robot, mine, duration = _agents_of(plan, walked, rows, number, does)
+    asked, rows = len(rows), rows[~simulated.stuck[rows]]
+    robot, mine, duration = _agents_of(plan, simulated, rows, number, does)
     ended = np.isfinite(duration)
     if 1.0 - ENDLESS_PART <= ended.mean() < 1.0:
         rows = rows[ended]
-        robot, mine, duration = _agents_of(plan, walked, rows, number, does)
-    lost = walked.activity_s[rows].mean(axis=0).tolist()
-    looked = float(walked.looked[rows].sum())
+        robot, mine, duration = _agents_of(plan, simulated, rows, number, does)
+    lost = simulated.activity_s[rows].mean(axis=0).tolist()
+    looked = float(simulated.looked[rows].sum())
     return RolledBoth(
         plan,
         duration,
         robot,
         tuple(mine),
         columns.events,
-        dict(zip((*walked.activities, "unknown"), lost, strict=True)),
-        float(walked.known[rows].sum()) / looked if looked else float("nan"),
+        dict(zip((*simulated.activities, "unknown"), lost, strict=True)),
+        float(simulated.known[rows].sum()) / looked if looked else float("nan"),
         1.0 - len(rows) / asked,
     )
 
 
 def _agents_of(
-    plan: Plan, walked: JointCycles, rows: Ints, number: dict[Agenda, int], does: Ints
+    plan: Plan, simulated: JointCycles, rows: Ints, number: dict[Agenda, int], does: Ints
 ) -> tuple[OneAgent, list[OneAgent], Vector]:
     """Return the robot and the operator (by agenda) in some cycles, and the durations of these, s."""
-    robot = OneAgent(plan.robot, np.arange(len(rows)), _cut(walked.robot, rows, len(plan.robot.legs)))
+    robot = OneAgent(plan.robot, np.arange(len(rows)), _cut(simulated.robot, rows, len(plan.robot.legs)))
     mine = []
     for agenda in dict.fromkeys(plan.operators):
         some = np.flatnonzero(does[rows] == number[agenda])
-        mine.append(OneAgent(agenda, some, _cut(walked.operator, rows[some], len(agenda.legs))))
+        mine.append(OneAgent(agenda, some, _cut(simulated.operator, rows[some], len(agenda.legs))))
     duration = robot.times.passes_s[:, -1].copy()
     if plan.both:
         for each in mine:
@@ -299,20 +300,25 @@ def _cut(times: LegTimes, rows: Ints, legs: int) -> LegTimes:
     return found
 
 
-def _stuck(plan: Plan, walked: JointCycles, row: int, columns: EventColumns) -> str:
+def _stuck(plan: Plan, simulated: JointCycles, row: int, columns: EventColumns) -> str:
     """Return a description of a deadlock: which agent waits where for which event."""
-    told = []
-    for agenda, times in ((plan.robot, walked.robot), (plan.operators[row % len(plan.operators)], walked.operator)):
+    waits = []
+    for agenda, times in (
+        (plan.robot, simulated.robot),
+        (plan.operators[row % len(plan.operators)], simulated.operator),
+    ):
         ended = np.isfinite(times.passes_s[row, : len(agenda.legs)])
         if not ended.all():
             leg = agenda.legs[int(ended.argmin())]
-            missing = [need.event for need in leg.needs if np.isinf(walked.events_s[row, columns.needed(need.event)])]
+            missing = [
+                need.event for need in leg.needs if np.isinf(simulated.events_s[row, columns.needed(need.event)])
+            ]
             where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
-            told.append(f"{agenda.agent} waits {where} until {' and '.join(shown(event) for event in missing)}")
-    return "deadlock: " + "; ".join(told)
+            waits.append(f"{agenda.agent} waits {where} until {' and '.join(shown(event) for event in missing)}")
+    return "deadlock: " + "; ".join(waits)
 
 
-def unbrought(plan: Plan, coupling: CouplingCard | None) -> list[str]:
+def waits_without_source(plan: Plan, coupling: CouplingCard | None) -> list[str]:
     """Return what a plan leaves out, one sentence each: waits for a signal that no agent sets."""
     sources = coupling.sources if coupling else ()
     brought = {(source.signal, source.brings) for source in sources}

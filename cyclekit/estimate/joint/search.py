@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.joint.drawn import Drawn, EventColumns
+from cyclekit.estimate.joint.draws import CycleDraws, EventColumns
 from cyclekit.estimate.joint.roll import Plan, longest_s
-from cyclekit.estimate.joint.walk import Unhindered, settle
+from cyclekit.estimate.joint.walk import UnslowedAgent, advance_unslowed
 from cyclekit.estimate.plan.search import every_order, random_order
 
 if TYPE_CHECKING:
@@ -80,9 +80,9 @@ def mean_times(cell: JointCell, robots: Sequence[Agenda], operators: Sequence[Ag
         for source in sources:
             mine = columns.times([(source, np.arange(1))], 1)
             events_s = np.maximum(events_s, mine)
-        agents = [Unhindered(_rows(robot, r), events_s), Unhindered(_rows(operator, o), events_s)]
-        agents += [Unhindered(_rows(part, np.zeros_like(r)), events_s) for part in parts]
-        settle(agents, np.arange(len(r)))
+        agents = [UnslowedAgent(_rows(robot, r), events_s), UnslowedAgent(_rows(operator, o), events_s)]
+        agents += [UnslowedAgent(_rows(part, np.zeros_like(r)), events_s) for part in parts]
+        advance_unslowed(agents, np.arange(len(r)))
         ends = [_ends_s(agent) for agent in agents[: 2 if both else 1]]
         found[some] = np.max(ends, axis=0).reshape(len(some), len(operators))
     return found
@@ -117,23 +117,23 @@ def _walks_s(cell: JointCell, agenda: Agenda) -> list[float]:
     return [cell.pace * seconds for seconds in durations]
 
 
-def _usual(agendas: Sequence[Agenda], columns: EventColumns, ways_s: Sequence[Sequence[float]]) -> Drawn:
+def _usual(agendas: Sequence[Agenda], columns: EventColumns, ways_s: Sequence[Sequence[float]]) -> CycleDraws:
     """Return agendas with median work and lags, and mean ways, one row each."""
     every = np.arange(len(agendas))
-    drawn = Drawn(agendas, every, np.zeros_like(every), 1, columns, 0)
+    draws = CycleDraws(agendas, every, np.zeros_like(every), 1, columns, 0)
     for row, seconds in enumerate(ways_s):
-        drawn.walk_s[row, : len(seconds)] = seconds
-    return drawn
+        draws.walk_s[row, : len(seconds)] = seconds
+    return draws
 
 
-def _rows(drawn: Drawn, rows: Ints) -> Drawn:
+def _rows(draws: CycleDraws, rows: Ints) -> CycleDraws:
     """Return selected rows of draws; rows may repeat."""
-    found = copy(drawn)
+    found = copy(draws)
     for name in ("which", "own_s", "lag_s", "walk_s"):
-        setattr(found, name, getattr(drawn, name)[rows])
+        setattr(found, name, getattr(draws, name)[rows])
     return found
 
 
-def _ends_s(agent: Unhindered) -> Vector:
-    last = agent.drawn.last[agent.drawn.which]
+def _ends_s(agent: UnslowedAgent) -> Vector:
+    last = agent.draws.last[agent.draws.which]
     return np.asarray(agent.times.passes_s[np.arange(len(last)), last])

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from cyclekit.estimate.joint.drawn import NEVER
+from cyclekit.estimate.joint.draws import NEVER
 from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, asked_often, at_once, scaling_in_step
 from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cyclekit.estimate.joint.drawn import Drawn
+    from cyclekit.estimate.joint.draws import CycleDraws
     from cyclekit.estimate.safety import Logged
     from cyclekit.schema import Bools, Floats, Ints, Vector
 
@@ -36,9 +36,9 @@ class LegTimes:
         lost_s: Safety loss of the leg.
     """
 
-    def __init__(self, drawn: Drawn) -> None:
+    def __init__(self, draws: CycleDraws) -> None:
         """Create times of inf: nothing has occurred yet."""
-        shape = drawn.own_s.shape
+        shape = draws.own_s.shape
         self.arrives_s, self.works_s, self.passes_s = (np.full(shape, np.inf) for _ in range(3))
         self.decided = np.full(shape, OWN)
         self.lost_s = np.zeros(shape)
@@ -50,30 +50,30 @@ class LegTimes:
         return np.where(passed, self.passes_s, 0.0) - np.where(passed, self.works_s, 0.0)
 
 
-def opens(drawn: Drawn, events_s: Floats, rows: Ints, legs: Ints, works_s: Vector) -> tuple[Vector, Ints]:
+def departures(draws: CycleDraws, events_s: Floats, rows: Ints, legs: Ints, works_s: Vector) -> tuple[Vector, Ints]:
     """Return when these rows may depart from these legs, s (inf: not known yet), and the cause that decides it."""
-    agenda = drawn.which[rows]
-    columns = drawn.needs[agenda, legs]
-    lag_s = drawn.lag_s[rows, legs]
+    agenda = draws.which[rows]
+    columns = draws.needs[agenda, legs]
+    lag_s = draws.lag_s[rows, legs]
     due = np.where(lag_s == NEVER, NEVER, events_s[rows[:, None], columns]) + lag_s
     latest = due.argmax(axis=1)
     each = np.arange(len(rows))
-    planned = drawn.not_before_s[agenda, legs]
+    planned = draws.not_before_s[agenda, legs]
     own = np.maximum(works_s, planned)
     needed = due[each, latest]
     decided = np.where(needed > own, columns[each, latest], np.where(planned > works_s, PLANNED, OWN))
     return np.maximum(own, needed), decided
 
 
-class Unhindered:
+class UnslowedAgent:
     """An agent that is never slowed: the operator, or a source of parts."""
 
-    def __init__(self, drawn: Drawn, events_s: Floats) -> None:
+    def __init__(self, draws: CycleDraws, events_s: Floats) -> None:
         """Start all rows."""
-        self.drawn, self.times, self._events_s = drawn, LegTimes(drawn), events_s
-        self.leg = np.zeros(len(drawn.which), dtype=np.int64)
-        self.ended = np.zeros(len(drawn.which), dtype=np.bool_)
-        self._arrive(np.arange(len(drawn.which)), np.zeros(len(drawn.which)))
+        self.draws, self.times, self._events_s = draws, LegTimes(draws), events_s
+        self.leg = np.zeros(len(draws.which), dtype=np.int64)
+        self.ended = np.zeros(len(draws.which), dtype=np.bool_)
+        self._arrive(np.arange(len(draws.which)), np.zeros(len(draws.which)))
 
     def go_on(self, rows: Ints) -> Ints:
         """Compute all departures of these rows that are known now; return the rows that departed or ended."""
@@ -81,13 +81,13 @@ class Unhindered:
         first = self.leg[rows].copy()
         while len(rows):
             legs = self.leg[rows]
-            open_s, decided = opens(self.drawn, self._events_s, rows, legs, self.times.works_s[rows, legs])
+            open_s, decided = departures(self.draws, self._events_s, rows, legs, self.times.works_s[rows, legs])
             known = np.isfinite(open_s)
             rows, legs, open_s = rows[known], legs[known], open_s[known]
             self.times.passes_s[rows, legs], self.times.decided[rows, legs] = open_s, decided[known]
-            agenda = self.drawn.which[rows]
-            self._events_s[rows[:, None], self.drawn.passes[agenda, legs]] = open_s[:, None]
-            last = legs >= self.drawn.last[agenda]
+            agenda = self.draws.which[rows]
+            self._events_s[rows[:, None], self.draws.passes[agenda, legs]] = open_s[:, None]
+            last = legs >= self.draws.last[agenda]
             self.ended[rows[last]] = True
             rows, open_s = rows[~last], open_s[~last]
             self.leg[rows] += 1
@@ -96,26 +96,26 @@ class Unhindered:
 
     def _arrive(self, rows: Ints, departs_s: Vector) -> None:
         legs = self.leg[rows]
-        arrives = departs_s + self.drawn.walk_s[rows, legs]
+        arrives = departs_s + self.draws.walk_s[rows, legs]
         self.times.arrives_s[rows, legs] = arrives
-        self.times.works_s[rows, legs] = arrives + self.drawn.own_s[rows, legs]
-        columns = self.drawn.arrives[self.drawn.which[rows], legs]
+        self.times.works_s[rows, legs] = arrives + self.draws.own_s[rows, legs]
+        columns = self.draws.arrives[self.draws.which[rows], legs]
         self._events_s[rows[:, None], columns] = arrives[:, None]
 
 
 class RobotLine:
     """The robot in N cycles: its leg, its progress on it, and what it waits for."""
 
-    def __init__(self, drawn: Drawn, events_s: Floats, step_s: float) -> None:
+    def __init__(self, draws: CycleDraws, events_s: Floats, step_s: float) -> None:
         """Place all rows at their start."""
-        self.drawn, self.times, self._events_s, self._step_s = drawn, LegTimes(drawn), events_s, step_s
-        legs, count = drawn.own_s.shape[1], len(drawn.which)
-        paths = [leg.path_m for agenda in drawn.agendas for leg in agenda.legs]
+        self.draws, self.times, self._events_s, self._step_s = draws, LegTimes(draws), events_s, step_s
+        legs, count = draws.own_s.shape[1], len(draws.which)
+        paths = [leg.path_m for agenda in draws.agendas for leg in agenda.legs]
         self._xyz_m = np.concatenate(paths)
-        self._rows, self._first = np.ones((2, len(drawn.agendas), legs), dtype=np.int64)
-        self._way_s = np.zeros((len(drawn.agendas), legs))
+        self._rows, self._first = np.ones((2, len(draws.agendas), legs), dtype=np.int64)
+        self._way_s = np.zeros((len(draws.agendas), legs))
         begin = 0
-        for a, agenda in enumerate(drawn.agendas):
+        for a, agenda in enumerate(draws.agendas):
             for n, leg in enumerate(agenda.legs):
                 self._rows[a, n], self._first[a, n], self._way_s[a, n] = len(leg.path_m), begin, leg.way_s
                 begin += len(leg.path_m)
@@ -123,7 +123,7 @@ class RobotLine:
         self.part = np.zeros(count, dtype=np.int64)
         self.leg = np.zeros(count, dtype=np.int64)
         self._at, self._clock = np.zeros(count), np.zeros(count)
-        self._end = self._way_s[drawn.which, 0]
+        self._end = self._way_s[draws.which, 0]
 
     @property
     def may_move(self) -> Bools:
@@ -143,7 +143,7 @@ class RobotLine:
 
     def where(self, ahead_s: Vector) -> Floats:
         """Return the TCP (N, 3) of the rows after their motions have advanced by `ahead_s` (N,)."""
-        agenda, gone = self.drawn.which[self.row], self.gone(ahead_s)
+        agenda, gone = self.draws.which[self.row], self.gone(ahead_s)
         last = self._rows[agenda, self.leg] - 1
         return np.asarray(self._xyz_m[self._first[agenda, self.leg] + (gone * last + 0.5).astype(np.int64)])
 
@@ -158,7 +158,7 @@ class RobotLine:
             takes = np.where(to_go <= 1e-9, 0.0, to_go / np.maximum(rate, 1e-12))
             decided = np.full(len(some), OWN)
             if waits.any():
-                open_s, decided[waits] = opens(self.drawn, self._events_s, row[waits], leg[waits], clock[waits])
+                open_s, decided[waits] = departures(self.draws, self._events_s, row[waits], leg[waits], clock[waits])
                 takes[waits] = open_s - clock[waits]
             left = until_s - clock
             done = takes <= left
@@ -177,20 +177,20 @@ class RobotLine:
     def _next(self, some: Ints, decided: Ints) -> None:
         """Start the next part of rows that have ended a way, own work or a wait."""
         row, leg, part, clock = self.row[some], self.leg[some], self.part[some], self._clock[some]
-        agenda = self.drawn.which[row]
+        agenda = self.draws.which[row]
         for when, found in ((MOVES, self.times.arrives_s), (WORKS, self.times.works_s), (WAITS, self.times.passes_s)):
             mine = part == when
             found[row[mine], leg[mine]] = clock[mine]
-        for when, columns in ((MOVES, self.drawn.arrives), (WAITS, self.drawn.passes)):
+        for when, columns in ((MOVES, self.draws.arrives), (WAITS, self.draws.passes)):
             mine = part == when
             self._events_s[row[mine, None], columns[agenda[mine], leg[mine]]] = clock[mine, None]
         goes = part == WAITS
         self.times.decided[row[goes], leg[goes]] = decided[goes]
-        ends = goes & (leg >= self.drawn.last[agenda])
+        ends = goes & (leg >= self.draws.last[agenda])
         self._at[some] = 0.0
         self.part[some] = np.where(ends, ENDED, (part + 1) % ENDED)
         self.leg[some] = leg = np.where(goes & ~ends, leg + 1, leg)
-        self._end[some] = np.where(part == MOVES, self.drawn.own_s[row, leg], self._way_s[agenda, leg])
+        self._end[some] = np.where(part == MOVES, self.draws.own_s[row, leg], self._way_s[agenda, leg])
 
 
 class Presence(Protocol):
@@ -235,13 +235,13 @@ class JointCycles:
     events_s: Floats
 
 
-def walk_both(
+def simulate_both(
     model: SafetyModel,
-    robot: Drawn,
-    operator: Drawn,
-    sources: Sequence[Drawn],
+    robot: CycleDraws,
+    operator: CycleDraws,
+    sources: Sequence[CycleDraws],
     events_s: Floats,
-    people_of: Callable[[Unhindered], Presence],
+    people_of: Callable[[UnslowedAgent], Presence],
     *,
     until_s: float,
     support: Logged | None = None,
@@ -261,7 +261,7 @@ def walk_both(
         dynamics: Response of s to the safety function.
     """
     line = RobotLine(robot, events_s, FINE_STEP_S)
-    others = [Unhindered(drawn, events_s) for drawn in (operator, *sources)]
+    others = [UnslowedAgent(draws, events_s) for draws in (operator, *sources)]
     people, count = people_of(others[0]), len(robot.which)
     follower = None if at_once(model, dynamics) else Follower(model, dynamics, FINE_STEP_S)
     asks_after = 1 if asked_often(model) else round(TIME_STEP_S / FINE_STEP_S)
@@ -270,7 +270,7 @@ def walk_both(
     known, looked, stuck = np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_)
     scaling, human = np.ones(count), np.zeros((count, 3))
     doing = np.zeros(count, dtype=np.int64)
-    settle(others, np.arange(count))
+    advance_unslowed(others, np.arange(count))
     for number in range(int(until_s / FINE_STEP_S)):
         if number % asks_after == 0:
             ahead_s = scaling * asks_after * FINE_STEP_S / 2
@@ -285,7 +285,7 @@ def walk_both(
         lost, touched = line.advance(scaling, (number + 1) * FINE_STEP_S)
         activity_s[line.row, doing] += lost
         if len(touched):
-            settle(others, touched)
+            advance_unslowed(others, touched)
         stuck[line.row] = (line.part == WAITS) & ~np.isfinite(_due(line))
         ended = (line.part == ENDED) | stuck[line.row]
         if ended.any():
@@ -299,7 +299,7 @@ def walk_both(
     return JointCycles(line.times, others[0].times, activity_s, people.activities, known, looked, stuck, events_s)
 
 
-def settle(others: Sequence[Unhindered], rows: Ints) -> None:
+def advance_unslowed(others: Sequence[UnslowedAgent], rows: Ints) -> None:
     """Advance the agents that are never slowed as far as known, until no event of one lets another depart."""
     while len(rows):
         moved = [other.go_on(rows) for other in others]
@@ -310,5 +310,5 @@ def _due(line: RobotLine) -> Vector:
     """Return when each row may depart; 0 for rows that do not wait."""
     due, waits = np.zeros(len(line.row)), np.flatnonzero(line.part == WAITS)
     if len(waits):
-        due[waits] = opens(line.drawn, line._events_s, line.row[waits], line.leg[waits], np.zeros(len(waits)))[0]
+        due[waits] = departures(line.draws, line._events_s, line.row[waits], line.leg[waits], np.zeros(len(waits)))[0]
     return due

@@ -1,4 +1,4 @@
-// ---- what each agent does in a plan: `joint.legs`, `joint.plans`, `joint.drawn`
+// ---- what each agent does in a plan: `joint.legs`, `joint.plans`, `joint.draws`
 
 const APART = "\n"; // of the parts of an event: whose, where, what, the how manieth
 const gateOf = (agent, at, place) => facts.gates.find((gate) => gate.agent === agent && gate.at === at && gate.place === place);

@@ -16,7 +16,7 @@ from cyclekit.dataset.cards import CouplingCard
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.answer import CYCLES, RESAMPLES, resample_counts
 from cyclekit.estimate.joint.judged import JointCheck
-from cyclekit.estimate.joint.legs import Gates, event_kind, told_needs
+from cyclekit.estimate.joint.legs import Gates, event_kind, precedence_needs
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, TIMES, JointCell
 from cyclekit.estimate.nominal import nominal_tasks
@@ -121,7 +121,7 @@ def _asked(plan: Sequence[PlannedTask], where: str) -> dict[str, list[dict[str, 
     numbers = defaultdict[tuple[str, str], list[int]](list)
     for number, task in enumerate(plan):
         numbers[task.agent, task.name].append(number)
-    for number, needs in told_needs(plan, where).items():
+    for number, needs in precedence_needs(plan, where).items():
         task = plan[number]
         events = [need.event for need in needs]
         after = [{"number": numbers[who, name][turn], "agent": who, "name": name} for who, name, _, turn in events]

@@ -60,7 +60,7 @@ def _padded(groups: Sequence[Sequence[Sequence[int]]], fill: int) -> Ints:
     return table
 
 
-class Drawn:
+class CycleDraws:
     """N cycles of one agent: the agenda of each, and the random draws for its legs.
 
     Attributes:

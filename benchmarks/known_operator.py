@@ -37,7 +37,7 @@ from cells import PLAIN, dataset_of
 from rich.table import Table
 
 from cyclekit.config.sequences import TaskSequence
-from cyclekit.estimate.circles import enter
+from cyclekit.estimate.circles import start_tracks
 from cyclekit.estimate.continuation import Stretch
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
@@ -209,7 +209,7 @@ class Cell:
             states, owner, logged = fields.entered([log.activity for log in logs], PHASES)
             cycles = fields.rolled(self.name, self.programs, states, owner=owner, logged=logged)
         else:
-            entered = enter(logs, STEP_S, entries=entries_of(len(logs)), length=SPAN - 1)
+            entered = start_tracks(logs, STEP_S, entries=entries_of(len(logs)), length=SPAN - 1)
             tracks = [Stretch(*pair) for pair in zip(entered.where, entered.activity, strict=True)]
             owner = entered.owner.tolist()
             cycles = visits.rolled(self.programs, tracks, owner, entered.logged)

@@ -22,7 +22,7 @@ from any_length import HARD, OUT, SCENE, orders, true_function
 from cells import FRESH_SEED, dataset_of
 from rich.table import Table
 
-from cyclekit.estimate.circles import enter
+from cyclekit.estimate.circles import start_tracks
 from cyclekit.estimate.continuation import Continuation, Stretch
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
@@ -77,7 +77,7 @@ def of_set(programs: Sequence[Program], logs: Sequence[Stretch]) -> dict[str, tu
     where, doing = Continuation(logs, STEP_S, phase_free=True).extend(logs, own, LENGTH - 1)
     tracks = [Stretch(*pair) for pair in zip(where, doing, strict=True)]
     found["beginning"] = rolled(programs, tracks, own, np.array(lengths)), resampled([f"{k:05}" for k in own], 0)
-    entered = enter(logs, STEP_S, entries=entries_of(len(logs)), length=LENGTH - 1)
+    entered = start_tracks(logs, STEP_S, entries=entries_of(len(logs)), length=LENGTH - 1)
     tracks = [Stretch(*pair) for pair in zip(entered.where, entered.activity, strict=True)]
     owner = entered.owner.tolist()
     found["estimate"] = rolled(programs, tracks, owner, entered.logged), resampled([f"{k:05}" for k in owner], 0)

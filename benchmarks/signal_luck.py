@@ -25,7 +25,7 @@ from rich.table import Table
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.estimate.continuation import Stretch
-from cyclekit.estimate.courses import continued
+from cyclekit.estimate.courses import continue_courses
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.safety import Dynamics
@@ -51,7 +51,7 @@ MEAN_OF_SIZE = (2 / np.pi) ** 0.5
 class TrueFields:
     """Simulator's safety function of a scene's fields, as a function of which of them are on."""
 
-    problem, card, often, unseen_error, doubts, limits, why = "now", TrainingCard(), True, 0.0, (), (), ""
+    problem, card, fast, unseen_error, doubts, limits, why = "now", TrainingCard(), True, 0.0, (), (), ""
 
     def __init__(self, scene: str) -> None:
         """Read the fields of a scene."""
@@ -116,7 +116,7 @@ def entered(logs: Sequence[np.ndarray], phases: int) -> tuple[np.ndarray, list[i
     instants = _instants([len(log) for log in logs])[:phases]
     begun = [Stretch(log.where[at:], log.activity[at:]) for at in instants for log in pool]
     logged = np.array([len(one.activity) for one in begun])
-    return continued(begun, pool, LENGTH)[1], [*range(len(pool))] * len(instants), logged
+    return continue_courses(begun, pool, LENGTH)[1], [*range(len(pool))] * len(instants), logged
 
 
 def main() -> None:

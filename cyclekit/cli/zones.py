@@ -184,12 +184,18 @@ def _explained(found: SafetyFunction) -> str:
 
 
 def _costs(costs: SafetyCosts) -> str:
-    from cyclekit.estimate.whatif.costs import named, step
+    from cyclekit.estimate.whatif.costs import parameter_label, step_label
 
     tables = []
     for each in costs.sequences:
         rows = [
-            [named(one), f"{one.value:.3g} {one.unit}", step(one), f"{one.costs_s:+.3f}", f"{one.standard_error_s:.3f}"]
+            [
+                parameter_label(one),
+                f"{one.value:.3g} {one.unit}",
+                step_label(one),
+                f"{one.costs_s:+.3f}",
+                f"{one.standard_error_s:.3f}",
+            ]
             for one in each.parameters
         ]
         title = f"What a change costs, {each.sequence!r}: {each.expected_s:.1f} s by the rule"

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.config.sequences import PLAN
-from cyclekit.estimate.judges import within as half_95
+from cyclekit.estimate.bias import half_width_95
 from cyclekit.estimate.resample import TOGETHER, resampled, wilson
 from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, SPLIT, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.estimate.same_work import work_of
@@ -31,7 +31,7 @@ LEVELS = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True)
-class Today:
+class Baseline:
     """The baseline: logged executions, or an estimate chosen by name.
 
     Attributes:
@@ -66,7 +66,9 @@ class Today:
         return values | {"missed_share": self.missed_share}
 
 
-def today_of(dataset: Dataset, work: Work, takt_s: float | None, named: CycleEstimate | None = None) -> Today | None:
+def baseline_of(
+    dataset: Dataset, work: Work, takt_s: float | None, named: CycleEstimate | None = None
+) -> Baseline | None:
     """Return the baseline: logged executions of the most frequent order, without reference runs without an operator.
 
     If that order ran fewer than LEAST_RUNS times, all executions of the same work count. None if there are none.
@@ -99,7 +101,7 @@ def today_of(dataset: Dataset, work: Work, takt_s: float | None, named: CycleEst
     missed = None if takt_s is None else int((cycles_s > takt_s).sum())
     within = None if missed is None else (1 - missed / len(names), *wilson(1 - missed / len(names), len(names)))
     mean_s, name = float(cycles_s.mean()), named.name if named else None
-    return Today(len(names), mean_s, low_s, high_s, missed, within, order if same else None, names, name)
+    return Baseline(len(names), mean_s, low_s, high_s, missed, within, order if same else None, names, name)
 
 
 def _orders(dataset: Dataset) -> dict[str, tuple[str, ...]]:
@@ -130,10 +132,10 @@ def _does(order: tuple[str, ...], work: Work) -> bool:
     return mine == wanted
 
 
-def _estimated(named: CycleEstimate, takt_s: float | None) -> Today:
+def _estimated(named: CycleEstimate, takt_s: float | None) -> Baseline:
     within = named.takt_probability if named.takt_s == takt_s else None
     interval = named.expected_low_s, named.expected_high_s
-    return Today(0, named.expected_s, *interval, None, within, named.places, (), named.name)
+    return Baseline(0, named.expected_s, *interval, None, within, named.places, (), named.name)
 
 
 def _interval(names: Sequence[str], cycles_s: Vector) -> tuple[float, float]:
@@ -142,7 +144,7 @@ def _interval(names: Sequence[str], cycles_s: Vector) -> tuple[float, float]:
     if count < 2:
         return mean_s, mean_s
     error_s = float((resampled(names, 0, together=TOGETHER) @ cycles_s).std()) * (count / (count - 1)) ** 0.5
-    half_s = half_95(error_s, count)
+    half_s = half_width_95(error_s, count)
     return mean_s - half_s, mean_s + half_s
 
 

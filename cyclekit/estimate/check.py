@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.bias import bias_of, half_width_95
 from cyclekit.estimate.conformal import conformal, holds
 from cyclekit.estimate.history import TaskTimes, chance_of_logs, order_error
-from cyclekit.estimate.judges import judge, within
 from cyclekit.estimate.logged import (
     beginnings,
     logged_durations,
@@ -76,7 +76,7 @@ class Check:
         executions: Number of logged executions that were rolled out.
         held_out: Number of them that the network was not trained on.
         own_bias: Mean of rolled / logged - 1, each execution with its own operator track; over held-out executions if
-            they are significantly worse than the others (`judges`), else over all.
+            they are significantly worse than the others (`bias`), else over all.
         own_error: Standard error of that mean; it includes the distance of the held-out executions from it.
         crossed_bias: Mean of rolled / logged - 1 with the tracks of all other operators.
         reacts_z: Difference of the two biases in standard errors: far from 0, the operator reacts to the robot.
@@ -137,7 +137,7 @@ class Check:
     @property
     def own_within(self) -> float:
         """Half-width of the 95 % interval of the bias (Student's t, with one residual per execution)."""
-        return within(self.own_error, len(self.residuals))
+        return half_width_95(self.own_error, len(self.residuals))
 
     @property
     def _sure(self) -> float:
@@ -310,7 +310,7 @@ def compare(logged_s: Vector, own_s: Vector, others_s: Floats, held_out: Bools, 
     count = len(logged_s)
     mean = np.nanmean(others_s, axis=1)
     own, cross = own_s / logged_s - 1, mean / logged_s - 1
-    judged = judge(own, held_out)
+    bias = bias_of(own, held_out)
     reacts = (mean - own_s) / logged_s
     z = float(reacts.mean() / max(reacts.std(ddof=1) / np.sqrt(count), 1e-9)) if count > 2 else 0.0
     outer = min(min(levels), 1 - max(levels))
@@ -319,11 +319,11 @@ def compare(logged_s: Vector, own_s: Vector, others_s: Floats, held_out: Bools, 
     return Check(
         executions=count,
         held_out=int(held_out.sum()),
-        own_bias=judged.bias,
-        own_error=judged.error,
+        own_bias=bias.bias,
+        own_error=bias.error,
         crossed_bias=float(cross.mean()),
         reacts_z=z,
-        residuals=tuple((1 / (1 + judged.off) - 1).tolist()),
+        residuals=tuple((1 / (1 + bias.off) - 1).tolist()),
         coverage=float(inside.mean()) if enough else None,
         coverage_held_out=float(inside[held_out].mean()) if enough and held_out.any() else None,
         levels=(outer, 1 - outer),

@@ -25,7 +25,7 @@ AT_ONCE = 1000
 """Maximum number of logs in one assignment; more are split into groups of neighbours."""
 
 
-class Entered(NamedTuple):
+class TrackStarts(NamedTuple):
     """Tracks that start at some instant of a log.
 
     Attributes:
@@ -41,9 +41,9 @@ class Entered(NamedTuple):
     logged: Ints
 
 
-def enter(
+def start_tracks(
     logs: Sequence[Stretch], step_s: float, *, entries: int, length: int, after: Mapping[int, int] | None = None
-) -> Entered:
+) -> TrackStarts:
     """Join logs to circles and start tracks at even steps along them.
 
     Args:
@@ -74,7 +74,7 @@ def enter(
     log = np.searchsorted(first, at, side="right") - 1
     since, turn = at - begin[of[log]], count[of[log]]
     rows = begin[of[log], None] + (since[:, None] + np.arange(length)) % turn[:, None]
-    return Entered(where[rows], activity[rows], order[log], ends[log] - at)
+    return TrackStarts(where[rows], activity[rows], order[log], ends[log] - at)
 
 
 def _followers(logs: Sequence[Stretch], step_s: float, really: Mapping[int, int]) -> dict[int, int]:

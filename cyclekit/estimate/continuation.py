@@ -40,17 +40,17 @@ STILL_M_S = 0.2
 """Speed below which the operator counts as stationary, m/s."""
 LONG_S = 60.0
 """Maximum time at a task, s, that states distinguish."""
-ALIKE = 0.5
+TIME_GRID = 0.5
 """Grid of the two times, units: ends of one log in the same grid cell share their candidates."""
 EVERY_S = 0.5
 """Time between the instants of a track at which a stretch may begin, s."""
 LEAST_S = 1.0
 """Minimum time from such an instant to the end of its track, s."""
-DRAWN = 15
+CANDIDATES = 15
 """Maximum number of tracks, the most similar ones, from which a stretch is drawn."""
-WITHIN = 1.5
+MAX_EXCESS = 1.5
 """Maximum difference of a candidate beyond that of the best one, units."""
-TURNS = 60
+ITERATIONS = 60
 """Number of iterations that find the weights of the instants."""
 MOST_WEIGHED = 400
 """Maximum number of tracks for which weights are computed; with more, all instants have equal weight."""
@@ -129,7 +129,7 @@ class Continuation:
         every = (to[..., None] * PARTS + np.arange(PARTS)).ravel()
         weight, at = np.ones(count * PARTS), length / length.sum()
         wanted = np.repeat(length / length.sum() / PARTS, PARTS)
-        for _ in range(TURNS):
+        for _ in range(ITERATIONS):
             step = np.where(may, weight[part], 0.0)
             step *= (at / step.sum(axis=1))[:, None]
             at = 0.5 * at + 0.5 * np.bincount(to.ravel(), step.ravel(), minlength=count)
@@ -180,8 +180,8 @@ class Continuation:
         end = np.where(owners >= 0, owners, len(logs.last) + np.arange(len(begun)))  # number among all ends
         while len(short := np.flatnonzero(filled < length)):
             times = self._times(spell[short], filled[short])
-            luck = rng.random(len(begun))[short]  # does not depend on the length of the other tracks
-            source = choices.draw(end[short], times, luck)
+            uniform = rng.random(len(begun))[short]  # does not depend on the length of the other tracks
+            source = choices.draw(end[short], times, uniform)
             owner, instant = self._owner[source], self._at[source]
             last = logs.last[owner]
             count = last - instant
@@ -199,7 +199,7 @@ class Continuation:
         return np.stack([ELAPSED * np.log(elapsed_s), phase_s / PHASE_S], axis=1)
 
     def nearest(self, states: Points, ends: Ints) -> tuple[Ints, Ints]:
-        """Return the most similar instant of each of DRAWN tracks, for each state (N, features).
+        """Return the most similar instant of each of CANDIDATES tracks, for each state (N, features).
 
         Args:
             states: The operator's state.
@@ -215,9 +215,9 @@ class Continuation:
             squares = (some**2).sum(axis=1)[:, None] + (self._states**2).sum(axis=1) - 2.0 * some @ self._states.T
             away = np.sqrt(np.maximum(np.minimum.reduceat(squares, self._begins, axis=1), 0.0))
             away += ITSELF * (self._owners == ends[first : first + at_once, None])
-            best = np.argsort(away, axis=1, kind="stable")[:, :DRAWN]
+            best = np.argsort(away, axis=1, kind="stable")[:, :CANDIDATES]
             away = np.take_along_axis(away, best, axis=1)
-            counts.append((away <= away[:, :1] + WITHIN).sum(axis=1))
+            counts.append((away <= away[:, :1] + MAX_EXCESS).sum(axis=1))
             limits = [*self._begins.tolist(), len(self._at)]
             found += [
                 [limits[track] + int(row[limits[track] : limits[track + 1]].argmin()) for track in tracks]
@@ -261,7 +261,7 @@ def smooth(where: Points, first: Ints, count: Ints, jump_m: Points, step_s: floa
 
 
 class _Choices:
-    """The candidates that can follow the end of a log, looked up once per end and grid cell of times (ALIKE)."""
+    """The candidates that can follow the end of a log, looked up once per end and grid cell of times (TIME_GRID)."""
 
     def __init__(self, continuation: Continuation, ends: Points) -> None:
         self._continuation, self._ends = continuation, ends
@@ -269,20 +269,20 @@ class _Choices:
         self._instants: list[Ints] = []
         self._counts: list[int] = []
 
-    def draw(self, end: Ints, times: Points, luck: Vector) -> Ints:
+    def draw(self, end: Ints, times: Points, uniform: Vector) -> Ints:
         """Draw an instant for each of N tracks and return its number.
 
         Args:
             end: Number of the end of the track, shape (N,).
             times: The two times of its state, in units, shape (N, 2).
-            luck: Uniform random numbers in [0, 1), shape (N,).
+            uniform: Uniform random numbers in [0, 1), shape (N,).
         """
-        about = np.rint(times / ALIKE).astype(np.int64)
+        about = np.rint(times / TIME_GRID).astype(np.int64)
         keys = list(map(tuple, np.column_stack([end, about]).tolist()))
         if new := [key for key in dict.fromkeys(keys) if key not in self._number]:
-            asked = np.array(new)
-            states = np.hstack([self._ends[asked[:, 0]], asked[:, 1:] * ALIKE])
-            instants, counts = self._continuation.nearest(states, asked[:, 0])
+            missing = np.array(new)
+            states = np.hstack([self._ends[missing[:, 0]], missing[:, 1:] * TIME_GRID])
+            instants, counts = self._continuation.nearest(states, missing[:, 0])
             self._number |= {key: len(self._counts) + number for number, key in enumerate(new)}
             self._instants += list(instants)
             self._counts += counts.tolist()
@@ -291,7 +291,7 @@ class _Choices:
         weight = self._continuation.weight_of(instants)
         weight[np.arange(weight.shape[1]) >= np.array(self._counts)[number][:, None]] = 0.0
         until = np.cumsum(weight, axis=1)
-        which = (until < (luck * until[:, -1])[:, None]).sum(axis=1)
+        which = (until < (uniform * until[:, -1])[:, None]).sum(axis=1)
         return np.asarray(instants[np.arange(len(instants)), which])
 
 

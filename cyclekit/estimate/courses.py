@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from cyclekit.schema import Ints, Points
 
 
-def continued(begun: Sequence[Stretch], logs: Sequence[Stretch], length: int, *, seed: int = 0) -> tuple[Points, Ints]:
+def continue_courses(
+    begun: Sequence[Stretch], logs: Sequence[Stretch], length: int, *, seed: int = 0
+) -> tuple[Points, Ints]:
     """Return courses continued to `length` samples, shape (K, length, 3 + D), and their states, (K, length).
 
     Args:

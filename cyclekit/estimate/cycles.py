@@ -9,7 +9,7 @@ import numpy as np
 
 from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.safety import Dynamics, Logged, OnStates, holds_everywhere
-from cyclekit.estimate.spread import Asked, logged_support, roll_spread
+from cyclekit.estimate.spread import RolloutInputs, logged_support, roll_spread
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import Rolled, roll_all
@@ -86,8 +86,8 @@ def _walked(ask: Question, turn: _Round) -> Iterator[Rolled]:
     if ask.altered is None and not ask.engine.stays_here(len(programs)):
         operator = turn.sequences[0].operator
         some = tuple(ask.dataset.executions["execution"]) if ask.dataset.is_part else None
-        asked = Asked(ask.model, ask.dataset.place, some, operator, ask.phases, turn.horizon_s, ask.seed)
-        return roll_spread(ask.engine, asked, turn.sequences, len(tracks.executions))
+        inputs = RolloutInputs(ask.model, ask.dataset.place, some, operator, ask.phases, turn.horizon_s, ask.seed)
+        return roll_spread(ask.engine, inputs, turn.sequences, len(tracks.executions))
     support: Logged | None = ask.model if isinstance(ask.model, OnStates) else None
     if support is None and not holds_everywhere(ask.model):
         support = logged_support(ask.dataset)

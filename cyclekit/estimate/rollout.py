@@ -18,7 +18,7 @@ from cyclekit.estimate.cycles import cycles_of
 from cyclekit.estimate.entry import entry_of
 from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.joint.answer import estimate_both, waits_are_known
-from cyclekit.estimate.joint.judged import JointCheck
+from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs, no_answer, refuse_biased, validated
 from cyclekit.estimate.means import history_of, means_of
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks

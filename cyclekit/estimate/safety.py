@@ -49,7 +49,7 @@ class SafetyModel(Protocol):
 
 
 @runtime_checkable
-class Written(SafetyModel, Protocol):
+class HasThresholds(SafetyModel, Protocol):
     """A safety function with known thresholds, which are those at which s falls."""
 
     def moved_outwards(self, margin_m: float, /) -> SafetyModel:
@@ -75,13 +75,13 @@ class Fast(SafetyModel, Protocol):
     """A safety function that may be fast enough to be evaluated in every step of a rollout."""
 
     @property
-    def often(self) -> bool:
+    def fast(self) -> bool:
         """Whether it is fast enough, and so is the function it is compared with."""
 
 
-def asked_often(model: SafetyModel) -> bool:
+def is_fast(model: SafetyModel) -> bool:
     """Return whether a rollout evaluates the safety function in every step; a network is too slow."""
-    return isinstance(model, Fast) and model.often
+    return isinstance(model, Fast) and model.fast
 
 
 class Logged(Protocol):
@@ -191,7 +191,7 @@ def scaling_of(model: SafetyModel, robot_m: Floats, human_m: Floats) -> Vector:
     """
     if human_m.shape[1] != 3 and isinstance(model, OnStates):
         return model.scaling_in(robot_m, human_m)
-    scaling, inputs, present = _asked(model, robot_m, human_m)
+    scaling, inputs, present = _pair_inputs(model, robot_m, human_m)
     if len(inputs):
         blocks = range(0, len(inputs), BLOCK)
         found = [model.predict(inputs[start : start + BLOCK]) for start in blocks]
@@ -201,7 +201,7 @@ def scaling_of(model: SafetyModel, robot_m: Floats, human_m: Floats) -> Vector:
 
 def likeliest_of(model: Classifier, robot_m: Floats, human_m: Floats) -> tuple[Vector, Bools]:
     """Return the most probable level of each pair of positions, as `scaling_of`, and whether it is SURE; (N,) each."""
-    scaling, inputs, present = _asked(model, robot_m, human_m)
+    scaling, inputs, present = _pair_inputs(model, robot_m, human_m)
     sure = np.ones(len(scaling), dtype=np.bool_)
     if len(inputs):
         blocks = range(0, len(inputs), BLOCK)
@@ -220,7 +220,7 @@ def around(robot_m: Floats, human_m: Floats, by_m: float) -> list[Floats]:
     return [human_m - way, human_m + way, human_m - side, human_m + side]
 
 
-def _asked(model: SafetyModel, robot_m: Floats, human_m: Floats) -> tuple[Vector, Singles, Ints | slice]:
+def _pair_inputs(model: SafetyModel, robot_m: Floats, human_m: Floats) -> tuple[Vector, Singles, Ints | slice]:
     """Return s without an operator (N,), the inputs of the pairs to evaluate (M, 6), and their rows."""
     without = model.card.scaling_without_operator
     scaling = np.full(len(robot_m), 1.0 if without is None else without)
@@ -263,24 +263,24 @@ class Follower:
         self._model, self._dynamics, self._step_s = model, dynamics, step_s
         # isinstance checks per step would take as long as the network for a few rows
         self._rule = model if isinstance(model, RuleSafety) else None
-        self._written = model if isinstance(model, Written) else None
+        self._defined = model if isinstance(model, HasThresholds) else None
         self._classifier = model if isinstance(model, Classifier) and names_levels(model.network) else None
         self._delay = round((dynamics.latency_s or 0.0) / step_s)
         self._recent: deque[Vector] = deque(maxlen=1 + round((dynamics.hold_s or 0.0) / step_s))
-        self._asked = np.empty(0)
+        self._target = np.empty(0)
         self._seen: deque[Vector] = deque()
         self._held: Vector | None = None
         self._s: Vector | None = None
 
     def advance(self, robot_m: Floats, human_m: Floats) -> Vector:
         """Return s (N,) of this step for positions (N, 3) at the middle of the step."""
-        self._asked = self._wanted(robot_m, human_m)
+        self._target = self._wanted(robot_m, human_m)
         return self.go_on()
 
     def go_on(self) -> Vector:
         """Return s (N,) of one more step for the positions of the last call of `advance`."""
-        self._recent.append(self._asked)
-        self._seen.append(np.min(self._recent, axis=0) if len(self._recent) > 1 else self._asked)
+        self._recent.append(self._target)
+        self._seen.append(np.min(self._recent, axis=0) if len(self._recent) > 1 else self._target)
         wanted = self._seen.popleft() if len(self._seen) > self._delay else self._seen[0]
         if self._s is not None:
             down, up = self._dynamics.ramp_down_per_s, self._dynamics.ramp_up_per_s
@@ -292,7 +292,7 @@ class Follower:
 
     def keep(self, going: Bools) -> None:
         """Drop all other rows."""
-        self._seen, self._asked = deque(wanted[going] for wanted in self._seen), self._asked[going]
+        self._seen, self._target = deque(wanted[going] for wanted in self._seen), self._target[going]
         self._recent = deque((wanted[going] for wanted in self._recent), self._recent.maxlen)
         self._s, self._held = (None if part is None else part[going] for part in (self._s, self._held))
 
@@ -317,8 +317,8 @@ class Follower:
         if self._rule is not None:
             entering, leaving = self._rule.of_side("entering"), self._rule.of_side("leaving")
             return scaling_of(leaving, robot_m, human_m), scaling_of(entering, robot_m, human_m)
-        if self._written is not None:
-            outer = self._written.moved_outwards(margin_m)
+        if self._defined is not None:
+            outer = self._defined.moved_outwards(margin_m)
             return scaling_of(outer, robot_m, human_m), scaling_of(self._model, robot_m, human_m)
         human_m = in_plane(robot_m, human_m)
         if self._classifier is None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import ModelError
-from cyclekit.estimate.safety import BLOCK, OnStates, SafetyModel, asked_often
+from cyclekit.estimate.safety import BLOCK, OnStates, SafetyModel, is_fast
 from cyclekit.estimate.support import Support
 from cyclekit.learning.signal_inputs import as_inputs
 from cyclekit.segmentation.arrivals import fill_nearest
@@ -60,9 +60,9 @@ class SignalStates:
         return self.model.card
 
     @property
-    def often(self) -> bool:
+    def fast(self) -> bool:
         """Whether it is fast enough to be evaluated in every step of a rollout."""
-        return asked_often(self.model)
+        return is_fast(self.model)
 
     @property
     def why(self) -> str:

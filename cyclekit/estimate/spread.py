@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Asked:
+class RolloutInputs:
     """Common inputs of all tasks.
 
     Attributes:
@@ -47,14 +47,16 @@ class Asked:
     seed: int
 
 
-def roll_spread(engine: Engine, asked: Asked, sequences: Sequence[TaskSequence], tracks: int) -> Iterator[Rolled]:
+def roll_spread(
+    engine: Engine, inputs: RolloutInputs, sequences: Sequence[TaskSequence], tracks: int
+) -> Iterator[Rolled]:
     """Yield the cycles of the sequences in order, simulated by the workers of an engine; `tracks`: number of tracks."""
     at_once = max(1, ROWS // tracks)
     plain = [replace(sequence, file=None) for sequence in sequences]
     parts = [tuple(plain[first : first + at_once]) for first in range(0, len(plain), at_once)]
     found: dict[int, list[Rolled]] = {}
     turn = 0
-    for done in engine.map(partial(_walk, asked), parts):
+    for done in engine.map(partial(_simulate, inputs), parts):
         found[done.number] = done.get()
         while turn in found:
             yield from found.pop(turn)
@@ -62,15 +64,15 @@ def roll_spread(engine: Engine, asked: Asked, sequences: Sequence[TaskSequence],
 
 
 @one_thread()
-def _walk(asked: Asked, sequences: Sequence[TaskSequence]) -> list[Rolled]:
-    on_states = asked.model if isinstance(asked.model, OnStates) else None
+def _simulate(inputs: RolloutInputs, sequences: Sequence[TaskSequence]) -> list[Rolled]:
+    on_states = inputs.model if isinstance(inputs.model, OnStates) else None
     logs, nominal, tracks, support = _of_logs(
-        asked.dataset, asked.executions, asked.operator, asked.phases, asked.horizon_s, on_states
+        inputs.dataset, inputs.executions, inputs.operator, inputs.phases, inputs.horizon_s, on_states
     )
     programs = [lay_out(sequence, nominal, logs) for sequence in sequences]
-    dynamics = Dynamics.of(logs.card.dynamics, asked.model)
-    near = None if holds_everywhere(asked.model) else support
-    return list(roll_all(asked.model, programs, tracks, near, seed=asked.seed, dynamics=dynamics))
+    dynamics = Dynamics.of(logs.card.dynamics, inputs.model)
+    near = None if holds_everywhere(inputs.model) else support
+    return list(roll_all(inputs.model, programs, tracks, near, seed=inputs.seed, dynamics=dynamics))
 
 
 @lru_cache(maxsize=1)

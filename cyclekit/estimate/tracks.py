@@ -21,9 +21,9 @@ import polars as pl
 from scipy.special import chdtri, ndtr
 
 from cyclekit.errors import DatasetError, EstimateError
-from cyclekit.estimate.circles import Entered, enter
+from cyclekit.estimate.circles import TrackStarts, start_tracks
 from cyclekit.estimate.continuation import Continuation, Stretch
-from cyclekit.estimate.courses import continued
+from cyclekit.estimate.courses import continue_courses
 from cyclekit.estimate.safety import OnStates
 from cyclekit.people.tracks import OCCLUDED_S
 
@@ -161,8 +161,8 @@ def operator_tracks(
     if beginnings or not parts:
         instants = _instants([len(track.where) for track in mine.values()]) if anywhere and on_states else [0]
         parts.insert(0, _continued(tracks, begins, after, step, length, instants, states=on_states and free, free=free))
-    entered = parts[0] if len(parts) == 1 else Entered(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-    where, activity, owner, logged = entered
+    starts = parts[0] if len(parts) == 1 else TrackStarts(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    where, activity, owner, logged = starts
     executions = tuple(begins[k] for k in owner.tolist())
     goal_m, state = (where[..., 3:] if wanted else None for wanted in (goals, on_states))
     return OperatorTracks(
@@ -170,7 +170,7 @@ def operator_tracks(
     )
 
 
-def _on_circles(tracks: dict[str, LoggedTrack], after: dict[str, list[str]], step: float, length: int) -> Entered:
+def _on_circles(tracks: dict[str, LoggedTrack], after: dict[str, list[str]], step: float, length: int) -> TrackStarts:
     """Return tracks that start at even steps along circles of these logs; logs that run on keep their order."""
     number = {name: k for k, name in enumerate(tracks)}
     logs, really = [], {}
@@ -180,7 +180,7 @@ def _on_circles(tracks: dict[str, LoggedTrack], after: dict[str, list[str]], ste
             really[number[name]] = number[following]
             log = _until(log, track.end_s, tracks[following], step)
         logs.append(log)
-    return enter(logs, step, entries=entries_of(len(logs)), length=length, after=really)
+    return start_tracks(logs, step, entries=entries_of(len(logs)), length=length, after=really)
 
 
 def entries_of(executions: int) -> int:
@@ -198,7 +198,7 @@ def _continued(
     *,
     states: bool,
     free: bool,
-) -> Entered:
+) -> TrackStarts:
     """Return executions from these samples on, continued with stretches of others."""
     ran_on = [_run_on(tracks, [name, *after[name]], step) for name in begins]
     entries = [(number, min(at, len(tracks[name].where) - 1)) for at in instants for number, name in enumerate(begins)]
@@ -206,12 +206,12 @@ def _continued(
     followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
     pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
     if states:
-        where, activity = continued(streams, pool, length)
+        where, activity = continue_courses(streams, pool, length)
     else:
         owners = [followed.get(ran_on[k][1], -1) for k, _ in entries]
         where, activity = Continuation(pool, step, phase_free=free).extend(streams, owners, length)
     owner, logged = np.array([k for k, _ in entries]), np.array([len(stream.where) for stream in streams])
-    return Entered(where, activity, owner, logged)
+    return TrackStarts(where, activity, owner, logged)
 
 
 def _instants(lengths: Sequence[int]) -> list[int]:

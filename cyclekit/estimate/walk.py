@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.estimate.program import Program, draw_standstills
-from cyclekit.estimate.safety import Dynamics, Follower, Logged, SafetyModel, asked_often, at_once, scaling_in_step
+from cyclekit.estimate.safety import Dynamics, Follower, Logged, SafetyModel, at_once, is_fast, scaling_in_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -164,8 +164,8 @@ def simulate(
     duration, activity_s = np.full(count, np.inf), np.zeros(count * kinds)
     known, looked, spliced, own_loss = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
     follower = None if jumps else Follower(model, dynamics, step_s)
-    often = fine or asked_often(model)
-    looks_after, asks_after = round(SUPPORT_EVERY_S / step_s), 1 if often else round(TIME_STEP_S / step_s)
+    fast = fine or is_fast(model)
+    looks_after, asks_after = round(SUPPORT_EVERY_S / step_s), 1 if fast else round(TIME_STEP_S / step_s)
     rows, mine, scaling = np.arange(count), track, np.ones(count)  # of the cycles that have not ended
     for number in range(int((samples - 2) * tracks.step_s / step_s) - asks_after + 1):
         if number % asks_after == 0:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.task_model import TaskModelCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.answers import CycleEstimates
-    from cyclekit.estimate.baseline import Today
+    from cyclekit.estimate.baseline import Baseline
     from cyclekit.estimate.plan.task_orders import TaskOrderPlan
     from cyclekit.estimate.result import CycleEstimate, PlannedShare
     from cyclekit.estimate.whatif.answer import WhatIf
@@ -141,7 +141,7 @@ def report_tasks(
     return ReportFacts(out, out.stat().st_size, headline, content.count("<figure>"), tuple(missing), len(found))
 
 
-def _today(dataset: Dataset, today: Today | None, title: str) -> CycleEstimate | None:
+def _today(dataset: Dataset, today: Baseline | None, title: str) -> CycleEstimate | None:
     """Return the logged cycle that the plans are compared with, if its executions ran one order."""
     return listed_cycle(dataset, today.names, title) if today and today.order and today.executions else None
 

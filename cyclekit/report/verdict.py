@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import UnknownName
-from cyclekit.estimate.baseline import today_of
+from cyclekit.estimate.baseline import baseline_of
 from cyclekit.estimate.same_work import by_work, work_of
 from cyclekit.report.numbers import count, fixed, given, percent, signed_percent, with_uncertainty
 from cyclekit.report.tried import share_of
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.baseline import Today
+    from cyclekit.estimate.baseline import Baseline
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.same_work import Work
@@ -42,7 +42,7 @@ class TaktVerdict:
 
     work: Work
     takt_s: float | None
-    today: Today | None
+    today: Baseline | None
     planned: OrderPlan | None
     best: CycleEstimate | None
     change: Tried | None
@@ -128,7 +128,7 @@ def verdict(
     works = [work_of(named.places, named.operator)] if named else [work for work in works if work.visits]
     if not works:
         return None
-    logged = {work: today_of(dataset, work, takt_s, named) for work in works}
+    logged = {work: baseline_of(dataset, work, takt_s, named) for work in works}
     work = next((work for work in works if logged[work] is not None), works[0])
     mine = by_work(ranked).get(work, [])
     return TaktVerdict(work, takt_s, logged[work], planned, mine[0] if mine else None, best_change(work, ranked, tried))
@@ -201,7 +201,7 @@ def _mean(found: TaktVerdict) -> str:
     return with_uncertainty(found.best.expected_s, found.best.expected_low_s, found.best.expected_high_s)[0]
 
 
-def _overlap(best: CycleEstimate, today: Today) -> bool:
+def _overlap(best: CycleEstimate, today: Baseline) -> bool:
     return best.expected_low_s <= today.high_s and today.low_s <= best.expected_high_s
 
 

@@ -15,9 +15,9 @@ from scipy import stats
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import SplitCard, TrainingCard
 from cyclekit.estimate import walk as walking
+from cyclekit.estimate.bias import bias_of, half_width_95
 from cyclekit.estimate.check import Check, check_rollout, compare, unseen_people
 from cyclekit.estimate.conformal import conformal
-from cyclekit.estimate.judges import judge, within
 from cyclekit.estimate.resample import interval_of_mean, resampled
 from cyclekit.estimate.rollout import estimate as estimate_validated
 
@@ -227,24 +227,25 @@ def test_unseen_executions_that_lie_elsewhere_widen_the_bias():
     """All but the nine unseen ones come out as logged; those are 1.5 % off on average, which four of them cause."""
     unseen = np.arange(45) < 9
     off = np.tile([0.002, -0.002, 0.0], 15)
-    none = judge(off, unseen)
+    none = bias_of(off, unseen)
     assert none.error == pytest.approx(off.std(ddof=1) / 45**0.5)
     off = np.where(np.arange(45) < 4, 0.034, off)
-    found = judge(off, unseen)
+    found = bias_of(off, unseen)
     assert found.bias == pytest.approx(off.mean())
     assert len(found.off) == 45
-    assert within(found.error, 45) > off[unseen].mean() - found.bias - 0.001
-    assert within(found.error, 45) > 1.5 * within(off.std(ddof=1) / 45**0.5, 45)
+    assert half_width_95(found.error, 45) > off[unseen].mean() - found.bias - 0.001
+    assert half_width_95(found.error, 45) > 1.5 * half_width_95(off.std(ddof=1) / 45**0.5, 45)
 
 
 @given(st.integers(2, 60))
 def test_the_interval_of_a_bias_is_that_of_student(count: int):
     sample = np.random.default_rng(count).normal(0.0, 0.01, count)
     low, high = stats.ttest_1samp(sample, 0.0).confidence_interval(0.95)
-    found = judge(sample, np.zeros(count, dtype=bool))
-    assert (found.bias - within(found.error, count), found.bias + within(found.error, count)) == pytest.approx(
-        (low, high)
-    )
+    found = bias_of(sample, np.zeros(count, dtype=bool))
+    assert (
+        found.bias - half_width_95(found.error, count),
+        found.bias + half_width_95(found.error, count),
+    ) == pytest.approx((low, high))
 
 
 def test_few_executions_leave_the_model_error_wide():

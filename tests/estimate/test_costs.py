@@ -17,7 +17,7 @@ from cyclekit.errors import ConfigError, EstimateError
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.whatif import Change, LimitChange, load_changes, what_if
 from cyclekit.estimate.whatif.alter import altered_safety
-from cyclekit.estimate.whatif.costs import SafetyCosts, costs_of, named, step
+from cyclekit.estimate.whatif.costs import SafetyCosts, costs_of, parameter_label, step_label
 from cyclekit.estimate.whatif.separation import Separation, margins_of, refuse_other_thresholds
 from cyclekit.learning.rules.distances import TO_BASE, TO_TCP
 from cyclekit.learning.rules.quantities import quantities
@@ -105,7 +105,10 @@ def costs(logged: Dataset) -> SafetyCosts:
 def test_a_centimetre_costs_what_a_written_function_says_it_does(costs: SafetyCosts, logged: Dataset):
     (found,) = costs.sequences
     by = {one.parameter: one for one in found.parameters}
-    assert (named(by["threshold"]), step(by["threshold"])) == ("stop, distance TCP to operator", "+1 cm")
+    assert (parameter_label(by["threshold"]), step_label(by["threshold"])) == (
+        "stop, distance TCP to operator",
+        "+1 cm",
+    )
     changes = [
         Change(str(metres), (0.0, 1.0), (metres,), dynamics={"ramp_up_per_s": 0.5, "hysteresis_m": 0.0})
         for metres in (1.45, 1.55)
@@ -126,7 +129,7 @@ def test_recovery_saves_hysteresis_costs_and_a_ramp_that_the_logs_do_not_show_is
     by = {one.parameter: one for one in costs.sequences[0].parameters}
     assert set(by) == {"threshold", "hysteresis", "reaction time", "recovery"}
     assert by["recovery"].costs_s < 0.0 < by["hysteresis"].costs_s
-    assert [step(by[name]) for name in ("reaction time", "recovery")] == ["+10 ms", "+10 %/s"]
+    assert [step_label(by[name]) for name in ("reaction time", "recovery")] == ["+10 ms", "+10 %/s"]
     assert costs.notes == ("braking: the logs show no ramp",)
     assert costs.to_frame().height == 4
     assert "no safety proof" in repr(costs)

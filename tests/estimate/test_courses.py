@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from cyclekit.estimate import tracks
 from cyclekit.estimate.continuation import Stretch
-from cyclekit.estimate.courses import continued
+from cyclekit.estimate.courses import continue_courses
 from cyclekit.estimate.safety import OnStates
 
 
@@ -26,11 +26,11 @@ def course(*spells: tuple[int, int]) -> Stretch:
 
 def test_a_course_goes_on_in_the_state_it_ended_in_with_each_log_as_often_as_any_other() -> None:
     logs = [course((0, 10), (number, 5), (0, 1)) for number in range(2, 7)] + [course((1, 16))] * 5
-    _, state = continued([course((0, 4))] * 10, logs, 64)
+    _, state = continue_courses([course((0, 4))] * 10, logs, 64)
     assert 1 not in state
     for at in (16, 32, 48):
         assert Counter(state[:, at].tolist()) == dict.fromkeys(range(2, 7), 2)
-    _, state = continued([course((9, 4))] * 10, logs, 10)  # no log begins so
+    _, state = continue_courses([course((9, 4))] * 10, logs, 10)  # no log begins so
     assert set(state[:, 5].tolist()) == {0, 1}
 
 
@@ -40,7 +40,7 @@ def test_people_come_as_often_in_continued_courses_as_in_logs_that_end_when_nobo
     whole = [np.repeat((np.arange(60) + rng.integers(0, 2)) % 2, rng.geometric(0.05, 60)) for _ in range(200)]
     logs = [state[: 1 + np.flatnonzero(np.cumsum(state == 0) == 40)[0]] for state in whole]
     stretches = [course(*((int(number), 1) for number in state)) for state in logs]
-    _, state = continued(stretches, stretches, 400)
+    _, state = continue_courses(stretches, stretches, 400)
     assert (state == 0).mean() == pytest.approx(0.5, abs=0.03)
 
 
@@ -52,10 +52,10 @@ def test_people_come_as_often_in_continued_courses_as_in_logs_that_end_when_nobo
 )
 def test_every_course_begins_as_logged_and_is_as_long_as_asked(logs: list[list[tuple[int, int]]], length: int) -> None:
     stretches = [course(*spells) for spells in logs]
-    where, state = continued(stretches, stretches, length)
+    where, state = continue_courses(stretches, stretches, length)
     assert state.shape == (len(logs), length) == where.shape[:2]
     np.testing.assert_array_equal(where[..., 3], state)
-    np.testing.assert_array_equal(continued(stretches, stretches, length + 7)[1][:, :length], state)
+    np.testing.assert_array_equal(continue_courses(stretches, stretches, length + 7)[1][:, :length], state)
     for stretch, mine in zip(stretches, state, strict=True):
         kept = min(length, len(stretch.activity))
         np.testing.assert_array_equal(mine[:kept], stretch.activity[:kept])

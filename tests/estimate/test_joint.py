@@ -19,7 +19,7 @@ from cyclekit.config.sequences import PlannedTask, TaskSequence, load_sequences
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard, TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.joint.judged import JointCheck
+from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.joint.legs import Gates, operator_agenda
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, Plan, RolledBoth, longest_s

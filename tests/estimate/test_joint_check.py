@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.joint.judged import JointCheck, judge_joint
+from cyclekit.estimate.joint.check import JointCheck, judge_joint
 from cyclekit.estimate.joint.unexplained import unexplained_waits
 
 
@@ -36,7 +36,7 @@ def test_cycles_that_vary_much_are_no_bias(monkeypatch: pytest.MonkeyPatch) -> N
     names, count = [str(number) for number in range(400)], 400
     logged = 50.0 * (1.0 + 0.2 * rng.standard_normal(count).clip(-2.5, 2.5))
     rolled = [SimpleNamespace(duration_s=np.full(60, 50.0) + rng.normal(0.0, 10.0, 60)) for _ in names]
-    module = "cyclekit.estimate.joint.judged"
+    module = "cyclekit.estimate.joint.check"
     monkeypatch.setattr(f"{module}.logged_sequences", lambda *_: [TaskSequence(name, ("a", "b")) for name in names])
     monkeypatch.setattr(f"{module}.logged_durations", lambda _, some: logged[[int(one.name) for one in some]])
     monkeypatch.setattr(f"{module}.longest_s", lambda _: 100.0)

@@ -20,7 +20,7 @@ from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.safety import Dynamics, Follower
 from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.whatif import NO_PROOF, Change, load_changes, what_if
-from cyclekit.estimate.whatif.alter import WrittenSafety, altered_safety, altered_tasks, altered_tracks
+from cyclekit.estimate.whatif.alter import DefinedSafety, altered_safety, altered_tasks, altered_tracks
 from cyclekit.estimate.whatif.change import Zone
 
 if TYPE_CHECKING:
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 
 def test_a_written_staircase_is_that_staircase(staircase: Any):
     X = np.random.default_rng(0).uniform(-3, 3, (500, 6)).astype(np.float32)
-    written = WrittenSafety(Change("paper", levels=LEVELS, thresholds_m=THRESHOLDS_M))
+    written = DefinedSafety(Change("paper", levels=LEVELS, thresholds_m=THRESHOLDS_M))
     np.testing.assert_array_equal(written.predict(X), staircase.predict(X))
 
 
 def test_written_zones_take_the_slowest_that_the_operator_stands_in():
     zones = (Zone((-1.0, 1.0), (-1.0, 1.0), 0.0), Zone((-2.0, 2.0), (-2.0, 2.0), 0.5))
-    written = WrittenSafety(Change("zones", levels=(0.0, 0.5, 1.0), zones=zones))
+    written = DefinedSafety(Change("zones", levels=(0.0, 0.5, 1.0), zones=zones))
     X = np.zeros((3, 6), dtype=np.float32)
     X[:, 3] = (0.9, 1.5, 2.5)
     assert written.predict(X).tolist() == [0.0, 0.5, 1.0]
@@ -55,7 +55,7 @@ def scalings(model: Any, dynamics: Dynamics, xs: list[float]) -> list[float]:
 def test_where_thresholds_and_zones_are_given_the_slower_of_both_holds(tmp_path: Path):
     X = np.zeros((5, 6), dtype=np.float32)
     X[:, 3] = (0.7, 1.1, 1.5, 2.0, 2.1)
-    assert WrittenSafety(CAPPED).predict(X).tolist() == [0.0, 0.5, 0.5, 0.5, 1.0]
+    assert DefinedSafety(CAPPED).predict(X).tolist() == [0.0, 0.5, 0.5, 0.5, 1.0]
     file = tmp_path / "c.toml"
     file.write_text(
         '[[change]]\nname = "both"\nlevels = [0.0, 0.5, 1.0]\nthresholds_m = [0.8, 1.2]\n'
@@ -68,10 +68,10 @@ def test_where_thresholds_and_zones_are_given_the_slower_of_both_holds(tmp_path:
 def test_a_written_function_slows_at_its_thresholds_and_lets_go_by_the_hysteresis_farther_out():
     held = Dynamics(hysteresis_m=0.2)
     stairs = Change("stairs", levels=(0.5, 1.0), thresholds_m=(1.0,))
-    assert scalings(WrittenSafety(stairs), held, [1.05, 0.95, 1.05, 1.15, 1.25]) == [1.0, 0.5, 0.5, 0.5, 1.0]
-    assert scalings(WrittenSafety(CAPPED), held, [2.3, 2.1, 1.9, 2.1, 2.3]) == [1.0, 1.0, 0.5, 0.5, 1.0]
+    assert scalings(DefinedSafety(stairs), held, [1.05, 0.95, 1.05, 1.15, 1.25]) == [1.0, 0.5, 0.5, 0.5, 1.0]
+    assert scalings(DefinedSafety(CAPPED), held, [2.3, 2.1, 1.9, 2.1, 2.3]) == [1.0, 1.0, 0.5, 0.5, 1.0]
     beside = np.array([[1.5, y, 0.0] for y in (1.3, 0.9, 1.1, 1.3)])  # past the side of the zone, not towards the robot
-    follower = Follower(WrittenSafety(CAPPED), held, 0.1)
+    follower = Follower(DefinedSafety(CAPPED), held, 0.1)
     assert [float(follower.advance(np.zeros((1, 3)), at[None])[0]) for at in beside] == [1.0, 0.5, 0.5, 1.0]
 
 

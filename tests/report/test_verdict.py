@@ -13,7 +13,7 @@ from report_pages import Page, estimate
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import UnknownName
-from cyclekit.estimate.baseline import today_of
+from cyclekit.estimate.baseline import baseline_of
 from cyclekit.estimate.plan import OrderPlan
 from cyclekit.estimate.result import TaskShare
 from cyclekit.estimate.same_work import work_of
@@ -86,16 +86,16 @@ def in_orders(logged, *orders):
 
 def test_the_baseline_is_the_order_run_most_where_it_was_run_often(logged, tmp_path):
     often = in_orders(logged, *[ROUTE] * 5, *[TURNED] * 3)
-    today = today_of(often, work_of(ROUTE), None)
+    today = baseline_of(often, work_of(ROUTE), None)
     assert (today.executions, today.order) == (5, ROUTE)
     assert today.mean_s == pytest.approx((28 + 30 + 31 + 35 + 28) / 5)
-    seldom = today_of(in_orders(logged, *[ROUTE] * 3, *[TURNED] * 3), work_of(ROUTE), None)
+    seldom = baseline_of(in_orders(logged, *[ROUTE] * 3, *[TURNED] * 3), work_of(ROUTE), None)
     assert (seldom.executions, seldom.order) == (6, None)
 
 
 @pytest.mark.parametrize("times", [2, 3])
 def test_the_interval_of_few_logged_executions_is_that_of_students_t(logged, times):
-    today = today_of(in_orders(logged, *[ROUTE] * times), work_of(ROUTE), None)
+    today = baseline_of(in_orders(logged, *[ROUTE] * times), work_of(ROUTE), None)
     cycles_s = np.array((28, 30, 31)[:times])
     half_s = {2: 12.706, 3: 4.303}[times] * cycles_s.std(ddof=1) / times**0.5
     assert (today.mean_s - today.low_s, today.high_s - today.mean_s) == pytest.approx([half_s] * 2, rel=0.05)

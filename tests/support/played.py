@@ -75,7 +75,7 @@ class Steps(Network):
 class Gate:
     """A safety function of two states: the operator is on the left, where the robot is slow, or not."""
 
-    problem, network, often = "now", "gate", True
+    problem, network, fast = "now", "gate", True
     unseen_error, states, why, doubts, limits = 0.3, ("left", "elsewhere"), "simulation with a gate", (), ()
 
     def __init__(self) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.entry import LEAST_SUPPORT
-from cyclekit.estimate.joint.judged import JointCheck, judge_joint
+from cyclekit.estimate.joint.check import JointCheck, judge_joint
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, longest_s, waits_without_source
 from cyclekit.estimate.joint.shares import operator_shares, planned_shares, task_shares

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from cyclekit.estimate.joint.draws import NEVER
-from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, asked_often, at_once, scaling_in_step
+from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, at_once, is_fast, scaling_in_step
 from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
 
 if TYPE_CHECKING:
@@ -264,7 +264,7 @@ def simulate_both(
     others = [UnslowedAgent(draws, events_s) for draws in (operator, *sources)]
     people, count = people_of(others[0]), len(robot.which)
     follower = None if at_once(model, dynamics) else Follower(model, dynamics, FINE_STEP_S)
-    asks_after = 1 if asked_often(model) else round(TIME_STEP_S / FINE_STEP_S)
+    asks_after = 1 if is_fast(model) else round(TIME_STEP_S / FINE_STEP_S)
     looks_after = round(SUPPORT_EVERY_S / FINE_STEP_S)
     activity_s = np.zeros((count, len(people.activities) + 1))
     known, looked, stuck = np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_)

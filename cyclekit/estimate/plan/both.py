@@ -34,7 +34,7 @@ RANDOM = 24
 """Number of random orders to compare with."""
 
 
-class Both:
+class PairSearch:
     """The orders of robot and operator that jobs allow."""
 
     def __init__(self, model: SafetyModel, dataset: Dataset, jobs: Jobs, seed: int) -> None:
@@ -135,27 +135,29 @@ def best_of_both(
     Raises:
         EstimateError: Every pair of orders ends in a deadlock.
     """
-    both = Both(model, dataset, jobs, seed)
-    tell(0.1, f"{len(both.robots)} orders of the robot, {max(len(both.operators), 1)} of the operator")
-    pairs, looked = both.pairs()
+    search = PairSearch(model, dataset, jobs, seed)
+    tell(0.1, f"{len(search.robots)} orders of the robot, {max(len(search.operators), 1)} of the operator")
+    pairs, looked = search.pairs()
     if not pairs:
         raise EstimateError(
             f"{jobs.shown}: every order ends in a deadlock of robot and operator",
             cure="Give the operator the jobs that the robot waits for, and the other way round.",
         )
     tell(0.5, f"rolling out the best {len(pairs)}, and {RANDOM} random ones")
-    best = [both.sequence_of(pair.robot, pair.operator, "planned") for pair in pairs]
-    cycles = both.cycles_s(best, seed)
+    best = [search.sequence_of(pair.robot, pair.operator, "planned") for pair in pairs]
+    cycles = search.cycles_s(best, seed)
     scores = [
-        each.mean() + each.std() / both.cell.executions**0.5 if np.isfinite(each).all() else np.inf for each in cycles
+        each.mean() + each.std() / search.cell.executions**0.5 if np.isfinite(each).all() else np.inf for each in cycles
     ]
     number = int(np.argmin(scores))
     rng = np.random.default_rng(seed)
     others = [
-        both.sequence_of(int(rng.integers(len(both.robots))), int(rng.integers(max(len(both.operators), 1))), "drawn")
+        search.sequence_of(
+            int(rng.integers(len(search.robots))), int(rng.integers(max(len(search.operators), 1))), "drawn"
+        )
         for _ in range(RANDOM)
     ]
-    drawn = [each for each in both.cycles_s(others, seed) if np.isfinite(each).all()]
+    drawn = [each for each in search.cycles_s(others, seed) if np.isfinite(each).all()]
     (mine,) = estimate(
         model,
         dataset,
@@ -167,7 +169,7 @@ def best_of_both(
         extrapolate=True,
     )
     saved = np.mean(drawn, axis=0) - cycles[number] if drawn else np.zeros(1)
-    return best[number], both.robots[pairs[number].robot], mine, _saved(saved, seed), looked
+    return best[number], search.robots[pairs[number].robot], mine, _saved(saved, seed), looked
 
 
 def _saved(saved_s: Floats, seed: int) -> tuple[float, float, float]:

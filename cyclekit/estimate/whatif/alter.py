@@ -21,7 +21,7 @@ from cyclekit.estimate.safety import (
     OnStates,
     SafetyModel,
     around,
-    asked_often,
+    is_fast,
     likeliest_of,
     scaling_of,
 )
@@ -49,10 +49,10 @@ SPOT_M, NOWHERE_M = 0.1, 1000.0
 
 
 @dataclass(frozen=True)
-class WrittenSafety:
+class DefinedSafety:
     """A safety function defined in a file: a staircase over ||x_r - x_h||, zones on the floor, or the lower of both.
 
-    At its thresholds and zones the robot slows down; `margin_m` moves them outwards. `often` is copied from the model
+    At its thresholds and zones the robot slows down; `margin_m` moves them outwards. `fast` is copied from the model
     it is compared with, so that both are rolled out in the same steps.
     """
 
@@ -61,14 +61,14 @@ class WrittenSafety:
     problem: str = "now"
     card: TrainingCard = field(default_factory=TrainingCard)
     known_everywhere: bool = True
-    often: bool = False
+    fast: bool = False
 
     @property
     def levels(self) -> tuple[float, ...]:
         """The levels, ascending."""
         return self.change.levels
 
-    def moved_outwards(self, margin_m: float) -> WrittenSafety:
+    def moved_outwards(self, margin_m: float) -> DefinedSafety:
         """Return the function that must allow a level before s rises to it; `margin_m` is the hysteresis."""
         return replace(self, margin_m=margin_m)
 
@@ -138,7 +138,7 @@ def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> Safe
     if change.signals:
         return with_other_signals(change, model)
     if change.levels:
-        return WrittenSafety(change, often=asked_often(model))
+        return DefinedSafety(change, fast=is_fast(model))
     if change.limits:
         model = _with_other_limits(change, model)
     if "hysteresis_m" not in change.dynamics:
@@ -272,7 +272,7 @@ def _away(tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: Safe
     if tracks.state is not None:
         code, human = cells_of(tracks)
     else:
-        code, human = spots_of(tracks.xyz_m.reshape(-1, 3))
+        code, human = grid_positions(tracks.xyz_m.reshape(-1, 3))
     least = np.full(len(human), np.inf)
     for point in points:
         least = np.minimum(least, scaling_of(safety, np.broadcast_to(point, (len(human), 3)), human))
@@ -280,7 +280,7 @@ def _away(tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: Safe
     return np.asarray(away[code.ravel()].reshape(tracks.xyz_m.shape[:2]))
 
 
-def spots_of(xyz_m: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def grid_positions(xyz_m: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the spot number of each position (N, 3), and the spots (S, 3); NaN: no operator, or unknown height."""
     found, number = np.unique(np.round(np.nan_to_num(xyz_m, nan=NOWHERE_M) / SPOT_M), axis=0, return_inverse=True)
     spots = found * SPOT_M

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.judges import within
+from cyclekit.estimate.bias import half_width_95
 from cyclekit.estimate.question import Altered
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.rollout import estimate
@@ -179,7 +179,7 @@ def _in_time(change: Change, logged: Dynamics) -> str:
 
 
 def _compared(change: Change, before: CycleEstimate, after: CycleEstimate, seed: int) -> WhatIf:
-    saved, means = saved_of(before, after, seed)
+    saved, means = paired_savings(before, after, seed)
     low, high = np.quantile(means, (0.025, 0.975)).tolist()
     mean, off_s = float(saved.mean()), _network_error_s(change, before)
     return WhatIf(
@@ -190,7 +190,7 @@ def _compared(change: Change, before: CycleEstimate, after: CycleEstimate, seed:
     )
 
 
-def saved_of(before: CycleEstimate, after: CycleEstimate, seed: int) -> tuple[Vector, Vector]:
+def paired_savings(before: CycleEstimate, after: CycleEstimate, seed: int) -> tuple[Vector, Vector]:
     """Return the saving of each cycle with the same operator (K,), and its mean in resamples of the logs, s."""
     saved = np.array(before.durations_s) - np.array(after.durations_s)
     entries = len(saved) // max(before.executions, 1)
@@ -205,4 +205,4 @@ def _network_error_s(change: Change, before: CycleEstimate) -> float:
     """
     if not change.levels or before.check is None:
         return 0.0
-    return within(before.check.model_error, len(before.check.residuals)) * before.expected_s
+    return half_width_95(before.check.model_error, len(before.check.residuals)) * before.expected_s

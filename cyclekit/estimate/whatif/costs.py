@@ -16,7 +16,7 @@ from cyclekit.estimate.question import Altered
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.walk import FINE_STEP_S
-from cyclekit.estimate.whatif.answer import NO_PROOF, saved_of
+from cyclekit.estimate.whatif.answer import NO_PROOF, paired_savings
 from cyclekit.estimate.whatif.separation import margins_of, refuse_other_thresholds
 from cyclekit.learning.rules.quantities import outwards, quantities, released, shifted
 from cyclekit.text.numbers import exact_percent
@@ -96,18 +96,18 @@ class SafetyCosts(Result):
 
     def _said(self) -> list[str]:
         rows = [(each.sequence, one) for each in self.sequences for one in each.parameters]
-        told = [f"{name!r}, {named(one)}, {step(one)}: {one.costs_s:+.3f} s" for name, one in rows]
+        told = [f"{name!r}, {parameter_label(one)}, {step_label(one)}: {one.costs_s:+.3f} s" for name, one in rows]
         return [self.safety, *told]
 
 
-def named(cost: ParameterCost) -> str:
+def parameter_label(cost: ParameterCost) -> str:
     """Return the name of a number of the rule in a row of a table."""
     if cost.level is None:
         return cost.parameter
     return f"{'stop' if cost.level == 0.0 else exact_percent(cost.level)}, {cost.where}"
 
 
-def step(cost: ParameterCost) -> str:
+def step_label(cost: ParameterCost) -> str:
     """Return a step with its sign and unit: `+1 cm`, `+10 ms`, `+10 %/s`."""
     size, unit = {"m": (100, "cm"), "s": (1000, "ms"), "1/s": (100, "%/s")}[cost.unit]
     return f"{size * cost.step:+.0f} {unit}"
@@ -158,11 +158,11 @@ def costs_of(
     found: dict[str, list[ParameterCost]] = {name: [] for name in before}
     every = list(_moved(*now))
     for number, moved in enumerate(every):
-        tell(number / len(every), named(moved.cost))
+        tell(number / len(every), parameter_label(moved.cost))
         less, more = (before if cell == now else rolled(cell) for cell in (moved.less, moved.more))
         per = moved.cost.step / moved.apart
         for name, costs in found.items():
-            adds, means = saved_of(more[name], less[name], seed)
+            adds, means = paired_savings(more[name], less[name], seed)
             error_s = float(means.std()) * abs(per)
             costs.append(replace(moved.cost, costs_s=float(adds.mean()) * per, standard_error_s=error_s))
     told = tuple(SequenceCosts(one.name, before[one.name].expected_s, tuple(found[one.name])) for one in sequences)

@@ -56,7 +56,7 @@ class RuleSafety:
         return "rule"
 
     @property
-    def often(self) -> bool:
+    def fast(self) -> bool:
         """Whether it is fast enough for every step of a rollout."""
         return True
 

@@ -71,7 +71,7 @@ class UnseenOperator(Result):
     problem: str = "now"
 
     @property
-    def often(self) -> bool:
+    def fast(self) -> bool:
         """Whether it is fast enough for every step of a rollout."""
         return True
 

@@ -15,7 +15,7 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import CouplingCard
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.answer import CYCLES, RESAMPLES, resample_counts
-from cyclekit.estimate.joint.judged import JointCheck
+from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.joint.legs import Gates, event_kind, precedence_needs
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, TIMES, JointCell

@@ -14,13 +14,13 @@ from cyclekit.estimate.history import TaskTimes
 from cyclekit.estimate.nominal import STEP_S, nominal_tasks
 from cyclekit.estimate.program import standstills_of
 from cyclekit.estimate.resample import RESAMPLES, TOGETHER, resampled_alike
-from cyclekit.estimate.safety import Dynamics, OnStates, SafetyModel, asked_often, at_once
+from cyclekit.estimate.safety import Dynamics, OnStates, SafetyModel, at_once, is_fast
 from cyclekit.estimate.signal_states import on_states_of
 from cyclekit.estimate.spread import logged_support
 from cyclekit.estimate.support import HUMAN_M, ROBOT_M
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
-from cyclekit.estimate.whatif.alter import AWAY, LOOKED_AT, spots_of
+from cyclekit.estimate.whatif.alter import AWAY, LOOKED_AT, grid_positions
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.learning.rules.distances import TO_LINK
 from cyclekit.learning.rules.quantities import RulePlace, quantities
@@ -109,7 +109,7 @@ def rest_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: Oper
         "dynamics": vars(dynamics),
         "step": {"coarse_s": TIME_STEP_S, "fine_s": FINE_STEP_S, "support_s": SUPPORT_EVERY_S, "nominal_s": STEP_S},
         "follows": not at_once(model, dynamics),
-        "often": asked_often(model),
+        "often": is_fast(model),
         "away": {"part": AWAY, "points": LOOKED_AT},
     }
 
@@ -221,7 +221,7 @@ def _support(
     rows, columns = np.repeat(middles[0], len(humans), axis=0), np.tile(middles[1], (len(robots), 1))
     arrays["support"] = logged_support(dataset).near_logged(rows, columns).astype(np.uint8)
     if spots:
-        at, spots_m = spots_of(people)
+        at, spots_m = grid_positions(people)
         arrays["people_spots"] = np.where(absent, NOBODY, at).astype(np.uint16)
         arrays["spots"] = spots_m.astype(np.float32)
     return {"operators": len(humans)}

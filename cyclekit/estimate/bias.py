@@ -43,7 +43,7 @@ class ModelBias:
     error: float
 
 
-def judge(off: Vector, unseen: NDArray[np.bool_]) -> ModelBias:
+def bias_of(off: Vector, unseen: NDArray[np.bool_]) -> ModelBias:
     """Return the bias of a rollout with the own operator tracks.
 
     Args:
@@ -71,7 +71,7 @@ def _unseen_alone(size: Vector, unseen: NDArray[np.bool_]) -> bool:
     return above > BY_RANK * float(np.sqrt(len(mine) * len(others) * (len(size) + 1) / 12))
 
 
-def within(error: float, count: int) -> float:
+def half_width_95(error: float, count: int) -> float:
     """Return the half-width of a 95 % interval (Student's t) from the standard error of `count` executions."""
     from scipy.special import stdtrit
 

@@ -9,11 +9,11 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.bias import bias_of
 from cyclekit.estimate.check import FEW_EXECUTIONS, LEAST, MOST, OWN_BIAS, Check, compare
 from cyclekit.estimate.conformal import conformal
 from cyclekit.estimate.joint.roll import longest_s
 from cyclekit.estimate.joint.unexplained import unexplained_waits
-from cyclekit.estimate.judges import judge
 from cyclekit.estimate.logged import logged_durations, logged_sequences
 from cyclekit.estimate.safety import OnStates
 
@@ -88,16 +88,16 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
     ]
     if len(ended) < LEAST:
         return None
-    sequences, crossed = [sequence for sequence, _ in ended], np.array([cycles for _, cycles in ended])
+    sequences, simulated = [sequence for sequence, _ in ended], np.array([cycles for _, cycles in ended])
     logged = logged_durations(cell.dataset, sequences)
     unseen = set(cell.model.card.held_out)
     held_out = np.array([each.name in unseen for each in sequences])
-    means = crossed.mean(axis=1)
-    found = compare(logged, means, crossed, held_out, levels)
+    means = simulated.mean(axis=1)
+    found = compare(logged, means, simulated, held_out, levels)
     off = logged / means - 1.0  # the chance of a cycle is in the logged duration, which therefore is the numerator
-    bias = judge(-off / (1.0 + off.mean()), held_out)
+    bias = bias_of(-off / (1.0 + off.mean()), held_out)
     found = replace(found, own_bias=bias.bias, own_error=bias.error)
-    scores = _scores(logged, crossed * found.factor) if len(ended) >= FEW_EXECUTIONS else ()
+    scores = _scores(logged, simulated * found.factor) if len(ended) >= FEW_EXECUTIONS else ()
     mean_s = float(logged.mean())
     waits = unexplained_waits(cell.dataset, [each.name for each in sequences], mean_s)
     unseen_s = float(np.hypot(waits.by_order_s, _unseen_people_s(cell, [each.name for each in sequences])))
@@ -114,7 +114,7 @@ def _unseen_people_s(cell: JointCell, executions: Sequence[str]) -> float:
     return cell.model.unseen_error * float(sums.std(ddof=1)) if len(sums) > 1 else 0.0
 
 
-def _scores(logged: Vector, crossed: Vector) -> tuple[float, ...]:
+def _scores(logged: Vector, simulated: Vector) -> tuple[float, ...]:
     """Return how far logged cycles (E,) are from means of rolled-out ones (E, K), in standard deviations of these."""
-    off = (logged - crossed.mean(axis=1)) / np.maximum(crossed.std(axis=1, ddof=1), 1e-9)
+    off = (logged - simulated.mean(axis=1)) / np.maximum(simulated.std(axis=1, ddof=1), 1e-9)
     return tuple(off.tolist())

@@ -151,7 +151,7 @@ def compose_report(
     write_text(out, content)
     said = tuple(missing) + tuple(text for section in sections.values() for text in section.get("missing", ()))
     headline, size = sections["answer"]["headline"], out.stat().st_size
-    return ReportFacts(out, size, headline, content.count("<figure>"), said, len(ranked))
+    return ReportFacts(out, size, headline, content.count("<figure"), said, len(ranked))
 
 
 def _draw(sections: dict[str, Any], say: Callable[[float, str], None]) -> None:

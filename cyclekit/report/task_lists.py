@@ -138,7 +138,7 @@ def report_tasks(
         texts_of = {"cell": name, "made": made, "headline": headline, "version": installed("cyclekit")}
         content = look.render(page=PAGE, said=said, parts=parts, play=played, **texts_of) + f"\n{MARK}\n"
     write_text(out, content)
-    return ReportFacts(out, out.stat().st_size, headline, content.count("<figure>"), tuple(missing), len(found))
+    return ReportFacts(out, out.stat().st_size, headline, content.count("<figure"), tuple(missing), len(found))
 
 
 def _today(dataset: Dataset, today: Baseline | None, title: str) -> CycleEstimate | None:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Vector
 
     Bits = Callable[[RecordingCard], Mapping[str, SignalChanges]]
+    Logged = Mapping[str, Mapping[str, SignalChanges]]
 
 NOT_WAITED_FOR = ("goal",)
 """Words in signal names that exclude a signal as a condition: these signals announce what the operator will do."""
@@ -31,6 +32,7 @@ ANSWER_S, ANSWERS, RARE = 0.5, 0.9, 0.3
 """An input answers an output (a gripper reports that it is closed) if at least this share (second value) of its changes
 follow a change of the output within this time, s (first), and these times cover at most this share of the log
 (third)."""
+_STATES = (("set", "1"), ("cleared", "0"))
 
 
 class Event(NamedTuple):
@@ -99,7 +101,11 @@ def courses_of(
     people = "operator" in mine["agent"]
     sessions = {card.session for card in cards.values()}
     told = {session: _signals(recordings, session, read) for session in sessions}
-    inputs = {session: _inputs(recordings, session, bits) for session in sessions}
+    logged = {one.id: bits(one) for one in recordings if one.session in sessions and one.rows.get("robot")}
+    answers = _answers(list(logged.values()))
+    inputs = {session: _inputs(recordings, session, logged, answers) for session in sessions}
+    states = {} if people else {session: _states(recordings, session, logged) for session in sessions}
+    known = {name for some in (*inputs.values(), *told.values()) for name, state in some if state == "set"}
     found = []
     for (name,), rows in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
         card = cards[str(name)]
@@ -113,7 +119,7 @@ def courses_of(
         if not people:
             every = {key: at for key, at in every.items() if key[0] not in fields}
             changes = {key: at for key, at in changes.items() if key in every}
-            changes = _with_states(changes, every, card.start_s)
+            changes = _with_states(changes, every | states[card.session], card.start_s, known - set(fields))
         events = {Event("signal", *key): at for key, at in changes.items()}
         visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
         found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events))
@@ -124,15 +130,25 @@ def courses_of(
 
 
 def _with_states(
-    changes: Mapping[tuple[str, str], Vector], every: Mapping[tuple[str, str], Vector], start_s: float
+    changes: Mapping[tuple[str, str], Vector],
+    every: Mapping[tuple[str, str], Vector],
+    start_s: float,
+    known: Collection[str],
 ) -> dict[tuple[str, str], Vector]:
-    """Return the changes in an execution; a part or a release that is there when it begins has come before."""
+    """Return the changes in an execution; a part or a release that is there when it begins has come before.
+
+    Args:
+        changes: Changes in the execution.
+        every: Changes in its session, also those that answer an output.
+        start_s: Start of the execution, s.
+        known: Signals that are set in some execution.
+    """
     found = dict(changes)
-    for name in {name for name, _ in every}:
+    for name in known:
         on, off = (every.get((name, state), np.empty(0)) for state in ("set", "cleared"))
         last = [float(at[at < start_s].max(initial=-np.inf)) for at in (on, off)]
         if last[0] > last[1]:
-            found[name, "set"] = np.concatenate([[last[0]], changes[name, "set"]])
+            found[name, "set"] = np.concatenate([[last[0]], changes.get((name, "set"), np.empty(0))])
     return found
 
 
@@ -185,29 +201,63 @@ def _edges(on: Bools) -> tuple[Bools, Bools]:
     return on & ~before, ~on & before
 
 
-def _inputs(recordings: Sequence[RecordingCard], session: str, bits: Bits) -> dict[tuple[str, str], Vector]:
+def _inputs(
+    recordings: Sequence[RecordingCard], session: str, logged: Logged, answers: Collection[tuple[str, str]]
+) -> dict[tuple[str, str], Vector]:
     """Return when each digital input was `set` and `cleared`, session seconds, without inputs that answer an output."""
     found: dict[tuple[str, str], Vector] = {}
     for record in recordings:
         if record.session != session or not record.rows.get("robot"):
             continue
-        values = bits(record)
-        outputs = [each.t_s[1:] for name, each in values.items() if name.startswith(OUTPUT)]
-        for name, each in values.items():
-            for state, value in (("set", "1"), ("cleared", "0")):
+        for name, each in logged[record.id].items():
+            for state, value in _STATES:
                 at = each.to(value) if name.startswith(INPUT) else np.empty(0)
-                if len(at) and not any(_answers(at, output) for output in outputs):
+                if len(at) and (name, state) not in answers:
                     found[name, state] = at * record.clock.rate + record.clock.offset_s
     return found
 
 
-def _answers(at: Vector, output: Vector) -> bool:
-    """Return whether changes of an input closely follow those of an output that is rare enough to exclude chance."""
-    if not len(output) or len(output) * ANSWER_S > RARE * max(np.ptp(np.concatenate([at, output])), ANSWER_S):
+def _states(recordings: Sequence[RecordingCard], session: str, logged: Logged) -> dict[tuple[str, str], Vector]:
+    """Return when each digital input turned on and off, session seconds; one that is on at first turned on then."""
+    found: dict[tuple[str, str], Vector] = {}
+    for record in recordings:
+        if record.session != session or not record.rows.get("robot"):
+            continue
+        for name, each in logged[record.id].items():
+            if name.startswith(INPUT):
+                edges_of = dict(zip(("set", "cleared"), _edges(each.value == "1"), strict=True))
+                for state, edges in edges_of.items():
+                    found[name, state] = each.t_s[edges] * record.clock.rate + record.clock.offset_s
+    return found
+
+
+def _answers(logs: Sequence[Mapping[str, SignalChanges]]) -> set[tuple[str, str]]:
+    """Return the changes of inputs that closely follow those of an output that is rare enough to exclude chance.
+
+    All logs count together: one of a single execution holds too few changes to judge by.
+    """
+    names = {name for log in logs for name in log}
+    outputs = [name for name in names if name.startswith(OUTPUT)]
+    inputs = [(name, *state) for name in names if name.startswith(INPUT) for state in _STATES]
+    return {
+        (name, state)
+        for name, state, value in inputs
+        if any(_follows([(log[name], log.get(output)) for log in logs if name in log], value) for output in outputs)
+    }
+
+
+def _follows(pairs: Sequence[tuple[SignalChanges, SignalChanges | None]], value: str) -> bool:
+    """Return whether changes of an input to a value follow an output in several logs; None = no change of it there."""
+    since_s, covered_s, lasted_s = list[float](), 0.0, 0.0
+    for changes, of_output in pairs:
+        at, output = changes.to(value), np.empty(0) if of_output is None else of_output.t_s[1:]
+        last = np.searchsorted(output, at, side="right") - 1
+        since_s += np.where(last >= 0, at - np.append(output, np.inf)[np.maximum(last, 0)], np.inf).tolist()
+        covered_s += len(output) * ANSWER_S
+        lasted_s += max(float(np.ptp(np.concatenate([changes.t_s, output]))), ANSWER_S)
+    if not since_s or not covered_s or covered_s > RARE * lasted_s:
         return False
-    last = np.searchsorted(output, at, side="right") - 1
-    since = np.where(last >= 0, at - output[np.maximum(last, 0)], np.inf)
-    return bool(np.mean(since <= ANSWER_S) >= ANSWERS)
+    return bool(np.mean(np.array(since_s) <= ANSWER_S) >= ANSWERS)
 
 
 def _with_givers(courses: Sequence[ExecutionVisits], doubtful: Collection[Event]) -> list[ExecutionVisits]:

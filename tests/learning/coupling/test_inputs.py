@@ -14,7 +14,7 @@ from cyclekit.dataset.cards.dataset import ExecutionCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.signals import SignalChanges
 from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.coupling.visits import courses_of
+from cyclekit.learning.coupling.visits import Event, courses_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -71,6 +71,38 @@ def test_inputs_that_the_operator_gives_are_events_of_his_and_others_are_left_ou
         ("operator", "handover", "arrives", "digital-input 4 set"),
         ("operator", "handover", "leaves", "digital-input 4 cleared"),
     }
+
+
+def test_an_input_that_is_on_when_the_log_begins_was_set_before_the_execution() -> None:
+    rows = _rows().filter(pl.col("agent") == "robot", pl.col("execution").is_in(["0", "1"]))
+    records: Any = [
+        SimpleNamespace(id=n, session=n, rows={"robot": 9}, clock=SimpleNamespace(rate=1.0, offset_s=0)) for n in "01"
+    ]
+    cards = [
+        ExecutionCard(execution=n, session=n, start_s=start_s, end_s=start_s + 59.0, complete=True)
+        for n, start_s in (("0", 0.0), ("1", 60.0))
+    ]
+    machine = {  # it is done when the first log begins, and goes off with the start output each time
+        "0": SignalChanges(np.array([-1.0, 10.0, 40.0, 50.0]), np.array(list("1010"))),
+        "1": SignalChanges(np.array([59.0, 66.0, 110.0]), np.array(list("010"))),
+    }
+    door = {  # set in the second log only
+        "0": SignalChanges(np.array([-1.0, 30.0]), np.array(list("10"))),
+        "1": SignalChanges(np.array([59.0, 70.0]), np.array(list("01"))),
+    }
+    start = {
+        "0": SignalChanges(np.array([-1.0, 9.9, 10.4, 49.9, 50.4]), np.array(list("01010"))),
+        "1": SignalChanges(np.array([59.0, 109.9, 110.4]), np.array(list("010"))),
+    }
+    names = ("digital-input 2", "digital-input 3", "digital-output 3")
+    bits = {n: dict(zip(names, (machine[n], door[n], start[n]), strict=True)) for n in "01"}
+    courses = courses_of(cards, rows, records, lambda *_: None, lambda record: bits[record.id])
+    of_machine, of_door = (
+        [one.events.get(Event("signal", name, "set"), np.empty(0)).tolist() for one in courses] for name in names[:2]
+    )
+    assert of_machine == [[-1.0, 40.0], [66.0]]
+    assert of_door == [[-1.0], [70.0]]
+    assert not any(Event("signal", names[0], "cleared") in one.events for one in courses)  # it answers the output
 
 
 @pytest.mark.slow

@@ -45,6 +45,8 @@ PASSES, FREE_PASSES = 5, 3
 ALWAYS = 0.9
 LEAST_ON = 50
 """Minimum number of samples in motion in each state of a signal to judge it."""
+REPLIES, REPLY_S = 0.5, 1.0
+"""Minimum share of an input's changes that the scaling follows, and the maximum time, s, in which it begins to."""
 FOLLOWS = 0.9
 """Minimum balanced accuracy with which the operator's position predicts a signal that watches the operator."""
 MOST_ROWS = 60_000
@@ -242,10 +244,30 @@ def _capping(rows: Rows, moving: Bools, top: float) -> dict[str, Input]:
             here, other = rows.scaling[moving & (on == state)], rows.scaling[moving & (on != state)]
             if min(len(here), len(other)) < LEAST_ON or not (here > HALTED).any():
                 continue
-            if float(np.quantile(here, ALWAYS)) < top - SAME <= float(np.quantile(other, ALWAYS)):
+            slower = float(np.quantile(here, ALWAYS)) < top - SAME <= float(np.quantile(other, ALWAYS))
+            if slower and _replies(rows, switch, top, state=state):
                 tenths = np.bincount(np.rint(here[here > HALTED] * 100).astype(np.int64))
                 found[name] = Input(state, float(tenths.argmax()) / 100)
     return found
+
+
+def _replies(rows: Rows, switch: Switches, top: float, *, state: bool) -> bool:
+    """Return whether the scaling falls when a signal turns to a state, and rises when it turns back.
+
+    An operator who presses a button is near the robot: it is slow while the button is on, and before and after.
+    """
+    replied = list[bool]()
+    for at_s, on in zip(switch.t_s.tolist(), switch.on.tolist(), strict=True):
+        low, middle, high = np.searchsorted(rows.t_s, (at_s - REPLY_S, at_s, at_s + REPLY_S)).tolist()
+        before, after = (some[np.isfinite(some)] for some in (rows.scaling[low:middle], rows.scaling[middle:high]))
+        if not len(before) or not len(after) or rows.execution[low] != rows.execution[high - 1]:
+            continue
+        fast = before[-1] >= top - SAME
+        if on == state and fast:
+            replied.append(bool(after.min() < before[-1] - SAME))
+        elif on != state and not fast:
+            replied.append(bool(after.max() > before[-1] + SAME))
+    return not replied or float(np.mean(replied)) >= REPLIES
 
 
 def _active(rows: Rows, inputs: Mapping[str, Input]) -> Bools:

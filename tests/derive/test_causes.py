@@ -100,6 +100,22 @@ def test_what_an_input_slows_is_not_the_persons_and_the_person_has_what_is_added
     assert sum(lost.values()) == pytest.approx((1.0 - scaling).sum() / 10.0)
 
 
+def test_a_button_pressed_near_the_robot_does_not_slow_it():
+    distance, execution = walked()
+    near = distance < 1.0
+    rises = np.flatnonzero(np.diff(near.astype(int)) > 0)
+    pressed = (rises[:, None] + np.arange(20, 28)).ravel()  # 0.8 s, while the operator is near
+    on = np.zeros(2000, np.bool_)
+    on[pressed] = True
+    edges = np.flatnonzero(np.diff(on.astype(int))) + 1
+    button = Switches(edges / 10.0, on[edges])
+    assert halves(distance)[on].max() == 0.5
+    unseen = np.full(2000, np.nan)
+    for seen in (distance, unseen):
+        logged = rows(halves(distance), seen, execution=execution, switches={"button": button})
+        assert find_evidence(logged, LEVELS).inputs == {}
+
+
 def test_a_signal_that_watches_the_operator_is_no_input():
     distance, execution = walked()
     on = distance < 1.0

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.derive.seen_slow import DISTANCES, HALTED, HELD, Rows, Switches, features_of
+from cyclekit.derive.cause_samples import DISTANCES, HALTED, HELD, Rows, TwoStateSignal, features_of
 from cyclekit.derive.usual_levels import UsualLevels, usual_levels
 from cyclekit.scaling.commanded import commanded_levels
 from cyclekit.scaling.response import SafetyResponse, changes_of, rate_of
@@ -251,7 +251,7 @@ def _capping(rows: Rows, moving: Bools, top: float) -> dict[str, Input]:
     return found
 
 
-def _replies(rows: Rows, switch: Switches, top: float, *, state: bool) -> bool:
+def _replies(rows: Rows, switch: TwoStateSignal, top: float, *, state: bool) -> bool:
     """Return whether the scaling falls when a signal turns to a state, and rises when it turns back.
 
     An operator who presses a button is near the robot: it is slow while the button is on, and before and after.
@@ -384,4 +384,4 @@ def _limit_at(rows: Rows, evidence: Evidence) -> Vector:
     return cap
 
 
-__all__ = ["NOTHING", "Evidence", "Rows", "Switches", "find_evidence", "lost_shares", "lowest_usual"]
+__all__ = ["NOTHING", "Evidence", "Rows", "TwoStateSignal", "find_evidence", "lost_shares", "lowest_usual"]

@@ -14,7 +14,7 @@ import numpy as np
 
 from cyclekit.dataset.cards import OperatorSignalCard
 from cyclekit.dataset.signals import OUTPUT, REGISTER, SignalChanges, state_of
-from cyclekit.derive.seen_slow import counting
+from cyclekit.derive.cause_samples import signal_position_features
 from cyclekit.derive.usual_levels import usual_levels
 from cyclekit.errors import UnknownName
 from cyclekit.people.activity import GOAL_SIGNAL
@@ -302,7 +302,7 @@ def _unexplained(evidence: SignalEvidence, on: Sequence[Bools]) -> Vector:
     levels, level = np.asarray(evidence.levels), evidence.level[known]
     execution = np.unique(evidence.execution[known], return_inverse=True)[1].ravel()
     states: list[Vector | Bools] = [state[known] for state in on]
-    features = np.column_stack([counting(evidence.place[known], states), *states]).astype(np.float64)
+    features = np.column_stack([signal_position_features(evidence.place[known], states), *states]).astype(np.float64)
     lost, wrong = levels[-1] - levels[level], np.zeros(len(known))
     for part in range(min(FOLDS, int(execution.max(initial=-1)) + 1)):
         learn = execution % FOLDS != part

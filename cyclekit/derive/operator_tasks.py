@@ -31,8 +31,8 @@ class _Visit(NamedTuple):
 
 def operator_tasks(
     cards: Sequence[ExecutionCard],
-    stays: Sequence[OperatorStandstills],
-    spots: Mapping[str, Place],
+    standstills: Sequence[OperatorStandstills],
+    human_places: Mapping[str, Place],
     until_s: Sequence[float] | None = None,
 ) -> list[tuple[object, ...]]:
     """Return rows of table TASKS: one per standstill of the operator at one of the places.
@@ -42,15 +42,15 @@ def operator_tasks(
 
     Args:
         cards: Executions of a session.
-        stays: The operator's standstills in each execution.
-        spots: The operator's places.
+        standstills: The operator's standstills in each execution.
+        human_places: The operator's places.
         until_s: Time up to which standstills are known, session seconds; None: the end of the execution.
     """
     rows = []
     known_s = [card.end_s for card in cards] if until_s is None else until_s
-    for card, mine, end_s in zip(cards, stays, known_s, strict=False):  # executions of task lists have no standstills
+    for card, mine, end_s in zip(cards, standstills, known_s, strict=False):  # task lists have no standstills
         before_s: float | None = card.start_s
-        for index, visit in enumerate(_visits(mine, spots)):
+        for index, visit in enumerate(_visits(mine, human_places)):
             began = visit.arrived_s <= card.start_s + EDGE_S
             lasts = visit.left_s >= end_s - EDGE_S
             rows.append(
@@ -72,12 +72,12 @@ def operator_tasks(
     return schema.conform(pl.DataFrame(rows, schema=kinds), schema.TASKS).rows()
 
 
-def _visits(stays: OperatorStandstills, spots: Mapping[str, Place]) -> list[_Visit]:
-    names = list(spots)
-    centres = np.array([spots[name].xyz_m[:2] for name in names]).reshape(-1, 2)
-    reach_m = np.array([max(spots[name].radius_m, PLACE_M) for name in names])
+def _visits(standstills: OperatorStandstills, human_places: Mapping[str, Place]) -> list[_Visit]:
+    names = list(human_places)
+    centres = np.array([human_places[name].xyz_m[:2] for name in names]).reshape(-1, 2)
+    reach_m = np.array([max(human_places[name].radius_m, PLACE_M) for name in names])
     found: list[_Visit] = []
-    for (arrived_s, left_s), xyz_m in zip(stays.times_s.tolist(), stays.at_m, strict=True):
+    for (arrived_s, left_s), xyz_m in zip(standstills.times_s.tolist(), standstills.at_m, strict=True):
         far = np.linalg.norm(centres - xyz_m[:2], axis=1)
         if not len(far) or far[near := int(far.argmin())] > reach_m[near]:
             continue

@@ -2,7 +2,7 @@
 
 All of it can be computed again from the recordings, without the vendor files. `ingest` reads those files;
 `segmentation` finds places and executions. Three passes go session by session, on all cores of the engine
-(`session_look`, `session_samples`, `session_end`); large tables stay in files. Between the passes, all sessions
+(`first_pass`, `second_pass`, `last_pass`); large tables stay in files. Between the passes, all sessions
 together give places, executions, speed references, usual dwells and levels.
 """
 
@@ -19,18 +19,18 @@ from cyclekit import schema
 from cyclekit.dataset.cards import note
 from cyclekit.dataset.signals import switches
 from cyclekit.dataset.time_grid import stretches
+from cyclekit.derive.cause_samples import TwoStateSignal, joined, rows_of
 from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
-from cyclekit.derive.halts import HaltAtPlace, stops_at_places
+from cyclekit.derive.first_pass import first_pass
+from cyclekit.derive.last_pass import LastPassInput, LastPassResult, last_pass
 from cyclekit.derive.operator_tasks import operator_tasks
 from cyclekit.derive.over_sessions import Passes, is_much
 from cyclekit.derive.reaction_time import reaction_time
 from cyclekit.derive.robot import numbered, robot_of, with_standstills
 from cyclekit.derive.sample_file import in_order, shared_files
-from cyclekit.derive.seen_slow import Switches, joined, rows_of
-from cyclekit.derive.session_end import Finished, Left, finish
-from cyclekit.derive.session_look import look_at
-from cyclekit.derive.session_samples import Made, samples_of
-from cyclekit.derive.session_signals import is_tracked, looked_for, mixed, some_executions
+from cyclekit.derive.second_pass import SecondPassResult, second_pass
+from cyclekit.derive.session_signals import find_presence_signals, is_tracked, mixed_sources, some_executions
+from cyclekit.derive.stops_at_places import StopAtPlace, stops_at_places
 from cyclekit.derive.tracker_frame import frame_notes
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.derive.operator_signals import FoundSignals
     from cyclekit.derive.robot import RobotInSessions
-    from cyclekit.derive.session_samples import SessionToSample
-    from cyclekit.derive.session_signals import Watched
+    from cyclekit.derive.second_pass import SessionToSample
+    from cyclekit.derive.session_signals import PresenceSignals
     from cyclekit.people.silence import Absence
     from cyclekit.schema import Floats, Progress
     from cyclekit.segmentation.dwell import Dwell
@@ -113,98 +113,106 @@ def derive(
     """
     folder.mkdir(parents=True, exist_ok=True)
     passes = Passes(engine if is_much(groups) else LOCAL, progress)
-    look = partial(look_at, sources=sources, read=read, stored=stored, cell=cell, coarse=coarse)
-    looks = passes.over(look, groups, 0.0, 0.2, "motion")
-    sessions = numbered(looks)
-    robot = robot_of(looks, sessions, cell, passes.engine, lambda done, told: progress(0.2 + 0.3 * done, told))
-    works, dwells = with_standstills(passes, sessions, robot)
-    sample = partial(samples_of, places=robot.places, sources=sources, read=read, cell=cell, folder=folder)
+    first = partial(first_pass, sources=sources, read=read, stored=stored, cell=cell, coarse=coarse)
+    first_results = passes.over(first, groups, 0.0, 0.2, "motion")
+    sessions = numbered(first_results)
+    robot = robot_of(first_results, sessions, cell, passes.engine, lambda done, told: progress(0.2 + 0.3 * done, told))
+    to_sample, dwells = with_standstills(passes, sessions, robot)
+    sample = partial(second_pass, places=robot.places, sources=sources, read=read, cell=cell, folder=folder)
     files = shared_files(sessions, cell.rate_hz)
-    made = passes.over_files(partial(sample, dwells=dwells), works, files, 0.6, 0.85, "samples")
+    sampled = passes.over_files(partial(sample, dwells=dwells), to_sample, files, 0.6, 0.85, "samples")
     if is_much(groups) or any(run.is_inferred for run in robot.runs):
         forget()  # free the memory for samples and scaling of many hours
-    learnt = _learnt(made, files, works, cell, folder, read, stored)
-    if halts := _halts(works, made, files, dwells, learnt, folder):
-        robot = robot.halted(halts)
-        works, dwells = with_standstills(passes, sessions, robot)
-        made = passes.over_files(partial(sample, dwells=dwells), works, files, 0.6, 0.85, "samples again")
-        learnt = _learnt(made, files, works, cell, folder, read, stored, learnt.evidence)
-    return _finished(passes, made, files, learnt, robot, cell, folder, sources, read)
+    found = _find_in_all_sessions(sampled, files, to_sample, cell, folder, read, stored)
+    if stops := _stops(to_sample, sampled, files, dwells, found, folder):
+        robot = robot.with_stops(stops)
+        to_sample, dwells = with_standstills(passes, sessions, robot)
+        sampled = passes.over_files(partial(sample, dwells=dwells), to_sample, files, 0.6, 0.85, "samples again")
+        found = _find_in_all_sessions(sampled, files, to_sample, cell, folder, read, stored, found.evidence)
+    return _derived(passes, sampled, files, found, robot, cell, folder, sources, read)
 
 
-class _Learnt(NamedTuple):
-    """What all sessions together tell: levels, signals of people, what is left to do, and causes of lost time."""
+class _FoundInAllSessions(NamedTuple):
+    """Results of all sessions together: levels, signals of people, what is left to do, and causes of lost time."""
 
-    spots: Mapping[str, Place]
+    human_places: Mapping[str, Place]
     staircase: Staircase
     levels: tuple[float, ...]
-    gone: list[Absence]
-    watched: Watched
-    left: list[Left]
+    operator_absence: list[Absence]
+    presence: PresenceSignals
+    last_inputs: list[LastPassInput]
     evidence: Evidence
 
 
-def _learnt(
-    made: Sequence[Made],
+def _find_in_all_sessions(
+    sampled: Sequence[SecondPassResult],
     files: Sequence[Sequence[int]],
-    works: Sequence[SessionToSample],
+    to_sample: Sequence[SessionToSample],
     cell: Cell,
     folder: Path,
     read: Read,
     stored: Stored,
     evidence: Evidence | None = None,
-) -> _Learnt:
+) -> _FoundInAllSessions:
     """Find the levels, the operator's places and, unless given, the evidence for causes of lost time."""
-    runs = {work.session.name: list(work.runs.values()) for work in works}
-    spots = operator_places([stays for one in made if one.samples for stays in one.stays], cell)
-    staircase = _staircase(made, files, cell, folder)
-    labels = np.split(staircase.label, np.cumsum([one.samples for one in made])[:-1]) if made else []
+    runs = {work.session.name: list(work.runs.values()) for work in to_sample}
+    human_places = operator_places([mine for one in sampled if one.samples for mine in one.operator_standstills], cell)
+    staircase = _staircase(sampled, files, cell, folder)
+    labels = np.split(staircase.label, np.cumsum([one.samples for one in sampled])[:-1]) if sampled else []
     levels = tuple(round(float(level), 6) for level in staircase.levels)
-    gone = absences([one.silences for one in made])
-    watched = looked_for(made, runs, cell, levels, folder, read, stored)
-    left = [
-        Left(
-            one.part, runs[one.session], label, one.stays, absence, switch or _switches(one, read), _times_of(one.legs)
+    operator_absence = absences([one.silences for one in sampled])
+    presence = find_presence_signals(sampled, runs, cell, levels, folder, read, stored)
+    last_inputs = [
+        LastPassInput(
+            one.part,
+            runs[one.session],
+            label,
+            one.operator_standstills,
+            absence,
+            switch or _two_state_signals(one, read),
+            _task_times(one.executed_tasks),
         )
-        for one, label, absence, switch in zip(made, labels, gone, watched.switches, strict=True)
+        for one, label, absence, switch in zip(sampled, labels, operator_absence, presence.switches, strict=True)
     ]
-    evidence = evidence or _evidence(left, made, files, levels, folder, watched.names)
-    return _Learnt(spots, staircase, levels, gone, watched, left, evidence)
+    evidence = evidence or _evidence(last_inputs, sampled, files, levels, folder, presence.names)
+    return _FoundInAllSessions(human_places, staircase, levels, operator_absence, presence, last_inputs, evidence)
 
 
-def _halts(
-    works: Sequence[SessionToSample],
-    made: Sequence[Made],
+def _stops(
+    to_sample: Sequence[SessionToSample],
+    sampled: Sequence[SecondPassResult],
     files: Sequence[Sequence[int]],
     dwells: Mapping[str, Dwell],
-    learnt: _Learnt,
+    found: _FoundInAllSessions,
     folder: Path,
-) -> list[HaltAtPlace]:
+) -> list[StopAtPlace]:
     """Return when robots of inferred scaling were halted at places, as far as people tell."""
-    if learnt.evidence.usual is None or not any(run.is_inferred for work in works for run in work.runs.values()):
+    if found.evidence.usual is None or not any(run.is_inferred for work in to_sample for run in work.runs.values()):
         return []
-    samples = (found for numbers in files for found in _samples_of(numbers, made, folder))
-    sessions = ((works[number], rows_of(some, learnt.left[number].switches)) for number, some in samples)
-    return stops_at_places(sessions, dwells, learnt.evidence)
+    samples = (one for numbers in files for one in _samples_of(numbers, sampled, folder))
+    sessions = ((to_sample[number], rows_of(some, found.last_inputs[number].switches)) for number, some in samples)
+    return stops_at_places(sessions, dwells, found.evidence)
 
 
-def _samples_of(numbers: Sequence[int], made: Sequence[Made], folder: Path) -> Iterator[tuple[int, pl.DataFrame]]:
+def _samples_of(
+    numbers: Sequence[int], sampled: Sequence[SecondPassResult], folder: Path
+) -> Iterator[tuple[int, pl.DataFrame]]:
     """Yield the samples of each session in a file, with its number."""
-    if any(made[number].samples for number in numbers):
-        frame = pl.read_parquet(folder / f"{made[numbers[0]].part}.parquet", glob=False)
+    if any(sampled[number].samples for number in numbers):
+        frame = pl.read_parquet(folder / f"{sampled[numbers[0]].part}.parquet", glob=False)
         begin = 0
         for number in numbers:
-            count = made[number].samples
+            count = sampled[number].samples
             if count:
                 yield number, frame[begin : begin + count].with_columns(step=pl.lit(None, pl.Int32))
             begin += count
 
 
-def _finished(
+def _derived(
     passes: Passes,
-    made: Sequence[Made],
+    sampled: Sequence[SecondPassResult],
     files: Sequence[Sequence[int]],
-    learnt: _Learnt,
+    found: _FoundInAllSessions,
     robot: RobotInSessions,
     cell: Cell,
     folder: Path,
@@ -212,56 +220,60 @@ def _finished(
     read: Read,
 ) -> Derived:
     """Complete the samples."""
-    some = [one for one in made if one.samples]
-    spots, staircase, levels, gone, watched, left, evidence = learnt
-    most = max(20, MAX_CHANGES // max(len(some), 1))
+    some = [one for one in sampled if one.samples]
+    human_places, staircase, levels, operator_absence, presence, last_inputs, evidence = found
+    most_changes = max(20, MAX_CHANGES // max(len(some), 1))
     rest = partial(
-        finish,
-        spots=spots,
+        last_pass,
+        human_places=human_places,
         levels=levels,
         evidence=evidence,
-        signals=watched.names,
-        most_changes=most,
+        signals=presence.names,
+        most_changes=most_changes,
         folder=folder,
     )
-    finished = passes.over_files(rest, left, files, 0.85, 1.0, "levels")
-    response = watched.response(read_response([one.changes for one in finished]))
+    finished = passes.over_files(rest, last_inputs, files, 0.85, 1.0, "levels")
+    response = presence.response(read_response([one.changes for one in finished]))
     if response.latency_s is None and response.changes and any(map(is_tracked, some)):
         response = replace(response, latency_s=reaction_time(some, levels, response, folder))
     return Derived(
-        recordings=[recording for one in made for recording in one.recordings],
+        recordings=[recording for one in sampled for recording in one.recordings],
         samples=sum(one.samples for one in some),
-        tasks=_tasks(made, [one.lost_s for one in finished], spots),
-        tasks_to_next=_tasks(made, [one.lost_s for one in finished], spots, to_next=True),
-        executions=[card for one in made for card in one.cards],
+        tasks=_tasks(sampled, [one.lost_s for one in finished], human_places),
+        tasks_to_next=_tasks(sampled, [one.lost_s for one in finished], human_places, to_next=True),
+        executions=[card for one in sampled for card in one.cards],
         places=robot.places,
-        human_places=spots,
+        human_places=human_places,
         levels=levels,
         origin=" and ".join(sorted({name for one in some for name in one.origins}, reverse=True)) or None,
         dynamics=response,
-        operator_signals=watched.found.cards,
+        operator_signals=presence.found.cards,
         warnings=[
             *robot.warnings,
-            *(staircase.warnings if some or not made else []),
-            *_inputs(evidence),
-            *_signals(watched.found),
-            *mixed(made, watched),
-            *_empty_trackers(made, gone),
-            *_unseen(finished),
-            *frame_notes(made, [one.changes for one in finished], levels, folder, sources, read, cell),
+            *(staircase.warnings if some or not sampled else []),
+            *_input_notes(evidence),
+            *_signal_notes(presence.found),
+            *mixed_sources(sampled, presence),
+            *_empty_tracker_notes(sampled, operator_absence),
+            *_unseen_notes(finished),
+            *frame_notes(sampled, [one.changes for one in finished], levels, folder, sources, read, cell),
         ],
     )
 
 
 def _tasks(
-    made: Sequence[Made], lost: Sequence[Floats], spots: Mapping[str, Place], *, to_next: bool = False
+    sampled: Sequence[SecondPassResult],
+    lost: Sequence[Floats],
+    human_places: Mapping[str, Place],
+    *,
+    to_next: bool = False,
 ) -> pl.DataFrame:
     """Return table TASKS of both agents, with the seconds lost to each cause of a speed scaling below 1.
 
     The shares of the causes come from the samples; the total comes from the time account, at the log's rate.
     """
     columns = {name: column.dtype for name, column in schema.TASKS.items()}
-    rows = [row for one in made for row in (*one.tasks, *_of_operator(one, spots, to_next=to_next))]
+    rows = [row for one in sampled for row in (*one.tasks, *_operator_rows(one, human_places, to_next=to_next))]
     tasks = pl.DataFrame(rows, schema=columns, orient="row")
     mine = np.flatnonzero(tasks["start_place"].is_not_null().to_numpy())
     parts = np.concatenate([*lost, np.empty((0, len(schema.SCALING_CAUSES)))])
@@ -274,20 +286,31 @@ def _tasks(
     return tasks.with_columns(pl.Series(f"lost_{cause}_s", column, nan_to_null=True) for cause, column in named)
 
 
-def _empty_trackers(made: Sequence[Made], gone: Sequence[Absence]) -> list[Note]:
+def _empty_tracker_notes(sampled: Sequence[SecondPassResult], operator_absence: Sequence[Absence]) -> list[Note]:
     """Return a note: in how many sessions an empty tracker log means no operator, and in how many unknown."""
-    empty = [absence for one, absence in zip(made, gone, strict=True) if one.silences and is_empty(one.silences)]
+    empty = [
+        absence
+        for one, absence in zip(sampled, operator_absence, strict=True)
+        if one.silences and is_empty(one.silences)
+    ]
     absent = sum(absence.until_s == np.inf for absence in empty)
     return [note("tracker-empty", absent=absent, unknown=len(empty) - absent)] if empty else []
 
 
-def _of_operator(made: Made, spots: Mapping[str, Place], *, to_next: bool) -> list[tuple[object, ...]]:
+def _operator_rows(
+    session: SecondPassResult, human_places: Mapping[str, Place], *, to_next: bool
+) -> list[tuple[object, ...]]:
     if not to_next:
-        return operator_tasks(made.cards, made.stays, spots)
-    return operator_tasks(made.cards, [s for s, _ in made.later], spots, [until_s for _, until_s in made.later])
+        return operator_tasks(session.cards, session.operator_standstills, human_places)
+    return operator_tasks(
+        session.cards,
+        [s for s, _ in session.standstills_to_next],
+        human_places,
+        [until_s for _, until_s in session.standstills_to_next],
+    )
 
 
-def _inputs(evidence: Evidence) -> list[Note]:
+def _input_notes(evidence: Evidence) -> list[Note]:
     """Return a note for each input that slows the robot."""
     return [
         note("input-slows", signal=name, state="on" if how.on else "off", percent=round(100 * how.cap))
@@ -295,7 +318,7 @@ def _inputs(evidence: Evidence) -> list[Note]:
     ]
 
 
-def _signals(found: FoundSignals) -> list[Note]:
+def _signal_notes(found: FoundSignals) -> list[Note]:
     """Return notes: signals that were found to show people, or signals that follow the speed."""
     if found.follow:
         names, late_s = zip(*found.follow, strict=True)
@@ -313,76 +336,78 @@ def _signals(found: FoundSignals) -> list[Note]:
     ]
 
 
-def _unseen(finished: Sequence[Finished]) -> list[Note]:
+def _unseen_notes(finished: Sequence[LastPassResult]) -> list[Note]:
     """Return a note: how often a signal shows a person whom the tracker misses."""
     samples, sessions = sum(one.unseen for one in finished), sum(one.unseen > 0 for one in finished)
     return [note("operator-unseen", samples=samples, sessions=sessions)] if samples else []
 
 
-def _times_of(legs: Sequence[ExecutedTask]) -> Floats:
+def _task_times(executed_tasks: Sequence[ExecutedTask]) -> Floats:
     never = (np.inf, -np.inf)
     times = [
-        (leg.start_s, leg.arrival_s, leg.arrival_s + leg.dwell_s, leg.end_s)
-        + (never if leg.reached_s is None or leg.went_on_s is None else (leg.reached_s, leg.went_on_s))
-        for leg in legs
+        (task.start_s, task.arrival_s, task.arrival_s + task.dwell_s, task.end_s)
+        + (never if task.reached_s is None or task.went_on_s is None else (task.reached_s, task.went_on_s))
+        for task in executed_tasks
     ]
     return np.array(times).reshape(-1, 6)
 
 
-def _switches(made: Made, read: Read) -> dict[str, Switches]:
+def _two_state_signals(session: SecondPassResult, read: Read) -> dict[str, TwoStateSignal]:
     """Return the two-state signals of a session, session time."""
     return {
-        name: Switches(times * entry.clock.rate + entry.clock.offset_s, on)
-        for entry in made.recordings
+        name: TwoStateSignal(times * entry.clock.rate + entry.clock.offset_s, on)
+        for entry in session.recordings
         for name, (times, on) in switches(entry, read).items()
     }
 
 
 def _evidence(
-    left: Sequence[Left],
-    made: Sequence[Made],
+    last_inputs: Sequence[LastPassInput],
+    sampled: Sequence[SecondPassResult],
     files: Sequence[Sequence[int]],
     levels: Sequence[float],
     folder: Path,
     people: Sequence[str],
 ) -> Evidence:
     """Return the evidence on causes of lost time; from long logs, of every k-th execution."""
-    chosen = some_executions(made)
+    chosen = some_executions(sampled)
     found = []
     for numbers in files:
-        if not any(made[number].samples for number in numbers):
+        if not any(sampled[number].samples for number in numbers):
             continue
-        file = folder / f"{made[numbers[0]].part}.parquet"
+        file = folder / f"{sampled[numbers[0]].part}.parquet"
         rows = pl.scan_parquet(file, glob=False).with_row_index("row").filter(pl.col("execution").is_in(chosen))
         samples = rows.collect(engine="streaming")
-        label = pl.Series(np.concatenate([left[number].label for number in numbers]))
+        label = pl.Series(np.concatenate([last_inputs[number].label for number in numbers]))
         samples = samples.with_columns(step=label[samples["row"]])
-        ends = np.cumsum([made[number].samples for number in numbers])
+        ends = np.cumsum([sampled[number].samples for number in numbers])
         which = np.searchsorted(ends, samples["row"].to_numpy(), side="right")
         found += [
-            rows_of(samples.filter(pl.Series(which == i)), left[number].switches)
+            rows_of(samples.filter(pl.Series(which == i)), last_inputs[number].switches)
             for i, number in enumerate(numbers)
             if (which == i).any()
         ]
     return find_evidence(joined(found), levels, people) if found else NOTHING
 
 
-def _staircase(made: Sequence[Made], files: Sequence[Sequence[int]], cell: Cell, folder: Path) -> Staircase:
+def _staircase(
+    sampled: Sequence[SecondPassResult], files: Sequence[Sequence[int]], cell: Cell, folder: Path
+) -> Staircase:
     """Find the levels of the scaling in all executions, or use those that the cell file fixes."""
-    if not any(one.samples for one in made):
+    if not any(one.samples for one in sampled):
         return find_staircase(np.empty(0))
-    frame = pl.concat(in_order((numbers, _scaling_of([made[n] for n in numbers], folder)) for numbers in files))
+    frame = pl.concat(in_order((numbers, _scaling_of([sampled[n] for n in numbers], folder)) for numbers in files))
     run = stretches(frame, cell.rate_hz)
     scaling = frame["scaling"].fill_null(np.nan).to_numpy()
     return find_staircase(scaling, run=run, levels=cell.levels or None, rate_hz=cell.rate_hz)
 
 
-def _scaling_of(made: Sequence[Made], folder: Path) -> list[pl.DataFrame]:
+def _scaling_of(sampled: Sequence[SecondPassResult], folder: Path) -> list[pl.DataFrame]:
     """Return execution, time and scaling of the samples of each session in a file."""
     columns = ["execution", "t_s", "scaling"]
-    counts = [one.samples for one in made]
+    counts = [one.samples for one in sampled]
     if not sum(counts):
-        return [schema.empty(schema.SAMPLES).select(columns)] * len(made)
-    frame = pl.read_parquet(folder / f"{made[0].part}.parquet", columns=columns, glob=False)
+        return [schema.empty(schema.SAMPLES).select(columns)] * len(sampled)
+    frame = pl.read_parquet(folder / f"{sampled[0].part}.parquet", columns=columns, glob=False)
     begins = np.cumsum([0, *counts]).tolist()
     return [frame[begin : begin + count] for begin, count in zip(begins, counts, strict=False)]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from cyclekit.derive.session_samples import Made
+    from cyclekit.derive.second_pass import SecondPassResult
     from cyclekit.scaling.response import SafetyResponse
     from cyclekit.schema import Floats, Ints, Vector
 
@@ -36,18 +36,18 @@ _AXES = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
 
 
 def reaction_time(
-    made: Sequence[Made], levels: Sequence[float], response: SafetyResponse, folder: Path
+    sessions: Sequence[SecondPassResult], levels: Sequence[float], response: SafetyResponse, folder: Path
 ) -> float | None:
     """Return the reaction time that explains the commanded level best, s; None if none is clearly better than 0.
 
     Args:
-        made: The sessions, with their samples in files.
+        sessions: The sessions, with their samples in files.
         levels: Levels of the scaling, ascending.
         response: Response with the ramps to remove.
         folder: Folder of the files.
     """
-    chosen = some_executions(made)
-    found = [_of_file(folder / f"{part}.parquet", chosen, levels, response) for part in _parts(made)]
+    chosen = some_executions(sessions)
+    found = [_of_file(folder / f"{part}.parquet", chosen, levels, response) for part in _parts(sessions)]
     found = [one for one in found if len(one[0])]
     if len(levels) < 2 or not found:
         return None
@@ -68,8 +68,8 @@ def reaction_time(
     return round(float(late_s[best] + (0.5 * STEP_S * (before - after) / bend if bend > 0.0 else 0.0)), 2)
 
 
-def _parts(made: Sequence[Made]) -> list[str]:
-    return list(dict.fromkeys(one.part for one in made if one.samples))
+def _parts(sessions: Sequence[SecondPassResult]) -> list[str]:
+    return list(dict.fromkeys(one.part for one in sessions if one.samples))
 
 
 def _of_file(

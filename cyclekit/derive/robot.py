@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from cyclekit.dataset.cards import note
-from cyclekit.derive.session_samples import SessionToSample
+from cyclekit.derive.second_pass import SessionToSample
 from cyclekit.scaling.run_scaling import with_scaling
 from cyclekit.segmentation.arrivals import PlaceStandstills, place_standstills
 from cyclekit.segmentation.dwell import Dwell, usual_dwells
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import Note
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import Session
-    from cyclekit.derive.halts import HaltAtPlace
+    from cyclekit.derive.first_pass import FirstPassResult
     from cyclekit.derive.over_sessions import Passes
-    from cyclekit.derive.session_look import Look
+    from cyclekit.derive.stops_at_places import StopAtPlace
     from cyclekit.parallel.engine import Engine
     from cyclekit.schema import Ints, Progress
     from cyclekit.segmentation.standstills import Standstill
@@ -39,13 +39,13 @@ KEPT_BYTES = 160 << 20
 """Cache of decoded rows while the scaling is inferred: the fastest repetitions of a motion are all over the log."""
 
 
-def numbered(looks: Sequence[Look]) -> list[Session]:
+def numbered(results: Sequence[FirstPassResult]) -> list[Session]:
     """Return the sessions, each with the indices of its runs in the list of all runs."""
     sessions: list[Session] = []
     count = 0
-    for look in looks:
-        sessions.append(replace(look.session, runs=tuple(range(count, count + len(look.runs)))))
-        count += len(look.runs)
+    for result in results:
+        sessions.append(replace(result.session, runs=tuple(range(count, count + len(result.runs)))))
+        count += len(result.runs)
     return sessions
 
 
@@ -64,35 +64,35 @@ class RobotInSessions(NamedTuple):
     executions: Sequence[Sequence[Execution]]
     warnings: list[Note]
 
-    def halted(self, halts: Sequence[HaltAtPlace]) -> RobotInSessions:
+    def with_stops(self, stops: Sequence[StopAtPlace]) -> RobotInSessions:
         """Return the same with runs halted at some times."""
         spans: dict[int, list[tuple[float, float]]] = {}
-        for halt in halts:
-            spans.setdefault(halt.run, []).append((halt.first_s, halt.last_s))
+        for stop in stops:
+            spans.setdefault(stop.run, []).append((stop.first_s, stop.last_s))
         runs = [run.with_halts(spans[n]) if n in spans else run for n, run in enumerate(self.runs)]
         return self._replace(runs=runs)
 
 
 def robot_of(
-    looks: Sequence[Look], sessions: Sequence[Session], cell: Cell, engine: Engine, progress: Progress
+    results: Sequence[FirstPassResult], sessions: Sequence[Session], cell: Cell, engine: Engine, progress: Progress
 ) -> RobotInSessions:
     """Find places and executions in all sessions, and the scaling where it was not logged."""
     runs: list[Run] = []
-    stops: list[Standstill] = []
-    for look in looks:
-        stops += [replace(stop, run=stop.run + len(runs)) for stop in look.stops]
-        runs += look.runs
-    marks = [marks for look in looks for marks in look.marks]
-    places, executions = _divided(runs, stops, marks, cell)
+    standstills: list[Standstill] = []
+    for result in results:
+        standstills += [replace(stop, run=stop.run + len(runs)) for stop in result.standstills]
+        runs += result.runs
+    marks = [marks for result in results for marks in result.marks]
+    places, executions = _divided(runs, standstills, marks, cell)
     with keeping(KEPT_BYTES):
-        overrides = [look.override for look in looks]
+        overrides = [result.override for result in results]
         scaled, warnings = with_scaling(runs, executions, places, sessions, overrides, progress, engine)
         known = [number for number, run in enumerate(scaled) if run.knows_scaling and not run.is_inferred]
         new = {number for number in known if not runs[number].knows_scaling}
         if new:  # now that the scaling is known, protective stops are not standstills of the program
-            stops = [stop for stop in stops if stop.run not in new]
-            stops += [stop for number in sorted(new) for stop in find_standstills(scaled[number], number)]
-            places, executions = _divided(scaled, sorted(stops, key=lambda stop: stop.run), marks, cell)
+            standstills = [stop for stop in standstills if stop.run not in new]
+            standstills += [stop for number in sorted(new) for stop in find_standstills(scaled[number], number)]
+            places, executions = _divided(scaled, sorted(standstills, key=lambda stop: stop.run), marks, cell)
     by_run: list[list[Execution]] = [[] for _ in scaled]
     for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
         by_run[found.run].append(found)
@@ -100,17 +100,17 @@ def robot_of(
 
 
 def _divided(
-    runs: Sequence[Run], stops: list[Standstill], marks: Sequence[Ints], cell: Cell
+    runs: Sequence[Run], standstills: list[Standstill], marks: Sequence[Ints], cell: Cell
 ) -> tuple[dict[str, Place], list[Execution]]:
     """Return the places and executions of runs."""
-    places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
-    visits = find_visits(stops, places, runs)
+    places = find_places(runs, standstills, cell.places, all_named=cell.all_places_named)
+    visits = find_visits(standstills, places, runs)
     if all(len({visit.place for visit in seen}) < 2 for seen in visits):  # at most one place with standstills
-        stops = with_turns(runs, stops)
-        places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
-        visits = find_visits(stops, places, runs)
+        standstills = with_turns(runs, standstills)
+        places = find_places(runs, standstills, cell.places, all_named=cell.all_places_named)
+        visits = find_visits(standstills, places, runs)
     executions = find_executions(visits, places, cell.executions, marks)
-    return places, with_waits(executions, stops, runs) + _whole_runs(runs, executions)
+    return places, with_waits(executions, standstills, runs) + _whole_runs(runs, executions)
 
 
 def visited_once(places: Mapping[str, Place], executions: Sequence[Execution]) -> list[Note]:

@@ -11,9 +11,9 @@ import polars as pl
 
 from cyclekit.dataset.cards import note
 from cyclekit.dataset.signals import INPUT, OUTPUT, SignalChanges, constant_bits, values_of
+from cyclekit.derive.cause_samples import TwoStateSignal
 from cyclekit.derive.concatenated import APART_S, commanded_samples, shifts_apart
 from cyclekit.derive.operator_signals import FoundSignals, SignalEvidence, find_signals
-from cyclekit.derive.seen_slow import Switches
 from cyclekit.scaling.response import LevelChange, SafetyResponse, changes_of, rate_of
 from cyclekit.segmentation.stored_run import pieces
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cyclekit.config import Cell
     from cyclekit.dataset.cards import ExecutionCard, Note
     from cyclekit.dataset.signals import Read, Stored
-    from cyclekit.derive.session_samples import Made
+    from cyclekit.derive.second_pass import SecondPassResult
     from cyclekit.schema import Ints, Vector
     from cyclekit.segmentation.stored_run import Run
 
@@ -36,7 +36,7 @@ _NUMBERS = ["robot_x_m", "robot_y_m"]
 
 
 @dataclass(frozen=True)
-class Watched:
+class PresenceSignals:
     """Signals that show people.
 
     Attributes:
@@ -45,7 +45,7 @@ class Watched:
     """
 
     found: FoundSignals
-    switches: Sequence[Mapping[str, Switches]]
+    switches: Sequence[Mapping[str, TwoStateSignal]]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -59,21 +59,21 @@ class Watched:
         return replace(seen, latency_s=self.found.latency_s, hold_s=self.found.hold_s)
 
 
-def looked_for(
-    made: Sequence[Made],
+def find_presence_signals(
+    sessions: Sequence[SecondPassResult],
     runs: Mapping[str, Sequence[Run]],
     cell: Cell,
     levels: Sequence[float],
     folder: Path,
     read: Read,
     stored: Stored,
-) -> Watched:
+) -> PresenceSignals:
     """Return the signals that show people: those of the cell file, else those found in sessions without a tracker.
 
     If a tracker logs people in every session, no signals are searched for.
 
     Args:
-        made: The sessions.
+        sessions: The sessions.
         runs: Runs of the robot, by session.
         cell: Signals named in the cell file.
         levels: Levels of the scaling, ascending.
@@ -81,52 +81,54 @@ def looked_for(
         read: Returns a native table of a recording (id, table), None if it has none.
         stored: Opens the robot table of a recording (id, columns) for reading by row ranges.
     """
-    without = [not is_tracked(mine) and any(not card.reference for card in mine.cards) for mine in made]
-    among = made if cell.operator_signals or not any(map(is_tracked, made)) else [*compress(made, without)]
+    without = [not is_tracked(mine) and any(not card.reference for card in mine.cards) for mine in sessions]
+    among = sessions if cell.operator_signals or not any(map(is_tracked, sessions)) else [*compress(sessions, without)]
     if len(levels) < 2 or not among:
-        return Watched(FoundSignals(), [{}] * len(made))
-    values = {mine.session: _values(mine, read, stored) for mine in made}
-    _add_held(made, values, stored)
+        return PresenceSignals(FoundSignals(), [{}] * len(sessions))
+    values = {mine.session: _values(mine, read, stored) for mine in sessions}
+    _add_held(sessions, values, stored)
     evidence = _evidence(among, [values[mine.session] for mine in among], runs, levels, folder)
     found = find_signals(evidence, cell.operator_signals)
-    return Watched(found, [_switches(values[mine.session], found) for mine in made])
+    return PresenceSignals(found, [_switches(values[mine.session], found) for mine in sessions])
 
 
-def is_tracked(made: Made) -> bool:
+def is_tracked(session: SecondPassResult) -> bool:
     """Return whether a tracker covered a session, also if it saw no one."""
-    return bool(made.silences) or any("people" in one.tables for one in made.recordings)
+    return bool(session.silences) or any("people" in one.tables for one in session.recordings)
 
 
-def mixed(made: Sequence[Made], watched: Watched) -> list[Note]:
+def mixed_sources(sessions: Sequence[SecondPassResult], presence: PresenceSignals) -> list[Note]:
     """Return a note: executions with positions, with signals, and with neither, if they are not all alike."""
     positions = signals = neither = 0
-    for mine, switches in zip(made, watched.switches, strict=True):
+    for mine, switches in zip(sessions, presence.switches, strict=True):
         count = sum(not card.reference for card in mine.cards)
-        by_signals = bool(watched.names) and all(name in switches for name in watched.names)
+        by_signals = bool(presence.names) and all(name in switches for name in presence.names)
         positions += count * is_tracked(mine)
         signals += count * by_signals
         neither += count * (not is_tracked(mine) and not by_signals)
-    if not positions or not (neither or watched.names):
+    if not positions or not (neither or presence.names):
         return []
     return [note("people-mixed", positions=positions, signals=signals, neither=neither)]
 
 
-def some_executions(made: Sequence[Made]) -> list[str]:
+def some_executions(sessions: Sequence[SecondPassResult]) -> list[str]:
     """Return the executions used as evidence: all, or every k-th of long logs."""
-    every = max(1, round(sum(one.samples for one in made) / EVIDENCE_SAMPLES))
-    return [card.execution for one in made for card in one.cards][::every]
+    every = max(1, round(sum(one.samples for one in sessions) / EVIDENCE_SAMPLES))
+    return [card.execution for one in sessions for card in one.cards][::every]
 
 
-def _values(made: Made, read: Read, stored: Stored) -> dict[str, SignalChanges]:
+def _values(session: SecondPassResult, read: Read, stored: Stored) -> dict[str, SignalChanges]:
     """Return all signals of a session in session time."""
     found: dict[str, SignalChanges] = {}
-    for entry in made.recordings:
+    for entry in session.recordings:
         for name, changes in values_of(entry, read, stored).items():
             found.setdefault(name, changes._replace(t_s=changes.t_s * entry.clock.rate + entry.clock.offset_s))
     return found
 
 
-def _add_held(made: Sequence[Made], values: dict[str, dict[str, SignalChanges]], stored: Stored) -> None:
+def _add_held(
+    sessions: Sequence[SecondPassResult], values: dict[str, dict[str, SignalChanges]], stored: Stored
+) -> None:
     """Add to each session the signals that change only in other sessions.
 
     A field without a change means that no one entered it. A bit gets its logged value. An event log has no row for an
@@ -135,27 +137,29 @@ def _add_held(made: Sequence[Made], values: dict[str, dict[str, SignalChanges]],
     """
     names = dict.fromkeys(name for mine in values.values() for name in mine)
     bits = {name for name in names if name.startswith((INPUT, OUTPUT))}
-    for mine in made:
+    for mine in sessions:
         wired = not is_tracked(mine) or any(name.startswith(INPUT) for name in values[mine.session])
         if wired and (lacks := bits.difference(values[mine.session])):
             for entry in mine.recordings:
                 for name, held in constant_bits(entry, stored, lacks).items():
                     values[mine.session].setdefault(name, held._replace(t_s=_ALWAYS_S))
     for name in names:
-        states = {mine.session: values[mine.session].get(name) for mine in made}
-        for mine, kept in zip(made, _held_events(made, [*states.values()]), strict=True):
+        states = {mine.session: values[mine.session].get(name) for mine in sessions}
+        for mine, kept in zip(sessions, _held_events(sessions, [*states.values()]), strict=True):
             if kept is not None:
                 values[mine.session][name] = kept
 
 
-def _held_events(made: Sequence[Made], states: Sequence[SignalChanges | None]) -> list[SignalChanges | None]:
+def _held_events(
+    sessions: Sequence[SecondPassResult], states: Sequence[SignalChanges | None]
+) -> list[SignalChanges | None]:
     """Return the state of a two-state signal in each session whose events lack it; None if logged or unknown."""
     known = [one for one in states if one is not None]
     two = sorted({str(value) for one in known for value in one.value})
-    found: list[SignalChanges | None] = [None] * len(made)
+    found: list[SignalChanges | None] = [None] * len(sessions)
     if len(two) != 2:
         return found
-    for k, mine in enumerate(made):
+    for k, mine in enumerate(sessions):
         if states[k] is not None or is_tracked(mine) or not any("events" in one.tables for one in mine.recordings):
             continue
         before = next((str(one.value[-1]) for one in reversed(states[:k]) if one is not None), None)
@@ -166,29 +170,29 @@ def _held_events(made: Sequence[Made], states: Sequence[SignalChanges | None]) -
     return found
 
 
-def _switches(values: Mapping[str, SignalChanges], found: FoundSignals) -> dict[str, Switches]:
+def _switches(values: Mapping[str, SignalChanges], found: FoundSignals) -> dict[str, TwoStateSignal]:
     return {
-        one.name: Switches(values[one.signal].t_s, values[one.signal].value == one.occupied)
+        one.name: TwoStateSignal(values[one.signal].t_s, values[one.signal].value == one.occupied)
         for one in found.cards
         if one.signal in values
     }
 
 
 def _evidence(
-    made: Sequence[Made],
+    sessions: Sequence[SecondPassResult],
     values: Sequence[Mapping[str, SignalChanges]],
     runs: Mapping[str, Sequence[Run]],
     levels: Sequence[float],
     folder: Path,
 ) -> SignalEvidence:
     """Return the data of some executions, with sessions shifted so that their times do not overlap."""
-    chosen = set(some_executions(made))
-    shifts = shifts_apart((0.0, max((card.end_s for card in mine.cards), default=0.0)) for mine in made)
-    changes = [_changes(mine, chosen, runs[mine.session], levels) for mine in made]
+    chosen = set(some_executions(sessions))
+    shifts = shifts_apart((0.0, max((card.end_s for card in mine.cards), default=0.0)) for mine in sessions)
+    changes = [_changes(mine, chosen, runs[mine.session], levels) for mine in sessions]
     every = [change for mine in changes for change in mine]
     down, up = (rate_of([change for change in every if change.rises is rises]) for rises in (False, True))
     response = SafetyResponse(None, down, up, None, len(every), None)
-    parts = list(_samples(made, chosen, levels, response, shifts, folder))
+    parts = list(_samples(sessions, chosen, levels, response, shifts, folder))
     t_s, level, x_m, y_m, task, execution = (np.concatenate([part[i] for part in parts]) for i in range(6))
     falls, rises = (
         np.array([c.t_s + at for mine, at in zip(changes, shifts, strict=True) for c in mine if c.rises is up])
@@ -212,11 +216,13 @@ def _joined(values: Sequence[Mapping[str, SignalChanges]], shifts: Sequence[floa
     return found
 
 
-def _changes(made: Made, chosen: Collection[str], runs: Sequence[Run], levels: Sequence[float]) -> list[LevelChange]:
+def _changes(
+    session: SecondPassResult, chosen: Collection[str], runs: Sequence[Run], levels: Sequence[float]
+) -> list[LevelChange]:
     """Return the changes of level in the chosen executions of a session, at the log's rate."""
     return [
         change
-        for card in made.cards
+        for card in session.cards
         if card.execution in chosen
         for run in runs
         for change in _changes_during(run, card, levels)
@@ -231,7 +237,7 @@ def _changes_during(run: Run, card: ExecutionCard, levels: Sequence[float]) -> I
 
 
 def _samples(
-    made: Sequence[Made],
+    sessions: Sequence[SecondPassResult],
     chosen: Collection[str],
     levels: Sequence[float],
     response: SafetyResponse,
@@ -239,10 +245,10 @@ def _samples(
     folder: Path,
 ) -> Iterator[tuple[Vector, Ints, Vector, Vector, Ints, Ints]]:
     """Yield time, commanded level, place (x, y) and task of the robot, and execution of the samples of each file."""
-    session = {card.execution: at for one, at in zip(made, shifts, strict=True) for card in one.cards}
-    numbers = {name: number for number, name in enumerate(session)}
+    shift_s = {card.execution: at for one, at in zip(sessions, shifts, strict=True) for card in one.cards}
+    numbers = {name: number for number, name in enumerate(shift_s)}
     tasks = dict[str | None, int]()
-    for part in dict.fromkeys(one.part for one in made if one.samples):
+    for part in dict.fromkeys(one.part for one in sessions if one.samples):
         file = folder / f"{part}.parquet"
         found = commanded_samples(file, [*chosen], [*_NUMBERS, "robot_task"], _NUMBERS, levels, response)
         if found is None:
@@ -250,10 +256,10 @@ def _samples(
         frame, t_s, _, level = found
         level[~np.isfinite(frame["robot_x_m"].to_numpy())] = -1
         of = frame["execution"]
-        at = of.replace_strict(session, return_dtype=pl.Float64).to_numpy()
+        at = of.replace_strict(shift_s, return_dtype=pl.Float64).to_numpy()
         number = of.replace_strict(numbers, return_dtype=pl.Int64).to_numpy()
         task = np.array([tasks.setdefault(name, len(tasks)) for name in frame["robot_task"].to_list()])
         yield t_s + at, level, frame["robot_x_m"].to_numpy(), frame["robot_y_m"].to_numpy(), task, number
 
 
-__all__ = ["Watched", "is_tracked", "looked_for", "mixed", "some_executions"]
+__all__ = ["PresenceSignals", "find_presence_signals", "is_tracked", "mixed_sources", "some_executions"]

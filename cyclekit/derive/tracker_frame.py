@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import Note
     from cyclekit.dataset.cards.recording import FrameCard
     from cyclekit.dataset.signals import Read
-    from cyclekit.derive.session_samples import Made
+    from cyclekit.derive.second_pass import SecondPassResult
     from cyclekit.people.tracks import PersonTrack
     from cyclekit.scaling.agreement import PlacesBefore
     from cyclekit.scaling.response import Changes, LevelChange
@@ -45,7 +45,7 @@ _COLUMNS = ["execution", "t_s", "scaling", *_ROBOT, "human_x_m", "human_y_m"]
 
 
 def frame_notes(
-    made: Sequence[Made],
+    sessions: Sequence[SecondPassResult],
     changes: Sequence[Changes],
     levels: Sequence[float],
     folder: Path,
@@ -56,7 +56,7 @@ def frame_notes(
     """Return a note if the tracker's frame does not fit the slow-downs, with the frame that does, where one is certain.
 
     Args:
-        made: The sessions, with their samples in files.
+        sessions: The sessions, with their samples in files.
         changes: Changes of level of each session, and where operator and TCP were.
         levels: Levels of the scaling, ascending.
         folder: Folder of the files.
@@ -64,15 +64,15 @@ def frame_notes(
         read: Returns a native table of a recording (id, table).
         cell: Cell with the bridged gap length.
     """
-    logs = [one for each in made for one in each.recordings if "people" in one.tables]
+    logs = [one for each in sessions for one in each.recordings if "people" in one.tables]
     frames = {(one.frame.method, one.frame.xyz_m, one.frame.rotation) for one in logs}
-    samples = _samples(made, levels, folder) if len(frames) == 1 and len(levels) > 1 else None
+    samples = _samples(sessions, levels, folder) if len(frames) == 1 and len(levels) > 1 else None
     if samples is None or not samples.height or _agrees([one.seen for one in changes]):
         return []
     tcp_m, level = samples.select(_ROBOT).to_numpy(), samples["level"].to_numpy()
     people_m = np.full((len(level), MOST_PEOPLE, 3), np.nan)
     before: list[tuple[Floats, Floats, Ints]] = []
-    for one, mine in zip(made, changes, strict=True):
+    for one, mine in zip(sessions, changes, strict=True):
         rows = np.flatnonzero(samples["execution"].is_in([card.execution for card in one.cards]).to_numpy())
         if len(rows):
             tracks = person_tracks(one.recordings, sources, read)
@@ -104,15 +104,19 @@ def _agrees(seen: Sequence[PlacesBefore]) -> bool:
 
 
 def _before(
-    made: Made, changes: Sequence[LevelChange], tracks: Sequence[PersonTrack], folder: Path, bridge_s: float
+    session: SecondPassResult,
+    changes: Sequence[LevelChange],
+    tracks: Sequence[PersonTrack],
+    folder: Path,
+    bridge_s: float,
 ) -> tuple[Floats, Floats, Ints]:
     """Return TCP (L, C, 3) and people (L, C, K, 3) before the changes of a session, m, and the kinds of these, (C,)."""
     left = [change for change in changes if change.step >= 0]
     left = left[:: max(1, -(-len(left) // MOST_CHANGES))]
     rows = (
-        pl.scan_parquet(folder / f"{made.part}.parquet", glob=False)
+        pl.scan_parquet(folder / f"{session.part}.parquet", glob=False)
         .select("execution", "t_s", *_ROBOT)
-        .filter(pl.col("execution").is_in([card.execution for card in made.cards]))
+        .filter(pl.col("execution").is_in([card.execution for card in session.cards]))
         .drop_nulls()
         .sort("t_s")
         .collect(engine="streaming")
@@ -129,11 +133,11 @@ def _before(
     return np.stack(known, axis=2)[:, told], people_m[:, told], kind[told]
 
 
-def _samples(made: Sequence[Made], levels: Sequence[float], folder: Path) -> pl.DataFrame | None:
+def _samples(sessions: Sequence[SecondPassResult], levels: Sequence[float], folder: Path) -> pl.DataFrame | None:
     """Return some samples on a level with known positions; None without any."""
-    chosen = [card.execution for one in made for card in one.cards]
+    chosen = [card.execution for one in sessions for card in one.cards]
     chosen = chosen[:: max(1, -(-len(chosen) // MOST_EXECUTIONS))]
-    parts = dict.fromkeys(one.part for one in made if one.samples)
+    parts = dict.fromkeys(one.part for one in sessions if one.samples)
     if not parts:
         return None
     rows = [

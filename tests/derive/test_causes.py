@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from cyclekit import schema
 from cyclekit.cli import run
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.derive.cause_samples import Rows, TwoStateSignal, joined
 from cyclekit.derive.causes import Evidence, Input, Limit, find_evidence, lost_shares
 from cyclekit.derive.causes import _limits as limits_of
-from cyclekit.derive.seen_slow import Rows, Switches, joined
 from cyclekit.derive.usual_levels import usual_levels
 from cyclekit.ingest.ingest import ingest
 from cyclekit.schema import LOST_CAUSES, SCALING_CAUSES
@@ -27,7 +27,12 @@ LEVELS = (0.0, 0.5, 1.0)
 
 
 def rows(
-    scaling: Any, distance: Any, *, execution: Any = 0, at_m: Any = 0.0, switches: dict[str, Switches] | None = None
+    scaling: Any,
+    distance: Any,
+    *,
+    execution: Any = 0,
+    at_m: Any = 0.0,
+    switches: dict[str, TwoStateSignal] | None = None,
 ) -> Rows:
     """Return a robot that moves at 10 Hz along x, and an operator at some distance from it."""
     s = np.asarray(scaling, np.float64)
@@ -90,7 +95,7 @@ def test_what_an_input_slows_is_not_the_persons_and_the_person_has_what_is_added
     on = (np.arange(2000) // 137) % 5 == 0
     scaling = np.minimum(halves(distance), np.where(on, 0.8, 1.0))
     edges = np.flatnonzero(np.diff(on.astype(int))) + 1
-    switch = Switches(edges / 10.0, on[edges])
+    switch = TwoStateSignal(edges / 10.0, on[edges])
     logged = rows(scaling, distance, execution=execution, switches={"reduced": switch})
     evidence = find_evidence(logged, LEVELS)
     assert evidence.inputs == {"reduced": Input(True, 0.8)}
@@ -108,7 +113,7 @@ def test_a_button_pressed_near_the_robot_does_not_slow_it():
     on = np.zeros(2000, np.bool_)
     on[pressed] = True
     edges = np.flatnonzero(np.diff(on.astype(int))) + 1
-    button = Switches(edges / 10.0, on[edges])
+    button = TwoStateSignal(edges / 10.0, on[edges])
     assert halves(distance)[on].max() == 0.5
     unseen = np.full(2000, np.nan)
     for seen in (distance, unseen):
@@ -121,7 +126,7 @@ def test_a_signal_that_watches_the_operator_is_no_input():
     on = distance < 1.0
     edges = np.flatnonzero(np.diff(on.astype(int))) + 1
     logged = rows(
-        halves(distance), distance, execution=execution, switches={"field": Switches(edges / 10.0, on[edges])}
+        halves(distance), distance, execution=execution, switches={"field": TwoStateSignal(edges / 10.0, on[edges])}
     )
     evidence = find_evidence(logged, LEVELS)
     assert (dict(evidence.inputs), evidence.watching) == ({}, ("field",))
@@ -233,7 +238,7 @@ def test_slow_where_nothing_tells_why_stays_unknown():
 )
 def test_no_second_counts_twice_and_none_is_lost(pairs: list[tuple[float, float]], cap: float, on: bool):
     scaling, distance = np.array(pairs).T
-    logged = rows(scaling, distance, switches={"reduced": Switches(np.array([1.0]), np.array([on]))})
+    logged = rows(scaling, distance, switches={"reduced": TwoStateSignal(np.array([1.0]), np.array([on]))})
     limit = Limit(np.zeros((1, 3)), np.array([cap]))
     tree = usual_levels(
         np.column_stack([distance, distance, distance, distance]), logged.step.clip(0, 2), 3, np.arange(len(distance))
@@ -246,7 +251,7 @@ def test_no_second_counts_twice_and_none_is_lost(pairs: list[tuple[float, float]
 
 
 def test_sessions_are_joined_apart_from_each_other():
-    one = rows(np.ones(5), 1.0, execution=1, switches={"a": Switches(np.array([0.2]), np.array([True]))})
+    one = rows(np.ones(5), 1.0, execution=1, switches={"a": TwoStateSignal(np.array([0.2]), np.array([True]))})
     both = joined([one, one])
     assert np.diff(both.t_s).min() > 0
     assert both.execution.tolist() == [1] * 5 + [2] * 5

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from simulated_cells import SimulatedCell
 
 AT_ONCE, GROUP = 150, 800
-sample, sample_file, finish = (
-    sys.modules[f"cyclekit.derive.{name}"] for name in ("session_samples", "sample_file", "session_end")
+sample, sample_file, last_pass = (
+    sys.modules[f"cyclekit.derive.{name}"] for name in ("second_pass", "sample_file", "last_pass")
 )
 
 
@@ -36,7 +36,7 @@ def heights(monkeypatch: pytest.MonkeyPatch) -> list[int]:
             seen.append(frame.height)
             super().write(frame)
 
-    for module in (sample, finish):
+    for module in (sample, last_pass):
         monkeypatch.setattr(module, "AT_ONCE", AT_ONCE)
     monkeypatch.setattr(tables, "GROUP_ROWS", GROUP)
     monkeypatch.setattr(sample_file, "GROUP_ROWS", GROUP)

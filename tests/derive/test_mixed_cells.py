@@ -11,8 +11,8 @@ from cyclekit.config import load_cell
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard, texts
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.derive.seen_slow import Switches
-from cyclekit.derive.session_end import _with_unseen
+from cyclekit.derive.cause_samples import TwoStateSignal
+from cyclekit.derive.last_pass import _with_unseen
 from cyclekit.errors import DatasetError
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.networks.spec import ModelSpec
@@ -145,7 +145,7 @@ def test_an_unknown_signal_hides_nobody():
     samples = pl.DataFrame({"t_s": [0.0, 1.0], "human_gap": ["absent", "absent"]})
     same, hidden = _with_unseen(samples, {}, ["field"])
     assert (same["human_gap"].to_list(), hidden) == (["absent", "absent"], 0)
-    on = Switches(pl.Series([0.5]).to_numpy(), pl.Series([True]).to_numpy())
+    on = TwoStateSignal(pl.Series([0.5]).to_numpy(), pl.Series([True]).to_numpy())
     changed, hidden = _with_unseen(samples, {"field": on}, ["field"])
     assert (changed["human_gap"].to_list(), hidden) == (["absent", "occluded"], 1)
 

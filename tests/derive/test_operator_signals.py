@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from simulated_cells import Cells, SimulatedCell
 
-    from cyclekit.derive.session_samples import Made
+    from cyclekit.derive.second_pass import SecondPassResult
 
 LEVELS = (0.0, 0.5, 1.0)
 EXECUTION_S, EXECUTIONS, STEP_S, DELAY_S = 60.0, 10, 0.1, 0.12
@@ -265,7 +265,7 @@ def test_a_signal_without_a_row_in_a_log_of_events_keeps_its_state_where_its_nei
         SimpleNamespace(silences=[], recordings=(SimpleNamespace(tables=t),))
         for t in (["events"], ["events"], ["events"], [])
     ]
-    made = cast("list[Made]", logs)
+    made = cast("list[SecondPassResult]", logs)
     first = third = SignalChanges(np.array([1.0, 5.0]), np.array(["1", "0"]))
     held = _held_events(made, [first, None, third, None])
     assert [None if one is None else one.value.tolist() for one in held] == [None, ["0"], None, None]

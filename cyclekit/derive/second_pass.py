@@ -1,6 +1,6 @@
 """Second pass over a session: the samples and tasks that need no other session, written to a file.
 
-Short sessions share a file (`sample_file`). The last pass (`session_end`) adds what needs all sessions: the levels of
+Short sessions share a file (`sample_file`). The last pass (`last_pass`) adds what needs all sessions: the levels of
 the scaling and the operator's places.
 """
 
@@ -60,7 +60,7 @@ class SessionToSample:
 
 
 @dataclass
-class Made:
+class SecondPassResult:
     """Result of the second pass for one session; filled step by step.
 
     Attributes:
@@ -70,12 +70,12 @@ class Made:
         samples: Number of samples.
         cards: Card of each execution.
         tasks: Rows of table TASKS.
-        stays: The operator's standstills in each execution.
-        later: The operator's standstills from the start of each execution to the next start, and the time up to
-            which they are known.
+        operator_standstills: The operator's standstills in each execution.
+        standstills_to_next: The operator's standstills from the start of each execution to the next start, and the
+            time up to which they are known.
         origins: Origins of the scaling: `logged`, `inferred`.
         silences: Start, end and pauses of each log of people.
-        legs: The robot's tasks, in order of time.
+        executed_tasks: The robot's tasks, in order of time.
     """
 
     session: str
@@ -84,15 +84,15 @@ class Made:
     samples: int = 0
     cards: list[ExecutionCard] = field(default_factory=list)
     tasks: list[tuple[object, ...]] = field(default_factory=list)
-    stays: list[OperatorStandstills] = field(default_factory=list)
-    later: list[tuple[OperatorStandstills, float]] = field(default_factory=list)
+    operator_standstills: list[OperatorStandstills] = field(default_factory=list)
+    standstills_to_next: list[tuple[OperatorStandstills, float]] = field(default_factory=list)
     origins: set[str] = field(default_factory=set)
     silences: list[Silence] = field(default_factory=list)
-    legs: list[ExecutedTask] = field(default_factory=list)
+    executed_tasks: list[ExecutedTask] = field(default_factory=list)
 
 
-def samples_of(
-    works: Sequence[SessionToSample],
+def second_pass(
+    sessions: Sequence[SessionToSample],
     *,
     places: Mapping[str, Place],
     dwells: Mapping[str, Dwell],
@@ -100,11 +100,11 @@ def samples_of(
     read: Read,
     cell: Cell,
     folder: Path,
-) -> list[Made]:
+) -> list[SecondPassResult]:
     """Write the samples of sessions that share a file to `folder`; without executions, no file is written.
 
     Args:
-        works: The sessions, their runs, executions and standstills; the file is named after the first session.
+        sessions: The sessions, their runs, executions and standstills; the file is named after the first session.
         places: All places.
         dwells: The usual dwell at each place, from all sessions.
         sources: Section of the cell file for each recording, by id.
@@ -115,11 +115,11 @@ def samples_of(
     Raises:
         EstimateError: An execution is longer than plausible.
     """
-    part = works[0].session.name
-    made = [Made(work.session.name, work.session.recordings, part) for work in works]
+    part = sessions[0].session.name
+    results = [SecondPassResult(work.session.name, work.session.recordings, part) for work in sessions]
 
     def rows() -> Iterator[SampleRows]:
-        for work, mine in zip(works, made, strict=True):
+        for work, mine in zip(sessions, results, strict=True):
             session = work.session
             if not work.runs and (listed := listed_in(session, read, cell)):
                 mine.cards.extend(one.card(session) for one in listed)
@@ -127,10 +127,10 @@ def samples_of(
                 continue
             if all(set(one.tables) <= WITHOUT_PLACES for one in session.recordings):
                 continue
-            courses = _courses(work, dwells, places, cell)
-            if (first := next(courses, None)) is not None:
+            motions = _motions(work, dwells, places, cell)
+            if (first := next(motions, None)) is not None:
                 people = SessionPeople(session, sources, read, cell)
-                yield from _rows(session, chain([first], courses), people, mine)
+                yield from _rows(session, chain([first], motions), people, mine)
                 listed_rows, said = operator_rows(session, mine.cards, read)
                 mine.tasks.extend(listed_rows)
                 seen = people.cards()
@@ -143,32 +143,34 @@ def samples_of(
     frames = in_frames(rows(), AT_ONCE)
     if (begin := next(frames, None)) is not None:
         write_samples(chain([begin], frames), folder / f"{part}.parquet")
-    return made
+    return results
 
 
-def _rows(session: Session, courses: Iterable[_Course], people: SessionPeople, made: Made) -> Iterator[SampleRows]:
-    """Yield the samples of a session in parts, as an execution may be as long as its log; fill `made`."""
+def _rows(
+    session: Session, motions: Iterable[_RobotMotion], people: SessionPeople, result: SecondPassResult
+) -> Iterator[SampleRows]:
+    """Yield the samples of a session in parts, as an execution may be as long as its log; fill `result`."""
     before: tuple[Seen, Vector, Points] | None = None
-    for course in courses:
-        seen = people.during(course.t_s, course.tcp_m)
+    for motion in motions:
+        seen = people.during(motion.t_s, motion.tcp_m)
         if before is not None:
-            made.later.append(people.standstills_until(float(course.t_s[0]), *before))
-        before = seen, course.t_s, course.tcp_m
-        for first in range(0, len(course.t_s), AT_ONCE):
-            yield _columns(course, seen, slice(first, first + AT_ONCE))
-        if course.robot is not None and np.isfinite(course.robot.scaling).any():
-            made.origins.add("inferred" if course.inferred else "logged")
-        made.samples += len(course.t_s)
-        made.tasks.extend(_task_rows(course.name, course.legs))
-        made.legs.extend(course.legs)
-        made.cards.append(_card(session, course, made.part))
-        made.stays.append(seen.standstills)
+            result.standstills_to_next.append(people.standstills_until(float(motion.t_s[0]), *before))
+        before = seen, motion.t_s, motion.tcp_m
+        for first in range(0, len(motion.t_s), AT_ONCE):
+            yield _columns(motion, seen, slice(first, first + AT_ONCE))
+        if motion.robot is not None and np.isfinite(motion.robot.scaling).any():
+            result.origins.add("inferred" if motion.inferred else "logged")
+        result.samples += len(motion.t_s)
+        result.tasks.extend(_task_rows(motion.name, motion.executed_tasks))
+        result.executed_tasks.extend(motion.executed_tasks)
+        result.cards.append(_card(session, motion, result.part))
+        result.operator_standstills.append(seen.standstills)
     if before is not None:
-        made.later.append(people.standstills_until(np.inf, *before))
+        result.standstills_to_next.append(people.standstills_until(np.inf, *before))
 
 
 @dataclass(frozen=True)
-class _Course:
+class _RobotMotion:
     """Motion and tasks of the robot in one execution.
 
     Attributes:
@@ -177,7 +179,7 @@ class _Course:
         t_s: Times of its samples, shape (T,).
         robot: State of the robot at these times; None without a robot log.
         inferred: Whether the scaling was inferred.
-        legs: Its tasks.
+        executed_tasks: Its tasks.
         goals_m: Goal of each task, shape (L, 3), m.
     """
 
@@ -186,7 +188,7 @@ class _Course:
     t_s: Vector
     robot: Sampled | None
     inferred: bool
-    legs: Sequence[ExecutedTask]
+    executed_tasks: Sequence[ExecutedTask]
     goals_m: Points
 
     @property
@@ -195,24 +197,24 @@ class _Course:
         return np.full((len(self.t_s), 3), np.nan) if self.robot is None else self.robot.xyz_m
 
 
-def _courses(
+def _motions(
     work: SessionToSample, dwells: Mapping[str, Dwell], places: Mapping[str, Place], cell: Cell
-) -> Iterator[_Course]:
+) -> Iterator[_RobotMotion]:
     """Yield the executions with at least one sample, one at a time to save memory."""
     session = work.session
     for number, execution in enumerate(work.executions if work.runs else [None], 1):
         name = f"{session.name}.{number:03d}"
         if execution is None:
-            course = _Course(name, False, _times(name, *session.span_s, cell), None, False, [], np.empty((0, 3)))
+            motion = _RobotMotion(name, False, _times(name, *session.span_s, cell), None, False, [], np.empty((0, 3)))
         else:
             run = work.runs[execution.run]
-            legs = time_account(run, execution, work.standstills, dwells) if execution.visits else []
-            ends = (legs[0].start_s, legs[-1].end_s) if legs else (run.time_at(0), run.time_at(run.rows - 1))
+            tasks = time_account(run, execution, work.standstills, dwells) if execution.visits else []
+            ends = (tasks[0].start_s, tasks[-1].end_s) if tasks else (run.time_at(0), run.time_at(run.rows - 1))
             robot = sampled(run, _times(name, *ends, cell))
-            goals_m = np.array([places[leg.goal_place].xyz_m for leg in legs]).reshape(-1, 3)
-            course = _Course(name, execution.complete, robot.t_s, robot, run.is_inferred, legs, goals_m)
-        if len(course.t_s):
-            yield course
+            goals_m = np.array([places[task.goal_place].xyz_m for task in tasks]).reshape(-1, 3)
+            motion = _RobotMotion(name, execution.complete, robot.t_s, robot, run.is_inferred, tasks, goals_m)
+        if len(motion.t_s):
+            yield motion
 
 
 def _times(name: str, start: float, end: float, cell: Cell) -> Vector:
@@ -222,13 +224,13 @@ def _times(name: str, start: float, end: float, cell: Cell) -> Vector:
     return np.asarray(start + np.arange(int((end - start) * cell.rate_hz + 1e-6) + 1) / cell.rate_hz)
 
 
-def _columns(course: _Course, seen: Seen, rows: slice) -> SampleRows:
-    t = course.t_s[rows]
-    columns: dict[str, Column] = {"execution": [course.name] * len(t), "t_s": t}
-    if course.robot is not None:
-        columns |= {f"robot_{axis}_m": course.robot.xyz_m[rows, k] for k, axis in enumerate("xyz")}
-        columns |= _scaling_columns(course.robot, rows, inferred=course.inferred)
-    return SampleRows(len(t), {**columns, **_task_columns(t, course), **seen.columns(rows)})
+def _columns(motion: _RobotMotion, seen: Seen, rows: slice) -> SampleRows:
+    t = motion.t_s[rows]
+    columns: dict[str, Column] = {"execution": [motion.name] * len(t), "t_s": t}
+    if motion.robot is not None:
+        columns |= {f"robot_{axis}_m": motion.robot.xyz_m[rows, k] for k, axis in enumerate("xyz")}
+        columns |= _scaling_columns(motion.robot, rows, inferred=motion.inferred)
+    return SampleRows(len(t), {**columns, **_task_columns(t, motion), **seen.columns(rows)})
 
 
 def _scaling_columns(found: Sampled, rows: slice, *, inferred: bool) -> dict[str, Column]:
@@ -243,15 +245,15 @@ def _scaling_columns(found: Sampled, rows: slice, *, inferred: bool) -> dict[str
     }
 
 
-def _task_columns(t: Vector, course: _Course) -> dict[str, Column]:
-    legs = course.legs
-    if not legs:
+def _task_columns(t: Vector, motion: _RobotMotion) -> dict[str, Column]:
+    tasks = motion.executed_tasks
+    if not tasks:
         return {}
-    starts = np.array([leg.start_s for leg in legs])
-    index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(legs) - 1)
-    goals = course.goals_m[index]
-    arrivals = np.array([leg.arrival_s for leg in legs])[index]
-    names = [f"{leg.start_place}->{leg.goal_place}" for leg in legs]
+    starts = np.array([task.start_s for task in tasks])
+    index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(tasks) - 1)
+    goals = motion.goals_m[index]
+    arrivals = np.array([task.arrival_s for task in tasks])[index]
+    names = [f"{task.start_place}->{task.goal_place}" for task in tasks]
     return {
         **{f"robot_goal_{axis}_m": goals[:, k] for k, axis in enumerate("xyz")},
         "robot_task": Coded(index, tuple(names)),
@@ -259,27 +261,27 @@ def _task_columns(t: Vector, course: _Course) -> dict[str, Column]:
     }
 
 
-def _task_rows(name: str, legs: Sequence[ExecutedTask]) -> list[tuple[object, ...]]:
+def _task_rows(name: str, tasks: Sequence[ExecutedTask]) -> list[tuple[object, ...]]:
     return [
         (
-            name, index, f"{leg.start_place}->{leg.goal_place}", leg.start_place, leg.goal_place, leg.start_s,
-            leg.arrival_s, leg.end_s, leg.nominal_s, leg.safety_loss_s, leg.dwell_s, leg.wait_s,
-            "robot", None, None, None, None, leg.reached_s, leg.went_on_s, None,
-            None, leg.slider_loss_s, None, None, leg.wait_s - leg.pause_s, leg.pause_s, None, None,
+            name, index, f"{task.start_place}->{task.goal_place}", task.start_place, task.goal_place, task.start_s,
+            task.arrival_s, task.end_s, task.nominal_s, task.safety_loss_s, task.dwell_s, task.wait_s,
+            "robot", None, None, None, None, task.reached_s, task.went_on_s, None,
+            None, task.slider_loss_s, None, None, task.wait_s - task.pause_s, task.pause_s, None, None,
         )
-        for index, leg in enumerate(legs)
+        for index, task in enumerate(tasks)
     ]  # fmt: skip
 
 
-def _card(session: Session, course: _Course, part: str) -> ExecutionCard:
-    legs = course.legs
+def _card(session: Session, motion: _RobotMotion, part: str) -> ExecutionCard:
+    tasks = motion.executed_tasks
     return ExecutionCard(
-        execution=course.name,
+        execution=motion.name,
         session=session.name,
         part=None if part == session.name else part,
-        start_s=float(course.t_s[0]),
-        end_s=float(legs[-1].end_s if legs else course.t_s[-1]),
-        complete=course.complete,
+        start_s=float(motion.t_s[0]),
+        end_s=float(tasks[-1].end_s if tasks else motion.t_s[-1]),
+        complete=motion.complete,
         reference=session.reference,
-        places=(legs[0].start_place, *(leg.goal_place for leg in legs)) if legs else (),
+        places=(tasks[0].start_place, *(task.goal_place for task in tasks)) if tasks else (),
     )

@@ -25,7 +25,7 @@ UNSEEN_S = 5.0
 """Maximum time, s, for which a lost operator is assumed to be at the last position seen."""
 
 
-class Switches(NamedTuple):
+class TwoStateSignal(NamedTuple):
     """A two-state signal: state `on`, shape (N,), from the times `t_s`, shape (N,), ascending."""
 
     t_s: Vector
@@ -72,7 +72,7 @@ class Rows:
     deviation: Vector
     step: Ints
     breaks: Bools
-    switches: Mapping[str, Switches]
+    switches: Mapping[str, TwoStateSignal]
 
     @property
     def held(self) -> Bools:
@@ -83,7 +83,7 @@ class Rows:
             return np.asarray(np.nan_to_num(windows.max(axis=1) - windows.min(axis=1), nan=1.0) <= HELD)
 
 
-def rows_of(samples: pl.DataFrame, switches: Mapping[str, Switches]) -> Rows:
+def rows_of(samples: pl.DataFrame, switches: Mapping[str, TwoStateSignal]) -> Rows:
     """Return rows of table SAMPLES as arrays."""
     t_s = samples["t_s"].to_numpy()
     period_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.1
@@ -110,14 +110,14 @@ def joined(parts: Sequence[Rows]) -> Rows:
     """Return several parts concatenated: times, executions and signals of each follow those before."""
     names = list(dict.fromkeys(name for part in parts for name in part.tasks))
     executions, shifted = 0, list[Rows]()
-    told: dict[str, list[Switches]] = {}
+    told: dict[str, list[TwoStateSignal]] = {}
     shifts = shifts_apart((float(part.t_s[0]), float(part.t_s[-1])) for part in parts)
     for part, shift in zip(parts, shifts, strict=True):
         number = np.array([names.index(name) for name in part.tasks] + [-1])
         for name, switch in part.switches.items():
             first_s = min(float(switch.t_s[0]), float(part.t_s[0])) - 1.0  # before that, the opposite state
             told.setdefault(name, []).append(
-                Switches(np.append(first_s, switch.t_s) + shift, np.append(~switch.on[0], switch.on))
+                TwoStateSignal(np.append(first_s, switch.t_s) + shift, np.append(~switch.on[0], switch.on))
             )
         execution = part.execution + executions
         shifted.append(replace(part, t_s=part.t_s + shift, execution=execution, task=number[part.task]))
@@ -128,7 +128,8 @@ def joined(parts: Sequence[Rows]) -> Rows:
         if one.name not in ("tasks", "switches")
     }
     both = {
-        name: Switches(*(np.concatenate(column) for column in zip(*mine, strict=True))) for name, mine in told.items()
+        name: TwoStateSignal(*(np.concatenate(column) for column in zip(*mine, strict=True)))
+        for name, mine in told.items()
     }
     return Rows(**arrays, tasks=tuple(names), switches=both)
 
@@ -138,7 +139,7 @@ def features_of(rows: Rows, watching: Sequence[str]) -> tuple[Floats, Bools]:
 
     Features are the distances from robot to operator (in space and on the floor), the operator's position, and the
     signals that watch the operator. An absent operator is FAR_M away. If no operator position is known at all, the
-    signals are combined with the robot's position (`counting`).
+    signals are combined with the robot's position (`signal_position_features`).
     """
     seen = np.isfinite(rows.human_m[:, :2]).all(axis=1) & np.isfinite(rows.robot_m).all(axis=1) & ~rows.absent
     way = rows.human_m - rows.robot_m
@@ -147,12 +148,12 @@ def features_of(rows: Rows, watching: Sequence[str]) -> tuple[Floats, Bools]:
     columns = [np.linalg.norm(way, axis=1), flat, rows.human_m[:, 0], rows.human_m[:, 1]]
     bits = [rows.switches[name].at(rows.t_s) if name in rows.switches else np.zeros(len(seen)) for name in watching]
     by_signals = bool(watching) and not np.isfinite(rows.human_m).any()
-    robot = [counting(np.nan_to_num(rows.robot_m[:, :2]), bits)] if by_signals else []
+    robot = [signal_position_features(np.nan_to_num(rows.robot_m[:, :2]), bits)] if by_signals else []
     features = np.column_stack([*(np.where(seen, column, FAR_M) for column in columns), *bits, *robot])
     return features, np.asarray(np.isfinite(rows.robot_m).all(axis=1) if by_signals else seen | rows.absent)
 
 
-def counting(place: Floats, on: Sequence[Vector | Bools]) -> Floats:
+def signal_position_features(place: Floats, on: Sequence[Vector | Bools]) -> Floats:
     """Return the robot's position, and per signal its position while the signal is on, else -FAR_M and +FAR_M.
 
     With these features, a single cut can express that a signal is on and the robot is in a region.

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cyclekit.derive.cause_samples import Rows
 from cyclekit.derive.causes import Evidence
-from cyclekit.derive.halts import HaltAtPlace, stops_at_places
-from cyclekit.derive.seen_slow import Rows
+from cyclekit.derive.stops_at_places import StopAtPlace, stops_at_places
 from cyclekit.derive.usual_levels import usual_levels
 from cyclekit.segmentation.arrivals import PlaceStandstill
 from cyclekit.segmentation.dwell import Dwell, EndSignal
@@ -47,7 +47,7 @@ def samples(near_s: tuple[float, float]) -> Rows:
 def told(
     near_s: tuple[float, float], gripper_s: float, *, changes: dict[str, float] | None = None, overdue: int = 1,
     pauses: tuple[Pause, ...] = (),
-) -> list[HaltAtPlace]:  # fmt: skip
+) -> list[StopAtPlace]:  # fmt: skip
     """Return the halts of robots that stood at b from ARRIVED_S to LEFT_S, with a gripper that changed once."""
     t_s = np.arange(ROWS) / 10.0
     unknown = np.full(ROWS, np.nan)
@@ -61,7 +61,7 @@ def told(
 
 
 def test_who_is_near_until_the_robot_leaves_stopped_it_after_its_process():
-    assert told((8.0, 15.9), 10.5) == [HaltAtPlace(0, 11.0, LEFT_S)]
+    assert told((8.0, 15.9), 10.5) == [StopAtPlace(0, 11.0, LEFT_S)]
 
 
 def test_who_comes_while_the_robot_waits_stopped_it_from_then_on():
@@ -70,7 +70,7 @@ def test_who_comes_while_the_robot_waits_stopped_it_from_then_on():
 
 
 def test_who_is_near_from_the_arrival_until_the_process_begins_stopped_it_before_its_place():
-    assert told((9.0, 14.9), 15.5) == [HaltAtPlace(0, ARRIVED_S, 15.0)]
+    assert told((9.0, 14.9), 15.5) == [StopAtPlace(0, ARRIVED_S, 15.0)]
 
 
 def test_a_wait_with_nobody_near_before_the_process_is_a_wait():
@@ -78,7 +78,7 @@ def test_a_wait_with_nobody_near_before_the_process_is_a_wait():
 
 
 def test_a_robot_that_seldom_stands_after_its_process_with_nobody_near_had_a_protective_stop():
-    assert told((0.0, 1.0), 10.5) == [HaltAtPlace(0, 11.0, LEFT_S)]
+    assert told((0.0, 1.0), 10.5) == [StopAtPlace(0, 11.0, LEFT_S)]
     assert told((0.0, 1.0), 10.5, overdue=10) == []  # it waits there often
 
 

@@ -25,27 +25,27 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Look:
+class FirstPassResult:
     """Result of the first pass over one session.
 
     Attributes:
         session: Its recordings, in one clock; the indices of its runs are set later.
         runs: Runs of its robot.
         marks: Rows of each run at which a logged signal marks the start of a cycle.
-        stops: Its standstills; their runs are numbered from 0.
+        standstills: Its standstills; their runs are numbered from 0.
         override: Override logged by its safety system; None if not logged, or if the robot's log has the scaling.
     """
 
     session: Session
     runs: list[StoredRun]
     marks: list[Ints]
-    stops: list[Standstill]
+    standstills: list[Standstill]
     override: SafetyOverride | None
 
 
-def look_at(
+def first_pass(
     group: LogGroup, *, sources: Mapping[str, Source | None], read: Read, stored: Stored, cell: Cell, coarse: bool
-) -> Look:
+) -> FirstPassResult:
     """Run the first pass over one session.
 
     Args:
@@ -66,6 +66,6 @@ def look_at(
     span_s = (min(starts), max(ends))
     session = Session(group.name, recordings, group.reference, span_s=span_s, nobody_logged=group.nobody_logged)
     runs, marks = load_runs(session, read, stored, cell)
-    stops = [stop for number, run in enumerate(runs) for stop in find_standstills(run, number)]
+    standstills = [standstill for number, run in enumerate(runs) for standstill in find_standstills(run, number)]
     override = None if all(run.knows_scaling for run in runs) else override_of(session, read)
-    return Look(session, runs, marks, stops, override)
+    return FirstPassResult(session, runs, marks, standstills, override)

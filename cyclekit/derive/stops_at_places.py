@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from cyclekit.derive.cause_samples import HALTED
 from cyclekit.derive.causes import lowest_usual
-from cyclekit.derive.seen_slow import HALTED
 from cyclekit.scaling.run_scaling import HALTED_S
 from cyclekit.segmentation.time_account import paused_time
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
+    from cyclekit.derive.cause_samples import Rows
     from cyclekit.derive.causes import Evidence
-    from cyclekit.derive.seen_slow import Rows
-    from cyclekit.derive.session_samples import SessionToSample
+    from cyclekit.derive.second_pass import SessionToSample
     from cyclekit.schema import Bools, Vector
     from cyclekit.segmentation.arrivals import PlaceStandstill
     from cyclekit.segmentation.dwell import Dwell
@@ -39,7 +39,7 @@ SIGNAL_S = 0.5
 """Maximum time, s, from the change of a signal to the departure of a robot that waited for it."""
 
 
-class HaltAtPlace(NamedTuple):
+class StopAtPlace(NamedTuple):
     """Start and end of a stop in a run, session seconds."""
 
     run: int
@@ -51,12 +51,12 @@ class _Overdue(NamedTuple):
     """A standstill that continues with nobody near after the signal that ends its process."""
 
     place: str
-    halt: HaltAtPlace
+    stop: StopAtPlace
 
 
 def stops_at_places(
     sessions: Iterable[tuple[SessionToSample, Rows]], dwells: Mapping[str, Dwell], evidence: Evidence
-) -> list[HaltAtPlace]:
+) -> list[StopAtPlace]:
     """Return the stops at places of robots with inferred scaling.
 
     Args:
@@ -66,32 +66,32 @@ def stops_at_places(
     """
     if evidence.usual is None:
         return []
-    halts, overdue, visits = list[HaltAtPlace](), list[_Overdue](), dict[str, int]()
-    for work, mine in sessions:
-        near = _Near(mine, lowest_usual(mine, evidence))
-        for run, place, stand, first_s in _standstills_of(work):
+    stops, overdue, visits = list[StopAtPlace](), list[_Overdue](), dict[str, int]()
+    for session, rows in sessions:
+        near = _Near(rows, lowest_usual(rows, evidence))
+        for run, place, standstill, first_s in _standstills_of(session):
             visits[place] = visits.get(place, 0) + 1
-            if paused_time(work.runs[run], first_s, stand.left_s) > 0.0:
+            if paused_time(session.runs[run], first_s, standstill.left_s) > 0.0:
                 continue  # its process may have been paused
-            found = _by_people(run, stand, first_s, dwells[place], near)
-            halts += found
-            if not found and (late := _overdue(run, stand, dwells[place], near)) is not None:
+            found = _by_people(run, standstill, first_s, dwells[place], near)
+            stops += found
+            if not found and (late := _overdue(run, standstill, dwells[place], near)) is not None:
                 overdue.append(_Overdue(place, late))
     for place in {one.place for one in overdue}:
-        seldom = [one.halt for one in overdue if one.place == place]
+        seldom = [one.stop for one in overdue if one.place == place]
         if len(seldom) <= SELDOM * max(visits[place], MIN_STANDSTILLS):
-            halts += seldom
-    return halts
+            stops += seldom
+    return stops
 
 
-def _standstills_of(work: SessionToSample) -> Iterator[tuple[int, str, PlaceStandstill, float]]:
+def _standstills_of(session: SessionToSample) -> Iterator[tuple[int, str, PlaceStandstill, float]]:
     """Yield run, place and standstill between two motions, and the last time of visible motion before it, s."""
-    for execution in work.executions:
-        run = work.runs[execution.run]
+    for execution in session.executions:
+        run = session.runs[execution.run]
         for visit in execution.visits[1:-1] if run.is_inferred else ():
-            stand = work.standstills[execution.run, visit.first, visit.last]
-            if not stand.halted:  # otherwise it is a known stop
-                yield execution.run, visit.place, stand, run.time_at(visit.first)
+            standstill = session.standstills[execution.run, visit.first, visit.last]
+            if not standstill.halted:  # otherwise it is a known stop
+                yield execution.run, visit.place, standstill, run.time_at(visit.first)
 
 
 class _Near:
@@ -108,23 +108,23 @@ class _Near:
         return self._t_s[part], self._near[part]
 
 
-def _by_people(run: int, stand: PlaceStandstill, first_s: float, dwell: Dwell, near: _Near) -> list[HaltAtPlace]:
+def _by_people(run: int, standstill: PlaceStandstill, first_s: float, dwell: Dwell, near: _Near) -> list[StopAtPlace]:
     """Return the stops by people just before the arrival at a place and just before the departure."""
     found = []
-    since_s, ready_s = dwell.excess_from_s(stand), dwell.ready_s(stand)
-    if since_s is not None and (during := near.during(since_s, stand.left_s)) is not None:
-        begin_s = _until(*during, stand.left_s)
+    since_s, ready_s = dwell.excess_from_s(standstill), dwell.ready_s(standstill)
+    if since_s is not None and (during := near.during(since_s, standstill.left_s)) is not None:
+        begin_s = _until(*during, standstill.left_s)
         if begin_s - since_s <= GOES_S:
             begin_s = since_s
-        if stand.left_s - begin_s > HALTED_S:
-            found.append(HaltAtPlace(run, begin_s, stand.left_s))
+        if standstill.left_s - begin_s > HALTED_S:
+            found.append(StopAtPlace(run, begin_s, standstill.left_s))
     if ready_s is not None:
-        arrival_s = min(ready_s, stand.left_s) - dwell.usual_s
-        during = near.during(stand.arrived_earliest_s, arrival_s)
-        if arrival_s - stand.arrived_earliest_s > GOES_S and during is not None:
+        arrival_s = min(ready_s, standstill.left_s) - dwell.usual_s
+        during = near.during(standstill.arrived_earliest_s, arrival_s)
+        if arrival_s - standstill.arrived_earliest_s > GOES_S and during is not None:
             begin_s = _until(*during, arrival_s)
-            if begin_s - stand.arrived_earliest_s <= GOES_S and float(during[1].mean()) >= NEAR_SHARE:
-                found.append(HaltAtPlace(run, min(first_s, stand.arrived_earliest_s), arrival_s))
+            if begin_s - standstill.arrived_earliest_s <= GOES_S and float(during[1].mean()) >= NEAR_SHARE:
+                found.append(StopAtPlace(run, min(first_s, standstill.arrived_earliest_s), arrival_s))
     return found
 
 
@@ -137,15 +137,15 @@ def _until(t_s: Vector, near: Bools, end_s: float) -> float:
     return float(seen[apart[-1] + 1] if len(apart) else seen[0])
 
 
-def _overdue(run: int, stand: PlaceStandstill, dwell: Dwell, near: _Near) -> HaltAtPlace | None:
+def _overdue(run: int, standstill: PlaceStandstill, dwell: Dwell, near: _Near) -> StopAtPlace | None:
     """Return the standstill after the process with nobody near; None if there is none, or people are unknown."""
-    since_s, ready_s = dwell.excess_from_s(stand), dwell.ready_s(stand)
-    if since_s is None or ready_s is None or stand.left_s - since_s <= HALTED_S:
+    since_s, ready_s = dwell.excess_from_s(standstill), dwell.ready_s(standstill)
+    if since_s is None or ready_s is None or standstill.left_s - since_s <= HALTED_S:
         return None
-    if any(stand.left_s - SIGNAL_S <= at_s for _, at_s in stand.changes):
+    if any(standstill.left_s - SIGNAL_S <= at_s for _, at_s in standstill.changes):
         return None
-    during = near.during(since_s, stand.left_s)
-    return HaltAtPlace(run, since_s, stand.left_s) if during is not None else None
+    during = near.during(since_s, standstill.left_s)
+    return StopAtPlace(run, since_s, standstill.left_s) if during is not None else None
 
 
-__all__ = ["HaltAtPlace", "stops_at_places"]
+__all__ = ["StopAtPlace", "stops_at_places"]

@@ -67,7 +67,7 @@ class Calibration(Result):
         """Return one row per point with its residual, m."""
         return pl.DataFrame({"point": list(self.points), "residual_m": self.fit.residual_m.tolist()})
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return [f"{len(self.points)} points, rms {1000 * self.fit.rms_m:.1f} mm", self.line]
 
 

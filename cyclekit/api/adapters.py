@@ -24,7 +24,7 @@ class AdapterList(Result):
     def _frame_rows(self) -> tuple[dict[str, str], ...]:
         return self.adapters
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return [f"{len(self.adapters)} log formats", ", ".join(one["name"] for one in self.adapters)]
 
 

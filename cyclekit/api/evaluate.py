@@ -111,7 +111,7 @@ class ModelComparison(Result, Mapping[str, Evaluation]):
             for place, one in self.evaluations.items()
         ]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return [f"{place}: {repr(one).partition(': ')[2]}" for place, one in self.evaluations.items()]
 
 

@@ -29,7 +29,7 @@ class ExportedModel(Result):
         """Return plain JSON values."""
         return {"onnx": str(self.path), "difference": self.difference}
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         off = self.difference
         return [f"{self.path}: {'not checked' if off is None else f'within {off:.0e} of cyclekit'}"]
 

@@ -60,7 +60,7 @@ class GateVerdict(Result):
             rows.append(found | reached | {"executions": one.executions, "doubts": list(one.doubts)})
         return rows
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         share, low, high = _share(self.worst)
         least = f", the least of {len(self.estimates)} sequences" if len(self.estimates) > 1 else ""
         asked = f"asked for {self.confidence:.1%}" + (" by the lower end" if self.sure else "")
@@ -72,7 +72,7 @@ class GateVerdict(Result):
     @property
     def line(self) -> str:
         """The verdict in one line."""
-        return self._said()[0]
+        return self._lines()[0]
 
 
 def _share(one: CycleEstimate) -> tuple[float, float, float]:

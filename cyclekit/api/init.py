@@ -47,7 +47,7 @@ class StartedProject(Result):
     def _frame_rows(self) -> list[dict[str, object]]:
         return [{"log": log, "adapter": adapter} for log, adapter in self.logs]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return [f"{self.file}: {len(self.logs)} logs in {', '.join(self.project.logs)}"]
 
 

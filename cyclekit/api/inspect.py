@@ -44,7 +44,7 @@ class CellDraft(Result):
     def _frame_rows(self) -> list[dict[str, object]]:
         return [{"line": line, "unsure": "# ?" in line} for line in self.cell.splitlines()]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return [f"{len(self.cell.splitlines())} lines, {self.unsure} of them not sure"]
 
 

@@ -58,7 +58,7 @@ class ScalingLevels(Result):
         every = zip(self.levels, self.means or self.levels, self.share, strict=True)
         return [{"level": level, "mean": mean, "share": share} for level, mean, share in every]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return [f"{len(self.levels)} levels by {self.method}: {', '.join(f'{level:.4g}' for level in self.levels)}"]
 
 

@@ -27,7 +27,7 @@ class SimulatedLogs(Result):
         files = sorted(file for file in self.logs.rglob("*") if file.is_file())
         return [{"file": file.relative_to(self.logs).as_posix(), "bytes": file.stat().st_size} for file in files]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return [f"{self.logs}: {self.executions} executions of {self.scene}, seed {self.seed}"]
 
 

@@ -12,7 +12,7 @@ from cyclekit.dataset.row_counts import check_tables
 from cyclekit.errors import DatasetError, command_line
 from cyclekit.storage.atomic import recover
 from cyclekit.storage.identify import DATASET_CARD, kind_of_path, kind_of_toml
-from cyclekit.text.plain_text import all_in_one_line, needs_it
+from cyclekit.text.plain_text import all_in_one_line, needs_escapes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -35,7 +35,7 @@ def opened_card(path: Path) -> DatasetCard:
             text = content.decode(errors="replace")
             if checksums.is_broken(text):
                 raise checksums.unreadable(path / DATASET_CARD, path, "damaged: it is not as it was written")
-            card = dataset_card(all_in_one_line(values) if needs_it(text) else values)
+            card = dataset_card(all_in_one_line(values) if needs_escapes(text) else values)
             check_tables(path, card)
             return card
     except BadCard as error:

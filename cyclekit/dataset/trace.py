@@ -69,7 +69,7 @@ class Trace(Result):
         names = ("table", "recording", "file", "row_is", "source_row", "t_s", "text")
         return [{name: getattr(each, name) for name in names} for each in self.origins]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         at_s = self.sample["t_s"]
         return [
             f"execution {self.execution}, sample at {at_s:.3f} s",

@@ -123,7 +123,7 @@ class CycleEstimates(Answers[CycleEstimate]):
         ]
         return heads, rows
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         means = [
             f"{one.name!r} {one.expected_s:.1f} s (95% CI {one.expected_low_s:.1f} to {one.expected_high_s:.1f} s)"
             for one in self

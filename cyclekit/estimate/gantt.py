@@ -10,7 +10,7 @@ from cyclekit.estimate.result import AWAY, ELSEWHERE, OF_STATES, CycleEstimate, 
 from cyclekit.plots import colours
 from cyclekit.plots.gantt import Arrow, Bar, BarLabel, Block, Layer, TaskEnds, draw_gantt
 from cyclekit.text.numbers import whole_percent
-from cyclekit.text.plain_text import spelt
+from cyclekit.text.plain_text import shown_task
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -88,11 +88,11 @@ def _of_lists(each: CycleEstimate) -> bool:
 def _of_tasks(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
     bars, labels, at_s, ended = list[Bar](), list[BarLabel](), 0.0, list[_Ended]()
     for number, share in enumerate(each.tasks, start=1):
-        parts = _parts(share, 0, at_s, at_s + share.expected_s, f"{number} {spelt(share.task)}")
+        parts = _parts(share, 0, at_s, at_s + share.expected_s, f"{number} {shown_task(share.task)}")
         end_s = max((bar.end_s for bar in parts), default=at_s)
         labels.append(BarLabel(0, at_s, end_s, _texts(share.task, number)))
         bars += parts
-        ended.append(_Ended(spelt(share.task), end_s, share.end_low_s, share.end_high_s))
+        ended.append(_Ended(shown_task(share.task), end_s, share.end_low_s, share.end_high_s))
         at_s = end_s
     layers = _layers(each, tints)
     return Block(_titles(each), ("robot",), tuple(bars), tuple(labels), (), _course(ended), layers, "operator")
@@ -127,11 +127,11 @@ def _of_plan(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
     shares, turn = _shares_of(each), Counter[str]()
     for number, task in enumerate(each.plan, start=1):
         turn[task.agent] += 1
-        at, row = lane[task.agent], f"{task.agent}: {turn[task.agent]} {spelt(task.task)}"
+        at, row = lane[task.agent], f"{task.agent}: {turn[task.agent]} {shown_task(task.task)}"
         if task.wait_s > SHOWN_S:
             ended = _ended_by(task, each.plan)
-            cause = f", until {ended.agent}: {spelt(ended.task)}" if ended else ""
-            tip = f"{task.agent} waits {task.wait_s:.1f} s before {spelt(task.task)}{cause}"
+            cause = f", until {ended.agent}: {shown_task(ended.task)}" if ended else ""
+            tip = f"{task.agent} waits {task.wait_s:.1f} s before {shown_task(task.task)}{cause}"
             bars.append(Bar(at, task.start_s - task.wait_s, task.start_s, colours.WAIT, waits=True, tip=tip, row=row))
             if ended:
                 arrows.append(Arrow(lane[ended.agent], at, min(ended.end_s, task.start_s), task.start_s))
@@ -143,7 +143,9 @@ def _of_plan(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
             tip = f"{row}: {task.start_s:.1f} to {task.end_s:.1f} s"
             bars.append(Bar(at, task.start_s, task.end_s, colour, tip=tip, row=row))
         labels.append(BarLabel(at, task.start_s, task.end_s, _texts(task.task, turn[task.agent])))
-    ends = [_Ended(f"{one.agent}: {spelt(one.task)}", one.end_s, one.end_low_s, one.end_high_s) for one in each.plan]
+    ends = [
+        _Ended(f"{one.agent}: {shown_task(one.task)}", one.end_s, one.end_low_s, one.end_high_s) for one in each.plan
+    ]
     parts = tuple(bars), tuple(labels), tuple(arrows), _course(ends), _layers(each, tints)
     return Block(_titles(each), tuple(agents), *parts, "operator")
 

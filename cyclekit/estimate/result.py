@@ -203,7 +203,7 @@ class CycleEstimate(Result):
 
         return pl.DataFrame([dict(vars(task)) for task in self.tasks])
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         expected = f"{self.expected_s:.1f} s (95% CI {self.expected_low_s:.1f} to {self.expected_high_s:.1f} s)"
         parts = f"motion {self.nominal_s:.1f}, safety {self.safety_loss_s:.1f}, dwell {self.dwell_s:.1f}"
         parts += f", wait {self.wait_s:.1f}" + (f", idle {self.idle_s:.1f}" if self.idle_s else "")

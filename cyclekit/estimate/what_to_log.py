@@ -93,7 +93,7 @@ class RecordingPlan(Result):
             for one in self.orders
         ]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return self.lines or ["nothing is lacking"]
 
 

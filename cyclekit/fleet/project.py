@@ -121,7 +121,7 @@ class ProjectRun(Result):
     def _frame_rows(self) -> list[dict[str, object]]:
         return [{"stage": row.stage, "state": row.state, "text": row.text} for row in self.rows]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return [str(self.file), *(f"{row.stage}: {row.state}: {row.text}" for row in self.rows)]
 
 

@@ -56,7 +56,7 @@ class FleetRun(Result):
     def _frame_rows(self) -> list[dict[str, object]]:
         return [dict(vars(row)) for row in self.rows]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         states = ("done", "unchanged", "skipped", "failed")
         counts = [f"{sum(row.state == state for row in self.rows)} {state}" for state in states]
         return [f"{self.fleet}: {', '.join(counts)}", *(f"{row.cell}: {row.stage}: {row.text}" for row in self.failed)]
@@ -106,7 +106,7 @@ def run_fleet(
             with suppress(CyclekitError):  # if the ledger itself cannot be written
                 record_stage(cell, read_ledger(cell), rows[cell.name][0])
         if progress:
-            progress(len(rows) / len(fleet.cells), _said(rows[cell.name][-1]))
+            progress(len(rows) / len(fleet.cells), _stage_line(rows[cell.name][-1]))
     if "report" in stages:
         write_page(fleet, today or dt.datetime.now(tz=dt.UTC).date())
     page = join(fleet.out, PAGE) if "report" in stages else None
@@ -140,5 +140,5 @@ def _line(cell: FleetCell, ledger: CellLedger) -> CellLine:
     return CellLine(cell.name, ledger.figures, failed, ledger.unread, link)
 
 
-def _said(row: StageResult) -> str:
+def _stage_line(row: StageResult) -> str:
     return f"{row.cell}: {row.stage} {row.state}"

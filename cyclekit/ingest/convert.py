@@ -53,7 +53,7 @@ class Converted(Result):
     rows_set_aside: int
     warnings: tuple[str, ...]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         aside = f", {self.rows_set_aside} of {self.rows_read} set aside" if self.rows_set_aside else ""
         return [f"{self.out}: {self.rows} rows of {self.table}, read by {self.adapter}{aside}"]
 

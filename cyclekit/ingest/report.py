@@ -56,7 +56,7 @@ class IngestReport(Result):
         """Return one row per file that was not read."""
         return pl.DataFrame(list(self.not_read), schema={"path": pl.String, "reason": pl.String}, orient="row")
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         counts = f"{self.executions} executions, {self.tasks} tasks, {self.samples} samples"
         kept = f", {self.recordings_kept} kept" if self.recordings_kept else ""
         read = f"recordings: {self.recordings_new} read{kept}; files not read: {len(self.not_read)}"

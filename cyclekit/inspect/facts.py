@@ -191,7 +191,7 @@ class LogsDescription(Result):
             for table, facts in log.tables.items()
         ]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         names = [f"{log.path.name}: {log.adapter}, {', '.join(log.tables)}" for log in self.logs]
         return [f"{self.path}: {len(self.logs)} logs, {len(self.not_read)} files not read", *names]
 
@@ -269,7 +269,7 @@ class DatasetDescription(Result):
     def _frame_rows(self) -> tuple[Mapping[str, Any], ...]:
         return self.tasks
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         counts = f"{self.executions} executions, {self.samples} samples at {self.rate_hz:g} Hz"
         return [f"{self.path}: dataset, {counts}", *(f"! {text}" for text in self.warnings)]
 
@@ -301,7 +301,7 @@ class ModelDescription(Result):
     def _frame_rows(self) -> list[dict[str, object]]:
         return [{name: getattr(self, name) for name in ("problem", "network", "horizon_s", "parameters", "levels")}]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         levels = ", ".join(f"{level:.2f}" for level in self.levels) or "none"
         return [f"{self.path}: {self.network} for problem {self.problem}, levels {levels}"]
 
@@ -326,7 +326,7 @@ class TaskTimesDescription(Result):
         """Return one row per task."""
         return self.model.to_frame()
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return [f"{self.path}: model of task times, {len(self.model.card.tasks)} tasks"]
 
 

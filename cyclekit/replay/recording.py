@@ -76,7 +76,7 @@ class ReplayFacts(Result):
     def _frame_rows(self) -> list[dict[str, object]]:
         return [dict(vars(miss)) for miss in self.misses]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return [f"{self.path}: execution {', '.join(self.executions)}, {self.duration_s:.1f} s", *self.notes]
 
 

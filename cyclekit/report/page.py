@@ -71,7 +71,7 @@ class ReportFacts(Result):
         document = {"report": str(self.path), "answer": self.headline, "sequences": self.sequences, "bytes": self.bytes}
         return {**document, "missing": list(self.missing), **({"pdf": str(self.pdf)} if self.pdf else {})}
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return [f"{self.headline}", f"{self.path}", *(f"missing: {text}" for text in self.missing)]
 
 

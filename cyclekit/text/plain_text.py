@@ -60,12 +60,12 @@ def all_in_one_line(value: Value) -> Value:
     return changed  # type: ignore[no-any-return]
 
 
-def needs_it(document: str) -> bool:
+def needs_escapes(document: str) -> bool:
     """Return whether texts in a JSON document may contain such characters, raw or as escapes."""
     return "\\" in document or CONTROL.search(document) is not None
 
 
-def spelt(task: str) -> str:
+def shown_task(task: str) -> str:
     """Return a task `a->b` for display."""
     return task.replace("->", " → ")
 

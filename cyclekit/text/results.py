@@ -1,6 +1,6 @@
 """Common behaviour of the library's results: short repr, HTML table, polars frame, JSON values.
 
-A result is a frozen dataclass. Its class returns its text (`_said`) and the rows of its frame, unless that is one row
+A result is a frozen dataclass. Its class returns its text (`_lines`) and the rows of its frame, unless that is one row
 of its scalar values (`_frame_rows`); `--json` prints `to_dict`.
 """
 
@@ -38,13 +38,13 @@ class Result:
         """Return the rows of the frame by the names of its columns."""
         return [{name: value for name, value in self.to_dict().items() if not isinstance(value, list | dict)}]
 
-    def _said(self) -> Sequence[str]:
+    def _lines(self) -> Sequence[str]:
         """Return the result as a few lines of text."""
         raise NotImplementedError
 
     def __repr__(self) -> str:
         """Return the result as a few lines of text, as shown in a console."""
-        lines = [one_line(line) for line in self._said()]
+        lines = [one_line(line) for line in self._lines()]
         if len(lines) > SHOWN_LINES:
             lines[SHOWN_LINES - 1 :] = [f"... and {len(lines) - SHOWN_LINES + 1} more"]
         return f"{type(self).__name__}: " + "\n  ".join(lines)

@@ -14,7 +14,7 @@ from cyclekit.text.results import Result
 class Numbers(Result):
     count: int
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return [str(number) for number in range(self.count)]
 
 

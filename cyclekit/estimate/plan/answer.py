@@ -106,7 +106,7 @@ class OrderPlan(Result):
 
         return pl.DataFrame({"visit": range(1, len(self.order) + 1), "place": self.order})
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         saved, low, high = self.saves_s
         against = f"saves {saved:.1f} s (95% CI {low:.1f} to {high:.1f} s) against {self.against}"
         return [f"{self.expected_s:.1f} s; {against}", f"order {', '.join(self.order)}"]

@@ -129,7 +129,7 @@ class TaskOrderPlan(Result):
         """Return the order as a sequence file."""
         return "# Written by cyclekit plan\n" + sequence_to_toml(TaskSequence.of_plan("planned", self.tasks))
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         saved, low, high = self.saves_s
         against = f"saves {saved:.1f} s (95% CI {low:.1f} to {high:.1f} s) against {self.against}"
         return [f"{self.estimate.expected_s:.1f} s; {against}", *(task.shown for task in self.tasks)]

@@ -74,7 +74,7 @@ class WhatIf(Result):
         times = {"before_s": self.before.expected_s, "after_s": self.after.expected_s}
         return pl.DataFrame([row | times | {"saves_s": saved, "saves_low_s": low, "saves_high_s": high}])
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         saved, low, high = self.saves_s
         times = f"{self.before.expected_s:.1f} -> {self.after.expected_s:.1f} s"
         return [

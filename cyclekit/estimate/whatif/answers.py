@@ -45,6 +45,6 @@ class WhatIfAnswers(Answers[WhatIf]):
 
         return pl.concat([one.to_frame() for one in self]) if self.answers else pl.DataFrame()
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         lines = [repr(one).partition(": ")[2] for one in self]
         return [self.safety, *lines, *(f"not answered: {one.error.seen}" for one in self.refused)]

@@ -94,7 +94,7 @@ class SafetyCosts(Result):
     def _frame_rows(self) -> list[dict[str, object]]:
         return [{"sequence": each.sequence} | vars(one) for each in self.sequences for one in each.parameters]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         rows = [(each.sequence, one) for each in self.sequences for one in each.parameters]
         told = [f"{name!r}, {parameter_label(one)}, {step_label(one)}: {one.costs_s:+.3f} s" for name, one in rows]
         return [self.safety, *told]

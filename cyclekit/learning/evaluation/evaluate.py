@@ -131,7 +131,7 @@ class Evaluation(Result):
 
         return pl.DataFrame([dict(vars(row)) for row in self.mse])
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         named = "" if self.accuracy is None else f", {self.accuracy:.1%} of levels predicted correctly"
         about = f"{self.network} for problem {self.problem}, {len(self.executions)} executions"
         return [f"{about}; mean absolute error {self.metrics.mae:.4f}, MSE {self.metrics.mse_mean:.2e}{named}"]

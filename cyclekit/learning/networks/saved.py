@@ -198,7 +198,7 @@ class TrainedModel(Result):
 
         return pl.DataFrame(plain(self.card, nulls=True)["history"] or [], infer_schema_length=None)
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         levels = ", ".join(f"{level:.2f}" for level in self.levels) or "none"
         metrics = self.card.metrics
         error = "" if metrics is None else f", held out: mean absolute error {metrics.mae:.4f}"

@@ -149,7 +149,7 @@ class SafetyFunction(Result):
         ]
         return pl.DataFrame(rows)
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         if self.commanded.rule is not None:
             return list(self.rule_sentences)
         best = self.explained.get(self.rule, float("nan"))

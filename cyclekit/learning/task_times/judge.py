@@ -72,7 +72,7 @@ class TaskTimesEvaluation(Result):
     def _frame_rows(self) -> list[dict[str, object]]:
         return [{"executions": self.executions, "bias": self.bias, "error": self.error, "coverage": self.coverage}]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         lines = [
             f"{self.executions} executions: cycle time {self.bias:+.1%} off on average, mean error {self.error:.1%}, "
             f"{self.coverage:.0%} within the middle 90 % of the rolled-out cycles",
@@ -88,7 +88,7 @@ class TaskTimesEvaluation(Result):
 
     def said(self) -> str:
         """Return the evaluation as lines of text."""
-        return "\n".join(self._said())
+        return "\n".join(self._lines())
 
 
 def judge_task_times(

@@ -41,7 +41,7 @@ class TaskTimesModel(Result):
             for task in self.card.tasks
         ]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         tasks = [f"{task.agent}: {task.task}, waits for {', '.join(task.waits_for)}" for task in self.card.tasks]
         return [f"{len(tasks)} tasks from {self.card.executions} executions", *tasks]
 

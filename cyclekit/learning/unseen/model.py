@@ -179,7 +179,7 @@ class UnseenOperator(Result):
             for at, level in enumerate(self.levels)
         ]
 
-    def _said(self) -> list[str]:
+    def _lines(self) -> list[str]:
         return said(self)
 
 

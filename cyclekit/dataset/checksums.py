@@ -57,7 +57,7 @@ def digest_of(file: Path, given_up: threading.Event | None = None) -> str:
         return _digest_from(handle, None, memoryview(bytearray(_STEP)), given_up)
 
 
-def listed(folder: Path) -> dict[str, FileCard]:
+def file_cards(folder: Path) -> dict[str, FileCard]:
     """Return size and digests of every file of a folder, by its path in the folder.
 
     Raises:
@@ -73,7 +73,7 @@ def listed(folder: Path) -> dict[str, FileCard]:
     return found
 
 
-def changes(folder: Path, files: Mapping[str, FileCard]) -> dict[str, str]:
+def damaged_files(folder: Path, files: Mapping[str, FileCard]) -> dict[str, str]:
     """Return the files that changed since they were listed: by name, the problem."""
     wrong = {name: problem for name, entry in files.items() if (problem := _wrong_size(folder / name, entry))}
     same = {name: entry for name, entry in files.items() if name not in wrong}
@@ -84,7 +84,7 @@ def changes(folder: Path, files: Mapping[str, FileCard]) -> dict[str, str]:
     return {name: wrong[name] for name in files if name in wrong}
 
 
-def change(file: Path, entry: FileCard, spans: Iterable[tuple[int, int]] | None = None) -> str | None:
+def damage_of(file: Path, entry: FileCard, spans: Iterable[tuple[int, int]] | None = None) -> str | None:
     """Return the problem of one file; None if it is as listed.
 
     Args:
@@ -102,18 +102,18 @@ def change(file: Path, entry: FileCard, spans: Iterable[tuple[int, int]] | None 
     return None if digests == [entry.blake3[number] for number in numbers] else "damaged"
 
 
-def sealed(text: str) -> str:
+def with_checksum(text: str) -> str:
     """Return an indented JSON object as text, with a checksum of its content as the last entry."""
     body = text.removesuffix("\n}\n")
     return body + _SEAL.format(blake3(body.encode()).hexdigest())
 
 
-def is_broken(text: str) -> bool:
-    """Return whether a text written by `sealed` has changed; one without a checksum counts as unchanged."""
+def is_damaged(text: str) -> bool:
+    """Return whether a text written by `with_checksum` has changed; one without a checksum counts as unchanged."""
     body, mark, _ = text.rpartition(',\n "card_blake3"')
     if not mark:
         return _ENDS_AS_SEALED.search(text) is not None  # the name of the checksum itself was changed
-    return sealed(f"{body}\n}}\n") != text
+    return with_checksum(f"{body}\n}}\n") != text
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.dataset.checksums import change, changes, reading, unreadable
+from cyclekit.dataset.checksums import damage_of, damaged_files, reading, unreadable
 from cyclekit.dataset.row_counts import check_rows, sample_files
 from cyclekit.dataset.shared_index import INDEX, RECORDING, shared_rows
 from cyclekit.errors import DatasetError
@@ -59,7 +59,7 @@ class DatasetFiles:
 
     def damaged(self) -> dict[str, str]:
         """Return the changed files, with the problem of each, by name; empty without checksums."""
-        return changes(self._path, self._listed or {})
+        return damaged_files(self._path, self._listed or {})
 
     def has(self, name: str) -> bool:
         """Return whether the dataset has a file; a listed file that is missing counts."""
@@ -250,7 +250,7 @@ class DatasetFiles:
         if self._listed is None:
             problem = None if file.is_file() else "missing"
         else:
-            problem = change(file, self._listed[name], spans) if name in self._listed else "missing"
+            problem = damage_of(file, self._listed[name], spans) if name in self._listed else "missing"
         if problem is not None:
             raise unreadable(file, self._path, problem)
         return file

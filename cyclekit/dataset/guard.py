@@ -28,7 +28,7 @@ from cyclekit.storage.workbook import MARK
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    Place = Path | str
+    PathOrUrl = Path | str
 
 _ENDS_BYTES = 1 << 16
 """Bytes read from both ends of a file, which contain all marks."""
@@ -84,9 +84,9 @@ _KINDS: dict[Kind, _Kind] = {
 
 
 def check_output(
-    out: Place | None,
+    out: PathOrUrl | None,
     kind: Kind,
-    inputs: Iterable[Place | None],
+    inputs: Iterable[PathOrUrl | None],
     *,
     option: str = "--out",
     endings: Sequence[str] = (),
@@ -124,7 +124,7 @@ def check_output(
         check_writable(out, endings)
 
 
-def _real(place: Place) -> Path | str:
+def _real(place: PathOrUrl) -> Path | str:
     """Return a local path with links resolved, or a URL without query."""
     if is_url(place):
         path = of_file_url(str(place))

@@ -33,7 +33,7 @@ def opened_card(path: Path) -> DatasetCard:
         version = _version(values)
         if version == schema.SCHEMA_VERSION:
             text = content.decode(errors="replace")
-            if checksums.is_broken(text):
+            if checksums.is_damaged(text):
                 raise checksums.unreadable(path / DATASET_CARD, path, "damaged: it is not as it was written")
             card = dataset_card(all_in_one_line(values) if needs_escapes(text) else values)
             check_tables(path, card)

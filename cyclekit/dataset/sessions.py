@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.dataset.cards import LogCard, RecordingCard, note
 from cyclekit.errors import ConfigError
-from cyclekit.storage.safe_path import fitting
+from cyclekit.storage.safe_path import valid_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -254,7 +254,7 @@ def _has_own_time(log: LogCard) -> bool:
 
 def _session_name(group: list[LogCard], taken: set[str]) -> str:
     folder = _folder(group[0]).replace("/", ".")
-    folder = fitting(folder) if folder else ""
+    folder = valid_name(folder) if folder else ""
     name = folder if folder and folder not in taken else group[0].id
     number = 1
     while name in taken:

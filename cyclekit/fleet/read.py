@@ -13,7 +13,7 @@ from cyclekit.config.toml_file import read_toml, refuse_twice, require_list, req
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.storage.files import resolved
 from cyclekit.storage.remote.folders import from_folder, is_url, join
-from cyclekit.storage.safe_path import unfit
+from cyclekit.storage.safe_path import name_problem
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -139,7 +139,7 @@ def load_fleet(path: Path) -> Fleet:
 
 def _cell(where: str, shared: Mapping[str, Any], entry: object, here: Path) -> FleetCell:
     cell = to_dataclass(where, {**shared, **require_table(where, entry)}, FleetCell, folder="")
-    if unfit(cell.name):
+    if name_problem(cell.name):
         raise ConfigError(
             f"{where}: name = {cell.name!r} is not a valid folder name on every system", cure="Choose another name."
         )

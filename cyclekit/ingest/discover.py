@@ -23,7 +23,7 @@ from cyclekit.errors import ConfigError, CyclekitError, LogError
 from cyclekit.ingest.merge_sources import kind_of, merge_similar
 from cyclekit.ingest.registry import Registered, adapter_named, drafted, find_logs, why_unknown
 from cyclekit.storage.files import resolved
-from cyclekit.storage.safe_path import fitting, leads_out, real
+from cyclekit.storage.safe_path import leads_out, real_path, valid_name
 from cyclekit.text.plain_text import one_line
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def find_all(
     for root in roots:
         base = root if root.is_dir() else root.parent
         for path, registered in _candidates(root, base, cell, follow_links=follow_links):
-            if (here := real(path)) in seen:  # given as a file, and again by its folder
+            if (here := real_path(path)) in seen:  # given as a file, and again by its folder
                 continue
             seen.add(here)
             shown = path.relative_to(base).as_posix() if path != base else path.name
@@ -252,7 +252,7 @@ def matches(shown: str, path: Path, pattern: str) -> bool:
 def _log(
     path: Path, shown: str, reader: Registered, source: Source | None, taken: dict[str, Log], robot: Robot | None
 ) -> Log:
-    slug = fitting(re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(shown).with_suffix("").as_posix().replace("/", ".")))
+    slug = valid_name(re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(shown).with_suffix("").as_posix().replace("/", ".")))
     name, number = slug, 1
     while name in taken:
         number += 1

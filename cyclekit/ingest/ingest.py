@@ -28,7 +28,7 @@ from cyclekit.dataset.cards import (
     plain,
     texts,
 )
-from cyclekit.dataset.checksums import listed, sealed
+from cyclekit.dataset.checksums import file_cards, with_checksum
 from cyclekit.dataset.dataset import CARD, TASKS, Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.dataset.sessions import WITHOUT_PLACES, group_sessions, unpaired, with_empty
@@ -239,10 +239,12 @@ def _build(
     write_parquet(tasks, staging / TASKS)
     derived = replace(derived, tasks=tasks, recordings=recordings, warnings=warnings)
     card = structs.replace(
-        card_of(cell, derived, not_read, wanted.settings, wanted.fingerprint), coupling=coupling, files=listed(staging)
+        card_of(cell, derived, not_read, wanted.settings, wanted.fingerprint),
+        coupling=coupling,
+        files=file_cards(staging),
     )
     values = finite(plain(card))
-    write_text(staging / CARD, sealed(json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n"))
+    write_text(staging / CARD, with_checksum(json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n"))
     return card, result.kept
 
 

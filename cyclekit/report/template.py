@@ -20,7 +20,7 @@ from markupsafe import Markup
 from cyclekit.errors import CyclekitError
 from cyclekit.report import figures
 from cyclekit.report.texts import load_texts
-from cyclekit.storage.safe_path import safe_path, unfit
+from cyclekit.storage.safe_path import name_problem, safe_path
 from cyclekit.text.plain_text import visible
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ class Template:
         return self._extra(*name.split("/")) or None
 
     def _own(self, name: str) -> str | None:
-        if unfit(name) is not None:
+        if name_problem(name) is not None:
             return None
         page, play = files("cyclekit.report"), files("cyclekit.report.play")
         asset = next((file for room in (page, play) if (file := room.joinpath(name)).is_file()), None)

@@ -18,7 +18,7 @@ MAX_BYTES = 255
 _DRIVE = re.compile(r"[A-Za-z]:")
 _DEVICE = re.compile(r"(con|prn|aux|nul|con(in|out)\$|(com|lpt)[0-9¹²³])[ ]*(\..*)?", re.IGNORECASE | re.DOTALL)
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
-_UNFIT = re.compile('[\x00-\x1f\x7f-\x9f\ud800-\udfff/\\\\:*?"<>|]')
+_INVALID = re.compile('[\x00-\x1f\x7f-\x9f\ud800-\udfff/\\\\:*?"<>|]')
 
 
 def safe_path(folder: Path, *names: str, follow_links: bool = False) -> Path:
@@ -33,7 +33,7 @@ def safe_path(folder: Path, *names: str, follow_links: bool = False) -> Path:
         OutsideFolder: The path would be outside the folder, or a name is not valid on every system.
     """
     for name in names:
-        if (why := unfit(name)) is not None:
+        if (why := name_problem(name)) is not None:
             raise OutsideFolder(folder, name, why)
     path = folder.joinpath(*names)
     if not follow_links and leads_out(path, folder):
@@ -41,7 +41,7 @@ def safe_path(folder: Path, *names: str, follow_links: bool = False) -> Path:
     return path
 
 
-def unfit(name: object) -> str | None:
+def name_problem(name: object) -> str | None:
     """Return why something is not a valid name of a file or folder on every system; None if it is valid."""
     if not isinstance(name, str) or not name:
         return "it is not a name"
@@ -60,12 +60,12 @@ def unfit(name: object) -> str | None:
     return None
 
 
-def fitting(name: str) -> str:
+def valid_name(name: str) -> str:
     """Return a similar name that is valid on every system, with room for a suffix.
 
     Two names may become equal; the caller must number them if needed.
     """
-    plain = _UNFIT.sub("_", name).rstrip(". ")
+    plain = _INVALID.sub("_", name).rstrip(". ")
     return shortened(f"_{plain}" if not plain or _DEVICE.fullmatch(plain) else plain)
 
 
@@ -74,11 +74,11 @@ def leads_out(path: Path, folder: Path) -> bool:
     below = [path, *path.parents]
     if not any(step.is_symlink() for step in below[: len(path.parts) - len(folder.parts)]):
         return False
-    return not Path(real(path)).is_relative_to(real(folder))
+    return not Path(real_path(path)).is_relative_to(real_path(folder))
 
 
-def real(path: Path) -> str:
-    """Return a path with links resolved; circular or unreadable links are kept."""
+def real_path(path: Path) -> str:
+    """Return a path with links real_path; circular or unreadable links are kept."""
     try:
         return os.path.realpath(path)
     except OSError:

@@ -128,6 +128,6 @@ def test_the_cache_of_digests_is_limited(tmp_path, monkeypatch) -> None:
         file = tmp_path / str(number)
         file.write_bytes(bytes(number))
         os.utime(file, (1.0, 1.0))  # a digest of a file written just now is not cached
-    first = checksums.listed(tmp_path)
+    first = checksums.file_cards(tmp_path)
     assert 0 < len(checksums._known) <= 3
-    assert checksums.listed(tmp_path) == first
+    assert checksums.file_cards(tmp_path) == first

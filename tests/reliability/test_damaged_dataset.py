@@ -209,7 +209,7 @@ def large(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, pl.Data
     rows = schema.conform(pl.DataFrame({"t_s": t_s, "tcp_x_m": [t**0.5 % 1 for t in t_s]}), schema.ROBOT)
     rows.write_parquet(dataset / RECORDED, row_group_size=2_000)
     card = json.loads((dataset / CARD).read_text(encoding="utf-8"))
-    card["files"] = {name: plain(entry) for name, entry in checksums.listed(dataset).items()}
+    card["files"] = {name: plain(entry) for name, entry in checksums.file_cards(dataset).items()}
     del card["files"][CARD]
     card["recordings"][0]["rows"]["robot"] = rows.height
     (dataset / CARD).write_text(json.dumps(card), encoding="utf-8")
@@ -289,21 +289,21 @@ def test_a_file_written_again_within_its_time_stamp_is_hashed_again(tmp_path: Pa
     file = tmp_path / "x"
     file.write_bytes(b"one")
     about = file.stat()
-    entry = checksums.listed(tmp_path)["x"]
+    entry = checksums.file_cards(tmp_path)["x"]
     file.write_bytes(b"two")
     os.utime(file, ns=(about.st_atime_ns, about.st_mtime_ns))
-    assert checksums.change(file, entry) == "damaged"
+    assert checksums.damage_of(file, entry) == "damaged"
 
 
 @at_most(50)
 @given(st.dictionaries(st.text('ab\n"ü', max_size=3), st.text('ab\n"ü', max_size=9), min_size=1), st.data())
 def test_a_seal_breaks_with_any_change_of_what_stands_before_it(content: dict[str, str], data: st.DataObject):
-    text = checksums.sealed(json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+    text = checksums.with_checksum(json.dumps(content, indent=1, ensure_ascii=False) + "\n")
     assert json.loads(text) | content == json.loads(text)
-    assert not checksums.is_broken(text)
+    assert not checksums.is_damaged(text)
     place = data.draw(st.integers(0, text.rindex(',\n "card_blake3"') - 1))
     other = data.draw(st.sampled_from('ab\n"ü{ ').filter(lambda c: c != text[place]))
-    assert checksums.is_broken(text[:place] + other + text[place + 1 :])
+    assert checksums.is_damaged(text[:place] + other + text[place + 1 :])
 
 
 def test_logs_that_are_no_dataset_cannot_be_verified(logs: Path, capsys: Any):

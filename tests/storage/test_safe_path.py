@@ -22,7 +22,7 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.ingest.registry import adapter_named
 from cyclekit.replay import write_replay
 from cyclekit.report.template import Template
-from cyclekit.storage.safe_path import fitting, safe_path, unfit
+from cyclekit.storage.safe_path import name_problem, safe_path, valid_name
 
 if TYPE_CHECKING:
     from simulated_cells import SimulatedCell
@@ -81,10 +81,10 @@ def test_whatever_the_name_the_path_is_in_the_folder_or_there_is_none(name: str)
 @example("NUL." + 300 * "x")  # must not be cut and marked in turn
 @example(240 * "x" + ". " + 10 * "y")
 def test_a_name_can_be_made_to_fit_and_then_stays_as_it_is(name: str):
-    fit = fitting(name)
-    assert unfit(fit) is None
-    assert unfit(f"{fit}-12.parquet") is None
-    assert fitting(fit) == fit
+    fit = valid_name(name)
+    assert name_problem(fit) is None
+    assert name_problem(f"{fit}-12.parquet") is None
+    assert valid_name(fit) == fit
 
 
 def test_links_within_the_folder_are_followed_and_others_only_when_that_is_meant(tmp_path: Path):
@@ -205,7 +205,7 @@ def test_logs_and_folders_called_as_devices_become_recordings_all_the_same(tmp_p
     for record in dataset.recordings:
         assert dataset.recorded(record.id, "robot") is not None
     for file in dataset.path.rglob("*"):
-        assert unfit(file.name) is None
+        assert name_problem(file.name) is None
 
 
 def test_a_bag_is_read_from_its_own_folder(tmp_path: Path):

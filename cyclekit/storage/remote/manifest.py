@@ -12,7 +12,7 @@ from typing import Annotated
 import msgspec
 
 from cyclekit.errors import StorageError
-from cyclekit.storage.safe_path import unfit
+from cyclekit.storage.safe_path import name_problem
 
 MANIFEST = "manifest.json"
 FORMAT, VERSION = "cyclekit-folder", 1
@@ -78,7 +78,7 @@ def check(files: Files) -> None:
     folders = {parent.as_posix() for name in files for parent in PurePosixPath(name).parents}
     for name, entry in files.items():
         for step in name.split("/"):
-            if (why := unfit(step)) is not None or step.startswith("."):
+            if (why := name_problem(step)) is not None or step.startswith("."):
                 raise ValueError(
                     f"{name[:120]!r} cannot be the name of a file: {why or 'hidden files are not published'}"
                 )

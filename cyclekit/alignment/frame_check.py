@@ -36,17 +36,17 @@ STARTS, APART_M = 6, 0.4
 """Number of grid poses that are refined, and their minimum distance, m, by the mean position of the people."""
 ROUNDS, MOVES = 9, 6
 """A pattern search has rounds of at most MOVES moves; each round halves the steps."""
-LEAST, LEAST_CHANGES, LEAST_KIND = 500, 60, 8
+MIN_SAMPLES, MIN_CHANGES, MIN_CHANGES_OF_KIND = 500, 60, 8
 """Minimum number of samples, of changes of level, and of changes of one kind."""
-SHARP_M, BETTER = 0.06, 0.5
+MAX_SPREAD_M, MAX_RATIO = 0.06, 0.5
 """Maximum spread of the distances in a proposed frame, m, and maximum ratio to the spread in the present one."""
-ROUGH_M = 0.12
+MAX_ROUGH_SPREAD_M = 0.12
 """Maximum spread after the rough search, m."""
-FITS = 0.7
+MIN_EXPLAINED = 0.7
 """Minimum share of levels that the distance explains in a proposed frame."""
-AGREE_M = 0.1
+MAX_HALVES_APART_M = 0.1
 """Maximum median distance between positions by the frames of two halves of the changes, m."""
-OFF_M = 0.1
+MIN_SHIFT_M = 0.1
 """Minimum median shift of positions for a proposal, m."""
 _BATCH = 128
 
@@ -109,7 +109,7 @@ class ChangeRows:
     @classmethod
     def of(cls, tcp_m: Floats, people_m: People, kind: Ints) -> ChangeRows:
         """Leave out kinds with too few changes."""
-        usual = np.bincount(kind, minlength=1)[kind] >= LEAST_KIND
+        usual = np.bincount(kind, minlength=1)[kind] >= MIN_CHANGES_OF_KIND
         return cls(tcp_m[:, usual], people_m[:, usual], kind[usual])
 
     def spread_m(self, poses: Poses, *, in_space: bool) -> Vector:
@@ -153,7 +153,7 @@ def propose_frame(rows: LevelRows, changes: ChangeRows, *, near: bool = False) -
         changes: Changes of level.
         near: Search near the present frame only, as for one that was measured.
     """
-    if len(rows.level) < LEAST or len(np.unique(rows.level)) < 2 or len(changes.kind) < LEAST_CHANGES:
+    if len(rows.level) < MIN_SAMPLES or len(np.unique(rows.level)) < 2 or len(changes.kind) < MIN_CHANGES:
         return None
     middle_m = np.nanmean(rows.people_m, axis=(0, 1))[:2]
     present = np.zeros((1, 4))
@@ -169,7 +169,7 @@ def propose_frame(rows: LevelRows, changes: ChangeRows, *, near: bool = False) -
     few = changes.some(np.arange(len(changes.kind)) % -(-len(changes.kind) // COARSE_CHANGES) == 0)
     starts = present if near else np.concatenate([present, _starts(rows, middle_m)])
     start, rough = max((sharpest(few, one, COARSE_ROUNDS) for one in starts), key=lambda found: found[1])
-    if -rough > ROUGH_M:
+    if -rough > MAX_ROUGH_SPREAD_M:
         return None
     ways = (False, True) if heights else (False,)
     found = [(*sharpest(changes, start, in_space=way), way) for way in ways]
@@ -177,11 +177,13 @@ def propose_frame(rows: LevelRows, changes: ChangeRows, *, near: bool = False) -
     present_m = float(changes.spread_m(present, in_space=in_space)[0])
     seen = rows.people_m[np.isfinite(rows.people_m[..., 0])][:, :2]
     moved_m = float(np.median(np.linalg.norm(moved(seen, pose) - seen, axis=1)))
-    if -score > min(SHARP_M, BETTER * present_m) or moved_m < OFF_M or rows.explained(pose[None])[0] < FITS:
+    if -score > min(MAX_SPREAD_M, MAX_RATIO * present_m) or moved_m < MIN_SHIFT_M:
+        return None
+    if rows.explained(pose[None])[0] < MIN_EXPLAINED:
         return None
     half = np.arange(len(changes.kind)) % 2 == 0
     here, there = (moved(seen, sharpest(changes.some(mine), pose, in_space=in_space)[0]) for mine in (half, ~half))
-    if np.median(np.linalg.norm(here - there, axis=1)) > AGREE_M:
+    if np.median(np.linalg.norm(here - there, axis=1)) > MAX_HALVES_APART_M:
         return None
     yaw_deg = (float(np.degrees(pose[0])) + 180.0) % 360.0 - 180.0
     x, y, z = pose[1:].tolist()

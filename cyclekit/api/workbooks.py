@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     Rows = list[list[object]]
     Sheets = dict[str, Rows]
 
-_MOST_LOGS = 1000
+_MAX_LOGS = 1000
 """Maximum number of logs listed one by one."""
 _SPLIT = ("expected_s", "nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
@@ -126,7 +126,7 @@ def _provenance(dataset: Dataset, model: object, more: Rows) -> Rows:
     rows += more
     rows += [["warning", text] for text in texts(dataset.card.warnings)]
     logs = [source for record in dataset.recordings for source in record.sources]
-    rows += [["log", f"{one.path} {one.checksum or ''}".rstrip()] for one in logs[:_MOST_LOGS]]
-    rows += [["log", f"and {len(logs) - _MOST_LOGS} more"]] if len(logs) > _MOST_LOGS else []
+    rows += [["log", f"{one.path} {one.checksum or ''}".rstrip()] for one in logs[:_MAX_LOGS]]
+    rows += [["log", f"and {len(logs) - _MAX_LOGS} more"]] if len(logs) > _MAX_LOGS else []
     rows += [["not read", f"{one.path}: {one.reason}"] for one in dataset.card.not_read]
     return rows

@@ -19,7 +19,7 @@ _GAP_PERIODS, _GAP_S = 5.0, 0.25
 """Minimum length of a gap: the larger of this many median steps and this time, s."""
 ONE_INSTANT_S = 1e-6
 """Minimum step, s; closer time stamps count as one instant, since nothing in a cell is sampled faster."""
-EVEN, MOSTLY = 0.2, 0.8
+WHOLE_STEP_TOLERANCE, MIN_WHOLE_SHARE = 0.2, 0.8
 """Tolerance, as a share of the median step, and minimum share of steps that are whole multiples of it, to count lost
 samples."""
 
@@ -81,7 +81,7 @@ class _Steps:
 
     def __init__(self) -> None:
         self.count, self._sum_s = 0, 0.0
-        self._lost, self._even = 0.0, 0
+        self._lost, self._whole_steps = 0.0, 0
         self._step_s: float | None = None
 
     def add(self, steps: Vector) -> None:
@@ -94,11 +94,11 @@ class _Steps:
         whole = np.rint(steps / usual)
         self.count += len(steps)
         self._sum_s += float(steps.sum())
-        self._even += int((np.abs(steps / usual - whole) <= EVEN).sum())
+        self._whole_steps += int((np.abs(steps / usual - whole) <= WHOLE_STEP_TOLERANCE).sum())
         self._lost += float(np.maximum(whole - 1.0, 0.0).sum())
 
     def rate(self) -> Rate | None:
         if self._step_s is None or not self.count:
             return None
-        lost = round(self._lost) if self._even >= MOSTLY * self.count else None
+        lost = round(self._lost) if self._whole_steps >= MIN_WHOLE_SHARE * self.count else None
         return Rate(self._step_s, self.count / self._sum_s, lost)

@@ -29,27 +29,27 @@ SAME = 0.03
 """Tolerance for equal scalings; three standard deviations where the scaling is inferred."""
 REACTION_S = 0.5
 """Maximum time, s, for a controller to apply or release an input (UR reduced mode: up to 500 ms)."""
-BACK, AHEAD = 5, 2
+SAMPLES_BEFORE, SAMPLES_AFTER = 5, 2
 """Number of samples before and after a slow one in which the operator must have been where people slow the robot."""
-STAYS = 10
+MAX_PERSISTING_SAMPLES = 10
 """Maximum number of samples for which a level persists after its cause has gone."""
-BRIEF = 20
+MAX_DIP_SAMPLES = 20
 """Maximum number of samples of a dip, between two parts caused by a person, that is assigned to the person as well."""
 EDGE_M = 0.02
 """Uncertainty, m, of a distance threshold: a robot that stops at a threshold is just inside it."""
-SELDOM = 0.35
+MIN_LEVEL_SHARE = 0.35
 """Minimum share of samples at a level for operator positions to explain it; below, it usually has another cause."""
 STEP_M, POOL_M = 0.05, 0.12
 """Grid size of places along a path, m; diameter, m, within which samples without people are pooled to test a limit."""
 PASSES, FREE_PASSES = 5, 3
-ALWAYS = 0.9
-LEAST_ON = 50
+ALWAYS_SHARE = 0.9
+MIN_SAMPLES_OF_STATE = 50
 """Minimum number of samples in motion in each state of a signal to judge it."""
-REPLIES, REPLY_S = 0.5, 1.0
+MIN_FOLLOWED_SHARE, MAX_RESPONSE_S = 0.5, 1.0
 """Minimum share of an input's changes that the scaling follows, and the maximum time, s, in which it begins to."""
-FOLLOWS = 0.9
+MIN_ACCURACY = 0.9
 """Minimum balanced accuracy with which the operator's position predicts a signal that watches the operator."""
-MOST_ROWS = 60_000
+MAX_ROWS = 60_000
 
 
 class Input(NamedTuple):
@@ -116,13 +116,13 @@ def find_evidence(rows: Rows, levels: Sequence[float], people: Sequence[str] = (
     slow = _always_slow(rows, free & (rows.scaling > HALTED), top)
     features, seen = features_of(rows, watching)
     usual = None
-    if (learnt := told & free & seen & ~slow).any():
-        chosen = np.flatnonzero(learnt) if people else _apart(rows, np.flatnonzero(learnt), label)
-        chosen = chosen[:: 1 + len(chosen) // MOST_ROWS]
+    if (usable := told & free & seen & ~slow).any():
+        chosen = np.flatnonzero(usable) if people else _apart(rows, np.flatnonzero(usable), label)
+        chosen = chosen[:: 1 + len(chosen) // MAX_ROWS]
         group = np.zeros_like(chosen) if people else rows.execution[chosen]  # a field may be on in few executions
         usual = usual_levels(features[chosen], label[chosen], len(values), group)
     evidence = Evidence(top, values, usual, inputs, watching, {})
-    alone = free if usual is None and not seen.any() else free & seen & (lowest_usual(rows, evidence) >= top - SAME)
+    alone = free if usual is None and not seen.any() else free & seen & (usual_scaling(rows, evidence) >= top - SAME)
     fast = moving & (rows.scaling >= top - SAME)
     return Evidence(top, values, usual, inputs, watching, _limits(rows, slow, alone, fast, top))
 
@@ -162,7 +162,7 @@ def lost_shares(rows: Rows, evidence: Evidence) -> Floats:
         at = [np.where(c > HALTED, s / c, np.where(c >= s, told, 1.0)) for c in (top, limit, cap)]
     shares[:, UNKNOWN], shares[:, LIMITS], shares[:, INPUT] = at[0] - s, at[1] - at[0], at[2] - at[1]
     rest = 1.0 - at[2]
-    which = _whose(rows, s, known & (rest > 0) & (s < cap - same), same, evidence)
+    which = _remaining_cause(rows, s, known & (rest > 0) & (s < cap - same), same, evidence)
     shares[np.arange(len(s)), which] += rest
     shares[~(known & rows.moving)] = 0.0
     return shares
@@ -171,9 +171,9 @@ def lost_shares(rows: Rows, evidence: Evidence) -> Floats:
 PERSON, INPUT, LIMITS, STOP, UNKNOWN = range(len(SCALING_CAUSES))
 
 
-def _whose(rows: Rows, s: Vector, slow: Bools, same: Vector, evidence: Evidence) -> Ints:
+def _remaining_cause(rows: Rows, s: Vector, slow: Bools, same: Vector, evidence: Evidence) -> Ints:
     """Return the cause of the loss that neither inputs nor limits explain, shape (N,)."""
-    lowest = _around(lowest_usual(rows, evidence))
+    lowest = _minimum_around(usual_scaling(rows, evidence))
     told = np.isfinite(lowest)
     person = slow & told & (lowest <= s + same) & (lowest < evidence.top - same)
     stopped = slow & told & ~person & (s <= HALTED)
@@ -192,16 +192,16 @@ def _whose(rows: Rows, s: Vector, slow: Bools, same: Vector, evidence: Evidence)
         before = which[j] if slow[j] else after[j]
         held = held + 1 if open_[j] and s[i] <= base + HELD else 0
         base = base if held else s[i]  # a slow ramp rises by less than HELD per sample
-        if before != UNKNOWN and held < STAYS:
+        if before != UNKNOWN and held < MAX_PERSISTING_SAMPLES:
             which[i] = before
     for i in np.flatnonzero(open_)[::-1].tolist():  # a ramp down belongs to the level that it ends at
         if which[i] == UNKNOWN and i + 1 < len(s) and not rows.breaks[i + 1] and slow[i + 1] and s[i] >= s[i + 1]:
             which[i] = which[i + 1]
-    _between(which, slow, s <= HALTED, rows.breaks)
+    _bridge_person(which, slow, s <= HALTED, rows.breaks)
     return which
 
 
-def _between(which: Ints, slow: Bools, halted: Bools, breaks: Bools) -> None:
+def _bridge_person(which: Ints, slow: Bools, halted: Bools, breaks: Bools) -> None:
     """Assign to the person the samples between two parts of one slow-down that the person caused.
 
     Applies to the rest of a standstill, and to a brief dip of unknown cause.
@@ -211,26 +211,27 @@ def _between(which: Ints, slow: Bools, halted: Bools, breaks: Bools) -> None:
         part = slice(before + 1, after)
         if after == before + 1 or breaks[before + 1 : after + 1].any() or not slow[part].all():
             continue
-        brief = after - before <= BRIEF and (which[part] == UNKNOWN).all()
+        brief = after - before <= MAX_DIP_SAMPLES and (which[part] == UNKNOWN).all()
         if brief or halted[before : after + 1].all():
             which[part] = PERSON
 
 
-def lowest_usual(rows: Rows, evidence: Evidence) -> Vector:
+def usual_scaling(rows: Rows, evidence: Evidence) -> Vector:
     """Return the lowest usual scaling for the operator's position, shape (N,); NaN = position unknown."""
     features, seen = features_of(rows, evidence.watching)
     if evidence.usual is None:
         return np.full(len(features), np.nan)
     nearer = features.copy()
     nearer[:, :DISTANCES] -= EDGE_M
-    lowest = [evidence.levels[evidence.usual.lowest(some, SELDOM)] for some in (features, nearer)]
+    lowest = [evidence.levels[evidence.usual.lowest(some, MIN_LEVEL_SHARE)] for some in (features, nearer)]
     return np.where(seen, np.minimum(*lowest), np.nan)
 
 
-def _around(values: Vector) -> Vector:
-    """Return the minimum from BACK samples before to AHEAD samples after each; NaN only where all are NaN."""
-    padded = np.concatenate([np.full(BACK, np.nan), values, np.full(AHEAD, np.nan)])
-    windows = np.lib.stride_tricks.sliding_window_view(np.where(np.isnan(padded), np.inf, padded), BACK + AHEAD + 1)
+def _minimum_around(values: Vector) -> Vector:
+    """Return the minimum from SAMPLES_BEFORE samples before to SAMPLES_AFTER after each; NaN only where all are NaN."""
+    padded = np.concatenate([np.full(SAMPLES_BEFORE, np.nan), values, np.full(SAMPLES_AFTER, np.nan)])
+    known = np.where(np.isnan(padded), np.inf, padded)
+    windows = np.lib.stride_tricks.sliding_window_view(known, SAMPLES_BEFORE + SAMPLES_AFTER + 1)
     lowest = windows.min(axis=1)
     return np.where(np.isinf(lowest), np.nan, lowest)
 
@@ -242,32 +243,32 @@ def _capping(rows: Rows, moving: Bools, top: float) -> dict[str, Input]:
         on = switch.at(rows.t_s)
         for state in (True, False):
             here, other = rows.scaling[moving & (on == state)], rows.scaling[moving & (on != state)]
-            if min(len(here), len(other)) < LEAST_ON or not (here > HALTED).any():
+            if min(len(here), len(other)) < MIN_SAMPLES_OF_STATE or not (here > HALTED).any():
                 continue
-            slower = float(np.quantile(here, ALWAYS)) < top - SAME <= float(np.quantile(other, ALWAYS))
-            if slower and _replies(rows, switch, top, state=state):
+            slower = float(np.quantile(here, ALWAYS_SHARE)) < top - SAME <= float(np.quantile(other, ALWAYS_SHARE))
+            if slower and _scaling_follows(rows, switch, top, state=state):
                 tenths = np.bincount(np.rint(here[here > HALTED] * 100).astype(np.int64))
                 found[name] = Input(state, float(tenths.argmax()) / 100)
     return found
 
 
-def _replies(rows: Rows, switch: TwoStateSignal, top: float, *, state: bool) -> bool:
+def _scaling_follows(rows: Rows, switch: TwoStateSignal, top: float, *, state: bool) -> bool:
     """Return whether the scaling falls when a signal turns to a state, and rises when it turns back.
 
     An operator who presses a button is near the robot: it is slow while the button is on, and before and after.
     """
-    replied = list[bool]()
+    follows = list[bool]()
     for at_s, on in zip(switch.t_s.tolist(), switch.on.tolist(), strict=True):
-        low, middle, high = np.searchsorted(rows.t_s, (at_s - REPLY_S, at_s, at_s + REPLY_S)).tolist()
+        low, middle, high = np.searchsorted(rows.t_s, (at_s - MAX_RESPONSE_S, at_s, at_s + MAX_RESPONSE_S)).tolist()
         before, after = (some[np.isfinite(some)] for some in (rows.scaling[low:middle], rows.scaling[middle:high]))
         if not len(before) or not len(after) or rows.execution[low] != rows.execution[high - 1]:
             continue
         fast = before[-1] >= top - SAME
         if on == state and fast:
-            replied.append(bool(after.min() < before[-1] - SAME))
+            follows.append(bool(after.min() < before[-1] - SAME))
         elif on != state and not fast:
-            replied.append(bool(after.max() > before[-1] + SAME))
-    return not replied or float(np.mean(replied)) >= REPLIES
+            follows.append(bool(after.max() > before[-1] + SAME))
+    return not follows or float(np.mean(follows)) >= MIN_FOLLOWED_SHARE
 
 
 def _active(rows: Rows, inputs: Mapping[str, Input]) -> Bools:
@@ -290,12 +291,16 @@ def _follows(on: Bools, features: Floats, seen: Bools, rows: Rows) -> bool:
     """Return whether the operator's position predicts a signal, on held-out executions."""
     even = rows.execution % 2 == 0
     learn, judge = np.flatnonzero(seen & even), np.flatnonzero(seen & ~even)
-    if min(len(learn), len(judge)) < LEAST_ON or len(np.unique(on[learn])) < 2 or len(np.unique(on[judge])) < 2:
+    if (
+        min(len(learn), len(judge)) < MIN_SAMPLES_OF_STATE
+        or len(np.unique(on[learn])) < 2
+        or len(np.unique(on[judge])) < 2
+    ):
         return False
-    learn = learn[:: 1 + len(learn) // MOST_ROWS]
+    learn = learn[:: 1 + len(learn) // MAX_ROWS]
     tree = usual_levels(features[learn], on[learn].astype(np.int64), 2, rows.execution[learn] // 2)
     right = tree.lowest(features[judge], 0.5) == on[judge]
-    return float(np.mean([right[on[judge] == state].mean() for state in (True, False)])) >= FOLLOWS
+    return float(np.mean([right[on[judge] == state].mean() for state in (True, False)])) >= MIN_ACCURACY
 
 
 def _apart(rows: Rows, chosen: Ints, label: Ints) -> Ints:
@@ -322,7 +327,7 @@ def _always_slow(rows: Rows, free: Bools, top: float) -> Bools:
     fast = rows.scaling[usable] >= top - SAME
     rows_in, fast_in = np.bincount(cell), np.bincount(cell, fast)
     passes = np.bincount(np.unique(np.column_stack([cell, rows.execution[usable]]), axis=0)[:, 0])
-    slow[usable] = ((passes >= PASSES) & (fast_in <= (1.0 - ALWAYS) * rows_in))[cell]
+    slow[usable] = ((passes >= PASSES) & (fast_in <= (1.0 - ALWAYS_SHARE) * rows_in))[cell]
     return slow
 
 
@@ -384,4 +389,4 @@ def _limit_at(rows: Rows, evidence: Evidence) -> Vector:
     return cap
 
 
-__all__ = ["NOTHING", "Evidence", "Rows", "TwoStateSignal", "find_evidence", "lost_shares", "lowest_usual"]
+__all__ = ["NOTHING", "Evidence", "Rows", "TwoStateSignal", "find_evidence", "lost_shares", "usual_scaling"]

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from cyclekit.config.cells import OperatorSignal
     from cyclekit.schema import Bools, Ints, Vector
 
-MOST_LAG_S, BIN_S = 1.0, 0.02
+MAX_DELAY_S, BIN_S = 1.0, 0.02
 """Maximum delay, s, from a signal to the level; bin width, s, of the histogram of delays."""
-LEAST_ALIKE, LEAST_ANSWERS, CHANCE = 2, 4, 4.0
+MIN_SAME_DELAY, MIN_RESPONSES, CHANCE = 2, 4, 4.0
 """Minimum number of falls (or of rises) with the same delay; of both together; minimum excess over chance, in standard
 deviations."""
 SAME_S = 0.04
@@ -36,9 +36,9 @@ AT_ONCE_S = 0.012
 """Maximum delay, s, at which a signal may be cause or effect of the level; such signals are tried after all others."""
 LATE_S = 0.5
 """Maximum time, s, after a change of speed at which a signal may be a field that is logged late."""
-GAIN = 0.02
+MIN_GAIN = 0.02
 """Minimum additional share of the lost time that a signal must explain."""
-OF_REST, LEAST_GAIN, BEYOND_CHANCE = 0.5, 0.005, 4.0
+OF_REST, MIN_LATER_GAIN, BEYOND_CHANCE = 0.5, 0.005, 4.0
 """Enough after the first signal: share of the unexplained time, share of the lost time, standard errors by execution.
 Where two fields together almost always show what a third one shows, the third one explains little more; but without it
 no rule on single fields is right."""
@@ -49,7 +49,7 @@ CELL_M = 0.05
 """Grid size of the robot's places, m."""
 PROGRAM = 0.97
 """Minimum balanced accuracy with which the robot's task and place predict a signal that the program sets."""
-FOLDS, MOST_SIGNALS, MOST_ROWS = 5, 16, 30_000
+FOLDS, MAX_SIGNALS, MAX_ROWS = 5, 16, 30_000
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,11 @@ class _Lead(NamedTuple):
     rise_s: float | None
 
 
-class _Answers(NamedTuple):
+class _Responses(NamedTuple):
     """Most frequent delay of responses to a cause, s (negative = before it, None = none), and how many have it."""
 
     delay_s: float | None = None
-    many: int = 0
+    number: int = 0
 
 
 class FoundSignals(NamedTuple):
@@ -130,7 +130,7 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
         order = [(one.name, one.signal) for one in told]
     else:
         leads = _leading(evidence)
-        order = [(name, name) for name in _believed(evidence, leads)]
+        order = [(name, name) for name in _explaining(evidence, leads)]
     cards: list[OperatorSignalCard] = []
     on: list[Bools] = []
     for name, signal in order:
@@ -175,38 +175,38 @@ def _following(evidence: SignalEvidence) -> tuple[tuple[str, float], ...]:
     for name, changes in evidence.signals.items():
         if name != REGISTER and not name.startswith(OUTPUT):
             tried = [_delays(evidence, name, value) for value in np.unique(changes.value).tolist()]
-            falls, rises = max(tried, key=lambda one: one[0].many + one[1].many)
+            falls, rises = max(tried, key=lambda one: one[0].number + one[1].number)
             late = [one.delay_s for one in (falls, rises) if one.delay_s is not None]
             if (
                 len(late) == 2
                 and -LATE_S <= min(late) <= max(late) <= -AT_ONCE_S
-                and falls.many + rises.many >= LEAST_ANSWERS
+                and falls.number + rises.number >= MIN_RESPONSES
             ):
                 found.append((name, -min(late)))
     return tuple(found)
 
 
-def _lead(occupied: str, falls: _Answers, rises: _Answers) -> _Lead | None:
+def _lead(occupied: str, falls: _Responses, rises: _Responses) -> _Lead | None:
     """Return the response of the level to a signal; None if the level does not follow it.
 
     Falls are rare if a field is effective on only a small part of the path; the delay is then taken from the rises.
     """
-    often, seldom = sorted((falls, rises), key=lambda one: -one.many)
-    if often.delay_s is None or often.delay_s <= -AT_ONCE_S or falls.many + rises.many < LEAST_ANSWERS:
+    often, seldom = sorted((falls, rises), key=lambda one: -one.number)
+    if often.delay_s is None or often.delay_s <= -AT_ONCE_S or falls.number + rises.number < MIN_RESPONSES:
         return None
     if seldom.delay_s is None or seldom.delay_s <= -AT_ONCE_S:
-        return _Lead(occupied, often.delay_s, None) if 2 * seldom.many < often.many + 1 else None
+        return _Lead(occupied, often.delay_s, None) if 2 * seldom.number < often.number + 1 else None
     return _Lead(occupied, falls.delay_s or 0.0, rises.delay_s)
 
 
-def _believed(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> list[str]:
+def _explaining(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> list[str]:
     """Return the signals that explain more than the robot's place and the signals before them, best first."""
     chosen: list[str] = []
     on: list[Bools] = []
     rest = _unexplained(evidence, on)
     for at_once in (False, True):
         left = [name for name, lead in leads.items() if (lead.delay_s < AT_ONCE_S) == at_once]
-        while left and len(chosen) < MOST_SIGNALS:
+        while left and len(chosen) < MAX_SIGNALS:
             states = {name: _on(evidence, name, leads[name]) for name in left}
             rests = {name: _unexplained(evidence, [*on, state]) for name, state in states.items()}
             best = min(rests, key=lambda name: rests[name].sum())
@@ -223,39 +223,39 @@ def _gains(before: Vector, after: Vector, *, first: bool) -> bool:
     """Return whether a signal explains enough more: `_unexplained` without and with it."""
     gain = before - after
     total = float(gain.sum())
-    if total >= GAIN or first:
-        return total >= GAIN
-    if total < max(LEAST_GAIN, OF_REST * float(before.sum())) or len(gain) < 2:
+    if total >= MIN_GAIN or first:
+        return total >= MIN_GAIN
+    if total < max(MIN_LATER_GAIN, OF_REST * float(before.sum())) or len(gain) < 2:
         return False
     return total >= BEYOND_CHANCE * float(np.sqrt(len(gain)) * gain.std(ddof=1))
 
 
-def _delays(evidence: SignalEvidence, signal: str, occupied: str) -> tuple[_Answers, _Answers]:
-    """Return the delays of falls after a signal turned occupied, and of rises after it turned free (`_answers`)."""
+def _delays(evidence: SignalEvidence, signal: str, occupied: str) -> tuple[_Responses, _Responses]:
+    """Return the delays of falls after a signal turned occupied, and of rises after it turned free (`_responses`)."""
     changes = evidence.signals[signal]
     free = np.sort(np.concatenate([changes.to(str(value)) for value in np.unique(changes.value) if value != occupied]))
-    return _answers(changes.to(occupied), evidence.falls_s), _answers(free, evidence.rises_s)
+    return _responses(changes.to(occupied), evidence.falls_s), _responses(free, evidence.rises_s)
 
 
-def _answers(cause_s: Vector, answer_s: Vector) -> _Answers:
+def _responses(cause_s: Vector, answer_s: Vector) -> _Responses:
     """Return the delay of responses to a cause; none if no delay is more frequent than by chance."""
     if not len(cause_s) or not len(answer_s):
-        return _Answers()
-    first = np.searchsorted(cause_s, answer_s - MOST_LAG_S)
-    count = np.searchsorted(cause_s, answer_s + MOST_LAG_S) - first
+        return _Responses()
+    first = np.searchsorted(cause_s, answer_s - MAX_DELAY_S)
+    count = np.searchsorted(cause_s, answer_s + MAX_DELAY_S) - first
     number = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
     lags = np.repeat(answer_s, count) - cause_s[np.repeat(first, count) + number]
     if not len(lags):
-        return _Answers()
-    edges = np.arange(-MOST_LAG_S, MOST_LAG_S + BIN_S / 2, BIN_S)
+        return _Responses()
+    edges = np.arange(-MAX_DELAY_S, MAX_DELAY_S + BIN_S / 2, BIN_S)
     near = np.convolve(np.histogram(lags, edges)[0], np.ones(3), "same")
     chance = 3 * len(lags) / (len(edges) - 1)
     peak = int(near.argmax())
-    if near[peak] < max(LEAST_ALIKE, chance + CHANCE * np.sqrt(chance)):
-        return _Answers()
+    if near[peak] < max(MIN_SAME_DELAY, chance + CHANCE * np.sqrt(chance)):
+        return _Responses()
     middle = float(edges[peak]) + BIN_S / 2
     alike = lags[np.abs(lags - middle) <= 1.5 * BIN_S]
-    return _Answers(float(np.median(alike)), len(alike))
+    return _Responses(float(np.median(alike)), len(alike))
 
 
 def _flips(changes: SignalChanges) -> Vector:
@@ -279,7 +279,7 @@ def _of_program(evidence: SignalEvidence, on: Bools) -> bool:
     even = evidence.execution % 2 == 0
     right = np.zeros(len(on), np.bool_)
     for learn in (even, ~even):
-        right[~learn] = (_usual(group.ravel(), on, learn) == on)[~learn]
+        right[~learn] = (_usual_state(group.ravel(), on, learn) == on)[~learn]
     return bool(on.any() and not on.all() and (right[on].mean() + right[~on].mean()) / 2 >= PROGRAM)
 
 
@@ -298,7 +298,7 @@ def _unexplained(evidence: SignalEvidence, on: Sequence[Bools]) -> Vector:
     As a share of the lost time of all executions.
     """
     known = np.flatnonzero(evidence.level >= 0)
-    known = known[:: 1 + len(known) // MOST_ROWS]
+    known = known[:: 1 + len(known) // MAX_ROWS]
     levels, level = np.asarray(evidence.levels), evidence.level[known]
     execution = np.unique(evidence.execution[known], return_inverse=True)[1].ravel()
     states: list[Vector | Bools] = [state[known] for state in on]
@@ -315,7 +315,7 @@ def _unexplained(evidence: SignalEvidence, on: Sequence[Bools]) -> Vector:
     return np.bincount(execution, wrong) / lost.sum() if lost.any() else np.ones(1)
 
 
-def _usual(group: Ints, state: Bools, learn: Bools) -> Bools:
+def _usual_state(group: Ints, state: Bools, learn: Bools) -> Bools:
     """Return for each sample the more frequent state of its group in the training samples, shape (N,)."""
     count = int(group.max(initial=0)) + 1
     on, every = (np.bincount(group[learn], weight, count) for weight in (state[learn].astype(np.float64), None))

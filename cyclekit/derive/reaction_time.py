@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 LATEST_S, STEP_S = 0.8, 0.05
 """Maximum candidate for the reaction time and step between candidates, s."""
-MOST, LEAST = 20_000, 500
+MAX_ROWS, MIN_ROWS = 20_000, 500
 """Maximum and minimum number of samples near changes of the level."""
 NEAR_S = 1.5
 """Maximum time from a change of level, s: farther away, any reaction time explains the level."""
@@ -53,17 +53,17 @@ def reaction_time(
         return None
     t_s, level, places, execution = _joined(found)
     rows = _near_changes(t_s, level)
-    if len(rows) < LEAST or len(np.unique(execution[rows])) < 4:
+    if len(rows) < MIN_ROWS or len(np.unique(execution[rows])) < 4:
         return None
-    rows = rows[:: -(-len(rows) // MOST)]
+    rows = rows[:: -(-len(rows) // MAX_ROWS)]
     late_s = np.arange(0.0, LATEST_S + STEP_S / 2, STEP_S)
-    wrong = np.array([_wrong(t_s, level, places, execution, rows, late) for late in late_s.tolist()])
-    best = int(wrong.argmin())
-    if best in {0, len(wrong) - 1} or wrong[best] > BETTER * wrong[0]:
+    unpredicted = np.array([_unpredicted(t_s, level, places, execution, rows, late) for late in late_s.tolist()])
+    best = int(unpredicted.argmin())
+    if best in {0, len(unpredicted) - 1} or unpredicted[best] > BETTER * unpredicted[0]:
         return None
-    if wrong[0] - wrong[best] < SIGMAS * np.sqrt(wrong[0] + wrong[best]):
+    if unpredicted[0] - unpredicted[best] < SIGMAS * np.sqrt(unpredicted[0] + unpredicted[best]):
         return None
-    before, here, after = wrong[best - 1 : best + 2]
+    before, here, after = unpredicted[best - 1 : best + 2]
     bend = before - 2.0 * here + after
     return round(float(late_s[best] + (0.5 * STEP_S * (before - after) / bend if bend > 0.0 else 0.0)), 2)
 
@@ -110,7 +110,7 @@ def _near_changes(t_s: Vector, level: Ints) -> Ints:
     return np.asarray(known[np.abs(t_s[changed][last] - t_s[known]).min(axis=0) <= NEAR_S])
 
 
-def _wrong(t_s: Vector, level: Ints, places: Floats, execution: Ints, rows: Ints, late_s: float) -> float:
+def _unpredicted(t_s: Vector, level: Ints, places: Floats, execution: Ints, rows: Ints, late_s: float) -> float:
     """Return the number of levels that the positions `late_s` earlier do not predict."""
     seen_s = t_s[rows] - late_s
     after = np.clip(np.searchsorted(t_s, seen_s), 1, len(t_s) - 1)

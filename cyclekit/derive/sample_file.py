@@ -29,7 +29,7 @@ AT_ONCE = 1 << 14
 """Maximum number of samples per table: building one takes four times the bytes of its numbers."""
 FEW_SESSIONS = 50
 """Maximum number of sessions for one file each."""
-MOST_SESSIONS = 200
+MAX_SESSIONS = 200
 """Maximum number of sessions per file: one worker makes them together, and repeats all after a crash."""
 SHORT = AT_ONCE // 8
 """Maximum number of samples for a session to share a file."""
@@ -52,7 +52,7 @@ def shared_files(sessions: Sequence[Session], rate_hz: float) -> list[list[int]]
     for number in numbers:
         first_s, last_s = sessions[number].span_s
         count = (last_s - first_s) * rate_hz + 1
-        if not files or count > min(free, SHORT) or len(files[-1]) >= MOST_SESSIONS:
+        if not files or count > min(free, SHORT) or len(files[-1]) >= MAX_SESSIONS:
             files.append([])
             free = float(AT_ONCE) if count <= SHORT else 0.0
         files[-1].append(number)

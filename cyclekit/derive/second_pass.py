@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.executions import Execution
 
 
-_MOST_SAMPLES = 10_000_000
+_MAX_SAMPLES = 10_000_000
 """Maximum number of samples per execution: eleven days at 10 Hz. A wrong timestamp would need too much memory."""
 
 
@@ -218,8 +218,8 @@ def _motions(
 
 
 def _times(name: str, start: float, end: float, cell: Cell) -> Vector:
-    if (end - start) * cell.rate_hz > _MOST_SAMPLES:
-        msg = f"{name}: lasts {(end - start) / 86400:.0f} days, more than {_MOST_SAMPLES:,} samples"
+    if (end - start) * cell.rate_hz > _MAX_SAMPLES:
+        msg = f"{name}: lasts {(end - start) / 86400:.0f} days, more than {_MAX_SAMPLES:,} samples"
         raise EstimateError(msg, cure="Look for a time that jumps ahead with `cyclekit inspect`, or cut the log.")
     return np.asarray(start + np.arange(int((end - start) * cell.rate_hz + 1e-6) + 1) / cell.rate_hz)
 

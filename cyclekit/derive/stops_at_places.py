@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cyclekit.derive.cause_samples import HALTED
-from cyclekit.derive.causes import lowest_usual
+from cyclekit.derive.causes import usual_scaling
 from cyclekit.scaling.run_scaling import HALTED_S
 from cyclekit.segmentation.time_account import paused_time
 
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.arrivals import PlaceStandstill
     from cyclekit.segmentation.dwell import Dwell
 
-GOES_S = 0.5
+MAX_RESTART_S = 0.5
 """Maximum time, s, from the departure of people to the restart of the robot they stopped."""
-AWAY_S = 1.0
+MAX_ABSENCE_S = 1.0
 """Maximum absence of people, s, that does not let the robot restart."""
-NEAR_SHARE = 0.8
+MIN_NEAR_SHARE = 0.8
 """Minimum share of the time from arrival to process in which people stop the robot."""
-SELDOM, MIN_STANDSTILLS = 0.1, 20
+MAX_STOP_SHARE, MIN_STANDSTILLS = 0.1, 20
 """Maximum share of standstills at a place with a protective stop; minimum number of standstills for the share."""
-SIGNAL_S = 0.5
+MAX_AFTER_SIGNAL_S = 0.5
 """Maximum time, s, from the change of a signal to the departure of a robot that waited for it."""
 
 
@@ -68,7 +68,7 @@ def stops_at_places(
         return []
     stops, overdue, visits = list[StopAtPlace](), list[_Overdue](), dict[str, int]()
     for session, rows in sessions:
-        near = _Near(rows, lowest_usual(rows, evidence))
+        near = _Near(rows, usual_scaling(rows, evidence))
         for run, place, standstill, first_s in _standstills_of(session):
             visits[place] = visits.get(place, 0) + 1
             if paused_time(session.runs[run], first_s, standstill.left_s) > 0.0:
@@ -79,7 +79,7 @@ def stops_at_places(
                 overdue.append(_Overdue(place, late))
     for place in {one.place for one in overdue}:
         seldom = [one.stop for one in overdue if one.place == place]
-        if len(seldom) <= SELDOM * max(visits[place], MIN_STANDSTILLS):
+        if len(seldom) <= MAX_STOP_SHARE * max(visits[place], MIN_STANDSTILLS):
             stops += seldom
     return stops
 
@@ -114,26 +114,26 @@ def _by_people(run: int, standstill: PlaceStandstill, first_s: float, dwell: Dwe
     since_s, ready_s = dwell.excess_from_s(standstill), dwell.ready_s(standstill)
     if since_s is not None and (during := near.during(since_s, standstill.left_s)) is not None:
         begin_s = _until(*during, standstill.left_s)
-        if begin_s - since_s <= GOES_S:
+        if begin_s - since_s <= MAX_RESTART_S:
             begin_s = since_s
         if standstill.left_s - begin_s > HALTED_S:
             found.append(StopAtPlace(run, begin_s, standstill.left_s))
     if ready_s is not None:
         arrival_s = min(ready_s, standstill.left_s) - dwell.usual_s
         during = near.during(standstill.arrived_earliest_s, arrival_s)
-        if arrival_s - standstill.arrived_earliest_s > GOES_S and during is not None:
+        if arrival_s - standstill.arrived_earliest_s > MAX_RESTART_S and during is not None:
             begin_s = _until(*during, arrival_s)
-            if begin_s - standstill.arrived_earliest_s <= GOES_S and float(during[1].mean()) >= NEAR_SHARE:
+            if begin_s - standstill.arrived_earliest_s <= MAX_RESTART_S and float(during[1].mean()) >= MIN_NEAR_SHARE:
                 found.append(StopAtPlace(run, min(first_s, standstill.arrived_earliest_s), arrival_s))
     return found
 
 
 def _until(t_s: Vector, near: Bools, end_s: float) -> float:
-    """Return the time since which people were near, ignoring short absences; `end_s` if they left GOES_S before it."""
+    """Return the time since which people were near, ignoring short absences; `end_s` if they left earlier."""
     seen = t_s[near]
-    if not len(seen) or end_s - seen[-1] > GOES_S:
+    if not len(seen) or end_s - seen[-1] > MAX_RESTART_S:
         return end_s
-    apart = np.flatnonzero(np.diff(seen) > AWAY_S)
+    apart = np.flatnonzero(np.diff(seen) > MAX_ABSENCE_S)
     return float(seen[apart[-1] + 1] if len(apart) else seen[0])
 
 
@@ -142,7 +142,7 @@ def _overdue(run: int, standstill: PlaceStandstill, dwell: Dwell, near: _Near) -
     since_s, ready_s = dwell.excess_from_s(standstill), dwell.ready_s(standstill)
     if since_s is None or ready_s is None or standstill.left_s - since_s <= HALTED_S:
         return None
-    if any(standstill.left_s - SIGNAL_S <= at_s for _, at_s in standstill.changes):
+    if any(standstill.left_s - MAX_AFTER_SIGNAL_S <= at_s for _, at_s in standstill.changes):
         return None
     during = near.during(since_s, standstill.left_s)
     return StopAtPlace(run, since_s, standstill.left_s) if during is not None else None

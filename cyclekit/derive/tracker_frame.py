@@ -25,20 +25,20 @@ if TYPE_CHECKING:
     from cyclekit.dataset.signals import Read
     from cyclekit.derive.second_pass import SecondPassResult
     from cyclekit.people.tracks import PersonTrack
-    from cyclekit.scaling.agreement import PlacesBefore
+    from cyclekit.scaling.agreement import PositionsBeforeChanges
     from cyclekit.scaling.response import Changes, LevelChange
     from cyclekit.schema import Floats, Ints, Vector
 
-MOST_EXECUTIONS, MOST_SAMPLES = 60, 3000
+MAX_EXECUTIONS, MAX_SAMPLES = 60, 3000
 """Maximum numbers for the check, evenly spread."""
 ON_LEVEL = 0.01
 """Tolerance of a scaling that is on a level."""
-MOST_PEOPLE = 6
+MAX_PEOPLE = 6
 LATENCIES_S = np.arange(0.0, 0.65, 0.05)
 """Reaction times that are tried, s."""
-MOST_CHANGES = 400
+MAX_CHANGES = 400
 """Maximum number of changes of level per session."""
-AGREES_M = 0.03
+MAX_SPREAD_M = 0.03
 """Spread of the distances at changes of level, m, at which a frame is right without further search."""
 _ROBOT = ["robot_x_m", "robot_y_m", "robot_z_m"]
 _COLUMNS = ["execution", "t_s", "scaling", *_ROBOT, "human_x_m", "human_y_m"]
@@ -67,10 +67,10 @@ def frame_notes(
     logs = [one for each in sessions for one in each.recordings if "people" in one.tables]
     frames = {(one.frame.method, one.frame.xyz_m, one.frame.rotation) for one in logs}
     samples = _samples(sessions, levels, folder) if len(frames) == 1 and len(levels) > 1 else None
-    if samples is None or not samples.height or _agrees([one.seen for one in changes]):
+    if samples is None or not samples.height or _agrees([one.positions for one in changes]):
         return []
     tcp_m, level = samples.select(_ROBOT).to_numpy(), samples["level"].to_numpy()
-    people_m = np.full((len(level), MOST_PEOPLE, 3), np.nan)
+    people_m = np.full((len(level), MAX_PEOPLE, 3), np.nan)
     before: list[tuple[Floats, Floats, Ints]] = []
     for one, mine in zip(sessions, changes, strict=True):
         rows = np.flatnonzero(samples["execution"].is_in([card.execution for card in one.cards]).to_numpy())
@@ -92,13 +92,13 @@ def frame_notes(
     return []
 
 
-def _agrees(seen: Sequence[PlacesBefore]) -> bool:
+def _agrees(positions: Sequence[PositionsBeforeChanges]) -> bool:
     """Return whether changes of level come at equal distances in the present frame."""
-    kind = np.concatenate([one.kind for one in seen])
+    kind = np.concatenate([one.change_kind for one in positions])
     for name in ("apart_m", "floor_apart_m"):
-        apart = np.concatenate([getattr(one, name) for one in seen])
+        apart = np.concatenate([getattr(one, name) for one in positions])
         off = [np.abs(mine - np.median(mine, axis=0)) for mine in (apart[kind == one] for one in np.unique(kind))]
-        if off and np.nanmedian(np.concatenate(off), axis=0).min() <= AGREES_M:
+        if off and np.nanmedian(np.concatenate(off), axis=0).min() <= MAX_SPREAD_M:
             return True
     return False
 
@@ -111,8 +111,8 @@ def _before(
     bridge_s: float,
 ) -> tuple[Floats, Floats, Ints]:
     """Return TCP (L, C, 3) and people (L, C, K, 3) before the changes of a session, m, and the kinds of these, (C,)."""
-    left = [change for change in changes if change.step >= 0]
-    left = left[:: max(1, -(-len(left) // MOST_CHANGES))]
+    with_level = [change for change in changes if change.step >= 0]
+    with_level = with_level[:: max(1, -(-len(with_level) // MAX_CHANGES))]
     rows = (
         pl.scan_parquet(folder / f"{session.part}.parquet", glob=False)
         .select("execution", "t_s", *_ROBOT)
@@ -121,22 +121,22 @@ def _before(
         .sort("t_s")
         .collect(engine="streaming")
     )
-    at_s = np.array([change.t_s for change in left])[None] - LATENCIES_S[:, None]
+    at_s = np.array([change.t_s for change in with_level])[None] - LATENCIES_S[:, None]
     sampled_s = rows["t_s"].to_numpy()
-    known = [np.interp(at_s, sampled_s, rows[name].to_numpy()) for name in _ROBOT]
+    tcp_m = [np.interp(at_s, sampled_s, rows[name].to_numpy()) for name in _ROBOT]
     order = np.argsort(at_s, axis=None)
-    people_m = np.empty((at_s.size, MOST_PEOPLE, 3))
+    people_m = np.empty((at_s.size, MAX_PEOPLE, 3))
     people_m[order] = _people(tracks, at_s.ravel()[order], bridge_s)
-    people_m = people_m.reshape(*at_s.shape, MOST_PEOPLE, 3)
-    kind = np.array([2 * change.step + change.rises for change in left], np.int64)
-    told = np.isfinite(people_m[..., 0]).any(axis=2).all(axis=0)
-    return np.stack(known, axis=2)[:, told], people_m[:, told], kind[told]
+    people_m = people_m.reshape(*at_s.shape, MAX_PEOPLE, 3)
+    kind = np.array([2 * change.step + change.rises for change in with_level], np.int64)
+    known_people = np.isfinite(people_m[..., 0]).any(axis=2).all(axis=0)
+    return np.stack(tcp_m, axis=2)[:, known_people], people_m[:, known_people], kind[known_people]
 
 
 def _samples(sessions: Sequence[SecondPassResult], levels: Sequence[float], folder: Path) -> pl.DataFrame | None:
     """Return some samples on a level with known positions; None without any."""
     chosen = [card.execution for one in sessions for card in one.cards]
-    chosen = chosen[:: max(1, -(-len(chosen) // MOST_EXECUTIONS))]
+    chosen = chosen[:: max(1, -(-len(chosen) // MAX_EXECUTIONS))]
     parts = dict.fromkeys(one.part for one in sessions if one.samples)
     if not parts:
         return None
@@ -153,15 +153,15 @@ def _samples(sessions: Sequence[SecondPassResult], levels: Sequence[float], fold
     level = np.abs(scaling[:, None] - steps).argmin(axis=1)
     found = found.with_columns(level=level)
     found = found.filter(np.abs(scaling - steps[level]) <= ON_LEVEL)
-    return found.gather_every(max(1, -(-found.height // MOST_SAMPLES)))
+    return found.gather_every(max(1, -(-found.height // MAX_SAMPLES)))
 
 
 def _people(tracks: Sequence[PersonTrack], t_s: Vector, bridge_s: float) -> Floats:
-    """Return where people are at each time, shape (T, MOST_PEOPLE, 3), m; NaN = nobody."""
-    here = np.full((max(len(tracks), MOST_PEOPLE), len(t_s), 3), np.nan)
+    """Return where people are at each time, shape (T, MAX_PEOPLE, 3), m; NaN = nobody."""
+    here = np.full((max(len(tracks), MAX_PEOPLE), len(t_s), 3), np.nan)
     for number, track in enumerate(tracks):
         here[number] = at_times(track, t_s, bridge_s=bridge_s)
-    order = np.argsort(np.isnan(here[..., 0]), axis=0, kind="stable")[:MOST_PEOPLE]
+    order = np.argsort(np.isnan(here[..., 0]), axis=0, kind="stable")[:MAX_PEOPLE]
     return np.asarray(np.take_along_axis(here, order[..., None], axis=0).transpose(1, 0, 2))
 
 

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 BINS = 256
 """Maximum number of bins per feature, bounded by quantiles."""
-MOST_LEAVES, LEAST_ROWS = 96, 12
-GAIN = 1e-4
+MAX_LEAVES, MIN_ROWS = 96, 12
+MIN_GINI_GAIN = 1e-4
 """Minimum reduction of the Gini impurity by a cut, per row of the whole data."""
-LIKELIER = 10.0
+MIN_LOGLIK_GAIN = 10.0
 """Minimum gain of a cut in log-likelihood on held-out rows."""
 
-STRAY = 0.1
+MISPLACED_SHARE = 0.1
 """Share of rows that may be on the wrong side of a cut: positions are noisy, and the robot reacts late."""
 
 
@@ -78,16 +78,16 @@ def usual_levels(features: Floats, label: Ints, classes: int, group: Ints) -> Us
     binned = np.stack([np.searchsorted(e, column) for e, column in zip(edges, features.T, strict=True)])
     learn = group % 2 == 0
     learn = learn if learn.any() and not learn.all() else np.ones_like(learn)
-    nodes = [_looked_at(binned, label, classes, np.arange(len(label)), learn)]
+    nodes = [_node(binned, label, classes, np.arange(len(label)), learn)]
     cuts: list[_Cut | None] = [None]
-    while len(nodes) - sum(cut is not None for cut in cuts) < MOST_LEAVES:
+    while len(nodes) - sum(cut is not None for cut in cuts) < MAX_LEAVES:
         best = max((n for n, cut in enumerate(cuts) if cut is None), key=lambda n: nodes[n].gain)
         node = nodes[best]
-        if node.gain < GAIN * len(label):
+        if node.gain < MIN_GINI_GAIN * len(label):
             break
         below: Bools = binned[node.feature, node.rows] <= node.bin
         cuts[best] = _Cut(node.feature, float(edges[node.feature][node.bin]), len(nodes), len(nodes) + 1)
-        nodes += [_looked_at(binned, label, classes, node.rows[side], learn) for side in (below, ~below)]
+        nodes += [_node(binned, label, classes, node.rows[side], learn) for side in (below, ~below)]
         cuts += [None, None]
     return _tree(nodes, cuts, label, classes)
 
@@ -102,15 +102,15 @@ def _tree(nodes: list[_Node], cuts: list[_Cut | None], label: Ints, classes: int
     return UsualLevels(tuple(made), counts / counts.sum(axis=1, keepdims=True))
 
 
-def _looked_at(binned: Ints, label: Ints, classes: int, every: Ints, learn: Bools) -> _Node:
+def _node(binned: Ints, label: Ints, classes: int, every: Ints, learn: Bools) -> _Node:
     """Return a group of rows with its best helpful cut: the largest reduction of Gini impurity times rows."""
     rows, found = every[learn[every]], list[tuple[float, int, int]]()
-    for feature, column in enumerate(binned if len(rows) >= 2 * LEAST_ROWS else ()):
+    for feature, column in enumerate(binned if len(rows) >= 2 * MIN_ROWS else ()):
         counts = np.bincount(column[rows] * classes + label[rows], minlength=BINS * classes)
         low = np.cumsum(counts.reshape(-1, classes), axis=0)[:-1].astype(np.float64)
         high = np.bincount(label[rows], minlength=classes) - low
         gain = _purity(low) + _purity(high) - float(_purity(low[-1:] + high[-1:])[0])
-        gain[np.minimum(low.sum(axis=1), high.sum(axis=1)) < LEAST_ROWS] = 0.0
+        gain[np.minimum(low.sum(axis=1), high.sum(axis=1)) < MIN_ROWS] = 0.0
         found.append((float(gain.max()), feature, int(gain.argmax())))
     found = sorted((one for one in found if one[0] > 0.0), key=lambda one: -one[0])  # distances before places
     helping = (one for one in found if _helps(binned[one[1]] <= one[2], label, every, learn, classes))
@@ -118,16 +118,16 @@ def _looked_at(binned: Ints, label: Ints, classes: int, every: Ints, learn: Bool
 
 
 def _helps(low: Bools, label: Ints, every: Ints, learn: Bools, classes: int) -> bool:
-    """Return whether a cut raises the log-likelihood of the held-out rows by more than LIKELIER."""
+    """Return whether a cut raises the log-likelihood of the held-out rows by more than MIN_LOGLIK_GAIN."""
     found, others = every[learn[every]], every[~learn[every]]
     if not len(others):
         return bool(learn.all())
     before = _shares(label[found], classes)
     gain = 0.0
     for side in (low, ~low):
-        after = (1.0 - STRAY) * _shares(label[found[side[found]]], classes) + STRAY * before
+        after = (1.0 - MISPLACED_SHARE) * _shares(label[found[side[found]]], classes) + MISPLACED_SHARE * before
         gain += float(np.log(after / before)[label[others[side[others]]]].sum())
-    return gain > LIKELIER
+    return gain > MIN_LOGLIK_GAIN
 
 
 def _shares(label: Ints, classes: int) -> Vector:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _GAP_PX = 9.0
 """Distance from a place to its name, px."""
 _MARKER_PX = 5.0
-_MOST_COVERED = 0.3
+_MAX_COVERED = 0.3
 """Maximum covered share of a name; with more the name is left out, and only the tooltip of its place has it."""
 _Box: TypeAlias = tuple[float, float, float, float]
 """Left, bottom, right and top, px."""
@@ -142,7 +142,7 @@ def _write(axes: Axes, notes: Sequence[FloorNote]) -> None:
             names = sum(_common(box, other) for other in taken)
             outside = wide * high - _common(box, frame)
             this = 3 * names + 6 * outside + sum(_common(box, marker) for marker in markers)
-            this += 1e6 * (names > _MOST_COVERED * wide * high or outside > _MOST_COVERED * wide * high)
+            this += 1e6 * (names > _MAX_COVERED * wide * high or outside > _MAX_COVERED * wide * high)
             if this < cost - 4.0:
                 best, cost = (at, middle, box), this
         if best is None or cost >= 1e6:

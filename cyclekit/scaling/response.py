@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.scaling.agreement import LATENCIES_S, PlacesBefore, agreement_of
+from cyclekit.scaling.agreement import LATENCIES_S, PositionsBeforeChanges, agreement_of
 from cyclekit.scaling.transitions import RampRates, begin_of, fresh, held_levels, repeats, tolerance_of, transitions_of
 
 if TYPE_CHECKING:
@@ -159,11 +159,11 @@ def _change(
         return LevelChange(begin_s, step, ramp.rises, rate, change)
     rows = slice(max(first - 1, 0), last + 2)
     row_s = np.diff(t_s[rows])
-    most = float(np.abs(np.diff(scaling[rows]) / row_s).max()) if last >= first else None
+    max_rate = float(np.abs(np.diff(scaling[rows]) / row_s).max()) if last >= first else None
     whole = abs(float(levels[after] - levels[before])) - 2 * near  # within that it is on a level
     gone = tuple(np.abs(scaling[first : last + 1] - levels[before]).tolist()) if rate is None else ()
     return LevelChange(
-        begin_s, step, ramp.rises, rate, whole, (last - first + 1) * float(np.median(row_s)), most, near, gone
+        begin_s, step, ramp.rises, rate, whole, (last - first + 1) * float(np.median(row_s)), max_rate, near, gone
     )  # fmt: skip
 
 
@@ -173,10 +173,10 @@ def _usual(slopes: Sequence[tuple[float | None, float]]) -> float | None:
     Args:
         slopes: Rates, and the change at each.
     """
-    told = [(rate, weight) for rate, weight in slopes if rate]
-    if len(told) < MIN_RAMPS:
+    chosen = [(rate, weight) for rate, weight in slopes if rate]
+    if len(chosen) < MIN_RAMPS:
         return None
-    rate, weight = np.array(told).T
+    rate, weight = np.array(chosen).T
     usual = _weighted_median(rate, weight)
     near = np.abs(rate - usual) <= 0.2 * usual
     return _weighted_median(rate[near], weight[near])
@@ -219,9 +219,9 @@ def rate_of(changes: Sequence[LevelChange]) -> float | None:
     if slope is not None and abs(slope / mean - 1.0) <= _AGREE:
         return slope
     row_s = float(np.median([change.way_s for change in short if change.most_per_s is not None]))
-    most = float(np.quantile(fastest, 0.95))
-    limited = most * row_s > _WHOLE * float(np.median([change.change for change in short]))
-    return mean if limited else min(mean, most)
+    max_rate = float(np.quantile(fastest, 0.95))
+    limited = max_rate * row_s > _WHOLE * float(np.median([change.change for change in short]))
+    return mean if limited else min(mean, max_rate)
 
 
 def error_of(changes: Sequence[LevelChange]) -> float | None:
@@ -261,38 +261,43 @@ class Changes:
 
     Attributes:
         changes: All changes.
-        seen: Positions before the changes for which they are known.
+        positions: Positions before the changes for which they are known.
     """
 
     changes: list[LevelChange]
-    seen: PlacesBefore
+    positions: PositionsBeforeChanges
 
     @classmethod
     def of(
-        cls, changes: Sequence[LevelChange], t_s: Vector, robot_m: Points, human_m: Points, most: int = MAX_CHANGES
+        cls,
+        changes: Sequence[LevelChange],
+        t_s: Vector,
+        robot_m: Points,
+        human_m: Points,
+        max_changes: int = MAX_CHANGES,
     ) -> Changes:
-        """Look up the positions before the changes of one session, for at most `most` evenly spread ones.
+        """Look up the positions before the changes of one session, for at most `max_changes` evenly spread ones.
 
         Args:
             changes: Changes in order of time.
             t_s: Times of samples, shape (N,), ascending, s.
             robot_m: TCP at these times, shape (N, 3), m; NaN = unknown.
             human_m: Operator at these times, shape (N, 3), likewise.
-            most: Maximum number of changes with positions.
+            max_changes: Maximum number of changes with positions.
         """
-        left = [change for change in changes if change.step >= 0]
-        told = left[:: max(1, -(-len(left) // most))]
-        kind = np.array([2 * change.step + change.rises for change in told], np.int64)
-        begin_s = np.array([change.t_s for change in told])
-        return cls(list(changes), PlacesBefore.before(begin_s, kind, t_s, robot_m, human_m))
+        with_level = [change for change in changes if change.step >= 0]
+        chosen = with_level[:: max(1, -(-len(with_level) // max_changes))]
+        change_kind = np.array([2 * change.step + change.rises for change in chosen], np.int64)
+        begin_s = np.array([change.t_s for change in chosen])
+        return cls(list(changes), PositionsBeforeChanges.before(begin_s, change_kind, t_s, robot_m, human_m))
 
 
-def read_response(seen: Sequence[Changes]) -> SafetyResponse:
+def read_response(sessions: Sequence[Changes]) -> SafetyResponse:
     """Return the response of the safety system from the changes of level of all sessions."""
-    changes = [change for mine in seen for change in mine.changes]
+    changes = [change for mine in sessions for change in mine.changes]
     sorts = [[change for change in changes if change.rises is rises] for rises in (False, True)]
     (down, down_se), (up, up_se) = ((rate_of(mine), error_of(mine)) for mine in sorts)
-    found = agreement_of([mine.seen for mine in seen])
+    found = agreement_of([mine.positions for mine in sessions])
     spread_m = None if found is None else found.spread_m
     if found is None or found.latency_s is None:
         latency_s, hysteresis_m, hold_s = None, None, None

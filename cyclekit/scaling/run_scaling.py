@@ -73,7 +73,7 @@ def with_scaling(
     done = [run if run.knows_scaling else run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
     apart, notes = logged_apart(runs, parts, sessions, overrides)
     left = [number for number in silent if number not in apart]
-    after_halt = scalings_after_halts(
+    after_halt = scalings_after_stops(
         [part.scaling for n in left for part in sorted(parts[n], key=lambda part: part.first)]
     )
     mine = [execution for execution in executions if execution.run in set(left)]
@@ -109,7 +109,7 @@ class _Left(NamedTuple):
 
 
 def halts_at_places(
-    runs: Sequence[Run], executions: Sequence[Execution], standstills: PlaceStandstills, after_halts: AfterHalts
+    runs: Sequence[Run], executions: Sequence[Execution], standstills: PlaceStandstills, after_stops: ScalingsAfterStops
 ) -> list[list[InferredScaling]]:
     """Return where a standstill at a place was prolonged by a stop of the safety system: scaling 0, not a wait.
 
@@ -122,7 +122,7 @@ def halts_at_places(
         runs: Runs with inferred scaling.
         executions: Their executions.
         standstills: Their standstills at places.
-        after_halts: Scalings after stops.
+        after_stops: Scalings after stops.
 
     Returns:
         The stopped rows of each run, with scaling 0.
@@ -158,7 +158,7 @@ def halts_at_places(
             elif len(known) and begin <= left:
                 overdue.append(_Left(execution.run, begin, left, float(known[0])))
     for one in overdue:
-        if after_halts.tells(one.scaling, others):
+        if after_stops.indicates_stop(one.scaling, others):
             halts[one.run].append(halted(one.begin, one.left))
     return halts
 
@@ -174,13 +174,13 @@ def _halted_short(run: Run, first: int, arrived: int, left_s: float) -> bool:
     return way > max(REST_M, CLEAR * float(np.linalg.norm(noise)))
 
 
-class AfterHalts(NamedTuple):
+class ScalingsAfterStops(NamedTuple):
     """Scalings after stops in mid-motion, shape (N,); `lowest`: the lowest level at which the robot moves."""
 
     scaling: Vector
     lowest: float
 
-    def tells(self, scaling: float, others: Sequence[float]) -> bool:
+    def indicates_stop(self, scaling: float, others: Sequence[float]) -> bool:
         """Return whether a robot that leaves at a scaling was stopped: it is commoner after stops than in `others`."""
         seen = np.append(self.scaling, self.lowest)  # prior without stops: the person is still near
         after = float((np.abs(seen - scaling) < SAME).mean())
@@ -188,7 +188,7 @@ class AfterHalts(NamedTuple):
         return bool(scaling < FULL and after > COMMONER * usual)
 
 
-def scalings_after_halts(scaling: Sequence[NDArray[np.floating[Any]]]) -> AfterHalts:
+def scalings_after_stops(scaling: Sequence[NDArray[np.floating[Any]]]) -> ScalingsAfterStops:
     """Return the scalings at which the robot continues after stops.
 
     Args:
@@ -201,4 +201,4 @@ def scalings_after_halts(scaling: Sequence[NDArray[np.floating[Any]]]) -> AfterH
         ends = np.flatnonzero((values[:-AFTER] <= HALTED) & (values[1 : 1 - AFTER or None] > HALTED)) + AFTER
         found.append(values[ends].astype(np.float64))
     after = np.concatenate(found)
-    return AfterHalts(after[after > HALTED], moving[0] if len(moving) > 1 else 1.0)
+    return ScalingsAfterStops(after[after > HALTED], moving[0] if len(moving) > 1 else 1.0)

@@ -34,7 +34,7 @@ MIN_ROWS = 200
 NEAR_S, FAR_S = (-0.5, 1.5), (-60.0, 60.0)
 """Range of the robot's delay after the log, s: with known clock offset, and with unknown one."""
 COARSE_S, FINE_S = 0.1, 0.01
-ALIKE, MOSTLY = 0.02, 0.1
+MAX_MEDIAN_DIFFERENCE, MAX_QUANTILE_DIFFERENCE = 0.02, 0.1
 """Maximum median difference, and maximum 90 % quantile of differences, for both to agree."""
 CAPPED = 0.2
 """Maximum of a difference in the misfit; also the minimum range of the scaling."""
@@ -139,7 +139,7 @@ def match_of(logged: SafetyOverride, runs: Iterable[tuple[Run, Sequence[Inferred
     differ = np.abs(logged.at(t_s - later_s) - scaling)
     differ = differ[np.isfinite(differ)]
     error = float(np.median(differ))
-    agrees = alone and error <= ALIKE and float(np.quantile(differ, 0.9)) <= MOSTLY
+    agrees = alone and error <= MAX_MEDIAN_DIFFERENCE and float(np.quantile(differ, 0.9)) <= MAX_QUANTILE_DIFFERENCE
     return OverrideMatch(later_s, error, AGREES if agrees else DIFFERS)
 
 

@@ -78,7 +78,7 @@ def leads_out(path: Path, folder: Path) -> bool:
 
 
 def real_path(path: Path) -> str:
-    """Return a path with links real_path; circular or unreadable links are kept."""
+    """Return a path with links resolved; circular or unreadable links are kept."""
     try:
         return os.path.realpath(path)
     except OSError:

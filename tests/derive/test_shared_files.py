@@ -15,7 +15,7 @@ from polars.testing import assert_frame_equal
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.dataset.sessions import Session
 from cyclekit.derive import sample_file
-from cyclekit.derive.sample_file import MOST_SESSIONS, SHORT, shared_files
+from cyclekit.derive.sample_file import MAX_SESSIONS, SHORT, shared_files
 from cyclekit.ingest.ingest import ingest
 from cyclekit.parallel.engine import Engine
 
@@ -86,7 +86,7 @@ def test_every_session_is_in_one_file_and_files_are_short(spans: list[float], ch
     inside = [number for numbers in files for number in numbers]
     assert [names[number] for number in inside] == sorted(names, key=lambda name: f"{name}.parquet")
     for numbers in files:
-        assert len(numbers) <= MOST_SESSIONS
+        assert len(numbers) <= MAX_SESSIONS
         counts = [10.0 * spans[number] + 1 for number in numbers]
         assert len(numbers) == 1 or (max(counts) <= SHORT and sum(counts) <= 8 * SHORT)
 

@@ -18,7 +18,7 @@ from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.scaling.infer.override import _goes as goes
-from cyclekit.scaling.run_scaling import AfterHalts, halts_at_places, scalings_after_halts
+from cyclekit.scaling.run_scaling import ScalingsAfterStops, halts_at_places, scalings_after_stops
 from cyclekit.segmentation.arrivals import PlaceStandstill
 from cyclekit.segmentation.executions import Execution, Visit
 from cyclekit.segmentation.motion import RobotRun
@@ -129,17 +129,17 @@ def test_a_motion_that_never_repeats_has_no_reference_and_that_is_said(tmp_path:
 
 
 def test_a_speed_that_is_common_after_halts_and_seldom_else_tells_of_a_halt():
-    after = AfterHalts(np.array([0.5] * 8 + [0.75] * 2 + [1.0] * 3), lowest=0.25)
+    after = ScalingsAfterStops(np.array([0.5] * 8 + [0.75] * 2 + [1.0] * 3), lowest=0.25)
     others = [1.0] * 60 + [0.75] * 20 + [0.5] * 5
-    assert after.tells(0.5, others)
-    assert not after.tells(0.75, others)
-    assert not after.tells(1.0, [0.5] * 20)
-    assert AfterHalts(np.empty(0), lowest=0.25).tells(0.25, others)
+    assert after.indicates_stop(0.5, others)
+    assert not after.indicates_stop(0.75, others)
+    assert not after.indicates_stop(1.0, [0.5] * 20)
+    assert ScalingsAfterStops(np.empty(0), lowest=0.25).indicates_stop(0.25, others)
 
 
 def test_what_follows_halts_in_mid_motion_is_looked_up_past_their_edge():
     motion = np.concatenate([np.ones(400), np.zeros(400), [0.1, 0.3], np.full(400, 0.5)])
-    found = scalings_after_halts([motion, np.ones(400), np.zeros(3)])
+    found = scalings_after_stops([motion, np.ones(400), np.zeros(3)])
     assert found.scaling.tolist() == [0.5]
     assert found.lowest == pytest.approx(0.5, abs=0.01)
 
@@ -151,7 +151,9 @@ def test_a_robot_that_left_and_is_not_seen_to_move_is_halted(left_s: float, halt
     run = RobotRun(t_s, np.zeros((200, 3)), np.zeros(200), np.full(200, np.nan), is_inferred=True)
     visits = tuple(Visit(place, row, last) for place, row, last in (("a", 0, 20), ("b", 50, 110), ("c", 180, 199)))
     standstills = {(0, visit.first, visit.last): PlaceStandstill(5.0, 5.0, left_s, left_s) for visit in visits}
-    (found,) = halts_at_places([run], [Execution(0, visits, complete=True)], standstills, AfterHalts(np.empty(0), 1.0))
+    (found,) = halts_at_places(
+        [run], [Execution(0, visits, complete=True)], standstills, ScalingsAfterStops(np.empty(0), 1.0)
+    )
     assert sum(len(part.scaling) for part in found) == pytest.approx(10.0 * halted_s + bool(halted_s))
     assert all((part.scaling == 0.0).all() for part in found)
 
@@ -169,5 +171,7 @@ def test_a_robot_that_goes_the_last_hair_later_was_halted_short_of_its_place(way
         (0, 500, 850): PlaceStandstill(8.0, 8.0, 8.5, 8.5),
         (0, 1800, 1999): PlaceStandstill(18.0, 18.0, 19.9, 19.9),
     }
-    (found,) = halts_at_places([run], [Execution(0, visits, complete=True)], standstills, AfterHalts(np.empty(0), 1.0))
+    (found,) = halts_at_places(
+        [run], [Execution(0, visits, complete=True)], standstills, ScalingsAfterStops(np.empty(0), 1.0)
+    )
     assert [(part.first, len(part.scaling)) for part in found] == ([(500, 300)] if halted else [])

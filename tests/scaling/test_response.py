@@ -74,8 +74,8 @@ def test_sessions_tell_together_what_one_is_too_short_for():
 
 
 def test_of_very_many_changes_some_are_looked_at_and_all_are_counted():
-    seen = Changes.of(*approaches(0.0, 500), most=100)
-    assert seen.seen.apart_m.shape == (100, len(LATENCIES_S))
+    seen = Changes.of(*approaches(0.0, 500), max_changes=100)
+    assert seen.positions.apart_m.shape == (100, len(LATENCIES_S))
     found = read_response([seen])
     assert (found.changes, found.latency_s) == (500, pytest.approx(0.3))
 

@@ -24,11 +24,11 @@ from cyclekit.errors import command_line
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from cyclekit.cli.terminal import Progress
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.answers import CycleEstimates
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.report import ReportFacts
+    from cyclekit.schema import Progress
 
 EXAMPLE = "cyclekit demo --out out/"
 SCENE = "box-picking"

@@ -21,10 +21,10 @@ from cyclekit.text.plain_json import json_text
 from cyclekit.text.plain_text import one_line, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    Progress = Callable[[float, str], None]
+    from cyclekit.schema import Progress
 
 PATIENCE_S = 2.0
 """Time to the first line of progress without a terminal, s; doubled for each further line."""

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import ConfigError
-from cyclekit.plots.look import plain_style
+from cyclekit.plots.style import plain_style
 from cyclekit.storage.atomic import replaced
 
 if TYPE_CHECKING:

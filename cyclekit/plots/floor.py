@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from cyclekit.plots import colours
 from cyclekit.plots.labels import place_labels
-from cyclekit.plots.look import INK, MUTED, RULE, tip
+from cyclekit.plots.style import INK, MUTED, RULE, tip
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -71,7 +71,7 @@ def outline(axes: Axes, shape: Shape, text: str) -> FloorNote | None:
     return None if shape.leaving else FloorNote(f"{speed} %", shape.outline_m, INK, on_line=True)
 
 
-def furnish(axes: Axes, cell: CellOnFloor, base: str | None) -> list[FloorNote]:
+def draw_cell(axes: Axes, cell: CellOnFloor, base: str | None) -> list[FloorNote]:
     """Draw tables, the robot's base labelled `base`, and the places; return their labels."""
     for name, thing in cell.furniture.items():
         (x, y, _), (length, width, _) = thing.xyz_m, thing.size_m
@@ -94,7 +94,7 @@ def furnish(axes: Axes, cell: CellOnFloor, base: str | None) -> list[FloorNote]:
     return notes
 
 
-def finish(axes: Axes, x: str, y: str, speed: str | None, notes: Sequence[FloorNote | None]) -> None:
+def label_axes(axes: Axes, x: str, y: str, speed: str | None, notes: Sequence[FloorNote | None]) -> None:
     """Set axes and their labels, draw the colour scale labelled `speed`, and write the notes."""
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)

@@ -8,7 +8,7 @@ import numpy as np
 
 from cyclekit.plots import colours
 from cyclekit.plots.canvas import write_figure
-from cyclekit.plots.look import INK, RULE, plain_style
+from cyclekit.plots.style import INK, RULE, plain_style
 
 if TYPE_CHECKING:
     from pathlib import Path

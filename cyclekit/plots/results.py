@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 from cyclekit.plots import colours
 from cyclekit.plots.drawing import Drawing
 from cyclekit.plots.gantt import draw_blocks, height_in
-from cyclekit.plots.look import INK, MUTED, plain_style
+from cyclekit.plots.style import INK, MUTED, plain_style
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

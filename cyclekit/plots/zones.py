@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.ticker import PercentFormatter
 
 from cyclekit.plots import colours
-from cyclekit.plots.floor import finish, furnish, outline, square
-from cyclekit.plots.look import INK, MUTED, RULE
+from cyclekit.plots.floor import draw_cell, label_axes, outline, square
+from cyclekit.plots.style import INK, MUTED, RULE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -72,8 +72,8 @@ def draw_floor(
     whole += [np.array(shape.outline_m) for shape in shapes if "TCP to" not in shape.name]
     axes.update_datalim(np.concatenate(whole))
     notes = [outline(axes, shape, f"{{speed}} %: {shape.name}") for shape in shapes]
-    notes += furnish(axes, cell, "base")
-    finish(axes, "x, m (base frame)", "y, m (base frame)", "speed, median while the operator is there", notes)
+    notes += draw_cell(axes, cell, "base")
+    label_axes(axes, "x, m (base frame)", "y, m (base frame)", "speed, median while the operator is there", notes)
 
 
 def draw_path(
@@ -96,7 +96,7 @@ def draw_path(
     named = ", ".join(f"{100 * speed:.4g} %" for speed in np.unique(squares[counts, 2].round(3)).tolist())
     where = f"{named} on {100 * counts.mean():.0f} % of the path" if counts.any() else "does not count"
     axes.set_title(f"{signal}: {where}", loc="left")
-    finish(axes, "x, m (base frame)", "y, m (base frame)", None, furnish(axes, cell, "base"))
+    label_axes(axes, "x, m (base frame)", "y, m (base frame)", None, draw_cell(axes, cell, "base"))
 
 
 def draw_table(axes: Axes, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

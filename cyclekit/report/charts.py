@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cyclekit.plots import colours
-from cyclekit.plots.look import INK, MUTED, tip
+from cyclekit.plots.style import INK, MUTED, tip
 from cyclekit.report.pictures import WIDE_IN
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from cyclekit.plots import colours
-from cyclekit.plots.look import tip
+from cyclekit.plots.style import tip
 from cyclekit.report.pictures import WIDE_IN, Picture
 
 if TYPE_CHECKING:

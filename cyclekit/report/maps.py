@@ -14,8 +14,8 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import PercentFormatter
 
 from cyclekit.plots import colours
-from cyclekit.plots.floor import finish, furnish, outline, square
-from cyclekit.plots.look import INK, MUTED, RULE, tip
+from cyclekit.plots.floor import draw_cell, label_axes, outline, square
+from cyclekit.plots.style import INK, MUTED, RULE, tip
 from cyclekit.report.findings import DISTANCE_BIN_M, SCALING_BIN
 from cyclekit.report.pictures import WIDE_IN
 
@@ -172,5 +172,5 @@ def _floor(width_in: float, plan: FloorPlan) -> tuple[Figure, Axes]:
 def _finish(axes: Axes, plan: FloorPlan, labels: Mapping[str, str], notes: list[FloorNote | None]) -> None:
     """Tables, robot base and path, places, axes and colour scale."""
     axes.plot(*plan.robot_m.T, color=colours.ROBOT, linewidth=0.7, alpha=0.7, zorder=3)
-    notes += furnish(axes, plan.cell, labels["base"] if plan.robot_known else None)
-    finish(axes, labels["x"], labels["y"], labels.get("speed"), notes)
+    notes += draw_cell(axes, plan.cell, labels["base"] if plan.robot_known else None)
+    label_axes(axes, labels["x"], labels["y"], labels.get("speed"), notes)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.plots.look import plain_style
+from cyclekit.plots.style import plain_style
 from cyclekit.text.plain_text import visible
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from cyclekit.learning.rules.law import shape_of
 from cyclekit.learning.rules.words import FIELD_COLUMNS, field_rows
 from cyclekit.learning.safety_function.fit import FLOOR_M, Threshold
 from cyclekit.learning.safety_function.path import PATH_M
-from cyclekit.plots.look import MUTED, plain_style
+from cyclekit.plots.style import MUTED, plain_style
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

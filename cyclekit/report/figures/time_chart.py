@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from cyclekit.estimate.baseline import logged_cycle, logged_order
 from cyclekit.estimate.gantt import SHOWN_S, blocks_of, legend_of
 from cyclekit.plots.gantt import draw_blocks, height_in
-from cyclekit.plots.look import tip
+from cyclekit.plots.style import tip
 from cyclekit.report.figures.figure import Chart, Figure
 from cyclekit.report.findings import task_shares
 from cyclekit.report.numbers import UNKNOWN, fixed

@@ -36,7 +36,7 @@ from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.history import Combined
 from cyclekit.estimate.rollout import estimate
 from cyclekit.learning.rules.distances import TO_TCP
-from cyclekit.learning.rules.safety import RuleSafety, answering
+from cyclekit.learning.rules.safety import RuleSafety, predictor_of
 from cyclekit_sim import SimulationOptions, random_sequence
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def of_set(work: Path, scene: str, executions: int, seed: int, count: int, many:
     silent = scene == SCENE
     options, true = (dataclasses.replace(one, silent_when_empty=silent) for one in (HARD, TRUE))
     cell = logged(work, scene, executions, seed=seed, options=options, kind="visits", rules=True, epochs=1)
-    model = answering(cell.model)
+    model = predictor_of(cell.model)
     if model is cell.model:
         raise SystemExit(f"{cell.dataset.path}: no rule found")
     check = check_rollout(model, cell.dataset)

@@ -27,7 +27,7 @@ from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.whatif import Change, what_if
 from cyclekit.estimate.whatif.change import Zone
-from cyclekit.learning.rules.safety import answering
+from cyclekit.learning.rules.safety import predictor_of
 from cyclekit_sim.choices import FRESH, OPERATOR, operator_legs, stream
 from cyclekit_sim.engine import run
 from cyclekit_sim.motion import plan_moves
@@ -155,7 +155,7 @@ def of_set(work: Path, asked: argparse.Namespace, seed: int) -> list[np.ndarray]
     """
     cell = logged(work, SCENE, asked.executions, seed=seed, options=HARD, kind="visits", rules=True, epochs=1)
     wanted = unseen_sequences(cell.dataset, SCENE, asked.sequences, first=JUDGED_SEED)
-    model = answering(cell.model)
+    model = predictor_of(cell.model)
     found = what_if(model, cell.dataset, wanted, [case[0] for case in CASES])
     sides = beside(cell.dataset, seed, asked.fresh, model)
     now, rows = None, []

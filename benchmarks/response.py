@@ -34,7 +34,7 @@ from cyclekit.estimate.rollout import estimate
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.labelling import staircase_of, with_commands
 from cyclekit.learning.rules.of_dataset import rule_of
-from cyclekit.learning.rules.safety import RuleSafety, answering
+from cyclekit.learning.rules.safety import RuleSafety, predictor_of
 from cyclekit.learning.windows import scaling_without_operator
 from cyclekit.scaling.levels import find_staircase
 from cyclekit.scaling.response import Changes, SafetyResponse, changes_of, read_response
@@ -154,11 +154,11 @@ def models_of(
     of_cell: dict[str, Any] = {"seed": seed, "options": given, "kind": kind}
     if not asked.rule_alone:
         cell = logged(work, scene, asked.executions, rules=True, **of_cell)
-        return cell.dataset, {"network": cell.model, "auto": answering(cell.model)}
+        return cell.dataset, {"network": cell.model, "auto": predictor_of(cell.model)}
     dataset = dataset_of(work, scene, asked.executions, **of_cell)
     frame = dataset.samples()
     levels = tuple(round(float(level), 6) for level in staircase_of(dataset, frame).levels)
-    rule = rule_of(dataset, levels, judged_apart=True).rule
+    rule = rule_of(dataset, levels, keep_held_out=True).rule
     card = TrainingCard(scaling_without_operator=scaling_without_operator(with_commands(dataset, frame, levels)))
     return dataset, {} if rule is None else {"auto": RuleSafety(rule, card)}
 

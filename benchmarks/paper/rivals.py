@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cyclekit.learning.networks.beaten import distance_of, fit_thresholds
 from cyclekit.learning.networks.boosting import grow
+from cyclekit.learning.networks.comparison import distance_of, fit_thresholds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

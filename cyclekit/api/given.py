@@ -14,7 +14,7 @@ from cyclekit.estimate.plan.task_orders import TaskJobs, load_task_jobs
 from cyclekit.estimate.safety import SafetyModel
 from cyclekit.estimate.whatif.change import Change, load_changes
 from cyclekit.learning.networks.saved import TrainedModel, load_model
-from cyclekit.learning.rules.safety import answering
+from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.learning.task_times.saved import TaskTimesModel, holds_task_times, load_task_times
 from cyclekit.learning.unseen.saved import holds_unseen, load_unseen
 
@@ -30,7 +30,7 @@ def model_of(given: SafetyModel | Place) -> SafetyModel:
     if isinstance(given, str | Path) and holds_unseen(given):
         return load_unseen(given)
     opened = load_model(given) if isinstance(given, str | Path) else given
-    return answering(opened) if isinstance(opened, TrainedModel) else opened
+    return predictor_of(opened) if isinstance(opened, TrainedModel) else opened
 
 
 def estimator_model(given: SafetyModel | TaskTimesModel | Place) -> SafetyModel | TaskTimesModel:

@@ -10,7 +10,7 @@ from cyclekit.api.given import place_of, trained_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.learning.networks.saved import TrainedModel
-from cyclekit.learning.rules.safety import answering
+from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.replay.layout import Focus
 from cyclekit.replay.recording import ReplayFacts
 from cyclekit.replay.recording import write_replay as record
@@ -46,7 +46,7 @@ def write_replay(
     file = Path(out)
     check_output(file, "replay", [place_of(dataset), place_of(model)], endings=(".rrd",))
     opened = Dataset.of(dataset)
-    trained = None if model is None else answering(trained_of(model))
+    trained = None if model is None else predictor_of(trained_of(model))
     names = [execution] if isinstance(execution, str | int) else execution
     asked = list(map(str, names))
     return record(opened, asked, file, model=trained, at=at, other_cell=other_cell, progress=progress)

@@ -16,7 +16,7 @@ from cyclekit.estimate.whatif.separation import Separation
 from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.learning.rules.ladder import RuleSearch
 from cyclekit.learning.rules.of_dataset import rule_of
-from cyclekit.learning.rules.safety import RuleSafety, answering
+from cyclekit.learning.rules.safety import RuleSafety, predictor_of
 from cyclekit.learning.safety_function.answer import SafetyFunction, read_zones, refuse_without_levels
 from cyclekit.plots.canvas import KINDS, write_figure
 
@@ -85,7 +85,7 @@ def cost_of_safety_function(
     asked, logs = trained_of(model), Dataset.of(dataset)
     refuse_without_levels(asked, logs)
     rule = (found or rule_of(logs, asked.levels, model=asked, seed=seed)).rule
-    safety = answering(replace(asked, card=structs.replace(asked.card, rule=rule)))
+    safety = predictor_of(replace(asked, card=structs.replace(asked.card, rule=rule)))
     if not isinstance(safety, RuleSafety):
         why = "no simple rule explains these logs" if rule is None else f"estimates do not support the {rule.family}"
         cure = "Define the function and its changes (levels with thresholds_m or zones) for cyclekit whatif."

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.cli.terminal import bullet, duration, percent, table
 from cyclekit.dataset.lost_time import CAUSE_NAMES
-from cyclekit.learning.coupling.waits import told
+from cyclekit.learning.coupling.waits import condition_text
 from cyclekit.scaling.response import MIN_RAMPS
 
 if TYPE_CHECKING:
@@ -172,7 +172,14 @@ def coupling_table(found: CouplingCard | None) -> str:
             back += f", needed in {one.needed:.0%}" if one.needed < 1.0 else ""
             back += ", where the other waits too" if one.together else ""
             rows.append(
-                [who, told(one) + back, f"{middle:.1f}", f"{low:.1f} to {high:.1f}", percent(one.held), decided]
+                [
+                    who,
+                    condition_text(one) + back,
+                    f"{middle:.1f}",
+                    f"{low:.1f} to {high:.1f}",
+                    percent(one.held),
+                    decided,
+                ]
             )
     if not rows:
         return f"no waits for each other found in {found.executions} executions"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from cyclekit.dataset.unknown_height import in_plane, inputs_in_plane
-from cyclekit.learning.networks.kinds import names_levels
+from cyclekit.learning.networks.kinds import is_classifier
 from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
@@ -264,7 +264,7 @@ class Follower:
         # isinstance checks per step would take as long as the network for a few rows
         self._rule = model if isinstance(model, RuleSafety) else None
         self._defined = model if isinstance(model, HasThresholds) else None
-        self._classifier = model if isinstance(model, Classifier) and names_levels(model.network) else None
+        self._classifier = model if isinstance(model, Classifier) and is_classifier(model.network) else None
         self._delay = round((dynamics.latency_s or 0.0) / step_s)
         self._recent: deque[Vector] = deque(maxlen=1 + round((dynamics.hold_s or 0.0) / step_s))
         self._target = np.empty(0)

@@ -12,7 +12,7 @@ from cyclekit.estimate.conformal import conformal
 from cyclekit.estimate.resample import Z95, least_wide
 from cyclekit.estimate.result import CycleEstimate, PlannedShare, TaskShare
 from cyclekit.estimate.same_work import by_work
-from cyclekit.learning.task_times.roll import RolledPlan, agent_of, roll_plan
+from cyclekit.learning.task_times.roll import SimulatedPlan, agent_of, roll_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -116,7 +116,7 @@ def _drift(model: TaskModelCard) -> list[str]:
     return [pace.said(agent) for agent, pace in model.pace.items()]
 
 
-def _last_robot(model: TaskModelCard, rolled: RolledPlan, sequence: TaskSequence) -> str | None:
+def _last_robot(model: TaskModelCard, rolled: SimulatedPlan, sequence: TaskSequence) -> str | None:
     """Return the name in the plan of the robot that ends last: only one robot's times add up to the cycle."""
     ends = rolled.end_s.mean(axis=0)
     robots = {task.agent: end for task, end in zip(rolled.tasks, ends, strict=True) if _is_robot(model, task, sequence)}
@@ -165,7 +165,7 @@ def _within(single: Vector, takt_s: float, error_s: float) -> tuple[float, float
 
 
 def _shares(
-    model: TaskModelCard, rolled: RolledPlan, sequence: TaskSequence, corrected: float, quantiles: Sequence[float]
+    model: TaskModelCard, rolled: SimulatedPlan, sequence: TaskSequence, corrected: float, quantiles: Sequence[float]
 ) -> tuple[tuple[TaskShare, ...], tuple[PlannedShare, ...]]:
     """Return for each task the split of its time, and its start, its end and what decided its start.
 
@@ -174,7 +174,7 @@ def _shares(
     began = rolled.start_s.min(axis=1)[:, None]
     start, end = (corrected * (at - began).mean(axis=0) for at in (rolled.start_s, rolled.end_s))
     took, wait = end - start, corrected * rolled.wait_s.mean(axis=0)
-    usual = corrected * rolled.usual_s
+    usual = corrected * rolled.mean_s
     shares, planned = [], []
     for number, task in enumerate(rolled.tasks):
         shares.append(
@@ -196,7 +196,7 @@ def _shares(
     return tuple(shares), tuple(planned)
 
 
-def _decided(rolled: RolledPlan, number: int) -> dict[str, float]:
+def _decided(rolled: SimulatedPlan, number: int) -> dict[str, float]:
     """Return the share of the cycles in which each cause decided the start of a task."""
     names = {-2: "planned start", -1: "own task before"}
     which, count = np.unique(rolled.decides[:, number], return_counts=True)

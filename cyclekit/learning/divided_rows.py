@@ -133,7 +133,7 @@ def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -
 
     def rows(frame: pl.DataFrame) -> Samples:
         found = built(frame)
-        on_level = found.where(found.step >= 0) if spec.kind.names_levels else found
+        on_level = found.where(found.step >= 0) if spec.kind.is_classifier else found
         return replace(on_level, dropped=found.dropped)
 
     learn = in_files((rows(frame) for frame in frames(dataset, split.train, min(PART_ROWS, most_rows))), folder)
@@ -169,9 +169,9 @@ def _check_learnable(dataset: Dataset, found: DividedRows, spec: ModelSpec) -> N
     """Refuse a split with too few training rows, because executions may differ in length."""
     learn = found.learn
     seen = (learn.step >= 0) & np.isfinite(learn.X[:, GROUPS["human"]].sum(axis=1))  # needed to learn zones
-    count = int(seen.sum()) if spec.kind.names_levels else len(learn)
+    count = int(seen.sum()) if spec.kind.is_classifier else len(learn)
     if count < samples_in(LEAST_S / 2, dataset.rate_hz):
-        what = "samples on a level with an operator seen" if spec.kind.names_levels else "usable samples"
+        what = "samples on a level with an operator seen" if spec.kind.is_classifier else "usable samples"
         msg = f"{dataset.path}: the training executions have only {count} {what}"
         raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
     for rows, purpose in ((found.check, "for validation"), (found.held_out, "for the test")):

@@ -115,9 +115,9 @@ def commanded_in_time(
     found = []
     for t_s, s in stretches_of:
         at_s = np.concatenate([t_s - sure_s, t_s + sure_s])
-        told = commanded_levels(t_s, s, levels, response, at_s)
-        hidden = or_faster & (told.level < 0) & (told.at_least > 0)
-        early, late = np.split(np.where(hidden, -1 - told.at_least, told.level), 2)
+        commanded = commanded_levels(t_s, s, levels, response, at_s)
+        hidden = or_faster & (commanded.level < 0) & (commanded.at_least > 0)
+        early, late = np.split(np.where(hidden, -1 - commanded.at_least, commanded.level), 2)
         found.append(np.where(early == late, early, UNKNOWN))
     return np.concatenate(found).astype(np.int64)
 

@@ -21,13 +21,13 @@ from cyclekit.extras import need
 from cyclekit.learning.coupling.learn import learn_coupling
 from cyclekit.learning.divided_rows import DividedRows, divided, is_commanded
 from cyclekit.learning.labelling import scaling_in_time, with_commands
-from cyclekit.learning.networks.beaten import staircase_if_better
 from cyclekit.learning.networks.cell import cell_of, fingerprint
+from cyclekit.learning.networks.comparison import staircase_if_better
 from cyclekit.learning.networks.kinds import NETWORKS
 from cyclekit.learning.networks.metrics import measure
 from cyclekit.learning.networks.saved import MODEL_VERSION, TrainedModel, check_model_output, save_model
 from cyclekit.learning.rules.of_dataset import law_of, rule_of
-from cyclekit.learning.rules.safety import answering
+from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.learning.rules.words import verdict
 from cyclekit.learning.signal_inputs import by_signals, mixed
 from cyclekit.learning.unseen.fit import learn_unseen
@@ -98,8 +98,8 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
         model = TrainedModel(*made, history=spec.history or (1, 1), past=spec.features == "past")
         signals = by_signals(dataset)
         better = None if signals else staircase_if_better(model, fitted.spec, found.learn, found.held_out)
-        beaten = [note("model-beaten", text=better.said(dataset.place, "MODEL"))] if better else []
-        card = _card(dataset, found, fitted, measure(model, found.held_out), beaten)
+        rival_notes = [note("model-beaten", text=better.said(dataset.place, "MODEL"))] if better else []
+        card = _card(dataset, found, fitted, measure(model, found.held_out), rival_notes)
         card = structs.replace(card, coupling=learn_coupling(dataset))
     model = replace(model, card=card)
     return with_rule(model, dataset, seed=spec.seed) if rules and len(model.levels) > 1 else model
@@ -116,8 +116,11 @@ def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> Traine
     if model.problem != "now":
         msg = f"a rule gives the present scaling, and the model is for problem {model.problem!r}"
         raise ModelError(msg, cure="Give a model of --problem now.")
-    found = rule_of(dataset, model.levels, model=model, judged_apart=True, signals=False, seed=seed)
-    if found.rule is not None and answering(replace(model, card=structs.replace(model.card, rule=found.rule))) is model:
+    found = rule_of(dataset, model.levels, model=model, keep_held_out=True, signals=False, seed=seed)
+    if (
+        found.rule is not None
+        and predictor_of(replace(model, card=structs.replace(model.card, rule=found.rule))) is model
+    ):
         found = replace(found, rule=None)
     said = () if found.rule is not None else (note("model-data", text=f"{verdict(found)}; the network answers"),)
     warned = model.card.warnings
@@ -139,7 +142,7 @@ def _fit(spec: ModelSpec) -> Callable[..., Fitted]:
 
 
 def _card(
-    dataset: Dataset, found: DividedRows, fitted: Fitted, metrics: MetricsCard, beaten: list[Note]
+    dataset: Dataset, found: DividedRows, fitted: Fitted, metrics: MetricsCard, rival_notes: list[Note]
 ) -> TrainingCard:
     shares = zip(found.levels, found.staircase.share, strict=True)
     spec = fitted.spec
@@ -151,7 +154,7 @@ def _card(
         *(note("model-data", text=text) for text in height_notes(found.seen)),
         *found.staircase.warnings,
         *_other_opinion(dataset, found.seen, found.staircase),
-        *beaten,
+        *rival_notes,
     ]
     return TrainingCard(
         cyclekit=version("cyclekit"),

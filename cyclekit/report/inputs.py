@@ -10,7 +10,7 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import DatasetError
 from cyclekit.estimate.what_to_log import what_to_log
 from cyclekit.learning.networks.saved import TrainedModel
-from cyclekit.learning.rules.safety import answering
+from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.report import findings
 from cyclekit.report.floor import floor_plan
 from cyclekit.report.verdict import verdict
@@ -78,7 +78,7 @@ class PageInputs:
     @cached_property
     def answers(self) -> Predicts | None:
         """The rule of the model if it has one, else its network."""
-        return answering(self.model) if isinstance(self.model, TrainedModel) else self.model
+        return predictor_of(self.model) if isinstance(self.model, TrainedModel) else self.model
 
     @cached_property
     def response(self) -> LoggedResponse | None:

@@ -24,7 +24,7 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.evaluation.evaluate import evaluate
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.rules.of_dataset import rule_of
-from cyclekit.learning.rules.safety import RuleSafety, answering
+from cyclekit.learning.rules.safety import RuleSafety, predictor_of
 from cyclekit.learning.rules.words import place_of
 from cyclekit.learning.training import train
 from cyclekit_sim import SimulationOptions, simulate
@@ -238,7 +238,7 @@ def test_time_lost_to_a_field_is_lost_to_people(fields: SimulatedCell) -> None:
 @pytest.mark.slow
 def test_a_model_is_trained_and_judged_without_a_tracker(fields: SimulatedCell) -> None:
     model = train(fields.dataset, ModelSpec.of("now", "classifier", epochs=3), rules=True)
-    safety = answering(model)
+    safety = predictor_of(model)
     assert isinstance(safety, RuleSafety)
     at_m = np.array([[0.0, 0.5, 0.1], [0.0, -0.5, 0.1], [0.0, 0.5, 0.1]])
     both = (1 << len(model.card.operator_signals)) - 1

@@ -16,7 +16,7 @@ from msgspec import structs
 from cyclekit.cli import run
 from cyclekit.errors import DatasetError
 from cyclekit.learning.evaluation.evaluate import evaluate
-from cyclekit.learning.networks.beaten import better_rival, fit_thresholds
+from cyclekit.learning.networks.comparison import better_rival, fit_thresholds
 from cyclekit.learning.networks.saved import load_model, save_model
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.training import train

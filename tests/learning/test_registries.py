@@ -50,7 +50,7 @@ def test_a_network_of_one_line_is_trained_saved_read_and_judged(
     words = ["train", str(cell.path), "--out", str(out), "--network", "toy"]
     assert run(words) != 0
     assert "unknown network 'toy'" in capsys.readouterr().err
-    monkeypatch.setitem(NETWORKS, "toy", Network("toy", ("now",), (8, 8), _toy, names_levels=True))
+    monkeypatch.setitem(NETWORKS, "toy", Network("toy", ("now",), (8, 8), _toy, is_classifier=True))
     assert run(["train", str(cell.path), "--out", str(out), "--network", "toys"]) != 0
     assert "the nearest is 'toy'" in capsys.readouterr().err
     save_model(out, train(cell, ModelSpec.of("now", "toy", epochs=2)))

@@ -27,7 +27,7 @@ from cyclekit.estimate.safety import (
 )
 from cyclekit.estimate.transit import cells_of
 from cyclekit.estimate.whatif.signals import SAME_LEVEL, with_other_signals
-from cyclekit.learning.networks.kinds import names_levels
+from cyclekit.learning.networks.kinds import is_classifier
 from cyclekit.learning.rules.quantities import RulePlace, quantities, shifted
 from cyclekit.learning.rules.safety import RuleSafety
 
@@ -119,7 +119,7 @@ class LearnedSafety:
 
     def _level(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
         """Return the most probable level of a classifier (uncertain within the hysteresis); else the scaling."""
-        if isinstance(self.model, Classifier) and names_levels(self.model.network):
+        if isinstance(self.model, Classifier) and is_classifier(self.model.network):
             return likeliest_of(self.model, robot_m, human_m)[0]
         return scaling_of(self.model, robot_m, human_m)
 

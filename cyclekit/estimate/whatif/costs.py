@@ -195,9 +195,9 @@ def _moved(safety: RuleSafety, dynamics: Dynamics) -> Iterator[_Moved]:
     yield from _hysteresis(safety, dynamics)
     late_s = dynamics.latency_s or 0.0
     first = max(0.0, late_s - FINE_STEP_S)  # the latency in a rollout is a whole number of steps
-    less_late, later = (replace(dynamics, latency_s=first + by) for by in (0.0, 2 * FINE_STEP_S))
+    with_partial_latency, later = (replace(dynamics, latency_s=first + by) for by in (0.0, 2 * FINE_STEP_S))
     cost = _unknown("reaction time", None, "", late_s, "s", 0.01)
-    yield _Moved(cost, (safety, less_late), (safety, later), 2 * FINE_STEP_S)
+    yield _Moved(cost, (safety, with_partial_latency), (safety, later), 2 * FINE_STEP_S)
     for name, key in RAMPS.items():
         if rate := getattr(dynamics, key):
             by = max(BY_RATE, BY_RATE * rate)

@@ -1,7 +1,7 @@
 """Learns the wait conditions of robot and operator from their visits to places and from signals.
 
-`visits` has when each agent came and went, and the signals; `passages` has the departures, gate by gate; `conditions`
+`visits` has when each agent came and went, and the signals; `departures` has the departures, gate by gate; `conditions`
 finds what they wait for; `lags` tells own work from waiting in max(own work, event + lag); `sources` and
-`unseen_parts` learn how parts come, `answers` how somebody unseen answers the robot, `together` which passages both
+`unseen_parts` learn how parts come, `answers` how somebody unseen answers the robot, `together` which departures both
 wait in; `learn` makes the card.
 """

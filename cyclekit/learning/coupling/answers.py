@@ -12,8 +12,8 @@ import numpy as np
 
 from cyclekit.dataset.cards.coupling import ConditionCard, SourceCard
 from cyclekit.learning.coupling.conditions import KEPT, decided_by, early_s, find_answer, times_of
+from cyclekit.learning.coupling.departures import Departures, Gate
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
-from cyclekit.learning.coupling.passages import Gate, Passages
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,7 +41,7 @@ def find_answers(courses: Sequence[ExecutionVisits], event: Event, place: str) -
         return None
     step, every = -(-len(changes.left_s) // KEPT), changes.since_s[changes.gate, condition]
     since = np.array([changes.left_s - changes.own_s, every])[:, ::step]
-    decided, first, known = decided_by(since), changes.nth[::step] == 0, np.isfinite(since)
+    decided, first, known = decided_by(since), changes.occurrence[::step] == 0, np.isfinite(since)
     mass = reverse_kaplan_meier(np.where(known[1], since[1], 0.0), (decided == 1).astype(np.float64), known[1])
     gap_s, first_s = (_own_s(since[0, some], decided[some] == 0) for some in (~first, first))
     there = ~np.isnan(every)
@@ -93,18 +93,18 @@ def _own_s(since_s: Vector, decided: Bools) -> tuple[float, ...]:
     return quantiles(since_s, mass)
 
 
-def _changes(courses: Sequence[ExecutionVisits], event: Event) -> Passages | None:
-    """Return the changes of a signal as passages of whoever gives it."""
+def _changes(courses: Sequence[ExecutionVisits], event: Event) -> Departures | None:
+    """Return the changes of a signal as departures of whoever gives it."""
     rows = [
-        (index, nth, before, at)
+        (index, occurrence, before, at)
         for index, course in enumerate(courses)
-        for nth, (before, at) in enumerate(_pairs(course, event))
+        for occurrence, (before, at) in enumerate(_pairs(course, event))
     ]
     if len(rows) < LEAST:
         return None
-    course, nth = np.array([row[:2] for row in rows], np.int64).T
+    course, occurrence = np.array([row[:2] for row in rows], np.int64).T
     own_s, left_s = np.array([row[2:] for row in rows]).T
-    return Passages(Gate("operator", "leave", event.place), np.arange(len(rows)), course, nth, own_s, left_s)
+    return Departures(Gate("operator", "leave", event.place), np.arange(len(rows)), course, occurrence, own_s, left_s)
 
 
 def _pairs(course: ExecutionVisits, event: Event) -> list[tuple[float, float]]:

@@ -13,8 +13,8 @@ import numpy as np
 
 from cyclekit.dataset.cards.coupling import Turns
 from cyclekit.errors import UnknownName
-from cyclekit.learning.coupling.lags import take_apart
-from cyclekit.learning.coupling.passages import SEEN, Condition, Passages, passages_of
+from cyclekit.learning.coupling.departures import SEEN, Condition, Departures, departures_of
+from cyclekit.learning.coupling.lags import deciding_causes
 from cyclekit.learning.coupling.visits import Event
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ LEAST_DECIDED = 5
 """Minimum number of departures that a condition must decide."""
 GAIN, GAIN_PER_DEPARTURE = 8.0, 0.05
 """Minimum gain in log-likelihood: the first value, plus the second per departure."""
-AS_GOOD, AS_GOOD_PART = 3.0, 0.1
+GAIN_TOLERANCE, GAIN_TOLERANCE_SHARE = 3.0, 0.1
 """Maximum difference in gain, absolute and relative, at which two conditions count as equally good; then the one whose
 event is nearest to the departures is chosen."""
 SAME = 0.7
@@ -48,7 +48,7 @@ the event is a consequence of own work."""
 PULSE_S = 1.0
 """Penalty, s, on the end of a button's pulse, so that the press is chosen as the event."""
 PAIRED = 0.9
-"""Minimum share of executions with exactly two passages per event, or two events per passage."""
+"""Minimum share of executions with exactly two departures per event, or two events per departure."""
 SHUFFLES = 6
 """Number of random orders of the events."""
 MOST = 2
@@ -60,28 +60,28 @@ Times = dict[Event, "Floats"]
 
 
 def find_conditions(
-    courses: Sequence[ExecutionVisits], agent: Agent, told: Sequence[Wait] = (), barred: Collection[Event] = ()
-) -> list[Passages]:
-    """Return the passages of an agent's gates with the conditions that were found or given.
+    courses: Sequence[ExecutionVisits], agent: Agent, given: Sequence[Wait] = (), barred: Collection[Event] = ()
+) -> list[Departures]:
+    """Return the departures of an agent's gates with the conditions that were found or given.
 
     Args:
         courses: The executions.
         agent: The agent that waits.
-        told: Waits given in the cell file.
+        given: Waits given in the cell file.
         barred: Events to exclude.
 
     Raises:
         UnknownName: The cell file names a place or event that the logs do not contain.
     """
-    gates, times = passages_of(courses, agent), times_of(courses)
-    told = [wait for wait in told if wait.agent == agent]
-    for wait in told:
+    gates, times = departures_of(courses, agent), times_of(courses)
+    given = [wait for wait in given if wait.agent == agent]
+    for wait in given:
         chosen = gate_of(gates, wait)
         if not wait.never:
-            condition = _told(times, chosen, wait)
+            condition = _given_condition(times, chosen, wait)
             _attach(gates, chosen, condition, since_event(times, chosen, condition))
     allowed = [
-        [one for one in _candidates(times, gate, agent) if one.event not in barred and not _forbidden(told, gate, one)]
+        [one for one in _candidates(times, gate, agent) if one.event not in barred and not _forbidden(given, gate, one)]
         for gate in gates
     ]
     open_to = [_best(times, gate, some) for gate, some in zip(gates, allowed, strict=True)]
@@ -94,11 +94,11 @@ def find_conditions(
     return gates
 
 
-def find_answer(gate: Passages, times: Times) -> Condition | None:
+def find_answer(gate: Departures, times: Times) -> Condition | None:
     """Return after which event of the robot the changes of a signal come, if any; `gate` then knows it.
 
     Args:
-        gate: The changes as passages of whoever gives the signal, each ready since the one before it.
+        gate: The changes as departures of whoever gives the signal, each ready since the one before it.
         times: Of all events.
     """
     robots = {event: at for event, at in times.items() if event.agent == "robot"}
@@ -112,26 +112,26 @@ def find_answer(gate: Passages, times: Times) -> Condition | None:
     return found[0]
 
 
-def _candidates(times: Times, gate: Passages, agent: Agent) -> list[Condition]:
+def _candidates(times: Times, gate: Departures, agent: Agent) -> list[Condition]:
     """Return the possible conditions of a gate; if one side is twice as frequent, also those of every second one."""
     found = []
-    passages = np.zeros(len(next(iter(times.values()), ())), np.int64)
-    np.maximum.at(passages, gate.course, gate.nth + 1)
+    departures = np.zeros(len(next(iter(times.values()), ())), np.int64)
+    np.maximum.at(departures, gate.course, gate.occurrence + 1)
     for event, at in times.items():
         if event.agent == agent:
             continue
-        some, events = passages > 0, np.isfinite(at).sum(axis=1)
+        some, events = departures > 0, np.isfinite(at).sum(axis=1)
         pairs = [Turns()]
-        if np.mean(passages[some] == 2 * events[some]) >= PAIRED:
+        if np.mean(departures[some] == 2 * events[some]) >= PAIRED:
             pairs += [Turns(every=2, first=first) for first in (0, 1)]
-        elif np.mean(events[some] == 2 * passages[some]) >= PAIRED:
+        elif np.mean(events[some] == 2 * departures[some]) >= PAIRED:
             pairs += [Turns(event_every=2, event_first=first) for first in (0, 1)]
         found += [Condition(event, back, turns) for turns in pairs for back in (0, 1)]
     return found
 
 
-def _attach(gates: Sequence[Passages], to: Passages, condition: Condition, since: Vector) -> list[int]:
-    """Add a condition to all gates that share passages with its gate; return the numbers of these gates."""
+def _attach(gates: Sequence[Departures], to: Departures, condition: Condition, since: Vector) -> list[int]:
+    """Add a condition to all gates that share departures with its gate; return the numbers of these gates."""
     by_row = dict(zip(to.rows.tolist(), since.tolist(), strict=True))
     concerned = []
     for number, gate in enumerate(gates):
@@ -142,7 +142,7 @@ def _attach(gates: Sequence[Passages], to: Passages, condition: Condition, since
     return concerned
 
 
-def gate_of(gates: Sequence[Passages], wait: Wait) -> Passages:
+def gate_of(gates: Sequence[Departures], wait: Wait) -> Departures:
     """Return the gate that the cell file names; if a place has two approach gates, the one short of it.
 
     Raises:
@@ -156,11 +156,11 @@ def gate_of(gates: Sequence[Passages], wait: Wait) -> Passages:
     return max(found, key=lambda gate: gate.gate.short)
 
 
-def _told(times: Times, gate: Passages, wait: Wait) -> Condition:
+def _given_condition(times: Times, gate: Departures, wait: Wait) -> Condition:
     """Return the condition given in the cell file; `back` is that of the highest log-likelihood if not given."""
     found = [event for event in times if _means(wait, event)]
     if not found:
-        known = sorted({told_event(event) for event in times if event.agent != wait.agent})
+        known = sorted({event_text(event) for event in times if event.agent != wait.agent})
         raise UnknownName(f"cell.toml [[waits]] of the {wait.agent}", "event", str(wait.until), known)
     numbers = (0, 1) if wait.back is None else (wait.back,)
     conditions = [Condition(found[0], back) for back in numbers]
@@ -174,7 +174,7 @@ def _told(times: Times, gate: Passages, wait: Wait) -> Condition:
     return max(conditions, key=likelihood) if len(conditions) > 1 else conditions[0]
 
 
-def told_event(event: Event) -> str:
+def event_text(event: Event) -> str:
     """Return an event as written in the cell file."""
     if event.signal is not None:
         return event.signal
@@ -182,20 +182,20 @@ def told_event(event: Event) -> str:
 
 
 def _means(wait: Wait, event: Event) -> bool:
-    return wait.until is None or wait.until == told_event(event)
+    return wait.until is None or wait.until == event_text(event)
 
 
-def _forbidden(told: Sequence[Wait], gate: Passages, condition: Condition) -> bool:
+def _forbidden(given: Sequence[Wait], gate: Departures, condition: Condition) -> bool:
     def concerns(wait: Wait) -> bool:
         return wait.never and wait.place(gate.gate.at) == gate.gate.place and _means(wait, condition.event)
 
-    return any(concerns(wait) for wait in told)
+    return any(concerns(wait) for wait in given)
 
 
 _Found = tuple[Condition, "Vector", float]
 
 
-def _natural(gates: Sequence[Passages], open_to: Sequence[_Found | None], number: int) -> int:
+def _natural(gates: Sequence[Departures], open_to: Sequence[_Found | None], number: int) -> int:
     """Return the gate to which a condition is assigned, among gates with the same departures that it also explains.
 
     A wait until someone leaves belongs to an approach gate; a wait for an arrival or a signal belongs to a leave gate.
@@ -211,7 +211,7 @@ def _natural(gates: Sequence[Passages], open_to: Sequence[_Found | None], number
     return number
 
 
-def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Found | None:
+def _best(times: Times, gate: Departures, candidates: Sequence[Condition]) -> _Found | None:
     """Return the best condition that passes all tests, the time from its event to each departure in s, and its gain."""
     if len(gate.left_s) < LEAST_DECIDED:
         return None
@@ -220,14 +220,14 @@ def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Fou
     free = [one for one in candidates if one.event[:2] not in taken]
     least = least_gain(min(len(gate.left_s), SEEN)) + np.log(max(len(candidates), 1))
     always = _best_of(times, gate, free, before, least)
-    rival = 0.0 if always is None else (1.0 + AS_GOOD_PART) * always[2] / gate.step  # prefer one that all need
+    rival = 0.0 if always is None else (1.0 + GAIN_TOLERANCE_SHARE) * always[2] / gate.step  # prefer one that all need
     partly = [one._replace(partly=True) for one in free]
     return _best_of(times, gate, partly, before, max(rival, LEAST_PART * least)) or always
 
 
 def _best_of(
     times: Times,
-    gate: Passages,
+    gate: Departures,
     candidates: Sequence[Condition],
     before: float,
     least: float,
@@ -256,7 +256,7 @@ def _best_of(
     good = [each for each in tried if each[2] >= least]
     if not good or good[0][2] - _by_chance(gate, times, good[0][0]) + before < least:
         return None
-    as_good = [each for each in good if each[2] >= good[0][2] - max(AS_GOOD, AS_GOOD_PART * good[0][2])]
+    as_good = [each for each in good if each[2] >= good[0][2] - max(GAIN_TOLERANCE, GAIN_TOLERANCE_SHARE * good[0][2])]
     found = min(as_good, key=lambda each: _before(*each[:2]))
     return found[0], found[1], found[2] * gate.step
 
@@ -276,7 +276,7 @@ def _follows(causes: Causes, since: Vector) -> bool:
     return bool(np.mean(own <= by_event.max() + EARLY_S) > FOLLOWS)
 
 
-def _ahead(gate: Passages, condition: Condition, causes: Causes, since: Vector) -> bool:
+def _ahead(gate: Departures, condition: Condition, causes: Causes, since: Vector) -> bool:
     """Tell whether an agent goes before most of the events that it would react to: nobody does.
 
     A signal changes after the robot has gone because it has gone: its part is missing.
@@ -294,10 +294,10 @@ def _before(condition: Condition, since: Vector) -> float:
     return abs(float(np.quantile(known, 0.1))) + (PULSE_S if "cleared" in str(condition.event) else 0.0)
 
 
-def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
-    """Return the time from a condition's event to each passage, shape (N,), s; NaN if the passage needs none."""
+def since_event(times: Times, gate: Departures, condition: Condition) -> Vector:
+    """Return the time from a condition's event to each departure, shape (N,), s; NaN if the departure needs none."""
     at, turns = times[condition.event], condition.turns
-    turn, rest = np.divmod(gate.nth, turns.every)
+    turn, rest = np.divmod(gate.occurrence, turns.every)
     number = (turn - condition.back) * turns.event_every + turns.event_first
     there = (rest == turns.first) & (turn >= condition.back) & (number < at.shape[1])
     return np.asarray(np.where(there, gate.left_s - at[gate.course, np.where(there, number, 0)], np.nan))
@@ -314,8 +314,8 @@ def times_of(courses: Sequence[ExecutionVisits]) -> Times:
     return found
 
 
-def _holds(gate: Passages, condition: Condition, since: Vector) -> bool:
-    """Return whether enough passages come after their events, and enough events come late enough to have decided."""
+def _holds(gate: Departures, condition: Condition, since: Vector) -> bool:
+    """Return whether enough departures come after their events, and enough events come late enough to have decided."""
     known = np.isfinite(since)
     if np.count_nonzero(known) < LEAST_DECIDED:
         return False
@@ -327,7 +327,7 @@ def _holds(gate: Passages, condition: Condition, since: Vector) -> bool:
 
 
 def _later(condition: Condition, since: Vector) -> Vector:
-    """Return the time from event to passage; if not all passages need it, -inf where the event came later."""
+    """Return the time from event to departure; if not all departures need it, -inf where the event came later."""
     return np.where(since < -early_s(condition), -np.inf, since) if condition.partly else since
 
 
@@ -339,15 +339,15 @@ def early_s(condition: Condition) -> float:
 
 def decided_by(since_s: Floats) -> Ints:
     """Return the cause that decided each departure, shape (N,); 0 = own work, if that improves the fit enough."""
-    causes = take_apart(since_s)
+    causes = deciding_causes(since_s)
     if len(since_s) > 1:
-        waits = take_apart(since_s[1:])
+        waits = deciding_causes(since_s[1:])
         if float((causes.log_likelihood - waits.log_likelihood).sum()) < least_gain(since_s.shape[1]):
             return np.asarray(1 + waits.share.argmax(axis=0))
     return np.asarray(causes.share.argmax(axis=0))
 
 
-def _by_chance(gate: Passages, times: Times, condition: Condition) -> float:
+def _by_chance(gate: Departures, times: Times, condition: Condition) -> float:
     """Return the highest log-likelihood with the same events in random order."""
     rng, since = np.random.default_rng(0), since_event(times, gate, condition)
     known = np.flatnonzero(np.isfinite(since))
@@ -361,7 +361,7 @@ def _by_chance(gate: Passages, times: Times, condition: Condition) -> float:
     return max(found)
 
 
-def in_circles(robot: Sequence[Passages], operator: Sequence[Passages]) -> Iterator[tuple[Agent, Event]]:
+def in_circles(robot: Sequence[Departures], operator: Sequence[Departures]) -> Iterator[tuple[Agent, Event]]:
     """Yield conditions by which both agents wait for each other's next step; of each pair the one with less gain."""
     for mine in robot:
         for his in operator:
@@ -372,8 +372,8 @@ def in_circles(robot: Sequence[Passages], operator: Sequence[Passages]) -> Itera
                         yield ("robot", a.event) if drop_mine else ("operator", b.event)
 
 
-def _meets(mine: Passages, a: Condition, his: Passages, b: Condition) -> bool:
-    """Return whether most of `his` passages wait for one of `mine` that waits for an event of the same passage."""
+def _meets(mine: Departures, a: Condition, his: Departures, b: Condition) -> bool:
+    """Return whether most of `his` departures wait for one of `mine` that waits for an event of the same departure."""
     needed = his.left_s - his.since_s[his.gate, b]
     at = {key: row for row, key in enumerate(zip(mine.course.tolist(), mine.left_s.round(6).tolist(), strict=True))}
     rows = [at.get(key, -1) for key in zip(his.course.tolist(), needed.round(6).tolist(), strict=True)]
@@ -383,7 +383,7 @@ def _meets(mine: Passages, a: Condition, his: Passages, b: Condition) -> bool:
     return bool(within.sum() > 0.5 * np.isfinite(needed).sum() > 0)
 
 
-def _gain(gate: Passages, condition: Condition) -> float:
-    """Return the gain in log-likelihood of a gate's passages from one condition."""
+def _gain(gate: Departures, condition: Condition) -> float:
+    """Return the gain in log-likelihood of a gate's departures from one condition."""
     without = replace(gate, since_s={key: at for key, at in gate.since_s.items() if key != (gate.gate, condition)})
     return float((gate.causes().log_likelihood - without.causes().log_likelihood).sum()) * gate.step

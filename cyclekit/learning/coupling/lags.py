@@ -45,7 +45,7 @@ class Causes:
     log_likelihood: Vector
 
 
-def take_apart(since_s: Floats) -> Causes:
+def deciding_causes(since_s: Floats) -> Causes:
     """Return which of C causes decided each of N departures.
 
     Args:

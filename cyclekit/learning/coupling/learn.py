@@ -21,8 +21,8 @@ from cyclekit.learning.coupling.conditions import (
     since_event,
     times_of,
 )
+from cyclekit.learning.coupling.departures import Condition, Departures, Gate
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
-from cyclekit.learning.coupling.passages import Condition, Gate, Passages
 from cyclekit.learning.coupling.sources import find_sources
 from cyclekit.learning.coupling.together import NeededTogether, needed_together
 from cyclekit.learning.coupling.unseen_parts import find_unseen_parts, with_parts
@@ -61,21 +61,21 @@ def learn_coupling(dataset: Dataset) -> CouplingCard | None:
 
 
 def learn_executions(
-    courses: Sequence[ExecutionVisits], tasks: pl.DataFrame, told: Sequence[Wait] = ()
+    courses: Sequence[ExecutionVisits], tasks: pl.DataFrame, given: Sequence[Wait] = ()
 ) -> CouplingCard | None:
     """Return who waits for whom in some executions; None in too few, or of the robot alone where it does not wait.
 
     Args:
         courses: The executions.
         tasks: Tasks of the robot, table TASKS.
-        told: Waits given in the cell file.
+        given: Waits given in the cell file.
 
     Raises:
         UnknownName: The cell file names a place or event that the logs do not contain.
     """
     if len(courses) < LEAST_EXECUTIONS:
         return None
-    found = learn_courses(courses[:: -(-len(courses) // MOST_EXECUTIONS)], told)
+    found = learn_courses(courses[:: -(-len(courses) // MOST_EXECUTIONS)], given)
     if not found.coupled and not any(course.visits["operator"] for course in courses):
         return None
     phases = _phases(tasks)
@@ -83,27 +83,27 @@ def learn_executions(
     return replace(found, gates=tuple(gates))
 
 
-def learn_courses(courses: Sequence[ExecutionVisits], told: Sequence[Wait] = ()) -> CouplingCard:
+def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()) -> CouplingCard:
     """Return the wait conditions learned from executions, without the `phase` of the robot's approach gates."""
-    passages = {agent: find_conditions(courses, agent, told) for agent in AGENTS}
-    unseen = _unseen(courses, passages["robot"], told)
+    departures = {agent: find_conditions(courses, agent, given) for agent in AGENTS}
+    unseen = _unseen(courses, departures["robot"], given)
     if unseen:
         courses = with_parts(courses, unseen)
-        passages["robot"] = find_conditions(courses, "robot", told)
+        departures["robot"] = find_conditions(courses, "robot", given)
     barred: dict[Agent, set[Event]] = {agent: set() for agent in AGENTS}
-    while (tools := _tools(courses, passages["robot"]) - barred["robot"]) and not told:
+    while (tools := _tools(courses, departures["robot"]) - barred["robot"]) and not given:
         barred["robot"] |= tools
-        passages["robot"] = find_conditions(courses, "robot", told, barred["robot"])
-    while circle := next(in_circles(passages["robot"], passages["operator"]), None):
+        departures["robot"] = find_conditions(courses, "robot", given, barred["robot"])
+    while circle := next(in_circles(departures["robot"], departures["operator"]), None):
         agent, event = circle
         if event in barred[agent]:  # given in the cell file
             break
         barred[agent].add(event)
-        passages[agent] = find_conditions(courses, agent, told, barred[agent])
-    found, together = [], needed_together(*passages.values())
-    for mine in passages.values():
+        departures[agent] = find_conditions(courses, agent, given, barred[agent])
+    found, together = [], needed_together(*departures.values())
+    for mine in departures.values():
         usual_s = _usual_work_s(mine)
-        found += [_gate(courses, gate, told, usual_s, together) for gate in mine]
+        found += [_gate(courses, gate, given, usual_s, together) for gate in mine]
     gates = tuple(gate for gate in found if gate is not None)
     held = {one.place for gate in gates for one in gate.conditions}
     sources = (*find_sources(courses, gates), *(source for source in unseen if source.signal in held))
@@ -111,17 +111,17 @@ def learn_courses(courses: Sequence[ExecutionVisits], told: Sequence[Wait] = ())
 
 
 def _unseen(
-    courses: Sequence[ExecutionVisits], gates: Sequence[Passages], told: Sequence[Wait]
+    courses: Sequence[ExecutionVisits], gates: Sequence[Departures], given: Sequence[Wait]
 ) -> tuple[SourceCard, ...]:
     """Return sources of parts that no signal reports, at places where the robot waits for no signal."""
     leaving = {each.gate.place: each for each in gates if each.gate.at == "leave"}
     by_signal = {place for place, each in leaving.items() if any(one.event.agent == "signal" for one in each.found)}
-    by_file = {wait.leaving for wait in told if wait.agent == "robot"}
+    by_file = {wait.leaving for wait in given if wait.agent == "robot"}
     found = (find_unseen_parts(courses, place) for place in leaving if place not in by_signal | by_file)
     return tuple(source for source in found if source is not None)
 
 
-def _tools(courses: Sequence[ExecutionVisits], gates: Sequence[Passages]) -> set[Event]:
+def _tools(courses: Sequence[ExecutionVisits], gates: Sequence[Departures]) -> set[Event]:
     """Return signals of the robot's own tools that it was said to wait for, in logs without operators."""
     if any(course.visits["operator"] for course in courses):
         return set()
@@ -129,7 +129,7 @@ def _tools(courses: Sequence[ExecutionVisits], gates: Sequence[Passages]) -> set
     return {event for event, gate in pairs if gate.at == "leave" and is_own_tool(courses, event, gate.place)}
 
 
-def _usual_work_s(gates: Sequence[Passages]) -> float:
+def _usual_work_s(gates: Sequence[Departures]) -> float:
     """Return the median work time at places where an agent never waits, s; inf if there are none."""
     never = [gate for gate in gates if gate.gate.at == "leave" and not gate.since_s]
     return float(np.median([np.median(gate.left_s - gate.own_s) for gate in never])) if never else float("inf")
@@ -137,8 +137,8 @@ def _usual_work_s(gates: Sequence[Passages]) -> float:
 
 def _gate(
     courses: Sequence[ExecutionVisits],
-    found: Passages,
-    told: Sequence[Wait],
+    found: Departures,
+    given: Sequence[Wait],
     usual_s: float,
     together: Mapping[tuple[Gate, Condition], NeededTogether],
 ) -> GateCard | None:
@@ -146,7 +146,7 @@ def _gate(
     gate = found.gate
     if gate.at == "approach" and not found.found:
         return None
-    by_file = any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in told)
+    by_file = any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in given)
     own_s, cards = _parts(courses, found, usual_s, together)
     cards = [card for card in cards if by_file or card.decided >= LEAST_DECIDED]  # redundant given the others
     if gate.at == "approach" and not cards:
@@ -164,7 +164,7 @@ def _gate(
 
 def _parts(
     courses: Sequence[ExecutionVisits],
-    found: Passages,
+    found: Departures,
     usual_s: float,
     together: Mapping[tuple[Gate, Condition], NeededTogether],
 ) -> tuple[tuple[float, ...], list[ConditionCard]]:
@@ -211,7 +211,7 @@ def _parts(
     return own_s, cards
 
 
-def _from_leaving(courses: Sequence[ExecutionVisits], found: Passages, condition: Condition) -> Vector:
+def _from_leaving(courses: Sequence[ExecutionVisits], found: Departures, condition: Condition) -> Vector:
     """Return the time since the agent that gives the signal left its place: the time that a plan knows."""
     return since_event(times_of(courses), found, condition._replace(event=condition.event._replace(signal=None)))
 

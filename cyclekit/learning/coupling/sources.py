@@ -8,7 +8,7 @@ import numpy as np
 
 from cyclekit.dataset.cards.coupling import GateCard, SourceCard
 from cyclekit.learning.coupling.answers import find_answers
-from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier, take_apart
+from cyclekit.learning.coupling.lags import deciding_causes, quantiles, reverse_kaplan_meier
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def _source(courses: Sequence[ExecutionVisits], event: Event, place: str) -> Sou
     buffer = max(1, int(np.quantile(waiting, FULL, method="higher")))
     since = np.concatenate([_since(*each, buffer) for each in zip(came, taken, strict=True)], axis=1)
     since = since[:, :: -(-since.shape[1] // MOST_GAPS)]
-    decided = take_apart(since).share.argmax(axis=0) == 0
+    decided = deciding_causes(since).share.argmax(axis=0) == 0
     gaps = reverse_kaplan_meier(since[0], decided * 1.0, np.ones(len(decided), np.bool_))
     return SourceCard(
         signal=event.place,

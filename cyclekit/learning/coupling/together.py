@@ -1,6 +1,6 @@
-"""Finds whether robot and operator wait in the same passages, if neither waits in all of them.
+"""Finds whether robot and operator wait in the same departures, if neither waits in all of them.
 
-Passages with a late event show whether they needed it: the agent left just after the event, or before it.
+Departures with a late event show whether they needed it: the agent left just after the event, or before it.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from cyclekit.learning.coupling.conditions import decided_by
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.learning.coupling.passages import Condition, Gate, Passages
+    from cyclekit.learning.coupling.departures import Condition, Departures, Gate
     from cyclekit.schema import Bools
 
 ALIKE = 0.9
-"""Probability that both agents need their event in the same passage; below 1, as the deciding cause can be unclear."""
+"""Probability that both agents need their event in the same departure; below 1: the deciding cause can be unclear."""
 LEAST_GAIN = 4.0
-"""Minimum gain in log-likelihood: equal to seven matching passages of which half are needed."""
+"""Minimum gain in log-likelihood: equal to seven matching departures of which half are needed."""
 
 
 class NeededTogether(NamedTuple):
-    """Conditions needed in the same passages: their shared number, and the share of passages that need them."""
+    """Conditions needed in the same departures: their shared number, and the share of departures that need them."""
 
     number: int
     needed: float
 
 
 def needed_together(
-    robot: Sequence[Passages], operator: Sequence[Passages]
+    robot: Sequence[Departures], operator: Sequence[Departures]
 ) -> dict[tuple[Gate, Condition], NeededTogether]:
-    """Return the conditions of both agents that are needed in the same passages, as pairs numbered from 1."""
+    """Return the conditions of both agents that are needed in the same departures, as pairs numbered from 1."""
     pairs = [(mine, his, _gain(mine[1], his[1])) for mine, his in product(_partly(robot), _partly(operator))]
     found: dict[tuple[Gate, Condition], NeededTogether] = {}
     for (mine, my_needs), (his, his_needs), gain in sorted(pairs, key=lambda pair: -pair[2]):
@@ -46,11 +46,11 @@ def needed_together(
 
 
 _Needed = dict[tuple[int, int], bool]
-"""Whether a passage needed its event, where known; key: execution and number of the passage."""
+"""Whether a departure needed its event, where known; key: execution and number of the departure."""
 _Whose = tuple["Gate", "Condition"]
 
 
-def _partly(gates: Sequence[Passages]) -> list[tuple[_Whose, _Needed]]:
+def _partly(gates: Sequence[Departures]) -> list[tuple[_Whose, _Needed]]:
     found: list[tuple[_Whose, _Needed]] = []
     for gate in gates:
         if not any(condition.partly for condition in gate.found):
@@ -60,13 +60,15 @@ def _partly(gates: Sequence[Passages]) -> list[tuple[_Whose, _Needed]]:
             if key[0] == gate.gate and key[1].partly:
                 later = np.isneginf(since)
                 seen = np.flatnonzero(later | (decided == row))
-                which = zip(gate.course[seen].tolist(), (gate.nth[seen] // key[1].turns.every).tolist(), strict=True)
+                which = zip(
+                    gate.course[seen].tolist(), (gate.occurrence[seen] // key[1].turns.every).tolist(), strict=True
+                )
                 found.append((key, dict(zip(which, (~later[seen]).tolist(), strict=True))))
     return found
 
 
 def _gain(mine: _Needed, his: _Needed) -> float:
-    """Return the gain in log-likelihood of both conditions if each is needed in the same passages as the other."""
+    """Return the gain in log-likelihood of both conditions if each is needed in the same departures as the other."""
     both = [key for key in mine if key in his]
     a, b = (np.array([needed[key] for key in both], np.bool_) for needed in (mine, his))
     alike = float(np.log(np.where(a == b, ALIKE, 1.0 - ALIKE)).sum())

@@ -32,7 +32,7 @@ LONG_S = 10.0
 """Assumed lead, s, of a part that was present before the robot."""
 BUFFERS = (1, 2, 3, 4, 5)
 """Buffer sizes tried: maximum number of waiting parts."""
-AS_GOOD = 0.5
+GAIN_TOLERANCE = 0.5
 """Tolerance in log-likelihood: the smallest buffer within this of the best is chosen."""
 PARTICLES = 100
 """Number of particles per execution."""
@@ -106,7 +106,7 @@ def find_unseen_parts(courses: Sequence[ExecutionVisits], place: str) -> SourceC
         signal=f"part at {place}",
         gap_s=quantiles(gaps.at, gaps.mass),
         first_s=quantiles(first.at, first.mass),
-        buffer=next(n for n, each in zip(BUFFERS, found, strict=True) if each >= max(found) - AS_GOOD),
+        buffer=next(n for n, each in zip(BUFFERS, found, strict=True) if each >= max(found) - GAIN_TOLERANCE),
         taken_by=place,
         inferred=True,
     )

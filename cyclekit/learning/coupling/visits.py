@@ -100,12 +100,12 @@ def courses_of(
     mine = tasks.filter(pl.col("agent_name").is_null(), pl.col("execution").is_in(list(cards)))
     people = "operator" in mine["agent"]
     sessions = {card.session for card in cards.values()}
-    told = {session: _signals(recordings, session, read) for session in sessions}
+    by_session = {session: _signals(recordings, session, read) for session in sessions}
     logged = {one.id: bits(one) for one in recordings if one.session in sessions and one.rows.get("robot")}
     answers = _answers(list(logged.values()))
     inputs = {session: _inputs(recordings, session, logged, answers) for session in sessions}
     states = {} if people else {session: _states(recordings, session, logged) for session in sessions}
-    known = {name for some in (*inputs.values(), *told.values()) for name, state in some if state == "set"}
+    known = {name for some in (*inputs.values(), *by_session.values()) for name, state in some if state == "set"}
     found = []
     for (name,), rows in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
         card = cards[str(name)]
@@ -114,7 +114,7 @@ def courses_of(
         if not robot or bool(operator) is not people:
             continue
         end_s = float(np.nanmax([card.end_s, *(s for one in operator for s in (one.arrived_s, one.left_s))]))
-        every = inputs[card.session] | told[card.session]
+        every = inputs[card.session] | by_session[card.session]
         changes = {key: at[(at >= card.start_s) & (at <= end_s)] for key, at in every.items()}
         if not people:
             every = {key: at for key, at in every.items() if key[0] not in fields}
@@ -125,7 +125,7 @@ def courses_of(
         found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events))
     if not people:
         return found
-    doubtful = {key for some in inputs.values() for key in some} - {key for some in told.values() for key in some}
+    doubtful = {key for some in inputs.values() for key in some} - {key for some in by_session.values() for key in some}
     return _with_givers(found, {Event("signal", *key) for key in doubtful})
 
 

@@ -69,40 +69,42 @@ def _waits(course: ExecutionVisits, coupling: CouplingCard) -> Iterator[_Wait]:
             continue
         agent: Agent = gate.agent
         first = -1 if agent == "robot" else 0  # the first visit is the starting place, without a task
-        for index, ready_s, left_s, nth in _passages(course, gate, usual):
-            found = [one for one in gate.conditions if (at := _opened(course, one, nth, left_s)) and at > ready_s]
+        for index, ready_s, left_s, occurrence in _departures(course, gate, usual):
+            found = [
+                one for one in gate.conditions if (at := _opened(course, one, occurrence, left_s)) and at > ready_s
+            ]
             if found and left_s - ready_s > LEAST_S and index + first >= 0:
-                last = max(found, key=lambda one: _opened(course, one, nth, left_s) or -np.inf)
+                last = max(found, key=lambda one: _opened(course, one, occurrence, left_s) or -np.inf)
                 short = (
                     agent == "robot" and np.isfinite(course.visits[agent][index].reached_s) and gate.at == "approach"
                 )
-                yield _Wait(course.name, index + first, agent, left_s - ready_s, told(last), bool(short))
+                yield _Wait(course.name, index + first, agent, left_s - ready_s, condition_text(last), bool(short))
 
 
-def _passages(
+def _departures(
     course: ExecutionVisits, gate: GateCard, usual: dict[tuple[Agent, str], float]
 ) -> Iterator[tuple[int, float, float, int]]:
-    """Yield for each passage of a gate: number of the waiting visit, time ready, time of going on, passage number."""
-    visits, nth = course.visits[gate.agent], 0
+    """Yield for each departure of a gate: number of the waiting visit, time ready, time of going on, its occurrence."""
+    visits, occurrence = course.visits[gate.agent], 0
     for number, visit in enumerate(visits):
         if visit.place != gate.place:
             continue
         before = visits[number - 1] if number else None
         if gate.at == "approach" and np.isfinite(visit.reached_s):
-            yield number, visit.reached_s, visit.went_on_s, nth
+            yield number, visit.reached_s, visit.went_on_s, occurrence
         elif gate.at == "leave" or before is not None:
             which, stands = (number, visit) if gate.at == "leave" or before is None else (number - 1, before)
             own_s = usual.get((gate.agent, stands.place), 0.0)
             if np.isfinite(stands.left_s) and np.isfinite(stands.arrived_s):
-                yield which, stands.arrived_s + own_s, stands.left_s, nth
-        nth += gate.at == "leave" or before is not None
+                yield which, stands.arrived_s + own_s, stands.left_s, occurrence
+        occurrence += gate.at == "leave" or before is not None
 
 
-def _opened(course: ExecutionVisits, condition: ConditionCard, nth: int, left_s: float) -> float | None:
-    """Return when a condition let a passage go on, s; None if the condition did not decide it."""
+def _opened(course: ExecutionVisits, condition: ConditionCard, occurrence: int, left_s: float) -> float | None:
+    """Return when a condition let a departure go on, s; None if the condition did not decide it."""
     event = Event(condition.agent, condition.place, condition.event)
     at = course.events.get(event, np.empty(0))
-    number = condition.turns.event(nth, condition.back)
+    number = condition.turns.event(occurrence, condition.back)
     if number is None or number >= len(at):
         return None
     since = left_s - float(at[number])
@@ -110,7 +112,7 @@ def _opened(course: ExecutionVisits, condition: ConditionCard, nth: int, left_s:
     return left_s - since + float(np.median(condition.lag_s)) if decided else None
 
 
-def told(condition: ConditionCard) -> str:
+def condition_text(condition: ConditionCard) -> str:
     """Return a condition as text: `operator leaves fixture (release set)`, `part set`."""
     if condition.agent == "signal":
         return f"{condition.place} {condition.event}"

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.learning.networks.beaten import STAIRCASE, distance_of, fit_thresholds, staircase_at
 from cyclekit.learning.networks.boosting import TREES, grow
+from cyclekit.learning.networks.comparison import STAIRCASE, distance_of, fit_thresholds, staircase_at
 from cyclekit.learning.windows import GROUPS
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.learning.evaluation.baselines import Rival, boosted, rivals
 from cyclekit.learning.evaluation.drift import Drift, drift
 from cyclekit.learning.labelling import as_learned, without_slider
-from cyclekit.learning.networks.beaten import BOOSTED, LAST_SECOND, Better, better_rival
 from cyclekit.learning.networks.cell import fingerprint, refuse_other_cell
+from cyclekit.learning.networks.comparison import BOOSTED, LAST_SECOND, BetterRival, better_rival
 from cyclekit.learning.networks.kinds import NETWORKS
 from cyclekit.learning.networks.metrics import measure
 from cyclekit.learning.networks.saved import TrainedModel, load_model
@@ -100,7 +100,7 @@ class Evaluation(Result):
     levels: tuple[LevelRow, ...]
     dropped: Mapping[str, int]
     notes: tuple[str, ...] = ()
-    better: Better | None = None
+    better: BetterRival | None = None
     drift: Drift | None = None
 
     @property

@@ -118,8 +118,8 @@ def _other_levels(learned: Sequence[float], here: Sequence[float]) -> str | None
     known = [level for level in here if any(abs(level - other) <= LEVEL for other in learned)]
     if len(known) >= SAME * len(here):
         return None
-    told, seen = (", ".join(f"{level:.2f}" for level in levels) for levels in (learned, here))
-    return f"the speed scaling has the levels {seen}, in training {told}"
+    trained, seen = (", ".join(f"{level:.2f}" for level in levels) for levels in (learned, here))
+    return f"the speed scaling has the levels {seen}, in training {trained}"
 
 
 def _frame(frame: FrameCard) -> tuple[float, ...] | None:

@@ -71,7 +71,7 @@ def fit(
     """
     standard = standardisation(rows.X)
     device = torch.device("cuda" if torch.cuda.is_available() and not rows.in_files else "cpu")
-    names_steps = spec.kind.names_levels
+    names_steps = spec.kind.is_classifier
     if names_steps and not rows.in_files:  # rows in files were filtered before
         rows = rows.where(rows.step >= 0)
     asked, spec = spec, spec.for_rows(len(rows))
@@ -135,7 +135,7 @@ def _run(
     epochs = spec.epochs or min(max(round(_STEPS / batches), _EPOCHS[0]), _EPOCHS[1])
     decay = min(_DECAY_ROWS / len(learn), _MOST_DECAY) if spec.weight_decay is None else spec.weight_decay
     steps = Steps(network, spec, decay, max(batches * epochs, 20))  # a shorter schedule cannot rise and fall
-    balance = _balance(learn, len(levels)) if spec.balance == "classes" and spec.kind.names_levels else None
+    balance = _balance(learn, len(levels)) if spec.balance == "classes" and spec.kind.is_classifier else None
     history: list[EpochCard] = []
     spread = _spread(check)
     best, best_state, since = float("inf"), copy.deepcopy(network.state_dict()), 0
@@ -148,7 +148,7 @@ def _run(
             loss = _loss(network, spec, learn, part, balance)
             steps.take(loss)
             total += loss.detach()
-        mse = _validation_mse(network, check, levels if spec.kind.names_levels else None)
+        mse = _validation_mse(network, check, levels if spec.kind.is_classifier else None)
         history.append(EpochCard(epoch=number, loss=float(total) / batches, validation_mse=mse))
         since += 1
         if mse < best:
@@ -157,7 +157,7 @@ def _run(
             progress(number / epochs, f"epoch {number} of {epochs}, validation MSE {mse:.2e}")
         if spec.patience is not None and since >= spec.patience:
             break
-    if mse > spread and not spec.kind.names_levels and (value := _cut_off(network, check)) is not None:
+    if mse > spread and not spec.kind.is_classifier and (value := _cut_off(network, check)) is not None:
         msg = f"training collapsed: after {number} epochs the output is {value:g} for every input"
         raise CutOff(msg, cure="Choose another --seed, --optimiser adamw or --norm none.")
     if not math.isfinite(best):
@@ -173,7 +173,7 @@ def _loss(
     """Return the weighted mean loss of a batch."""
     x = learn.inputs(part, spec.noise_m)
     out, weight = network(x), learn.weight[part]
-    if spec.kind.names_levels:
+    if spec.kind.is_classifier:
         step = learn.step[part]
         each = nn.functional.cross_entropy(out, step, reduction="none")
         weight = weight if balance is None else weight * balance[step]

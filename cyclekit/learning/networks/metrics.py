@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.cards import MetricsCard
-from cyclekit.learning.networks.kinds import names_levels
+from cyclekit.learning.networks.kinds import is_classifier
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,7 +38,7 @@ def measure(model: TrainedModel, samples: Samples) -> MetricsCard:
         mse_argmax = float(np.mean((np.array(model.levels)[step] - samples.scaling) ** 2))
         if on_level.any():
             accuracy = float(np.mean(step[on_level] == samples.step[on_level]))
-            if names_levels(model.network):
+            if is_classifier(model.network):
                 calibration = reliability(model.probabilities(X)[on_level], samples.step[on_level]).error
     return MetricsCard(
         rows=len(samples),

@@ -13,7 +13,7 @@ import numpy as np
 
 from cyclekit.errors import ModelError
 from cyclekit.extras import need
-from cyclekit.learning.networks.kinds import names_levels
+from cyclekit.learning.networks.kinds import is_classifier
 from cyclekit.learning.networks.trees import Trees
 from cyclekit.storage.atomic import replaced
 
@@ -79,14 +79,14 @@ def _graph(model: TrainedModel) -> Any:  # noqa: ANN401 - onnx has no types
         value = f"linear{i}"
         kind = "Softmax" if i == weights.softmax_after else "Relu" if i < len(layers) - 1 else None
         if kind:
-            out = "probabilities" if kind == "Softmax" and names_levels(model.network) else f"active{i}"
+            out = "probabilities" if kind == "Softmax" and is_classifier(model.network) else f"active{i}"
             if kind == "Softmax":
                 nodes.append(helper.make_node(kind, [value], [out], axis=1))
             else:
                 nodes.append(helper.make_node(kind, [value], [out]))
             value = out
     outputs = [helper.make_tensor_value_info("scaling", TensorProto.FLOAT, [None, 1])]
-    if names_levels(model.network):
+    if is_classifier(model.network):
         levels = np.array(model.levels, np.float32)[:, None]
         constants.append(numpy_helper.from_array(levels, "levels"))
         nodes.append(helper.make_node("MatMul", [value, "levels"], ["mean"]))
@@ -128,7 +128,7 @@ def _difference(data: bytes, model: TrainedModel) -> float | None:
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
     scaling = session.run(["scaling"], {"positions": X})[0][:, 0]
     off = float(np.abs(scaling - model.predict(X)).max())
-    if names_levels(model.network):
+    if is_classifier(model.network):
         found = session.run(["probabilities"], {"positions": X})[0]
         off = max(off, float(np.abs(found - model.probabilities(X)).max()))
     return off

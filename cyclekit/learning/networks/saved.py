@@ -24,7 +24,7 @@ from cyclekit.dataset.cards.task_model import FORMAT as TASK_TIMES
 from cyclekit.dataset.cards.unseen import FORMAT as UNSEEN
 from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import ModelError, ShapeError, command_line
-from cyclekit.learning.networks.kinds import names_levels
+from cyclekit.learning.networks.kinds import is_classifier
 from cyclekit.learning.networks.tensors import NotAModel, check_layout, parse_weights, sizes_of, to_safetensors
 from cyclekit.learning.signal_inputs import as_inputs
 from cyclekit.learning.windows import GROUPS, inputs_of
@@ -114,7 +114,7 @@ class TrainedModel(Result):
             ModelError: The weights are so large that the output is not finite.
         """
         out = self._run(X)
-        values = np.matmul(out, np.array(self.levels)) if names_levels(self.network) else out[:, 0]
+        values = np.matmul(out, np.array(self.levels)) if is_classifier(self.network) else out[:, 0]
         return np.asarray(np.clip(values, 0.0, 1.0), np.float64)
 
     def predict_signals(self, robot_m: NDArray[np.floating[Any]], signals: Ints) -> Floats:
@@ -133,7 +133,7 @@ class TrainedModel(Result):
             ModelError: The network is no classifier.
             ShapeError: As `predict`.
         """
-        if not names_levels(self.network):
+        if not is_classifier(self.network):
             msg = f"a {self.network} gives one value and no probabilities"
             raise ModelError(msg, cure="Train a classifier: cyclekit train DATASET --network classifier --out MODEL")
         return self._run(X).astype(np.float64)
@@ -145,7 +145,7 @@ class TrainedModel(Result):
             ModelError: The model has no levels.
             ShapeError: As `predict`.
         """
-        if names_levels(self.network):
+        if is_classifier(self.network):
             return np.asarray(self._run(X).argmax(axis=1), np.int64)
         if not self.levels:
             msg = "the model has no levels, so it predicts no step"

@@ -216,8 +216,8 @@ class ModelSpec:
 
     def card(self) -> SpecCard:
         """Return the settings for a model's card."""
-        told = {name: value for name, value in asdict(self).items() if value is not None}
-        return SpecCard(**told)
+        values = {name: value for name, value in asdict(self).items() if value is not None}
+        return SpecCard(**values)
 
     def at_rate(self, rate_hz: float) -> ModelSpec:
         """Return this with the default history of its network at a sample rate, if none was given."""

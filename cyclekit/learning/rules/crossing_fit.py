@@ -80,16 +80,16 @@ def by_crossings(
         steps: Index of each level.
     """
     lag = {limit.scaling: limit.until is not None for limit in limits}
-    told: dict[RulePlace, LevelChanges] = {}
+    changes: dict[RulePlace, LevelChanges] = {}
     for place, (down, up) in crossings_of(limits, rows, steps, dated=True).items():
         both = LevelChanges(*(np.concatenate(pair) for pair in zip(down, up, strict=True)))
         mine = _likely((up if place.until else down) if lag[place.level] else both)
         if len(mine.value_m) >= LEAST:
-            told[place] = mine
-    if not told:
+            changes[place] = mine
+    if not changes:
         return limits, frozenset()
-    found = with_one_margin(located(told))
-    return put(limits, found.cards()), frozenset(told)
+    found = with_one_margin(located(changes))
+    return put(limits, found.cards()), frozenset(changes)
 
 
 def _likely(each: LevelChanges) -> LevelChanges:
@@ -100,16 +100,16 @@ def _likely(each: LevelChanges) -> LevelChanges:
     return each.where(off <= FAR_OFF * np.maximum(each.spread_m, 1.4826 * np.median(off)))
 
 
-def located(told: Mapping[RulePlace, LevelChanges]) -> Located:
+def located(changes: Mapping[RulePlace, LevelChanges]) -> Located:
     """Return positions of thresholds and edges from one robust regression on all changes of the level.
 
     Args:
-        told: Changes caused by each of them; at least one.
+        changes: Changes caused by each of them; at least one.
     """
-    value, pace, spread, execution = (np.concatenate(parts) for parts in zip(*told.values(), strict=True))
-    counts = [len(each.value_m) for each in told.values()]
-    of = np.repeat(np.arange(len(told)), counts)
-    inputs = np.column_stack([of[:, None] == np.arange(len(told)), pace]).astype(np.float64)
+    value, pace, spread, execution = (np.concatenate(parts) for parts in zip(*changes.values(), strict=True))
+    counts = [len(each.value_m) for each in changes.values()]
+    of = np.repeat(np.arange(len(changes)), counts)
+    inputs = np.column_stack([of[:, None] == np.arange(len(changes)), pace]).astype(np.float64)
     keep: Bools = np.ones(len(value), np.bool_)
     for _ in range(_ROUNDS):
         weight = np.where(keep, spread**-2.0, 0.0)
@@ -123,8 +123,8 @@ def located(told: Mapping[RulePlace, LevelChanges]) -> Located:
     pull = np.zeros((len(units), inputs.shape[1]))
     np.add.at(pull, number, inputs * (weight * off)[:, None])
     seen = expected @ pull.T @ pull @ expected * len(units) / max(1, len(units) - 1)
-    executions = np.array([len(np.unique(each.execution)) for each in told.values()])
-    return Located(list(told), at_m[:-1], expected[:-1, :-1], seen[:-1, :-1], executions)
+    executions = np.array([len(np.unique(each.execution)) for each in changes.values()])
+    return Located(list(changes), at_m[:-1], expected[:-1, :-1], seen[:-1, :-1], executions)
 
 
 def with_one_margin(found: Located) -> Located:

@@ -18,7 +18,7 @@ from cyclekit.learning.labelling import commanded_in_time, without_slider
 from cyclekit.learning.rules.cuts import best_box, without_idle_edges
 from cyclekit.learning.rules.families.family import Family
 from cyclekit.learning.rules.fitting import fit_limits
-from cyclekit.learning.rules.ladder import NOISY_EXPLAINS, RuleSearch, drawn
+from cyclekit.learning.rules.ladder import NOISY_EXPLAINS, RuleSearch, held_out_sample
 from cyclekit.learning.rules.regions import followed, inside, turned
 from cyclekit.learning.rules.rows import RuleRows
 from cyclekit.learning.rules.safety import values_of_bits
@@ -74,12 +74,12 @@ def find_fields(
     held_out: Ints | None = None,
     network: Ints | None = None,
     latency_s: float = 0.0,
-    judged_apart: bool = False,
+    keep_held_out: bool = False,
     seed: int = 0,
 ) -> RuleSearch:
     """Return the rule on signals that explains the level; arguments as of `ladder.find_rule`."""
     levels = tuple(levels)
-    judged = drawn(rows.execution, seed) if held_out is None else held_out
+    judged = held_out_sample(rows.execution, seed) if held_out is None else held_out
     learn, judge = rows.of(np.setdiff1d(rows.execution, judged)), rows.of(judged)
     if not len(learn) or not len(judge) or len(levels) < 2:
         return RuleSearch(None, rows=len(rows))
@@ -89,7 +89,7 @@ def find_fields(
     seen = (len(rows), len(np.unique(rows.execution)))
     if not limits or explained < max(NOISY_EXPLAINS, (rival or 0.0) - MARGIN):
         return RuleSearch(None, {KIND: explained}, rival, *seen)
-    limits = limits if judged_apart else fit_limits(rows, levels, FIELDS, lag=False)
+    limits = limits if keep_held_out else fit_limits(rows, levels, FIELDS, lag=False)
     card = RuleCard(
         family=KIND,
         levels=levels,

@@ -92,8 +92,8 @@ class _Fit:
     name: str
     lag: bool
     limits: Limits
-    right: NDArray[np.float64]
-    far: float
+    correct: NDArray[np.float64]
+    far_share: float
     far_error: float
 
     @property
@@ -108,7 +108,7 @@ def find_rule(
     held_out: NDArray[np.int64] | None = None,
     network: NDArray[np.int64] | None = None,
     latency_s: float = 0.0,
-    judged_apart: bool = False,
+    keep_held_out: bool = False,
     kinds: Collection[str] = FAMILIES,
     seed: int = 0,
 ) -> RuleSearch:
@@ -120,12 +120,12 @@ def find_rule(
         held_out: Numbers of the executions for the comparison; None: a fifth of them, drawn with `seed`.
         network: Level predicted by a network that has not seen `held_out`, shape (N,); None = no network.
         latency_s: Time by which positions were shifted, s; stored in the rule.
-        judged_apart: Do not fit the chosen rule again with the held-out executions.
+        keep_held_out: Do not fit the chosen rule again with the held-out executions.
         kinds: Names of the kinds of rules to try.
         seed: Seed of random draws.
     """
     levels = tuple(levels)
-    judged = drawn(rows.execution, seed) if held_out is None else held_out
+    judged = held_out_sample(rows.execution, seed) if held_out is None else held_out
     learn, judge = rows.of(np.setdiff1d(rows.execution, judged)), rows.of(judged, known=True)
     if not len(learn) or not len(judge) or len(levels) < 2:
         return RuleSearch(None, rows=len(rows))
@@ -133,15 +133,17 @@ def find_rule(
     rival = None if named is None else _by_execution(named == judge.level, judge)
     fits: list[_Fit] = []
     tried = _tried(_Search(learn, judge, levels, few_of(learn, seed), kinds), fits)
-    clean = (fit for fit in tried if judge.noise_m <= NOISE_M and _part(fit.right, judge) >= EXPLAINS and _is_wide(fit))
+    clean = (
+        fit for fit in tried if judge.noise_m <= NOISE_M and _part(fit.correct, judge) >= EXPLAINS and _is_wide(fit)
+    )
     best = next(clean, None)
     if best is None:
         best = _simplest(fits, judge, learn, levels, rival)
-    noisy = judge.noise_m > NOISE_M or best is None or _part(best.right, judge) < EXPLAINS
-    explained = {fit.said: _part(fit.right, judge) for fit in fits}
+    noisy = judge.noise_m > NOISE_M or best is None or _part(best.correct, judge) < EXPLAINS
+    explained = {fit.said: _part(fit.correct, judge) for fit in fits}
     seen = (len(rows), len(np.unique(rows.execution)))
     part = None if rival is None else _part(rival, judge)
-    rule = None if best is None else _whole(best, learn if judged_apart else rows, levels, noisy=noisy, seed=seed)
+    rule = None if best is None else _whole(best, learn if keep_held_out else rows, levels, noisy=noisy, seed=seed)
     if rule is None or best is None:
         return RuleSearch(None, explained, part, *seen)
     card = RuleCard(
@@ -170,7 +172,7 @@ def _is_wide(fit: _Fit) -> bool:
     return not fit.lag or (bool(apart) and float(np.median(apart)) >= LAG_M)
 
 
-def drawn(executions: NDArray[np.int64], seed: int) -> NDArray[np.int64]:
+def held_out_sample(executions: NDArray[np.int64], seed: int) -> NDArray[np.int64]:
     """Return the numbers of randomly held-out executions, given the execution of each row, shape (N,)."""
     every = np.unique(executions)
     return np.random.default_rng(seed).permutation(every)[: max(1, round(TEST_PART * len(every)))]
@@ -192,16 +194,16 @@ class _Search:
         start = next((fit.limits for fit in fits if fit.name == name), None)
         limits = _evened(fit_limits(*asked, family, lag=lag, weight=self.few, start=start), *asked)
         found = self._judged(name, limits, lag=lag)
-        if _part(found.right, self.judge) < NOISY_EXPLAINS or self.few.all():
+        if _part(found.correct, self.judge) < NOISY_EXPLAINS or self.few.all():
             return found
         return self._judged(name, _evened(refined(limits, *asked, family, lag=lag), *asked), lag=lag)
 
     def _judged(self, name: str, limits: Limits, *, lag: bool) -> _Fit:
         agrees = _agrees(limits, self.levels, self.judge)
         near = _agrees(limits, self.levels, self.judge, max(FAR_M, FAR_NOISE * self.judge.noise_m))
-        far = _by_execution(~near, self.judge)
-        error = float(np.sqrt(len(far)) * far.std(ddof=1)) if len(far) > 1 else 0.0
-        parts = (float(far.sum()) / len(self.judge), error / len(self.judge))
+        far_errors = _by_execution(~near, self.judge)
+        error = float(np.sqrt(len(far_errors)) * far_errors.std(ddof=1)) if len(far_errors) > 1 else 0.0
+        parts = (float(far_errors.sum()) / len(self.judge), error / len(self.judge))
         return _Fit(name, lag, limits, _by_execution(agrees, self.judge), *parts)
 
 
@@ -220,11 +222,11 @@ def _tried(search: _Search, fits: list[_Fit]) -> Iterator[_Fit]:
         yield from _fitted(single, search, fits, lag=lag)
     likely = _likely_distances(fits, judge)
     mixed = [name for name in able if FAMILIES[name].mixed and FAMILIES[name].uses in likely]
-    enough = max((_part(fit.right, judge) for fit in fits if not fit.lag), default=0.0) + GAINS
+    enough = max((_part(fit.correct, judge) for fit in fits if not fit.lag), default=0.0) + GAINS
     for names in (mixed[: len(likely)], mixed[len(likely) :]):
         before = len(fits)
         yield from _fitted(names, search, fits, lag=False)
-        if max((_part(fit.right, judge) for fit in fits[before:]), default=0.0) < enough:
+        if max((_part(fit.correct, judge) for fit in fits[before:]), default=0.0) < enough:
             return
         yield from _fitted(names, search, fits, lag=True)
 
@@ -245,8 +247,8 @@ def _evened(limits: Limits, rows: RuleRows, levels: Sequence[float]) -> Limits:
     for change, less in ((with_edges_to_leave, 1.0 - EXPLAINS), (with_even_margins, 0.0)):
         other = change(limits)
         if other != limits:
-            right, right_then = (float(_agrees(each, levels, rows).mean()) for each in (limits, other))
-            limits = other if right_then >= right - less else limits
+            correct, correct_then = (float(_agrees(each, levels, rows).mean()) for each in (limits, other))
+            limits = other if correct_then >= correct - less else limits
     return limits
 
 
@@ -264,7 +266,7 @@ def _agrees(limits: Limits, levels: Sequence[float], rows: RuleRows, least_m: fl
 def _likely_distances(fits: Sequence[_Fit], judge: RuleRows) -> set[tuple[str, ...]]:
     """Return the distances that explain nearly as much as the best one."""
     plain = [fit for fit in fits if not fit.lag and set(FAMILIES[fit.name].uses) & set(judge.apart_m)]
-    parts = {fit.name: _part(fit.right, judge) for fit in plain}
+    parts = {fit.name: _part(fit.correct, judge) for fit in plain}
     return {FAMILIES[name].uses for name, part in parts.items() if part >= max(parts.values()) - LIKELY}
 
 
@@ -278,13 +280,13 @@ def _simplest(
     """
     steps = {level: step for step, level in enumerate(levels)}
     found = [fit for fit in fits if fit.limits and fit.lag == lags(fit.limits, learn, steps)]
-    sure = [fit for fit in found if fit.far <= FAR_PART]
-    likely = [fit for fit in found if fit.far - fit.far_error <= FAR_PART]
+    sure = [fit for fit in found if fit.far_share <= FAR_PART]
+    likely = [fit for fit in found if fit.far_share - fit.far_error <= FAR_PART]
     for able in (sure, likely):
-        rivals = [fit.right for fit in able] + ([] if rival is None else [rival])
+        rivals = [fit.correct for fit in able] + ([] if rival is None else [rival])
         for fit in able:
-            explains = _part(fit.right, judge) >= NOISY_EXPLAINS
-            if explains and not any(_better(other, fit.right, judge) for other in rivals):
+            explains = _part(fit.correct, judge) >= NOISY_EXPLAINS
+            if explains and not any(_better(other, fit.correct, judge) for other in rivals):
                 return fit
     return None
 
@@ -311,11 +313,11 @@ def _whole(fit: _Fit, rows: RuleRows, levels: Sequence[float], *, noisy: bool, s
     return without_doubtful(with_one_hysteresis(limits, known))
 
 
-def _by_execution(right: NDArray[np.bool_], rows: RuleRows) -> NDArray[np.float64]:
+def _by_execution(correct: NDArray[np.bool_], rows: RuleRows) -> NDArray[np.float64]:
     """Return the number of correct rows in each execution, shape (E,)."""
     _, number = np.unique(rows.execution, return_inverse=True)
-    return np.bincount(number.ravel(), right).astype(np.float64)
+    return np.bincount(number.ravel(), correct).astype(np.float64)
 
 
-def _part(right: NDArray[np.float64], rows: RuleRows) -> float:
-    return float(right.sum() / len(rows))
+def _part(correct: NDArray[np.float64], rows: RuleRows) -> float:
+    return float(correct.sum() / len(rows))

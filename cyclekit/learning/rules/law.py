@@ -91,10 +91,10 @@ def fit_law(rows: LawRows) -> FittedLaw | None:
         for name, apart in rows.apart_m.items()
         for lag in lags
     ]
-    told = [each for each in tried if np.isfinite(each[0])]
-    if not told:
+    finite = [each for each in tried if np.isfinite(each[0])]
+    if not finite:
         return None
-    _, shape, name, lag = min(told, key=lambda each: each[0])
+    _, shape, name, lag = min(finite, key=lambda each: each[0])
 
     from scipy.optimize import minimize_scalar  # slow to import
 

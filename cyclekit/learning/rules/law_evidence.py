@@ -62,7 +62,7 @@ def find_law(
     *,
     held_out: NDArray[np.int64],
     network: ScalingNamer | None = None,
-    judged_apart: bool = False,
+    keep_held_out: bool = False,
     seed: int = 0,
 ) -> RuleSearch | None:
     """Return the law if it explains a scaling without levels, else None.
@@ -71,7 +71,7 @@ def find_law(
         rows: Samples of at least two executions, with a scaling without levels.
         held_out: Numbers of the executions for the comparison.
         network: Network that has not seen these, to compare with.
-        judged_apart: Do not fit the law again with the held-out executions.
+        keep_held_out: Do not fit the law again with the held-out executions.
         seed: Seed of random draws.
     """
     learn, judge = rows.of(held_out, others=True), rows.of(held_out)
@@ -88,8 +88,8 @@ def find_law(
     found = _Rivals(judge.scaling[test], named)
     if not _holds(found):
         return None
-    whole = (None if judged_apart else fit_law(rows)) or fitted
-    law = law_card(whole, learn if judged_apart else rows, seed=seed)
+    whole = (None if keep_held_out else fit_law(rows)) or fitted
+    law = law_card(whole, learn if keep_held_out else rows, seed=seed)
     others = {name: found.explained(name) for name in (STAIRCASE, TREES)}
     part = found.explained("network") if network is not None else None
     seen = (len(rows), len(np.unique(rows.execution)))

@@ -14,7 +14,7 @@ from cyclekit.learning.out_of_core import some_executions
 from cyclekit.learning.rules.distances import TO_LINK
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.fields import find_fields, rows_by_signals
-from cyclekit.learning.rules.ladder import RuleSearch, drawn, find_rule
+from cyclekit.learning.rules.ladder import RuleSearch, find_rule, held_out_sample
 from cyclekit.learning.rules.law_evidence import find_law
 from cyclekit.learning.rules.law_rows import law_rows
 from cyclekit.learning.rules.links import poses_of
@@ -60,7 +60,7 @@ def rule_of(
     levels: Sequence[float],
     *,
     model: LevelNamer | None = None,
-    judged_apart: bool = False,
+    keep_held_out: bool = False,
     signals: bool = True,
     seed: int = 0,
 ) -> RuleSearch:
@@ -70,28 +70,30 @@ def rule_of(
         dataset: Dataset with positions and a scaling.
         levels: Levels of the speed scaling, ascending.
         model: Network with the same levels, to compare with on its held-out executions.
-        judged_apart: Do not fit the rule again with the held-out executions.
+        keep_held_out: Do not fit the rule again with the held-out executions.
         signals: Allow rules on signals; an estimate cannot evaluate these.
         seed: Seed of random draws.
     """
     names = _looked_at(dataset, seed)
     if by_signals(dataset):
-        return _fields(dataset, names, levels, model, judged_apart=judged_apart, seed=seed)
+        return _fields(dataset, names, levels, model, keep_held_out=keep_held_out, seed=seed)
     unseen = set(() if model is None else model.card.held_out) & set(names)
-    law = law_of(dataset, model=model, judged_apart=judged_apart, seed=seed)
+    law = law_of(dataset, model=model, keep_held_out=keep_held_out, seed=seed)
     if law is not None:
         return _with_poses(law, dataset, names)
     latency_s = float(dataset.card.dynamics.latency_s or 0.0)
     search = partial(_searched, dataset, names, unseen, levels, model)
-    search = partial(search, judged_apart=judged_apart, seed=seed, signals=signals)
+    search = partial(search, keep_held_out=keep_held_out, seed=seed, signals=signals)
     found = search(latency_s)
     if latency_s and not found.clean:  # a latency read from the wrong distance hides the rule
         other = search(0.0)
-        found = other if other.clean else found if found.rule else less_late(search, latency_s, found, other)
+        found = other if other.clean else found if found.rule else with_partial_latency(search, latency_s, found, other)
     return _with_poses(found, dataset, names)
 
 
-def less_late(search: Callable[..., RuleSearch], latency_s: float, late: RuleSearch, at_once: RuleSearch) -> RuleSearch:
+def with_partial_latency(
+    search: Callable[..., RuleSearch], latency_s: float, late: RuleSearch, at_once: RuleSearch
+) -> RuleSearch:
     """Return the rule found with part of the latency, or with all of it if no part gives a rule with hysteresis.
 
     The latency is estimated without hysteresis and so absorbs some of it: a hysteresis of 0.2 m looks like 0.1 to 0.2 s
@@ -113,7 +115,7 @@ def _fields(
     levels: Sequence[float],
     model: LevelNamer | None,
     *,
-    judged_apart: bool,
+    keep_held_out: bool,
     seed: int,
 ) -> RuleSearch:
     """Return the rule on signals for a dataset whose signals detect people."""
@@ -127,7 +129,7 @@ def _fields(
         held_out=judged,
         network=None if model is None or judged is None else _named(model, rows, levels),
         latency_s=float(dataset.card.dynamics.latency_s or 0.0),
-        judged_apart=judged_apart,
+        keep_held_out=keep_held_out,
         seed=seed,
     )
 
@@ -154,14 +156,14 @@ def _looked_at(dataset: Dataset, seed: int) -> list[str]:
 
 
 def law_of(
-    dataset: Dataset, *, model: LevelNamer | None = None, judged_apart: bool = False, seed: int = 0
+    dataset: Dataset, *, model: LevelNamer | None = None, keep_held_out: bool = False, seed: int = 0
 ) -> RuleSearch | None:
     """Return the continuous law of the scaling; None if there is none.
 
     Args:
         dataset: Dataset with positions and a scaling.
         model: As in `rule_of`.
-        judged_apart: As in `rule_of`.
+        keep_held_out: As in `rule_of`.
         seed: Seed of random draws.
     """
     if by_signals(dataset):
@@ -173,8 +175,8 @@ def law_of(
     unseen = () if model is None else model.card.held_out
     judged = _numbers(names, unseen, rows.execution)
     rival = None if judged is None else model
-    judged = drawn(rows.execution, seed) if judged is None else judged
-    return find_law(rows, held_out=judged, network=rival, judged_apart=judged_apart, seed=seed)
+    judged = held_out_sample(rows.execution, seed) if judged is None else judged
+    return find_law(rows, held_out=judged, network=rival, keep_held_out=keep_held_out, seed=seed)
 
 
 def _searched(
@@ -185,7 +187,7 @@ def _searched(
     model: LevelNamer | None,
     latency_s: float,
     *,
-    judged_apart: bool,
+    keep_held_out: bool,
     signals: bool,
     seed: int,
     kinds: Collection[str] = FAMILIES,
@@ -196,7 +198,7 @@ def _searched(
     judged = _numbers(names, unseen, rows.execution)
     named = None if model is None or judged is None else _named(model, rows, levels)
     search = partial(find_rule, rows, levels, held_out=judged, network=named)
-    return search(latency_s=latency_s, judged_apart=judged_apart, kinds=kinds, seed=seed)
+    return search(latency_s=latency_s, keep_held_out=keep_held_out, kinds=kinds, seed=seed)
 
 
 def _numbers(names: Sequence[str], chosen: Collection[str], executions: NDArray[np.int64]) -> NDArray[np.int64] | None:

@@ -120,7 +120,7 @@ class RuleSafety:
         return ArmPoses(self.rule.poses)
 
 
-def answering(model: TrainedModel) -> TrainedModel | RuleSafety:
+def predictor_of(model: TrainedModel) -> TrainedModel | RuleSafety:
     """Return the predictor of a model: its rule if there is one that can be evaluated, else its network.
 
     A rule on signals needs those of the model's dataset (`predict_signals`); one on the nearest link needs the arm's

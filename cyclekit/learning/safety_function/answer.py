@@ -175,7 +175,7 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
     dataset = as_learned_by(model.card, dataset)
     if by_signals(dataset):
         return _by_signals(model, dataset, seed)
-    rows, told = _rows(dataset)
+    rows, notes = _rows(dataset)
     if len(rows.scaling) < LEAST_ROWS:
         msg = f"{dataset.path}: {len(rows.scaling)} samples have both positions and a scaling; {LEAST_ROWS} are needed"
         raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
@@ -206,7 +206,7 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
         floor_scaling=scaling,
         rows=len(rows.scaling),
         executions=len(np.unique(rows.execution)),
-        notes=(*told, *_notes(rule, is_distance=is_distance or found.rule is not None, parts=parts)),
+        notes=(*notes, *_notes(rule, is_distance=is_distance or found.rule is not None, parts=parts)),
         commanded=found,
         shapes=() if found.rule is None else tuple(_shapes(found.rule, rows)),
         cell=CellOnFloor(dataset.places, dataset.human_places, dataset.furniture),
@@ -266,12 +266,12 @@ def _rows(dataset: Dataset) -> tuple[ScalingSamples, list[str]]:
     """Return the samples, and notes on unknown heights."""
     robots, humans = ([f"{who}_{axis}_m" for axis in "xyz"] for who in ("robot", "human"))
     rows = dataset.samples(columns=["execution", "t_s", "scaling", *robots, *humans])
-    told = height_notes(rows)
+    notes = height_notes(rows)
     rows = rows.with_columns(human_z_m=HUMAN_Z_IN_PLANE)
     known = rows.drop_nulls(["robot_x_m", *humans, "scaling"])
     robot, human = (known.select(names).to_numpy() for names in (robots, humans))
     code = known["execution"].rle_id().cast(pl.Int64).to_numpy()
-    return ScalingSamples(robot, human, known["scaling"].to_numpy(), code, known["t_s"].to_numpy()), told
+    return ScalingSamples(robot, human, known["scaling"].to_numpy(), code, known["t_s"].to_numpy()), notes
 
 
 def _predicted(model: TrainedModel, rows: ScalingSamples) -> Floats:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.learning.networks.beaten import fit_thresholds
+from cyclekit.learning.networks.comparison import fit_thresholds
 from cyclekit.learning.rules.distances import DISTANCES
 
 if TYPE_CHECKING:

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class RolledPlan:
+class SimulatedPlan:
     """Simulated cycles of one plan.
 
     Attributes:
         tasks: Tasks of all agents, in order for each agent.
         start_s, end_s: Start and end of each task, shape (cycles, tasks), s.
-        usual_s: Mean logged duration of each task, shape (tasks,), s.
+        mean_s: Mean logged duration of each task, shape (tasks,), s.
         decides: Last cause of each start, shape (cycles, tasks): -1 = the agent's previous task, -2 = its planned
             start, otherwise the number of another task.
     """
@@ -34,7 +34,7 @@ class RolledPlan:
     tasks: tuple[PlannedTask, ...]
     start_s: Floats
     end_s: Floats
-    usual_s: Vector
+    mean_s: Vector
     decides: Floats
 
     @property
@@ -84,7 +84,7 @@ def roll_plan(
     seed: int = 0,
     where: str = "",
     pace: Mapping[str, float] = MappingProxyType({}),
-) -> RolledPlan:
+) -> SimulatedPlan:
     """Return simulated cycles of a plan.
 
     Args:
@@ -124,7 +124,7 @@ def roll_plan(
         stuck = tasks[int(np.isinf(end).any(axis=0).argmax())]
         msg = f"{where}: {stuck.shown} never starts: it waits for a task that waits for it"
         raise EstimateError(msg, cure="Change the order or the 'after' entries.")
-    return RolledPlan(tuple(tasks), start, end, usual, _decides(plan, end))
+    return SimulatedPlan(tuple(tasks), start, end, usual, _decides(plan, end))
 
 
 def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) -> _Plan:

@@ -158,7 +158,7 @@ def _card(dataset: Dataset, levels: tuple[float, ...], courses: dict[str, Course
     every = np.concatenate([one.level for one in courses.values()])
     known = every[every >= 0]
     share = np.bincount(known, minlength=len(levels)) / max(len(known), 1)
-    told = zip(levels, share.tolist(), strict=True)
+    shares = zip(levels, share.tolist(), strict=True)
     return TrainingCard(
         cyclekit=version("cyclekit"),
         schema_version=schema.SCHEMA_VERSION,
@@ -170,7 +170,7 @@ def _card(dataset: Dataset, levels: tuple[float, ...], courses: dict[str, Course
         dataset=dataset.path.name,
         dataset_sha256=fingerprint(dataset),
         cell=cell_of(dataset),
-        levels=tuple(LevelShare(value=value, share=round(part, 6)) for value, part in told),
+        levels=tuple(LevelShare(value=value, share=round(part, 6)) for value, part in shares),
         warnings=(note("model-data", text="no log shows people: the positions of the operator are unknown"),),
         rate_hz=dataset.rate_hz,
         mean_scaling=float(np.array(levels)[known].mean()),

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 STAY = 0.98
 """Initial probability of staying in a state for a step."""
-TURNS = 40
+EM_ITERATIONS = 40
 """Maximum number of EM iterations."""
-ENOUGH = 1e-4
+MIN_GAIN = 1e-4
 """Minimum gain in log-likelihood per step of an EM iteration; below, EM ends."""
-BEGUN = 3
+STARTS = 3
 """Number of random starts."""
-FIRST_TURNS = 8
+FIRST_ITERATIONS = 8
 """Number of EM iterations per random start, before the best one continues."""
 STEPS_OF_REGION = 10.0
 """Prior weight, in steps: a region with this many steps in a state has half its own levels, half those of the state."""
@@ -77,10 +77,10 @@ def of_levels(seen: LevelCourses, levels: int) -> Chain:
 
 
 def fit(seen: LevelCourses, states: int, regions: int, levels: int, *, seed: int = 0) -> Chain:
-    """Return the chain fitted by EM, from the best of BEGUN random starts."""
-    begun = [_random(seen, states, regions, levels, np.random.default_rng([seed, number])) for number in range(BEGUN)]
-    tried = [_turned(seen, chain, FIRST_TURNS) for chain in begun]
-    return _turned(seen, max(tried, key=lambda pair: pair[1])[0], TURNS)[0]
+    """Return the chain fitted by EM, from the best of STARTS random starts."""
+    starts = [_random(seen, states, regions, levels, np.random.default_rng([seed, number])) for number in range(STARTS)]
+    tried = [_em(seen, chain, FIRST_ITERATIONS) for chain in starts]
+    return _em(seen, max(tried, key=lambda pair: pair[1])[0], EM_ITERATIONS)[0]
 
 
 def log_likelihoods(seen: LevelCourses, chain: Chain) -> Vector:
@@ -91,14 +91,14 @@ def log_likelihoods(seen: LevelCourses, chain: Chain) -> Vector:
 def draw_states(seen: LevelCourses, chain: Chain, *, seed: int = 0) -> Ints:
     """Return a random draw of the states of each execution given all of its levels, shape (E, T)."""
     ahead, _ = _forward(seen, chain)
-    luck = np.random.default_rng(seed).random(seen.level.shape)
+    uniform = np.random.default_rng(seed).random(seen.level.shape)
     drawn = np.zeros(seen.level.shape, np.int64)
     here = ahead[:, -1]
     for step in range(seen.level.shape[1] - 1, -1, -1):
         if step < seen.level.shape[1] - 1:
             here = ahead[:, step] * chain.follows[:, drawn[:, step + 1]].T
         until = np.cumsum(here, axis=1)
-        drawn[:, step] = (until < luck[:, step, None] * until[:, -1:]).sum(axis=1)
+        drawn[:, step] = (until < uniform[:, step, None] * until[:, -1:]).sum(axis=1)
     return drawn
 
 
@@ -118,10 +118,10 @@ def _random(seen: LevelCourses, states: int, regions: int, levels: int, rng: np.
     )
 
 
-def _turned(seen: LevelCourses, chain: Chain, turns: int) -> tuple[Chain, float]:
+def _em(seen: LevelCourses, chain: Chain, iterations: int) -> tuple[Chain, float]:
     """Return the chain after some EM iterations, and the log-likelihood per step before the last one."""
     before, count = -np.inf, max(int((seen.level >= 0).sum()), 1)
-    for _ in range(turns):
+    for _ in range(iterations):
         ahead, logs = _forward(seen, chain)
         now = float(logs.sum()) / count
         behind = _backward(seen, chain)
@@ -132,7 +132,7 @@ def _turned(seen: LevelCourses, chain: Chain, turns: int) -> tuple[Chain, float]
         both = ahead[:, :-1][inside].T @ _normed(ahead[:, :-1], later, chain)[inside] * chain.follows
         _, regions, levels = chain.levels.shape
         chain = _maximised(seen, share, both, regions, levels)
-        if now - before < ENOUGH:
+        if now - before < MIN_GAIN:
             break
         before = now
     return chain, now

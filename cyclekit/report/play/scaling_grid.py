@@ -15,7 +15,7 @@ from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.safety import SURE, Classifier, Follower, OnStates, around, scaling_of
 from cyclekit.estimate.walk import FINE_STEP_S
-from cyclekit.learning.networks.kinds import names_levels
+from cyclekit.learning.networks.kinds import is_classifier
 from cyclekit.learning.networks.trees import Trees
 from cyclekit.learning.rules.safety import RuleSafety
 
@@ -142,7 +142,7 @@ def _positions(nodes: Ints, edge_m: float, people_m: Floats) -> Floats:
 
 def _book(model: SafetyModel) -> list[float]:
     """Return the levels of a classifier, ascending; of other networks nothing."""
-    return list(model.levels) if isinstance(model, Classifier) and names_levels(model.network) else []
+    return list(model.levels) if isinstance(model, Classifier) and is_classifier(model.network) else []
 
 
 def _values(model: SafetyModel, dynamics: Dynamics, robot_m: Floats, human_m: Floats) -> dict[str, Floats]:
@@ -150,7 +150,7 @@ def _values(model: SafetyModel, dynamics: Dynamics, robot_m: Floats, human_m: Fl
 
     With hysteresis, `scaling` is the value down to which s must fall, and `rising` that up to which it may rise.
     """
-    if not isinstance(model, Classifier) or not names_levels(model.network):
+    if not isinstance(model, Classifier) or not is_classifier(model.network):
         if not dynamics.hysteresis_m:
             return {"scaling": scaling_of(model, robot_m, human_m)[:, None]}
         rising, falling = Follower(model, dynamics, FINE_STEP_S).bounds(robot_m, human_m)

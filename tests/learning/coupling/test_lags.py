@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier, take_apart
+from cyclekit.learning.coupling.lags import deciding_causes, quantiles, reverse_kaplan_meier
 
 
 @settings(max_examples=20, deadline=None)
@@ -18,7 +18,7 @@ def test_own_work_and_lag_are_found_where_either_decides_some(seed: int, event_s
     own, lag = rng.lognormal(np.log(5.0 + lag_s), 0.15, 200), rng.gamma(9.0, lag_s / 9.0, 200)
     event = rng.normal(event_s, 2.0, 200)
     left = np.maximum(own, event + lag)
-    causes = take_apart(np.array([left, left - event]))
+    causes = deciding_causes(np.array([left, left - event]))
     by_event = event + lag > own
     assert np.mean((causes.share[1] > 0.5) == by_event) > 0.7  # the two overlap
     assert causes.share.sum(axis=0) == pytest.approx(np.ones(200))

@@ -15,7 +15,7 @@ from cyclekit.learning.rules.distances import TO_LINK, TO_TCP, to_links
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.families.robot import ROBOT
 from cyclekit.learning.rules.ladder import RuleSearch, find_rule
-from cyclekit.learning.rules.of_dataset import less_late
+from cyclekit.learning.rules.of_dataset import with_partial_latency
 from cyclekit.learning.rules.positions import Positions
 from cyclekit.learning.rules.quantities import quantities, without_doubtful
 from cyclekit.learning.rules.regions import corners, polygon_corners
@@ -209,7 +209,7 @@ def test_a_part_of_the_latency_is_taken_where_a_rule_with_hysteresis_explains_mo
         return RuleSearch(rule, {kind: explained})
 
     late = RuleSearch(None, {kind: 0.95})
-    found = less_late(search, 0.3, late, RuleSearch(None, {kind: 0.94}))
+    found = with_partial_latency(search, 0.3, late, RuleSearch(None, {kind: 0.94}))
     assert (0.3 if found.rule is None else found.rule.latency_s) == pytest.approx(chosen_s, abs=0.03)
 
 

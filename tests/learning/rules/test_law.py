@@ -25,7 +25,7 @@ from cyclekit.learning.rules.distances import DISTANCES, TO_TCP
 from cyclekit.learning.rules.law import LawShape, fit_law, shape_of
 from cyclekit.learning.rules.law_evidence import LAW, find_law
 from cyclekit.learning.rules.law_rows import LawRows, is_continuous, resting_rates
-from cyclekit.learning.rules.safety import RuleSafety, answering
+from cyclekit.learning.rules.safety import RuleSafety, predictor_of
 from cyclekit.learning.rules.words import verdict
 from cyclekit.learning.safety_function.answer import read_zones
 from cyclekit.learning.training import train
@@ -202,7 +202,7 @@ def test_a_cell_with_a_law_is_trained_estimated_and_read_back(tmp_path: Path) ->
     assert rule.law is not None
     assert rule.law.stop.value == pytest.approx(simulated.distance_m(0.0), abs=0.01)
     assert sum(shape_of(rule.law)[:3]) == pytest.approx(simulated.distance_m(1.0), abs=0.01)
-    check = check_rollout(answering(model), dataset, seed=0)
+    check = check_rollout(predictor_of(model), dataset, seed=0)
     assert abs(check.own_bias) < 0.01
     found = read_zones(model, dataset)
     assert found.rule_sentences[0].startswith("speed = the highest s from 10 % to 100 %")

@@ -30,7 +30,7 @@ from cyclekit.learning.networks.weights import Weights
 from cyclekit.learning.rules.distances import TO_LINK, TO_TCP, to_links
 from cyclekit.learning.rules.links import ArmPoses, poses_of, to_nearest_link
 from cyclekit.learning.rules.quantities import quantities
-from cyclekit.learning.rules.safety import RuleSafety, answering
+from cyclekit.learning.rules.safety import RuleSafety, predictor_of
 from cyclekit.learning.training import with_rule
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def test_a_rule_is_kept_as_data_beside_the_network(tmp_path: Path) -> None:
 
 def test_a_rule_on_the_nearest_link_without_poses_of_the_arm_leaves_the_answer_to_the_network() -> None:
     asked = model(TrainingCard(rule=rule((0.0, near(0.8, TO_LINK), None))))
-    assert answering(asked) is asked
+    assert predictor_of(asked) is asked
 
 
 def test_a_rule_on_the_nearest_link_is_asked_with_the_arm_as_it_was_logged_there() -> None:
@@ -122,7 +122,7 @@ def test_a_rule_on_the_nearest_link_is_asked_with_the_arm_as_it_was_logged_there
         PoseCard(tcp_m=(1.0, 0.0, 0.5), joints_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.5))),
         PoseCard(tcp_m=(0.0, 1.0, 0.5), joints_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.5))),
     )
-    safety = answering(model(TrainingCard(rule=structs.replace(rule((0.0, near(0.3, TO_LINK), None)), poses=poses))))
+    safety = predictor_of(model(TrainingCard(rule=structs.replace(rule((0.0, near(0.3, TO_LINK), None)), poses=poses))))
     assert isinstance(safety, RuleSafety)
     beside_the_elbow = [1.0, 0.0, 0.5, 0.5, 0.2, 0.5]
     beside_the_other_pose = [1.0, 0.0, 0.5, 0.2, 0.6, 0.5]
@@ -144,7 +144,7 @@ def test_poses_of_the_arm_give_the_nearest_link_of_executions_that_they_have_not
 def test_a_rule_on_a_signal_leaves_the_answer_to_the_network() -> None:
     occupied = RegionCard(signals=(SignalCard(signal="FIELD_1", value="1"),))
     asked = model(TrainingCard(rule=rule((0.0, occupied, None))))
-    assert answering(asked) is asked
+    assert predictor_of(asked) is asked
 
 
 def test_a_field_counts_only_while_the_robot_is_in_its_region() -> None:

@@ -13,7 +13,7 @@ from cyclekit.learning.networks.kinds.lstm_2 import LSTM_2
 from cyclekit.learning.networks.kinds.mixed import MIXED
 from cyclekit.learning.networks.kinds.regressor import REGRESSOR
 
-__all__ = ["NETWORKS", "Inputs", "Network", "names_levels", "networks_for"]
+__all__ = ["NETWORKS", "Inputs", "Network", "is_classifier", "networks_for"]
 
 NETWORKS: dict[str, Network] = {each.name: each for each in (CLASSIFIER, MIXED, REGRESSOR, LSTM_1, LSTM_2, BOOSTING)}
 """All networks; the first one for a problem is its default."""
@@ -24,6 +24,6 @@ def networks_for(problem: str) -> tuple[str, ...]:
     return tuple(name for name, each in NETWORKS.items() if problem in each.problems)
 
 
-def names_levels(network: str) -> bool:
+def is_classifier(network: str) -> bool:
     """Return whether a network, known or not, predicts the probability of each level."""
-    return network in NETWORKS and NETWORKS[network].names_levels
+    return network in NETWORKS and NETWORKS[network].is_classifier

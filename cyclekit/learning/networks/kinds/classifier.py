@@ -22,4 +22,4 @@ def _build(spec: Widths, inputs: Inputs, levels: Sequence[float]) -> nn.Module:
     )
 
 
-CLASSIFIER = Network("classifier", ("now", "ahead"), (64,) * 4, _build, names_levels=True)
+CLASSIFIER = Network("classifier", ("now", "ahead"), (64,) * 4, _build, is_classifier=True)

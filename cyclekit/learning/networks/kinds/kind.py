@@ -47,7 +47,7 @@ class Network:
         problems: Problems that it can be trained for.
         hidden: Widths of its hidden layers.
         build: Returns the untrained torch module, of layers that `folding` supports; imports torch when called.
-        names_levels: Whether it predicts the probability of each level instead of a value.
+        is_classifier: Whether it predicts the probability of each level instead of a value.
         through_levels: Whether a softmax over the levels precedes its value.
         lstm_layers: Number of LSTM layers over a history; 0 = it sees one sample.
         forecasts: Whether its LSTM forecasts the operator's position.
@@ -59,7 +59,7 @@ class Network:
     problems: tuple[str, ...]
     hidden: tuple[int, ...]
     build: Callable[[Widths, Inputs, Sequence[float]], nn.Module]
-    names_levels: bool = False
+    is_classifier: bool = False
     through_levels: bool = False
     lstm_layers: int = 0
     forecasts: bool = False
@@ -74,8 +74,8 @@ class Network:
     @property
     def needs_levels(self) -> bool:
         """Whether it needs at least two levels."""
-        return self.names_levels or self.through_levels
+        return self.is_classifier or self.through_levels
 
     def outputs(self, levels: int) -> list[int]:
         """Return the widths of its last layers for a number of levels."""
-        return [levels] if self.names_levels else [levels, 1] if self.through_levels else [1]
+        return [levels] if self.is_classifier else [levels, 1] if self.through_levels else [1]

@@ -33,7 +33,7 @@ _BINS = 4096
 
 
 @dataclass(frozen=True)
-class Better:
+class BetterRival:
     """A rival that is better than the model by more than chance.
 
     Attributes:
@@ -58,7 +58,7 @@ class Better:
         )
 
 
-def _otherwise(spec: SpecCard | None, rival: str) -> list[str]:
+def _retrain_options(spec: SpecCard | None, rival: str) -> list[str]:
     """Return training options like those of `spec`, with the distance as input or, if it had that, with another seed.
 
     If boosting on the last second is better and available for the problem, it is chosen.
@@ -82,7 +82,7 @@ def _otherwise(spec: SpecCard | None, rival: str) -> list[str]:
     return [*words, "--seed", str(spec.seed)] if spec.seed else words
 
 
-def staircase_if_better(model: TrainedModel, spec: ModelSpec, learn: Samples, judge: Samples) -> Better | None:
+def staircase_if_better(model: TrainedModel, spec: ModelSpec, learn: Samples, judge: Samples) -> BetterRival | None:
     """Return the staircase over the distance, fitted to `learn`, if it is better than the model.
 
     Args:
@@ -99,7 +99,9 @@ def staircase_if_better(model: TrainedModel, spec: ModelSpec, learn: Samples, ju
     return better_rival(spec.card(), mine, {STAIRCASE: squared}, judge.execution)
 
 
-def better_rival(spec: SpecCard | None, model: Floats, rivals: Mapping[str, Floats], execution: Ints) -> Better | None:
+def better_rival(
+    spec: SpecCard | None, model: Floats, rivals: Mapping[str, Floats], execution: Ints
+) -> BetterRival | None:
     """Return the rival with the smallest error among those significantly better than the model; None if there is none.
 
     Args:
@@ -111,14 +113,18 @@ def better_rival(spec: SpecCard | None, model: Floats, rivals: Mapping[str, Floa
     from scipy.special import stdtrit
 
     _, which, rows = np.unique(execution, return_inverse=True, return_counts=True)
-    count, found = len(rows), list[Better]()
+    count, found = len(rows), list[BetterRival]()
     if count < LEAST_EXECUTIONS:
         return None
     for name, squared in rivals.items():
         lead = np.bincount(which, model - squared) / rows
         sure = lead.mean() > stdtrit(count - 1, 1.0 - CHANCE) * lead.std(ddof=1) / count**0.5
         if sure and model.mean() > LEAST * squared.mean():
-            found.append(Better(name, float(squared.mean()), float(model.mean()), count, tuple(_otherwise(spec, name))))
+            found.append(
+                BetterRival(
+                    name, float(squared.mean()), float(model.mean()), count, tuple(_retrain_options(spec, name))
+                )
+            )
     return min(found, key=lambda better: better.mse, default=None)
 
 

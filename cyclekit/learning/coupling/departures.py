@@ -1,4 +1,4 @@
-"""Gates of an agent and their logged passages: when it was free to go, when it went, and after which events."""
+"""Gates of an agent and their logged departures: when it was free to go, when it went, and after which events."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from cyclekit.dataset.cards.coupling import Turns
-from cyclekit.learning.coupling.lags import Causes, take_apart
+from cyclekit.learning.coupling.lags import Causes, deciding_causes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -32,7 +32,7 @@ class Gate:
 
 
 class Condition(NamedTuple):
-    """An event and which occurrence of it a passage needs (`ConditionCard`); `partly`: only some passages need it."""
+    """An event and the occurrence of it that a departure needs (`ConditionCard`); `partly`: only some need it."""
 
     event: Event
     back: int
@@ -41,13 +41,13 @@ class Condition(NamedTuple):
 
 
 @dataclass
-class Passages:
-    """All logged passages of one gate.
+class Departures:
+    """All logged departures of one gate.
 
     Attributes:
         gate: The gate.
-        rows: Number of each passage among all departures of the agent, shape (N,).
-        course, nth: Number of the execution, and of the passage within it from 0, shape (N,).
+        rows: Number of each one among all departures of the agent, shape (N,).
+        course, occurrence: Number of the execution, and of the departure within it from 0, shape (N,).
         own_s, left_s: When the agent was free to go or arrived, and when it went on, shape (N,).
         since_s: Time from the event of each condition to the departure, shape (N,), s; NaN = no event needed, -inf =
             the event came later.
@@ -56,7 +56,7 @@ class Passages:
     gate: Gate
     rows: Ints
     course: Ints
-    nth: Ints
+    occurrence: Ints
     own_s: Vector
     left_s: Vector
     since_s: dict[tuple[Gate, Condition], Vector] = field(default_factory=dict)
@@ -68,17 +68,17 @@ class Passages:
 
     @property
     def step(self) -> int:
-        """Stride of the passages by which conditions are compared."""
+        """Stride of the departures by which conditions are compared."""
         return -(-len(self.left_s) // SEEN)
 
     def causes(self, more: Vector | None = None) -> Causes:
-        """Return which cause decided each passage (at most SEEN): own work first, then conditions as in `since_s`."""
+        """Return which cause decided each departure (at most SEEN): own work first, then conditions as in `since_s`."""
         columns = [self.left_s - self.own_s, *self.since_s.values(), *([] if more is None else [more])]
-        return take_apart(np.array([column[:: self.step] for column in columns]))
+        return deciding_causes(np.array([column[:: self.step] for column in columns]))
 
 
-def passages_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Passages]:
-    """Return the passages of every possible gate of an agent, with own work comparable between places."""
+def departures_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Departures]:
+    """Return the departures of every possible gate of an agent, with own work comparable between places."""
     rows: dict[Gate, list[tuple[int, int, int, float, float]]] = {}
     number = 0
     for index, course in enumerate(courses):
@@ -86,13 +86,13 @@ def passages_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Passag
         visits = course.visits[agent]
         for before, after in zip([None, *visits], [*visits, None], strict=True):
             for gate, own_s, left_s in _passed(agent, before, after):
-                nth = counts.get(gate, 0)
-                counts[gate] = nth + 1
+                occurrence = counts.get(gate, 0)
+                counts[gate] = occurrence + 1
                 began = agent == "robot" and not gate.short and left_s <= own_s  # at this place from the start
                 if np.isfinite(own_s) and np.isfinite(left_s) and not began:
-                    rows.setdefault(gate, []).append((number, index, nth, own_s, left_s))
+                    rows.setdefault(gate, []).append((number, index, occurrence, own_s, left_s))
             number += 1
-    found = [_passages(gate, some) for gate, some in rows.items()]
+    found = [_departures(gate, some) for gate, some in rows.items()]
     return _comparable(found)
 
 
@@ -104,14 +104,14 @@ def _passed(agent: Agent, before: PlaceVisit | None, after: PlaceVisit | None) -
         yield Gate(agent, "approach", after.place), before.arrived_s, before.left_s
 
 
-def _passages(gate: Gate, some: list[tuple[int, int, int, float, float]]) -> Passages:
-    rows, course, nth = np.array([each[:3] for each in some], np.int64).T
+def _departures(gate: Gate, some: list[tuple[int, int, int, float, float]]) -> Departures:
+    rows, course, occurrence = np.array([each[:3] for each in some], np.int64).T
     own_s, left_s = np.array([each[3:] for each in some]).T
-    return Passages(gate, rows, course, nth, own_s, left_s)
+    return Departures(gate, rows, course, occurrence, own_s, left_s)
 
 
-def _comparable(found: list[Passages]) -> list[Passages]:
-    """Return the passages; approaches from several places count own work from its typical end at each place."""
+def _comparable(found: list[Departures]) -> list[Departures]:
+    """Return the departures; approaches from several places count own work from its typical end at each place."""
     usual = np.full(1 + max((int(each.rows.max()) for each in found), default=0), 0.0)
     for each in found:
         if each.gate.at == "leave":

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.estimate import doubted, starred
+from cyclekit.cli.estimate import doubt_legend, starred
 from cyclekit.cli.options import Json, OperatorLog, OperatorXyz, OperatorYaw, Quiet, vector
 from cyclekit.cli.terminal import Terminal, bullet, duration, table, write_out
 from cyclekit.cli.train import summary
@@ -185,7 +185,7 @@ def _closing(estimates: CycleEstimates, verdict: str, run: _Run) -> str:
         "Cycle time of three orders of the same ten boxes:",
         "",
         _table(estimates),
-        doubted(estimates, width=WIDTH),
+        doubt_legend(estimates, width=WIDTH),
         "",
         bullet([verdict], mark="", width=WIDTH),
         "",

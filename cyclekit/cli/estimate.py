@@ -39,7 +39,7 @@ CAPTION = "seconds: motion at full speed + slow-down for safety + dwell + wait =
 OF_LISTS = "seconds of the robot: usual task times + effect of simultaneous tasks + wait"
 IDLE = "seconds: motion at full speed + slow-down for safety + dwell + wait"
 UNTIL_DONE = " + idle until the operator is done = expected"
-DOUBTED = "* "
+DOUBT_MARK = "* "
 SPLIT_HEADS = ["motion", "safety", "dwell", "wait"]
 LEAST_WAIT_S = 0.2
 """Minimum wait between two tasks, s, whose cause is printed."""
@@ -107,18 +107,18 @@ def estimate(
             terminal.remark(f"written: {file}")
     by_task = "" if len(found) != 1 else plan_table(found[0]) if found[0].plan else tasks_table(found[0])
     caption = _caption(found)
-    numbers = f"{estimates_table(found)}\n{bullet([caption], mark='')}\n{doubted(found)}".rstrip()
+    numbers = f"{estimates_table(found)}\n{bullet([caption], mark='')}\n{doubt_legend(found)}".rstrip()
     parts = [
-        alarmed(found.alarms),
+        warning_lines(found.alarms),
         numbers,
         not_answered(found.refused),
         to_log(plan_recordings(dataset, sequences)) if found.refused and not found[0].plan else "",
         ranking(found),
         takt_table(found),
         by_task,
-        "" if any(entry.plan for entry in found) else loses_most(found),
+        "" if any(entry.plan for entry in found) else largest_losses(found),
     ]
-    parts += [rests_on(found), judged(found.check) if found.check else ""]
+    parts += [basis_and_limits(found), validation(found.check) if found.check else ""]
     held, texts = verdict(Dataset.of(dataset), found, (), None, takt_s, baseline), load_texts()
     parts.append(bullet([in_words(texts, held), basis(texts, held)], mark="") if held else "")
     terminal.answer(found.to_dict(), *parts)
@@ -130,7 +130,7 @@ def not_answered(refused: Sequence[Refusal]) -> str:
     return f"Not answered\n{bullet(texts)}" if texts else ""
 
 
-def alarmed(alarms: Sequence[str]) -> str:
+def warning_lines(alarms: Sequence[str]) -> str:
     """Return the warnings that are printed above the numbers, as lines."""
     return bullet(alarms, mark="WARNING: ")
 
@@ -140,7 +140,7 @@ def starred(entry: CycleEstimate, number: str) -> str:
     return f"{number}*" if entry.doubts else number
 
 
-def doubted(found: Sequence[CycleEstimate], *, width: int = 80) -> str:
+def doubt_legend(found: Sequence[CycleEstimate], *, width: int = 80) -> str:
     """Return the legend of the asterisks: each doubt once, with its sequences unless it concerns all."""
     by_text: dict[str, list[str]] = {}
     for entry in found:
@@ -149,7 +149,7 @@ def doubted(found: Sequence[CycleEstimate], *, width: int = 80) -> str:
     names = {text: list(dict.fromkeys(concerned)) for text, concerned in by_text.items()}
     every = len({entry.name for entry in found})
     lines = [text if len(some) == every else f"{', '.join(some)}: {text}" for text, some in names.items()]
-    return bullet(lines, mark=DOUBTED, width=width)
+    return bullet(lines, mark=DOUBT_MARK, width=width)
 
 
 def estimates_table(found: Sequence[CycleEstimate]) -> str:
@@ -220,7 +220,7 @@ def takt_table(found: Sequence[CycleEstimate]) -> str:
     return table(["sequence ", f"within {found[0].takt_s:g} s", "95%"], rows) if rows else ""
 
 
-def judged(check: Check) -> str:
+def validation(check: Check) -> str:
     """Return the result of the validation on logged executions."""
     lines = [
         f"{check.executions} logged executions rolled out with their own operator tracks: bias {check.own_bias:+.2%} "
@@ -237,7 +237,7 @@ def judged(check: Check) -> str:
     return "Backtest on logged executions\n" + bullet(lines)
 
 
-def loses_most(found: Sequence[CycleEstimate]) -> str:
+def largest_losses(found: Sequence[CycleEstimate]) -> str:
     """Return the task and the operator's activity with the largest safety loss of each sequence."""
     from cyclekit.estimate.result import OF_STATES
 
@@ -289,7 +289,7 @@ def plan_table(entry: CycleEstimate) -> str:
     return table(["agent ", "task ", "start, s", "end, s", "wait, s", "waits for"], rows)
 
 
-def rests_on(found: Sequence[CycleEstimate]) -> str:
+def basis_and_limits(found: Sequence[CycleEstimate]) -> str:
     """Return the basis and the limits of each estimate, one line each."""
     lines: list[str] = []
     every = [set(entry.warnings) - set(entry.doubts) for entry in found]

@@ -53,8 +53,8 @@ def evaluate(
     terminal.warnings(list(dict.fromkeys(note for judged in found.values() for note in judged.notes)))
     if not found.together:
         (judged,) = found.values()
-        told = (_head(judged), _errors(judged), _better(found, dataset), _levels(judged), _drift(judged.drift))
-        terminal.answer(found.to_dict(), *told)
+        parts = (_head(judged), _errors(judged), _better(found, dataset), _levels(judged), _drift(judged.drift))
+        terminal.answer(found.to_dict(), *parts)
         return
     changes = [f"{Path(place).name}\n{_drift(judged.drift)}" for place, judged in found.items() if judged.drift]
     terminal.answer(found.to_dict(), _beside(found), _better(found, dataset), *changes)

@@ -218,12 +218,12 @@ def _reasons(counts: Mapping[str, int]) -> str:
 
 def _clocks(clocks: Mapping[str, Mapping[str, Any]]) -> str:
     """Return how clocks were aligned: one entry per recording whose clock is not that of its session."""
-    told = [
+    lines = [
         f"clock of {name}: {_clock(clock)}"
         for name, clock in clocks.items()
         if clock.get("method") not in (None, "own", "same-log")
     ]
-    return bullet(_some(told, SHOWN_FILES))
+    return bullet(_some(lines, SHOWN_FILES))
 
 
 def _clock(clock: Mapping[str, Any]) -> str:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cyclekit.cli.estimate import alarmed, doubted
+from cyclekit.cli.estimate import doubt_legend, warning_lines
 from cyclekit.cli.options import (
     Checked,
     Extrapolate,
@@ -64,7 +64,7 @@ def gate(
             other_cell=other_cell,
             progress=progress,
         )
-    for text in (alarmed(found.estimates.alarms), doubted([found.worst])):
+    for text in (warning_lines(found.estimates.alarms), doubt_legend([found.worst])):
         if text:
             terminal.remark(text)
     terminal.answer(found.to_dict(), found.line)

@@ -60,8 +60,8 @@ class InProject(TyperCommand):
         if found.taken and not ctx.params.get("quiet"):
             from cyclekit.cli.terminal import Terminal
 
-            told = ", ".join(f"{name} = {value}" for name, value in found.taken.items())
-            Terminal(json=False, quiet=False).remark(f"from {PROJECT_FILE}: {told}")
+            settings = ", ".join(f"{name} = {value}" for name, value in found.taken.items())
+            Terminal(json=False, quiet=False).remark(f"from {PROJECT_FILE}: {settings}")
         return rest
 
 

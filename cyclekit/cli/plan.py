@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.estimate import DOUBTED, alarmed
+from cyclekit.cli.estimate import DOUBT_MARK, warning_lines
 from cyclekit.cli.options import Checked, Json, LoggedPlace, ModelPlace, OtherCell, Quiet
 from cyclekit.cli.terminal import Terminal, bullet
 
@@ -51,9 +51,11 @@ def plan(
         terminal.answer(found.to_dict(), _both(found))
         return
     alarms = [found.alarm] if found.alarm else []
-    doubts = bullet(found.doubts, mark=DOUBTED)
+    doubts = bullet(found.doubts, mark=DOUBT_MARK)
     terminal.warnings(found.notes)
-    terminal.answer({**found.to_dict(), "warnings": alarms}, alarmed(alarms), f"{_text(found)}\n{doubts}".rstrip())
+    terminal.answer(
+        {**found.to_dict(), "warnings": alarms}, warning_lines(alarms), f"{_text(found)}\n{doubts}".rstrip()
+    )
 
 
 def _both(found: TaskOrderPlan) -> str:

@@ -217,8 +217,8 @@ class _Lines:
                 return
             self.next_s = spent_s * 2
             far = f"{fraction:.0%} after {duration(spent_s)}" if fraction > 0 else duration(spent_s)
-            told = fraction >= 0.01  # below one percent, the remaining time is too uncertain
-            left = f", about {duration(spent_s * (1 - fraction) / fraction)} left" if told else ""
+            shows_left = fraction >= 0.01  # below one percent, the remaining time is too uncertain
+            left = f", about {duration(spent_s * (1 - fraction) / fraction)} left" if shows_left else ""
             _print(f"{self.title}: {far}{left}  {one_line(self.text)}".rstrip(), err=True)
 
 

@@ -122,11 +122,11 @@ def train(
     terminal.warnings(list(dict.fromkeys(text for card in cards.values() for text in texts(card.warnings))))
     shown = {place: card.to_dict() for place, card in cards.items()}
     documents = [{"model": place, "metrics": card["metrics"], "card": card} for place, card in shown.items()]
-    told = "\n".join(f"{place}: {summary_of(model)}" for place, model in models.items())
+    text = "\n".join(f"{place}: {summary_of(model)}" for place, model in models.items())
     following = command_line("evaluate", out, dataset)
     if chosen is None and problem != "ahead":  # no estimator uses a forecast
         following = command_line("estimate", out, "SEQUENCES.toml", "--dataset", dataset)
-    terminal.done(documents[0] if chosen is None else {"models": documents}, f"{told}\nnext: {following}")
+    terminal.done(documents[0] if chosen is None else {"models": documents}, f"{text}\nnext: {following}")
 
 
 def _task_lists_alone(dataset: str) -> bool:
@@ -161,17 +161,17 @@ def task_times_summary(found: TaskTimesModel) -> str:
         for task in found.card.tasks
     ]
     heads = ["agent ", "task ", "times", "mean, s", "waits for"]
-    judged = found.card.held_out
+    held_out = found.card.held_out
     held = "held out: too few executions to judge by"
-    if judged is not None:
+    if held_out is not None:
         held = (
-            f"held out: {judged.orders} order{'s' * (judged.orders != 1)}, "
-            f"mean cycle time {judged.bias:+.1%} off (+-{judged.within:.1%}), "
-            f"spread over orders {judged.order_error:.1%}"
+            f"held out: {held_out.orders} order{'s' * (held_out.orders != 1)}, "
+            f"mean cycle time {held_out.bias:+.1%} off (+-{held_out.within:.1%}), "
+            f"spread over orders {held_out.order_error:.1%}"
         )
     lines = [held, *(pace.said(agent) for agent, pace in found.card.pace.items())]
-    told = "\n".join(f"  {line}" for line in lines)
-    return f"task times from {found.card.executions} executions\n{table(heads, rows)}\n{told}"
+    text = "\n".join(f"  {line}" for line in lines)
+    return f"task times from {found.card.executions} executions\n{table(heads, rows)}\n{text}"
 
 
 def summary_of(model: TrainedModel | UnseenOperator) -> str:

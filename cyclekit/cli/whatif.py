@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.estimate import alarmed, doubted, not_answered, starred
+from cyclekit.cli.estimate import doubt_legend, not_answered, starred, warning_lines
 from cyclekit.cli.options import Checked, Extrapolate, Json, LoggedPlace, ModelPlace, OtherCell, Quiet, SequenceFile
 from cyclekit.cli.terminal import Terminal, bullet, table
 
@@ -65,9 +65,11 @@ def whatif(
         )
     if out is not None:
         terminal.remark(f"written: {out}")
-    numbers = f"{_table(found)}\n{doubted([side for entry in found for side in (entry.before, entry.after)])}".rstrip()
+    numbers = (
+        f"{_table(found)}\n{doubt_legend([side for entry in found for side in (entry.before, entry.after)])}".rstrip()
+    )
     refused, limits = not_answered(found.refused), _limits(found)
-    terminal.answer(found.to_dict(), alarmed(found.alarms), numbers, refused, limits, found.safety)
+    terminal.answer(found.to_dict(), warning_lines(found.alarms), numbers, refused, limits, found.safety)
 
 
 def _table(found: Sequence[WhatIf]) -> str:

@@ -101,17 +101,17 @@ def _separation(cost: Path | None, **given: Any) -> Separation | None:  # noqa: 
     """Return the parameters of S_p; None if no option for it was given."""
     from cyclekit.estimate.whatif.separation import Separation
 
-    told = {name: value for name, value in given.items() if value is not None}
-    if not told:
+    values = {name: value for name, value in given.items() if value is not None}
+    if not values:
         return None
-    lacking = [_option(name) for name in given if name not in told and name != "approach_speed_m_s"]
+    lacking = [_option(name) for name in given if name not in values and name != "approach_speed_m_s"]
     if cost is None:
         lacking.append("--cost")
     if lacking:
-        raise typer.BadParameter(f"also give {', '.join(lacking)}", param_hint=_option(next(iter(told))))
+        raise typer.BadParameter(f"also give {', '.join(lacking)}", param_hint=_option(next(iter(values))))
     for name in ("stopping_time_s", "stopping_distance_m"):
-        told[name] = _numbers(name, told[name])
-    return Separation(**told)
+        values[name] = _numbers(name, values[name])
+    return Separation(**values)
 
 
 def _option(name: str) -> str:

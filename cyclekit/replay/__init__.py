@@ -15,7 +15,7 @@ from cyclekit.extras import need
 need("a replay", "replay")
 
 from cyclekit.replay.floor import PredictsNow
-from cyclekit.replay.misses import Miss
+from cyclekit.replay.prediction_errors import Miss
 from cyclekit.replay.recording import ReplayFacts, write_replay
 from cyclekit.replay.server import serve
 from cyclekit.replay.viewer import open_viewer

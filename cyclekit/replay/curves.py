@@ -12,8 +12,8 @@ import rerun as rr
 
 from cyclekit.dataset.lost_time import CAUSE_NAMES
 from cyclekit.plots import colours
-from cyclekit.replay.ledger import ACCOUNTS, ledger
 from cyclekit.replay.phase import TASK
+from cyclekit.replay.time_accounting import ACCOUNTS, time_accounting
 from cyclekit.replay.words import LogLine, lanes, log_lines, miss_lines, summary
 from cyclekit.text.numbers import whole_percent
 
@@ -99,7 +99,7 @@ def _phase(sink: Sink, who: str, hue: str) -> None:
 
 def spent_words(run: ReplayedExecution) -> list[tuple[str, str]]:
     """Return the names of the curves of the time accounting, and the names of their colours."""
-    spent = ledger(run)
+    spent = time_accounting(run)
     short = {"nominal": "full speed", "safety": "slow-down"}
     return [(short.get(name, name), _HUE_NAMES[name]) for name in ACCOUNTS if spent[name][-1] > 0]
 
@@ -109,7 +109,7 @@ def _accounts(sink: Sink, who: str, hue: str, *, alone: bool) -> None:
     run = sink.run
     if not np.isfinite(run.scaling).any():
         return
-    spent = ledger(run)
+    spent = time_accounting(run)
     for name in ACCOUNTS if alone else ():
         if spent[name][-1] > 0:
             _curve(sink, f"plots/spent/{name}", _WORDS.get(name, name), _LOOKS[name], run.t_s, spent[name])

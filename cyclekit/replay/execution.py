@@ -14,8 +14,8 @@ import polars as pl
 
 from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.dataset.unknown_height import height_notes, in_plane
-from cyclekit.replay.crowd import Skeletons, other_people, skeletons
 from cyclekit.replay.floor import FloorZones, learned_zones, rule_shapes
+from cyclekit.replay.tracked_people import Skeletons, other_people, skeletons
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -15,11 +15,11 @@ import rerun.blueprint.encodings as rre
 
 from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.errors import CyclekitError
-from cyclekit.replay.bodies import floor_m
 from cyclekit.replay.compare import most_different
 from cyclekit.replay.curves import HUE_NAMES, spent_words
-from cyclekit.replay.misses import misses
+from cyclekit.replay.people import floor_m
 from cyclekit.replay.phase import TASK
+from cyclekit.replay.prediction_errors import prediction_errors
 from cyclekit.replay.scene import PAPER
 from cyclekit.replay.sink import EXECUTION, PHASE
 from cyclekit.replay.words import slowdowns
@@ -66,7 +66,7 @@ def _alone(run: ReplayedExecution) -> rrb.Container:
         rrb.TextDocumentView(origin="/summary", name="Where the time went"),
         rrb.TextLogView(origin="/log", name="What happened", columns=_log_columns()),
     ]
-    if misses(run):
+    if prediction_errors(run):
         words.append(rrb.TextLogView(origin="/misses", name="Where model and log differ most", columns=_log_columns()))
     right, scene = _right(run), _scene(run)
     left = rrb.Vertical(*([scene] if scene else []), rrb.Tabs(*words), row_shares=[8, 5] if scene else None)
@@ -125,7 +125,7 @@ def _span(run: ReplayedExecution, at: Focus) -> tuple[float, float] | None:
             seen = f"execution {run.name} lasts {run.duration_s:.1f} s, so there is nothing to show at {at:g} s"
             raise CyclekitError(seen, cure="Give --at a time since the execution began, such as 12.5s.")
         return float(at), float(at)
-    wrong = misses(run, 1)
+    wrong = prediction_errors(run, 1)
     if at == "error" and wrong:
         return wrong[0].start_s, wrong[0].end_s
     worst = max(slowdowns(run), key=lambda each: each.lost_s, default=None)

@@ -19,8 +19,8 @@ from cyclekit.replay.compare import comparison
 from cyclekit.replay.curves import HUES, log_curves
 from cyclekit.replay.execution import load_execution
 from cyclekit.replay.layout import blueprint, opening
-from cyclekit.replay.misses import Miss, misses
 from cyclekit.replay.phase import common_order, path_phase
+from cyclekit.replay.prediction_errors import Miss, prediction_errors
 from cyclekit.replay.scene import log_scene
 from cyclekit.replay.sink import Sink
 from cyclekit.storage.atomic import replaced
@@ -127,7 +127,7 @@ def write_replay(
         bytes=out.stat().st_size,
         gaps=sum(len(run.gaps) for run in runs),
         notes=tuple(notes),
-        misses=tuple(misses(runs[0])),
+        misses=tuple(prediction_errors(runs[0])),
         first=first,
     )
 

@@ -1,6 +1,6 @@
 """Writes the 3-D scene: robot, places, learned zones, and the line from robot to operator in the scaling's colour.
 
-`bodies` draws people; `layout` decides which views show the scene.
+`people` draws people; `layout` decides which views show the scene.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from cyclekit.config.arms import joint_points, recognise_arm
 from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.plots import colours
 from cyclekit.plots.labels import place_labels
-from cyclekit.replay.bodies import floor_m, log_people
+from cyclekit.replay.people import floor_m, log_people
 from cyclekit.replay.shapes import goals, pack, trail
 from cyclekit.text.numbers import exact_percent, whole_percent
 

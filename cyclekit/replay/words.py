@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.plots import colours
-from cyclekit.replay.misses import misses
+from cyclekit.replay.prediction_errors import prediction_errors
 from cyclekit.text.numbers import whole_percent
 from cyclekit.text.plain_text import markdown
 
@@ -101,7 +101,7 @@ def log_lines(run: ReplayedExecution) -> list[LogLine]:
 def miss_lines(run: ReplayedExecution) -> list[LogLine]:
     """Return the stretches in which prediction and log differ most, by time; a click on a time jumps there."""
     lines = []
-    for rank, miss in enumerate(misses(run), start=1):
+    for rank, miss in enumerate(prediction_errors(run), start=1):
         doing = f" on {run.shown(miss.robot_task)}" if miss.robot_task else ""
         text = (
             f"#{rank}: logged {whole_percent(miss.logged)}, predicted {whole_percent(miss.predicted)}{doing}, "

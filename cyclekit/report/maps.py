@@ -1,7 +1,7 @@
 """Figures of scaling against distance, floor plans, heatmap of the levels, calibration.
 
 Each function draws one vector figure for a width in inches, with the numbers as tooltips. The numbers come from
-`findings`, `floor` and `judged`; `pictures` turns a figure into SVG.
+`findings`, `floor` and `calibration`; `pictures` turns a figure into SVG.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.plots.floor import FloorNote
+    from cyclekit.report.calibration import PredictionBins
     from cyclekit.report.findings import LoggedResponse
     from cyclekit.report.floor import FloorPlan
-    from cyclekit.report.judged import PredictionBins
     from cyclekit.report.texts import ReportTexts
 
 _FAINTEST = 0.02

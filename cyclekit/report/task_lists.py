@@ -248,12 +248,12 @@ def _learned(card: TaskModelCard) -> Part:
 
 
 def _trust(card: TaskModelCard | None, missing: Sequence[str]) -> Part:
-    judged = card.held_out if card else None
+    held_out = card.held_out if card else None
     said = "Too few executions to validate the model on orders that were held out."
-    if judged is not None:
+    if held_out is not None:
         said = (
-            f"Validated on {judged.orders} orders that were held out: mean cycle time {judged.bias:+.1%} off "
-            f"(standard error {judged.within:.1%}), error of single orders beyond chance {judged.order_error:.1%}."
+            f"Validated on {held_out.orders} orders that were held out: mean cycle time {held_out.bias:+.1%} off "
+            f"(standard error {held_out.within:.1%}), error of single orders beyond chance {held_out.order_error:.1%}."
         )
     known = [said, *missing[:1], NOT_KNOWN[1], *missing[1:]] if card else missing
     return Part("How reliable are these numbers?", known)

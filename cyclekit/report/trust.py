@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.dataset.cards import plain
 from cyclekit.learning.rules.safety import RuleSafety
-from cyclekit.report import rests
+from cyclekit.report import basis
+from cyclekit.report.basis import signed
 from cyclekit.report.figures import charts_of
 from cyclekit.report.numbers import count, fixed, percent, significant
 from cyclekit.report.provenance import provenance
-from cyclekit.report.rests import signed
 from cyclekit.report.tables import ReportTable
 from cyclekit.text.numbers import whole_percent
 
@@ -43,7 +43,7 @@ def section(page: PageInputs) -> dict[str, Any]:
     origin = provenance(dataset, versions)
     unmeasured = bool(page.ranked) and (check is None or check.coverage is None)
     said = [*_network_and_baselines(page), *([texts("trust.no_coverage")] if unmeasured else [])]
-    tables = [*rests.tables(texts, page.ranked, check), *rests.to_log(page), *_unseen(texts, page.samples)]
+    tables = [*basis.tables(texts, page.ranked, check), *basis.to_log(page), *_unseen(texts, page.samples)]
     tables += _data_tables(texts, origin)
     return {
         "facts": _facts(texts, dataset, page.seen, origin),

@@ -30,8 +30,8 @@ def section(page: PageInputs) -> dict[str, Any]:
     if seen.slowed == 0.0:
         sentences.append(texts("why.never"))
     elif seen.slowed is not None and seen.halted is not None:
-        told = {"slowed": percent(seen.slowed)} | ({"halted": percent(seen.halted)} if seen.halted else {})
-        sentences.append(texts("why.slowed" if seen.halted else "why.slowed_only", **told))
+        shares = {"slowed": percent(seen.slowed)} | ({"halted": percent(seen.halted)} if seen.halted else {})
+        sentences.append(texts("why.slowed" if seen.halted else "why.slowed_only", **shares))
     if found:
         sentences.append(texts("why.lead", samples=count(found.samples)))
         key = "why.distance_good" if found.explained >= EXPLAINS else "why.distance_bad"

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit.cli.estimate import rests_on
+from cyclekit.cli.estimate import basis_and_limits
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.estimate.history import TaskTimes, chance_of_logs, history_share, order_error
 from cyclekit.estimate.logged import logged_sequences
@@ -104,7 +104,7 @@ def test_the_number_lies_between_both_and_says_so(logged: Dataset, staircase: An
     assert sum(task.expected_s for task in found.tasks) == pytest.approx(found.expected_s)
     assert found.expected_low_s < found.expected_s < found.expected_high_s
     assert found.to_dict()["combined"]["history_share"] == both.history_share
-    told = " ".join(rests_on([found]).split())
+    told = " ".join(basis_and_limits([found]).split())
     assert f"{both.history_share:.0%} with the logged durations of the same tasks" in told
 
 

@@ -25,9 +25,9 @@ from cyclekit.errors import CyclekitError
 from cyclekit.replay import serve, write_replay
 from cyclekit.replay.compare import comparison, most_different
 from cyclekit.replay.execution import load_execution
-from cyclekit.replay.ledger import ledger
-from cyclekit.replay.misses import misses
 from cyclekit.replay.phase import TASK, common_order, path_phase
+from cyclekit.replay.prediction_errors import prediction_errors
+from cyclekit.replay.time_accounting import time_accounting
 from cyclekit.storage.atomic import write_parquet
 
 
@@ -144,7 +144,7 @@ def test_a_clock_that_is_assumed_to_start_together_tells_no_time_of_day(dataset,
 
 def test_the_accounts_of_time_add_up_to_the_tasks_and_to_the_whole(dataset):
     run = load_execution(dataset, "1")
-    spent = ledger(run)
+    spent = time_accounting(run)
     assert sum(account[-1] for account in spent.values()) == pytest.approx(run.t_s[-1] - run.t_s[0])
     for name, column in (("nominal", "nominal_s"), ("safety", "safety_loss_s"), ("dwell", "dwell_s")):
         assert spent[name][-1] == pytest.approx(run.tasks[column].sum(), abs=0.6)
@@ -152,9 +152,9 @@ def test_the_accounts_of_time_add_up_to_the_tasks_and_to_the_whole(dataset):
 
 
 def test_a_model_that_is_right_has_no_errors_to_hunt_and_a_wrong_one_is_caught_where_it_is_wrong(dataset, tmp_path):
-    assert misses(load_execution(dataset, "1", Staircase())) == []
+    assert prediction_errors(load_execution(dataset, "1", Staircase())) == []
     run = load_execution(dataset, "1", Staircase(wrong_from_m=1.3))
-    found = misses(run)
+    found = prediction_errors(run)
     assert found
     for miss in found:
         row = int(np.searchsorted(run.t_s, miss.t_s))

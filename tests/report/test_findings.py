@@ -18,9 +18,9 @@ from cyclekit.config import Cell, Furniture
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.plots.colours import scaling_hex
 from cyclekit.report import findings
+from cyclekit.report.calibration import calibration
 from cyclekit.report.floor import floor_plan
 from cyclekit.report.inputs import PageInputs
-from cyclekit.report.judged import calibration
 from cyclekit.report.maps import lost_map, zone_map
 from cyclekit.report.texts import load_texts
 from cyclekit.report.why import section

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.report.calibration import calibration
 from cyclekit.report.figures.figure import Chart, Figure
-from cyclekit.report.judged import calibration
 from cyclekit.report.numbers import count, fixed, percent
 from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable

@@ -23,7 +23,7 @@ from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.whatif.coupled import shown as wait_name
 from cyclekit.learning.out_of_core import in_memory
-from cyclekit.report.play.tables import SEED, field_of, rest_of
+from cyclekit.report.play.tables import SEED, scaling_source, settings_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -75,7 +75,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     xyz_m, segments = _used(cell.segments, walks, stays)
     nothing = np.zeros((1, len(xyz_m)), np.int64)
     tracks = OperatorTracks(xyz_m[None], nothing, (), np.array([len(xyz_m)]), ("",), 1.0 / dataset.rate_hz)
-    facts = rest_of(page, model, dataset, tracks) | {
+    facts = settings_of(page, model, dataset, tracks) | {
         "kind": "both",
         "seed": SEED,
         "executions": cell.executions,
@@ -96,9 +96,9 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
         "paces": PACES,
         "most_parts": MOST_PARTS,
     }
-    told, tasks = field_of(model, dataset, legs, tracks, arrays)
+    source, tasks = scaling_source(model, dataset, legs, tracks, arrays)
     gates = Gates(card)
-    facts |= told | {"legs": _legs(legs, tasks, gates), "check": _corrected(shown[0].check, cell.executions, arrays)}
+    facts |= source | {"legs": _legs(legs, tasks, gates), "check": _corrected(shown[0].check, cell.executions, arrays)}
     return facts, arrays
 
 
@@ -125,8 +125,8 @@ def _asked(plan: Sequence[PlannedTask], where: str) -> dict[str, list[dict[str, 
         task = plan[number]
         events = [need.event for need in needs]
         after = [{"number": numbers[who, name][turn], "agent": who, "name": name} for who, name, _, turn in events]
-        told = {"number": number, "name": task.name, "after": after, "not_before_s": task.not_before_s or 0.0}
-        tasks[task.agent].append(told)
+        planned = {"number": number, "name": task.name, "after": after, "not_before_s": task.not_before_s or 0.0}
+        tasks[task.agent].append(planned)
     return tasks
 
 
@@ -159,9 +159,9 @@ def _said(*event: str) -> str:
 
 
 def _source(source: SourceCard) -> dict[str, Any]:
-    told = {name: getattr(source, name) for name in ("signal", "gap_s", "first_s", "buffer", "taken_by")}
+    fields = {name: getattr(source, name) for name in ("signal", "gap_s", "first_s", "buffer", "taken_by")}
     kind = "arrives" if source.inferred else "set"
-    return {**told, "kind": kind, "said": _said("robot", source.taken_by, "leaves")}
+    return {**fields, "kind": kind, "said": _said("robot", source.taken_by, "leaves")}
 
 
 def _gates(card: CouplingCard) -> list[dict[str, Any]]:
@@ -176,8 +176,8 @@ def _gates(card: CouplingCard) -> list[dict[str, Any]]:
             }
             for one in gate.conditions
         ]
-        told = {name: getattr(gate, name) for name in ("agent", "at", "place", "phase", "own_s")}
-        found.append({**told, "name": wait_name(gate), "conditions": conditions})
+        fields = {name: getattr(gate, name) for name in ("agent", "at", "place", "phase", "own_s")}
+        found.append({**fields, "name": wait_name(gate), "conditions": conditions})
     return found
 
 

@@ -33,8 +33,8 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
     judged, first = card.held_out, 0
     tasks, values = [], list[float]()
     for task in card.tasks:
-        told = {name: getattr(task, name) for name in ("agent", "task", "usual_s", "rates", "after", "turns")}
-        found = {**told, "needs": [_need(need) for need in task.needs], "first": first, "work": len(task.work_s)}
+        fields = {name: getattr(task, name) for name in ("agent", "task", "usual_s", "rates", "after", "turns")}
+        found = {**fields, "needs": [_need(need) for need in task.needs], "first": first, "work": len(task.work_s)}
         tasks.append({**found, "lags": len(task.lags_s)})
         values += [*task.work_s, *task.lags_s]
         first = len(values)

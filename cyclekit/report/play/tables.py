@@ -85,8 +85,8 @@ def tables_of(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimat
     nominal_s = max(each.nominal_s + each.dwell_s + each.wait_s for each in shown)
     tracks = operator_tracks(dataset, horizon_s=LONGER * nominal_s, phases=check.phases if check else None, model=model)
     arrays: Arrays = {}
-    told, points = field_of(model, dataset, legs, tracks, arrays)
-    facts = rest_of(page, model, dataset, tracks) | told
+    source, points = scaling_source(model, dataset, legs, tracks, arrays)
+    facts = settings_of(page, model, dataset, tracks) | source
     facts["kind"] = "robot"
     facts["sequences"] = [{"name": each.name, "robot": list(each.places)} for each in shown]
     facts["legs"] = _legs(points, arrays, len(tracks.executions), [each.places for each in shown])
@@ -94,7 +94,7 @@ def tables_of(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimat
     return facts, arrays
 
 
-def rest_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: OperatorTracks) -> dict[str, Any]:
+def settings_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: OperatorTracks) -> dict[str, Any]:
     """Return names, takt, the grid of the tracks, and the time steps and the response of the rollout."""
     dynamics = Dynamics.of(dataset.card.dynamics, model)
     return {
@@ -114,7 +114,7 @@ def rest_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: Oper
     }
 
 
-def field_of(
+def scaling_source(
     model: SafetyModel, dataset: Dataset, legs: Mapping[str, NominalTask], tracks: OperatorTracks, arrays: Arrays
 ) -> tuple[dict[str, Any], Mapping[str, NominalTask]]:
     """Put the rule or the table of the scaling into `arrays`; return its facts, and the tasks as the page has them.
@@ -128,8 +128,8 @@ def field_of(
     dynamics = Dynamics.of(dataset.card.dynamics, model)
     paths = [leg.xyz_m for leg in legs.values()]
     if smooth(model):
-        told = _positions(dataset, legs, tracks, arrays, spots=False)
-        return told | {"rule": scaling_grid(model, dynamics, paths, tracks.xyz_m.reshape(-1, 3), arrays)}, legs
+        positions = _positions(dataset, legs, tracks, arrays, spots=False)
+        return positions | {"rule": scaling_grid(model, dynamics, paths, tracks.xyz_m.reshape(-1, 3), arrays)}, legs
     return {"rule": scaling_table(model, dynamics, dataset, paths, tracks, arrays)}, legs
 
 
@@ -251,8 +251,8 @@ def _corrected(
         return {**alone, "order_error": None, "history": {}}
     arrays["residuals"] = check.residuals_of(len(tracks.executions)).astype(np.float32)
     names = ("factor", "network_error", "unseen_error", "spread", "doubted_bias", "order_error")
-    told = {name: getattr(check, name) for name in names}
-    return {**told, "history": _history(check, dataset, tracks, legs, together, arrays)}
+    fields = {name: getattr(check, name) for name in names}
+    return {**fields, "history": _history(check, dataset, tracks, legs, together, arrays)}
 
 
 def _history(

@@ -41,7 +41,7 @@ class Miss:
     robot_task: str | None
 
 
-def misses(run: ReplayedExecution, most: int = 10) -> list[Miss]:
+def prediction_errors(run: ReplayedExecution, most: int = 10) -> list[Miss]:
     """Return the stretches in which prediction and log of the moving robot differ most, largest error first."""
     if run.predicted is None or not len(run.t_s):
         return []

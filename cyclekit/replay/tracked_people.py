@@ -1,7 +1,7 @@
 """Finds other people and skeletons at the times of samples, from the recordings of the trackers.
 
 x_h of a sample is one point of one person. Every tracked person who is not at x_h is another person. Skeletons are
-returned as bones between their joints. `bodies` draws both.
+returned as bones between their joints. `people` draws both.
 """
 
 from __future__ import annotations

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from cyclekit.report.findings import Predicts
 
 BINS = 10
-LEAST = 20
+MIN_SAMPLES = 20
 """A bin with fewer samples is left out."""
 
-MOST = 50_000
+MAX_SAMPLES = 50_000
 """Maximum number of samples: enough for ten means, and quick."""
 
 
@@ -58,14 +58,14 @@ def calibration(samples: pl.DataFrame, executions: Sequence[str], model: Predict
     axes = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
     rows = samples.filter(pl.col("execution").is_in(list(executions)) & pl.col("robot_moving"))
     rows = rows.with_columns(human_z_m=HUMAN_Z_IN_PLANE).select(*axes, "scaling").drop_nulls()
-    rows = rows.gather_every(max(1, -(-rows.height // MOST)))
-    if rows.height < LEAST:
+    rows = rows.gather_every(max(1, -(-rows.height // MAX_SAMPLES)))
+    if rows.height < MIN_SAMPLES:
         return None
     predicted = np.asarray(model.predict(rows.select(axes).to_numpy().astype(np.float32)), dtype=np.float64)
     logged = rows["scaling"].to_numpy()
     slot = np.minimum((predicted * BINS).astype(np.int64), BINS - 1)
     count = np.bincount(slot, minlength=BINS)
-    used = np.flatnonzero(count >= LEAST)
+    used = np.flatnonzero(count >= MIN_SAMPLES)
     if not len(used):
         return None
     means = [np.bincount(slot, weights=values, minlength=BINS)[used] / count[used] for values in (predicted, logged)]

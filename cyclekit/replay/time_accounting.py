@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 ACCOUNTS = ("nominal", "safety", "dwell", "wait", "unknown")
 
 
-def ledger(run: ReplayedExecution) -> dict[str, NDArray[np.float64]]:
+def time_accounting(run: ReplayedExecution) -> dict[str, NDArray[np.float64]]:
     """Return the cumulated seconds of each account, shape (T,) each; their sum is the time since `t_s[0]`."""
     count = len(run.t_s)
     step_s = np.diff(run.t_s, append=run.t_s[-1:])

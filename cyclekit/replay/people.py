@@ -1,7 +1,7 @@
 """Draws people: the operator as a skeleton or an upright body, with trail and goal, and other people.
 
-Without skeletons, a log has one point per person, and an upright body is drawn under that point. `crowd` returns the
-positions.
+Without skeletons, a log has one point per person, and an upright body is drawn under that point. `tracked_people`
+returns the positions.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ IDLE = "seconds: motion at full speed + slow-down for safety + dwell + wait"
 UNTIL_DONE = " + idle until the operator is done = expected"
 DOUBT_MARK = "* "
 SPLIT_HEADS = ["motion", "safety", "dwell", "wait"]
-LEAST_WAIT_S = 0.2
+MIN_WAIT_S = 0.2
 """Minimum wait between two tasks, s, whose cause is printed."""
 
 
@@ -259,9 +259,9 @@ def largest_losses(found: Sequence[CycleEstimate]) -> str:
 
 def _largest(part: float) -> str:
     """Return the wording for the largest share: `most` only above one half."""
-    from cyclekit.estimate.result import MOST
+    from cyclekit.estimate.result import MAJORITY
 
-    return f"most of it ({percent(part)})" if part > MOST else f"the largest share ({percent(part)})"
+    return f"most of it ({percent(part)})" if part > MAJORITY else f"the largest share ({percent(part)})"
 
 
 def _range(found: Sequence[CycleEstimate]) -> tuple[float, float]:
@@ -284,7 +284,7 @@ def plan_table(entry: CycleEstimate) -> str:
     rows = []
     for task in sorted(entry.plan, key=lambda one: one.start_s):
         cause = max(task.decided, key=lambda name: task.decided[name])
-        waited = f"{cause} ({percent(task.decided[cause])})" if task.wait_s > LEAST_WAIT_S else "-"
+        waited = f"{cause} ({percent(task.decided[cause])})" if task.wait_s > MIN_WAIT_S else "-"
         rows.append([task.agent, task.task, f"{task.start_s:.1f}", f"{task.end_s:.1f}", f"{task.wait_s:.1f}", waited])
     return table(["agent ", "task ", "start, s", "end, s", "wait, s", "waits for"], rows)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cyclekit.fleet import FleetRun
 
 EXAMPLE = "cyclekit fleet all fleet.toml --jobs 4"
-MOST = 20
+MAX_LISTED = 20
 """Maximum number of cells listed one by one; of more, only failures are listed."""
 
 
@@ -54,7 +54,7 @@ def summary(found: FleetRun) -> str:
         for stage in stages
     ]
     parts = [table(["cells ", *states], counts)]
-    if len({row.cell for row in rows}) <= MOST:
+    if len({row.cell for row in rows}) <= MAX_LISTED:
         parts.insert(0, "\n".join(f"{row.cell}: {row.stage} {row.state}: {_short(row.text)}" for row in rows))
     return "\n\n".join([*parts, *([f"{page}: open it in any browser"] if page else [])])
 

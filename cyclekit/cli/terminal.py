@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 PATIENCE_S = 2.0
 """Time to the first line of progress without a terminal, s; doubled for each further line."""
 
-LEAST_TEXT = 12
+MIN_TEXT = 12
 """Minimum width of a text column, characters."""
 
 
@@ -157,7 +157,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = 
         header = [name if left else name.replace(" ", "\n") for name, left in zip(header, texts, strict=True)]
         cells = [[*name.split("\n"), *(row[at] for row in rows)] for at, name in enumerate(header) if not texts[at]]
         room = columns() - sum(2 + max(map(len, column)) for column in cells)
-        if cells and 0 < room < LEAST_TEXT * sum(texts):
+        if cells and 0 < room < MIN_TEXT * sum(texts):
             return _stacked(header, rows, texts, title)
     grid = Table(box=None, pad_edge=False, show_edge=False, padding=(0, 2, 0, 0))
     for index, name in enumerate(header):

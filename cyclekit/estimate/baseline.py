@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cyclekit.learning.task_times.runs import Run
     from cyclekit.schema import Floats, Vector
 
-LEAST_RUNS = 5
+MIN_RUNS = 5
 """Minimum number of executions of the most frequent order to use it as baseline; below it, all of the same work."""
 LEVELS = (0.05, 0.5, 0.95)
 """Quantile levels reported for logged executions."""
@@ -71,7 +71,7 @@ def baseline_of(
 ) -> Baseline | None:
     """Return the baseline: logged executions of the most frequent order, without reference runs without an operator.
 
-    If that order ran fewer than LEAST_RUNS times, all executions of the same work count. None if there are none.
+    If that order ran fewer than MIN_RUNS times, all executions of the same work count. None if there are none.
 
     Args:
         dataset: The logs.
@@ -93,7 +93,7 @@ def baseline_of(
     if not ran:
         return None
     order, times = Counter(ran.values()).most_common(1)[0]
-    if times >= LEAST_RUNS:
+    if times >= MIN_RUNS:
         ran = {name: places for name, places in ran.items() if places == order}
     names, same = tuple(ran), len(set(ran.values())) == 1
     cycles_s = np.array([durations[name] for name in names], dtype=np.float64)

@@ -24,7 +24,7 @@ significant (BY_RANK), the held-out executions alone determine the bias. Otherwi
 held-out ones would count as one in nine."""
 BY_RANK = 2.33
 """Threshold, standard deviations of the Mann-Whitney rank sum: one in a hundred by chance."""
-LEAST_UNSEEN = 3
+MIN_UNSEEN = 3
 """Minimum number of held-out executions to determine the bias alone."""
 
 
@@ -65,7 +65,7 @@ def _standard_error(values: Vector) -> float:
 def _unseen_alone(size: Vector, unseen: NDArray[np.bool_]) -> bool:
     """Return whether held-out executions are significantly worse than the others: see WORSE."""
     mine, others = size[unseen], size[~unseen]
-    if len(mine) < LEAST_UNSEEN or not len(others) or np.median(mine) <= WORSE * np.median(others):
+    if len(mine) < MIN_UNSEEN or not len(others) or np.median(mine) <= WORSE * np.median(others):
         return False
     above = float((mine[:, None] > others).sum()) - len(mine) * len(others) / 2
     return above > BY_RANK * float(np.sqrt(len(mine) * len(others) * (len(size) + 1) / 12))

@@ -46,12 +46,12 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Floats, Vector
 
 
-MOST = 200
+MAX_EXECUTIONS = 200
 """Maximum number of logged executions to roll out, evenly chosen; every caller gets the same ones, so the same
 correction. The standard error of the coverage is then 2 percentage points."""
 ENOUGH = 1.25
 """Length of the tracks, as a multiple of the longest logged execution; longer only if a cycle does not end."""
-LEAST = 3
+MIN_EXECUTIONS = 3
 """Minimum number of executions to estimate the bias: fewer give no standard error."""
 FEW_EXECUTIONS = 10
 """Minimum number of executions to report a coverage: fewer do not determine a 5 % quantile."""
@@ -211,7 +211,7 @@ def check_rollout(
     dataset: Dataset,
     *,
     levels: Sequence[float] = (0.05, 0.5, 0.95),
-    most: int | None = MOST,
+    most: int | None = MAX_EXECUTIONS,
     seed: int = 0,
 ) -> Check:
     """Roll out the logged executions and compare their durations with the logs.
@@ -224,7 +224,7 @@ def check_rollout(
         seed: Seed of the order in which logged standstills are used.
 
     Raises:
-        EstimateError: Fewer than LEAST complete executions have an operator track and tasks of known scaling.
+        EstimateError: Fewer than MIN_EXECUTIONS complete executions have an operator track and tasks of known scaling.
     """
     model = on_states_of(model, dataset)
     dataset, _ = in_memory(dataset)
@@ -290,8 +290,8 @@ def _some(sequences: list[TaskSequence], most: int | None) -> list[TaskSequence]
 
 
 def _enough(dataset: Dataset, count: int) -> None:
-    if count < LEAST:
-        msg = f"{dataset.path}: {count} complete executions can be rolled out again; {LEAST} are needed"
+    if count < MIN_EXECUTIONS:
+        msg = f"{dataset.path}: {count} complete executions can be rolled out again; {MIN_EXECUTIONS} are needed"
         raise EstimateError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
 
 

@@ -44,7 +44,7 @@ TIME_GRID = 0.5
 """Grid of the two times, units: ends of one log in the same grid cell share their candidates."""
 EVERY_S = 0.5
 """Time between the instants of a track at which a stretch may begin, s."""
-LEAST_S = 1.0
+MIN_S = 1.0
 """Minimum time from such an instant to the end of its track, s."""
 CANDIDATES = 15
 """Maximum number of tracks, the most similar ones, from which a stretch is drawn."""
@@ -52,11 +52,11 @@ MAX_EXCESS = 1.5
 """Maximum difference of a candidate beyond that of the best one, units."""
 ITERATIONS = 60
 """Number of iterations that find the weights of the instants."""
-MOST_WEIGHED = 400
+MAX_WEIGHED = 400
 """Maximum number of tracks for which weights are computed; with more, all instants have equal weight."""
 PARTS = 4
 """Number of parts of a track that have separate weights."""
-MOST_WEIGHT = 30.0
+MAX_WEIGHT = 30.0
 """Maximum weight of an instant; the minimum is its inverse."""
 BLEND_S = 1.0
 """Time over which the jump between two tracks is smoothed, s; at most the length of the shortest stretch."""
@@ -98,7 +98,7 @@ class Continuation:
         self._kinds = 1 + int(logs.activity.max(initial=-1))
         lengths = logs.last + 1 - logs.first
         self._latest_s = 0.0 if phase_free or not len(lengths) else float(np.quantile(lengths, 0.5)) * step_s
-        every, least = max(1, round(EVERY_S / step_s)), max(1, round(LEAST_S / step_s))
+        every, least = max(1, round(EVERY_S / step_s)), max(1, round(MIN_S / step_s))
         instants = [np.arange(begin, end + 1 - least, every) for begin, end in zip(logs.first, logs.last, strict=True)]
         self._owner = np.repeat(np.arange(len(instants)), [len(some) for some in instants])
         self._at = np.concatenate([np.empty(0, np.int64), *instants])
@@ -138,7 +138,7 @@ class Continuation:
             ahead = (covers * off[every].reshape(covers.shape)).sum(axis=2) / np.maximum(covers.sum(axis=2), 1e-9)
             total = np.bincount(part[may], minlength=len(weight))
             mean = np.bincount(part[may], ahead[may], minlength=len(weight)) / np.maximum(total, 1)
-            weight = np.clip(weight * np.where(total > 0, mean, 1.0) ** 0.5, 1.0 / MOST_WEIGHT, MOST_WEIGHT)
+            weight = np.clip(weight * np.where(total > 0, mean, 1.0) ** 0.5, 1.0 / MAX_WEIGHT, MAX_WEIGHT)
         parts = ((self._at - logs.first[self._owner]) / length[self._owner] * PARTS).astype(np.int64)
         return np.asarray(weight[self._owner * PARTS + parts])
 
@@ -228,7 +228,7 @@ class Continuation:
     def weight_of(self, instants: Ints) -> Vector:
         """Return the weights of an array of instants, in the same shape."""
         if self._weight is None:
-            self._weight = self._weights() if len(self._logs.last) <= MOST_WEIGHED else np.ones(len(self._at))
+            self._weight = self._weights() if len(self._logs.last) <= MAX_WEIGHED else np.ones(len(self._at))
         return np.asarray(self._weight[instants])
 
     def _write(self, where: Points, activity: Ints, pieces: Sequence[_Piece]) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.walk import Rolled
     from cyclekit.schema import Floats, Vector
 
-LEAST_SUPPORT = 0.5
+MIN_SUPPORT = 0.5
 """Minimum share of the cycle in logged positions; below it the estimate is refused."""
 TOLD = 0.005
 """Minimum weight of logged task durations that the text mentions."""
@@ -85,7 +85,7 @@ def entry_of(
         calibrated=check is not None and check.coverage is not None,
         takt_s=ask.takt_s,
         takt_probability=within and least_wide(within, logged),
-        extrapolated=cycles.support < LEAST_SUPPORT,
+        extrapolated=cycles.support < MIN_SUPPORT,
         operator=sequence.operator,
         check=check,
         combined=means.combined,

@@ -51,7 +51,7 @@ class Estimator:
 
 
 HISTORY_DRAWS = 1000
-LEAST_PROGRESS = 0.02
+MIN_PROGRESS = 0.02
 """Minimum of a predicted mean scaling: at the near-zero outputs of a network a motion would never end."""
 
 
@@ -115,7 +115,7 @@ def _mean_scaling(
     for start in range(0, len(known), BLOCK):
         some = known[start : start + BLOCK]
         mean[some] = model.predict(inputs[some].astype(np.float32))
-    return np.asarray(np.clip(mean, LEAST_PROGRESS, 1.0))
+    return np.asarray(np.clip(mean, MIN_PROGRESS, 1.0))
 
 
 def _sample(tracks: OperatorTracks, time_s: Vector) -> Ints:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Vector
 
 
-LEAST_ORDERS = 10
+MIN_ORDERS = 10
 """Minimum number of logged orders to estimate the effect of the order; with fewer the rollout is used alone."""
 
 
@@ -118,13 +118,13 @@ def order_error(
             is subtracted.
 
     Returns:
-        The error; None if fewer than LEAST_ORDERS executions can be compared.
+        The error; None if fewer than MIN_ORDERS executions can be compared.
     """
     known = [s.name in times.executions and times.knows(s.tasks) for s in sequences]
     elsewhere = [times.elsewhere_s(s) if ok else np.nan for s, ok in zip(sequences, known, strict=True)]
     squares = ((np.array(elsewhere) / others_s - 1.0) ** 2 - chance) * np.array([len(s.tasks) for s in sequences])
     squares = squares[np.isfinite(squares)]
-    return float(np.sqrt(max(squares.mean(), 0.0))) if len(squares) >= LEAST_ORDERS else None
+    return float(np.sqrt(max(squares.mean(), 0.0))) if len(squares) >= MIN_ORDERS else None
 
 
 def chance_of_logs(

@@ -14,7 +14,7 @@ from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import EstimateError, ModelError
 from cyclekit.estimate.check import Check, check_rollout
-from cyclekit.estimate.entry import LEAST_SUPPORT
+from cyclekit.estimate.entry import MIN_SUPPORT
 from cyclekit.estimate.nominal import slider_losses
 from cyclekit.estimate.safety import OnStates
 from cyclekit.learning.signal_inputs import left_out
@@ -48,7 +48,7 @@ def no_answer(
     if open_ended:
         seen = f"{sequence.shown}: {open_ended:.0%} of the cycles do not end within {until_s:.0f} s"
         return EstimateError(seen, cure=ENDLESS)
-    if cycles.support < LEAST_SUPPORT and not ask.extrapolate:
+    if cycles.support < MIN_SUPPORT and not ask.extrapolate:
         seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through logged positions"
         cure = "Log this part of the cell, or estimate with --extrapolate and mark the number."
         return EstimateError(seen, cure=cure)

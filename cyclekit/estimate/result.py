@@ -29,7 +29,7 @@ AWAY, ELSEWHERE = "away", "elsewhere"
 """Names of two activities: the operator is absent; he is present, but his task is unknown."""
 OF_STATES = ("signals ", "no signal of people", "hidden state ")
 """Prefixes of activities if the operator is known by states: such an activity is no place."""
-MOST = 0.5
+MAJORITY = 0.5
 """Minimum share that is called most of something; the largest of several shares may be far less."""
 
 

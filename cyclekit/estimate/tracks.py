@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 
 RUN_ON_S = 5.0
 """Maximum pause, s, before the next execution of a session for the operator's track to run on into it."""
-ENTRIES, LEAST_ENTRIES = 8, 4
+ENTRIES, MIN_ENTRIES = 8, 4
 """Number of tracks per execution along circles of logs: usual, and minimum."""
 MANY = 320
-"""Maximum number of tracks along circles, unless LEAST_ENTRIES per execution are more."""
+"""Maximum number of tracks along circles, unless MIN_ENTRIES per execution are more."""
 PHASES = 4
 """Number of instants per execution at which a course of states starts, if `phase_is_free`."""
 SHORTEST = 0.1
@@ -51,7 +51,7 @@ SURE_Z = 3.5
 """Threshold of `phase_is_free`, standard errors: difference of the mean position, and of the spread."""
 CHANCE = 8.0
 """Threshold of `phase_is_free`: excess of chi squared over its mean, standard deviations, for absence and tasks."""
-LEAST_FREE = 8
+MIN_FREE = 8
 """Minimum number of tracks for `phase_is_free`."""
 
 
@@ -185,7 +185,7 @@ def _on_circles(tracks: dict[str, LoggedTrack], after: dict[str, list[str]], ste
 
 def entries_of(executions: int) -> int:
     """Return the number of tracks that start along the circles of this number of logs."""
-    return max(LEAST_ENTRIES * executions, min(ENTRIES * executions, MANY))
+    return max(MIN_ENTRIES * executions, min(ENTRIES * executions, MANY))
 
 
 def _continued(
@@ -238,7 +238,7 @@ def phase_is_free(tracks: Mapping[str, LoggedTrack]) -> bool:
     standard errors, and its spread within these or SAME_SPREAD.
     """
     usual = [track for track in tracks.values() if track.followed]
-    if len(usual) < LEAST_FREE:
+    if len(usual) < MIN_FREE:
         return False
     shortest = min(len(track.where) for track in usual)  # later samples come only from slow executions
     every = Stretch(
@@ -255,7 +255,7 @@ def _is_alike(tracks: Sequence[LoggedTrack], every: Stretch, at: int) -> bool:
     if not all(_is_chance(here, usual) for here, usual in pairs):
         return False
     everywhere, here = (part[np.isfinite(part).all(axis=1)] for part in (every.where[:, :2], where))
-    if len(here) < LEAST_FREE:
+    if len(here) < MIN_FREE:
         return False
     spread, there = everywhere.std(axis=0), here.std(axis=0)
     if not spread.any():  # known by states, which have no position

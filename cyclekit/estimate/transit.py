@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 PATH_S = 0.1
 """Nominal time between the points of a motion at which s is evaluated, s."""
 HUMAN_M = 0.06
-"""Edge of the cells of operator positions, m; enlarged until there are at most MOST_CELLS."""
-MOST_CELLS = 8_000
+"""Edge of the cells of operator positions, m; enlarged until there are at most MAX_CELLS."""
+MAX_CELLS = 8_000
 NO_HEIGHT_M = 1000.0
 """Value in place of an unknown height in the computation of cells, m."""
 START_S = 0.2
@@ -161,7 +161,7 @@ def cells_of(tracks: OperatorTracks, edge_m: float = HUMAN_M) -> tuple[Ints, Flo
         packed = (index[:, 0] << 40) | (index[:, 1] << 20) | index[:, 2]
         _, cell = np.unique(packed, return_inverse=True)
         count = int(cell.max(initial=-1)) + 1
-        if count <= MOST_CELLS:
+        if count <= MAX_CELLS:
             break
         edge *= 2**0.5
     size = np.maximum(np.bincount(cell, minlength=count), 1)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from cyclekit.learning.networks.spec import ModelSpec
     from cyclekit.scaling.levels import Staircase
 
-LEAST_S = 10.0
+MIN_S = 10.0
 """Minimum duration of usable log, s."""
 MIN_EXECUTIONS = 3
 """Minimum number of executions: one each for training, validation and test."""
@@ -91,7 +91,7 @@ def _in_memory(dataset: Dataset, spec: ModelSpec) -> DividedRows:
     frame, slider = without_slider(dataset, frame)
     build = _builder(dataset, spec)
     everything = build(frame, levels=(), allow=GROUPS)
-    enough = samples_in(LEAST_S / 2, dataset.rate_hz)
+    enough = samples_in(MIN_S / 2, dataset.rate_hz)
     either = groups_seen_both_ways(everything, enough)
     usable = _enough(dataset, frame, build(frame, levels=(), allow=either))
     split = _split(dataset, [usable.executions[i] for i in np.unique(usable.execution)], spec)
@@ -120,7 +120,7 @@ def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -
     some = some_executions(dataset, [*split.train, *split.validation], most_rows // 2, seed=spec.seed)
     seen, slider = without_slider(dataset, learned_rows(dataset, dataset.samples(some)))
     build = _builder(dataset, spec)
-    known = groups_seen_both_ways(build(seen, levels=(), allow=GROUPS), samples_in(LEAST_S / 2, dataset.rate_hz))
+    known = groups_seen_both_ways(build(seen, levels=(), allow=GROUPS), samples_in(MIN_S / 2, dataset.rate_hz))
     staircase = _staircase(dataset, seen, spec)
     levels = _rounded(staircase)
     _enough(dataset, seen, build(seen, levels=levels, allow=known))
@@ -157,11 +157,11 @@ def _rounded(staircase: Staircase) -> tuple[float, ...]:
 def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
     """Return the rows, or refuse if there are too few."""
     need_scaling(dataset, frame)
-    if len(rows) < (least := samples_in(LEAST_S, dataset.rate_hz)):
+    if len(rows) < (least := samples_in(MIN_S, dataset.rate_hz)):
         why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "the log is that short"
         msg = f"{dataset.path}: only {len(rows)} of {frame.height} samples can be learned from ({why})"
         look = command_line("inspect", dataset.place)
-        raise DatasetError(msg, cure=f"At least {least} are needed, {LEAST_S:g} s. See what the logs lack: {look}")
+        raise DatasetError(msg, cure=f"At least {least} are needed, {MIN_S:g} s. See what the logs lack: {look}")
     return rows
 
 
@@ -170,7 +170,7 @@ def _check_learnable(dataset: Dataset, found: DividedRows, spec: ModelSpec) -> N
     learn = found.learn
     seen = (learn.step >= 0) & np.isfinite(learn.X[:, GROUPS["human"]].sum(axis=1))  # needed to learn zones
     count = int(seen.sum()) if spec.kind.is_classifier else len(learn)
-    if count < samples_in(LEAST_S / 2, dataset.rate_hz):
+    if count < samples_in(MIN_S / 2, dataset.rate_hz):
         what = "samples on a level with an operator seen" if spec.kind.is_classifier else "usable samples"
         msg = f"{dataset.path}: the training executions have only {count} {what}"
         raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Floats, Ints
 
-LEAST_LATENCY_S = 0.03
+MIN_LATENCY_S = 0.03
 """Minimum reaction time, s, that exceeds its own error."""
 
 
@@ -131,7 +131,7 @@ def as_learned(card: TrainingCard, dataset: Dataset, frame: pl.DataFrame, levels
 def follows_late(response: DynamicsCard) -> bool:
     """Return whether the scaling follows the command with a delay, with ramps, or after a hold time."""
     seen = (response.ramp_down_per_s, response.ramp_up_per_s, response.hold_s)
-    return (response.latency_s or 0.0) >= LEAST_LATENCY_S or any(seen)
+    return (response.latency_s or 0.0) >= MIN_LATENCY_S or any(seen)
 
 
 def staircase_of(dataset: Dataset, frame: pl.DataFrame) -> Staircase:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from cyclekit.replay.execution import ReplayedExecution
 
-MOST_ROWS = 8
+MAX_ROWS = 8
 
 
 def task_times(run: ReplayedExecution) -> dict[tuple[str, int], tuple[float, float | None]]:
@@ -46,7 +46,7 @@ def comparison(runs: Sequence[ReplayedExecution]) -> str:
             longer, more = run.duration_s - runs[quickest].duration_s, lost[number] - lost[quickest]
             name = markdown(run.name)
             lines.append(f"- **{name}** took **{longer:.1f} s longer**; safety slow-down differs by {more:+.1f} s.")
-    keys = most_different(runs)[:MOST_ROWS]
+    keys = most_different(runs)[:MAX_ROWS]
     if not keys:
         return "\n".join([*lines, "", "The executions have no task in common."])
     heads = "".join(f" {markdown(run.name)} |" for run in runs)

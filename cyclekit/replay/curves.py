@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cyclekit.replay.execution import ReplayedExecution
     from cyclekit.replay.sink import Sink
 
-MOST_JOINTS = 8
+MAX_JOINTS = 8
 HUES = ("#3f8fe0", "#f2b53c", "#62c4b4", "#e6a4ff")
 """Colours of the curves of the first, second, ... execution on the viewer's dark background."""
 HUE_NAMES = ("blue", "amber", "green", "violet")
@@ -126,7 +126,7 @@ def _joints(sink: Sink) -> None:
     if joints is None or np.isfinite(sink.run.robot_m).any():
         return
     spans = {name: float(np.nanmax(v) - np.nanmin(v)) for name, v in joints.angle_rad.items()}
-    most = sorted(spans, key=lambda name: -spans[name])[:MOST_JOINTS]
+    most = sorted(spans, key=lambda name: -spans[name])[:MAX_JOINTS]
     for name, anchor in zip(most, np.linspace(0.0, 1.0, len(most)), strict=True):
         colour = colours.scaling_hex(float(anchor))
         _curve(sink, f"plots/joints/{name}", name, colour, joints.t_s, joints.angle_rad[name])

@@ -14,7 +14,7 @@ import numpy as np
 if TYPE_CHECKING:
     from cyclekit.replay.execution import ReplayedExecution
 
-LEAST = 0.05
+MIN_DIFFERENCE = 0.05
 """Minimum difference of the scaling that counts."""
 
 
@@ -48,7 +48,7 @@ def prediction_errors(run: ReplayedExecution, most: int = 10) -> list[Miss]:
     off = np.abs(run.predicted - run.scaling)
     off[np.isnan(off) | np.array([moving is False for moving in run.moving], dtype=np.bool_)] = 0.0
     step_s = np.minimum(np.diff(run.t_s, append=run.t_s[-1] + run.period_s), 2 * run.period_s)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], off > LEAST, [False]]).astype(int)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], off > MIN_DIFFERENCE, [False]]).astype(int)))
     found = []
     for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         worst = first + int(np.argmax(off[first:end]))

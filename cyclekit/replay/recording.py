@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from cyclekit.replay.layout import Focus, Opening
     from cyclekit.replay.phase import Order
 
-MOST = len(HUES)
+MAX_EXECUTIONS = len(HUES)
 """Maximum number of executions side by side."""
 
 
@@ -106,9 +106,9 @@ def write_replay(
         refuse_other_cell(getattr(model, "card", TrainingCard()), dataset, other_cell=other_cell)
     wanted = [execution] if isinstance(execution, str) else list(execution)
     names = [dataset.find_execution(name) for name in wanted]
-    if not 1 <= len(set(names)) <= MOST:
+    if not 1 <= len(set(names)) <= MAX_EXECUTIONS:
         msg = f"{len(names)} executions side by side"
-        raise CyclekitError(msg, cure=f"Name 1 to {MOST} of them: more are not readable on one screen.")
+        raise CyclekitError(msg, cure=f"Name 1 to {MAX_EXECUTIONS} of them: more are not readable on one screen.")
     runs: list[ReplayedExecution] = []
     for number, name in enumerate(dict.fromkeys(names)):
         say(0.7 * number / len(names), f"reading {name}")

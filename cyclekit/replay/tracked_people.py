@@ -32,7 +32,7 @@ SAME_M = 0.4
 RIDES_M = 0.4
 """A body that is almost always nearer to the TCP than this, m, is mounted on the robot."""
 
-_MOST_FRAMES = 400
+_MAX_FRAMES = 400
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def _bones(points: NDArray[np.float64]) -> NDArray[np.int64]:
     Trackers name joints differently, but a bone has constant length and connects joints that are near each other, so
     the tree is found from the motion.
     """
-    thin = points[:: max(1, len(points) // _MOST_FRAMES)]
+    thin = points[:: max(1, len(points) // _MAX_FRAMES)]
     apart = np.linalg.norm(thin[:, :, None] - thin[:, None, :], axis=-1)
     known = np.isfinite(apart)
     count = np.maximum(known.sum(axis=0), 1)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 SHORTEST_S = 0.25
 """Minimum duration of a listed slow-down or absence of the operator, s."""
 
-MOST_PERIODS = 2
+MAX_PERIODS = 2
 """A sample counts until the next one, but at most for this number of sampling periods."""
 
 FULL = 0.98
@@ -72,7 +72,7 @@ def slowdowns(run: ReplayedExecution) -> list[Slowdown]:
         if end_s - run.t_s[first] < SHORTEST_S:
             continue
         part = slice(first, last + 1)
-        longest_s = MOST_PERIODS * run.period_s
+        longest_s = MAX_PERIODS * run.period_s
         until_s = np.minimum(np.append(run.t_s[first + 1 : last + 1], end_s), run.t_s[part] + longest_s)
         lost_s = float(np.sum((1.0 - run.scaling[part]) * (until_s - run.t_s[part])))
         found.append(

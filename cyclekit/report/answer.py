@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.estimate.result import MOST
+from cyclekit.estimate.result import MAJORITY
 from cyclekit.estimate.same_work import by_work
 from cyclekit.report import verdict
 from cyclekit.report.figures import charts_of
@@ -94,7 +94,7 @@ def _best(texts: ReportTexts, best: CycleEstimate, mean: str, interval: str) -> 
     parts.append(texts("answer.split", safety=fixed(best.safety_loss_s, 1), percent=lost))
     worst = best.costliest_task
     if worst and worst[0].safety_loss_s > 0.05:
-        key = "answer.worst_most" if worst[1] > MOST else "answer.worst"
+        key = "answer.worst_most" if worst[1] > MAJORITY else "answer.worst"
         loss = fixed(worst[0].safety_loss_s, 1)
         parts.append(texts(key, task=texts.task(worst[0].task), loss=loss, share=percent(worst[1])))
     return parts

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import MonthCard
     from cyclekit.report.texts import ReportTexts
 
-LEAST_MONTHS, MOST_CELLS = 2, 8
+MIN_MONTHS, MAX_CELLS = 2, 8
 _HUES = (
     colours.NOMINAL,
     colours.SAFETY,
@@ -33,8 +33,8 @@ _HUES = (
 
 def months_picture(texts: ReportTexts, cells: Mapping[str, Sequence[MonthCard]]) -> Picture | None:
     """Return the picture of the cells whose logs reach over several months; None without any."""
-    shown = {name: months for name, months in cells.items() if len(months) >= LEAST_MONTHS}
-    shown = dict(list(shown.items())[:MOST_CELLS])
+    shown = {name: months for name, months in cells.items() if len(months) >= MIN_MONTHS}
+    shown = dict(list(shown.items())[:MAX_CELLS])
     if not shown:
         return None
     alt = texts("fleet.months_picture", cells=len(shown))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cyclekit.report.findings import Predicts
 
 CELL_M = 0.2
-LEAST_SAMPLES = 10
+MIN_SAMPLES = 10
 """Squares with fewer operator samples are left out of the zone map."""
 
 ROBOT_SPOTS = 150
@@ -108,14 +108,14 @@ def _squares(rows: pl.DataFrame, *values: pl.Expr) -> NDArray[np.float64]:
 def _of_log(seen: pl.DataFrame) -> NDArray[np.float64]:
     known = seen.filter(pl.col("robot_moving") & pl.col("scaling").is_not_null())
     found = _squares(known, pl.mean("scaling"), pl.len().alias("count"))
-    return found[found[:, 3] >= LEAST_SAMPLES, :3]
+    return found[found[:, 3] >= MIN_SAMPLES, :3]
 
 
 def _of_model(model: Predicts, seen: pl.DataFrame) -> NDArray[np.float64]:
     """Mean prediction over the robot's path, for an operator of median height in each square."""
     robot = seen.filter(pl.col("robot_moving")).select("robot_x_m", "robot_y_m", "robot_z_m").drop_nulls()
     squares = _squares(seen, pl.len().alias("count"))
-    squares = squares[squares[:, 2] >= LEAST_SAMPLES]
+    squares = squares[squares[:, 2] >= MIN_SAMPLES]
     if robot.is_empty() or not len(squares):
         return np.empty((0, 3))
     spots = robot.gather_every(max(1, robot.height // ROBOT_SPOTS)).to_numpy()

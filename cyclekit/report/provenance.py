@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import ClockCard, FrameCard, RecordingCard, SourceFile
     from cyclekit.dataset.dataset import Dataset
 
-MOST_WARNINGS = 12
-MOST_FILES = 12
+MAX_WARNINGS = 12
+MAX_FILES = 12
 
 
 @dataclass(frozen=True)
@@ -85,11 +85,11 @@ def provenance(dataset: Dataset, versions: Mapping[str, str]) -> Provenance:
     common = warned.most_common()
     return Provenance(
         sources=tuple(_source(kind, records) for kind, records in sorted(groups.items())),
-        files=tuple(files[:MOST_FILES]),
-        more_files=max(0, len(files) - MOST_FILES),
+        files=tuple(files[:MAX_FILES]),
+        more_files=max(0, len(files) - MAX_FILES),
         set_aside=tuple(aside.most_common()),
-        warnings=tuple(common[:MOST_WARNINGS]),
-        more_warnings=max(0, len(common) - MOST_WARNINGS),
+        warnings=tuple(common[:MAX_WARNINGS]),
+        more_warnings=max(0, len(common) - MAX_WARNINGS),
         not_read=tuple((one.path, one.reason) for one in dataset.card.not_read),
         versions=tuple(versions.items()),
     )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.estimate.baseline import listed_cycle, listed_cycles
 from cyclekit.report.document import MARK
-from cyclekit.report.figures.time_chart import MOST_SEQUENCES, time_chart
+from cyclekit.report.figures.time_chart import MAX_SEQUENCES, time_chart
 from cyclekit.report.numbers import UNKNOWN, count, fixed, given, percent
 from cyclekit.report.page import ReportFacts
 from cyclekit.report.pictures import Picture
@@ -117,7 +117,7 @@ def report_tasks(
     missing += played.missing if played else ()
     parts = [*_ranking(found, takt_s), *(_plan(one) for one in found), *_order(planned), *_changes(changed)]
     if found:
-        drawn = [*([today] if today else []), *found[:MOST_SEQUENCES]]
+        drawn = [*([today] if today else []), *found[:MAX_SEQUENCES]]
         parts[0] = replace(parts[0], chart=time_chart(texts, drawn, takt_s))
     parts += [] if found and today else _logged(texts, dataset, takt_s)
     parts += [*([_learned(card)] if card else []), _trust(card, missing)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.report.figures import charts_of
-from cyclekit.report.figures.time_chart import MOST_SEQUENCES
+from cyclekit.report.figures.time_chart import MAX_SEQUENCES
 from cyclekit.report.numbers import fixed
 from cyclekit.report.tables import ReportTable
 
@@ -32,7 +32,7 @@ def section(page: PageInputs) -> dict[str, Any]:
 
 def _activity(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> ReportTable | None:
     """Safety loss by operator task, for the sequences that have it."""
-    shown = [each for each in ranked[:MOST_SEQUENCES] if each.safety_by_activity_s]
+    shown = [each for each in ranked[:MAX_SEQUENCES] if each.safety_by_activity_s]
     if not shown:
         return None
     total: dict[str, float] = {}

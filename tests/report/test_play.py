@@ -108,7 +108,7 @@ def test_a_page_says_why_it_cannot_be_played_with(logged, monkeypatch):
         assert play_part(PageInputs(texts, logged, model, [shown])) == PlayPart(None, (why,))
     plan = made_up("plan for both", plan=("x",), asked=(PlannedTask("robot", "home->conveyor"),))
     with monkeypatch.context() as patched:
-        patched.setattr(part, "MOST_BYTES", len(play_part(PageInputs(texts, logged, rule, [short])).data))
+        patched.setattr(part, "MAX_BYTES", len(play_part(PageInputs(texts, logged, rule, [short])).data))
         found = play_part(PageInputs(texts, logged, rule, [short, plan]))
         assert found.kinds == ("robot",)
         assert len(found.missing) == 1
@@ -116,7 +116,7 @@ def test_a_page_says_why_it_cannot_be_played_with(logged, monkeypatch):
         patched.undo()
         patched.setattr(scaling_grid, "FEW_ENTRIES", 10)
         assert "too many for a table" in play_part(PageInputs(texts, logged, DistanceModel(), [short])).missing[0]
-    monkeypatch.setattr(part, "MOST_BYTES", 1000)
+    monkeypatch.setattr(part, "MAX_BYTES", 1000)
     assert "MB" in play_part(PageInputs(texts, logged, rule, [short])).missing[0]
 
 

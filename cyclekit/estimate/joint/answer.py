@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.entry import LEAST_SUPPORT
+from cyclekit.estimate.entry import MIN_SUPPORT
 from cyclekit.estimate.joint.check import JointCheck, judge_joint
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, longest_s, waits_without_source
@@ -209,7 +209,7 @@ class JointAnswers:
             calibrated=check is not None and check.coverage is not None,
             takt_s=ask.takt_s,
             takt_probability=within and least_wide(within, self._cell.executions),
-            extrapolated=cycles.support < LEAST_SUPPORT,
+            extrapolated=cycles.support < MIN_SUPPORT,
             operator=sequence.operator,
             asked=sequence.plan,
             check=check,

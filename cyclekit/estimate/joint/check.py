@@ -10,7 +10,7 @@ import polars as pl
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.bias import bias_of
-from cyclekit.estimate.check import FEW_EXECUTIONS, LEAST, MOST, OWN_BIAS, Check, compare
+from cyclekit.estimate.check import FEW_EXECUTIONS, MAX_EXECUTIONS, MIN_EXECUTIONS, OWN_BIAS, Check, compare
 from cyclekit.estimate.conformal import conformal
 from cyclekit.estimate.joint.roll import longest_s
 from cyclekit.estimate.joint.unexplained import unexplained_waits
@@ -66,7 +66,7 @@ class JointCheck(Check):
 
 
 def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], seed: int) -> JointCheck | None:
-    """Roll out the orders of logged executions and compare; None if fewer than LEAST of them end.
+    """Roll out the orders of logged executions and compare; None if fewer than MIN_EXECUTIONS of them end.
 
     Args:
         cell: The cell.
@@ -75,8 +75,8 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
         seed: Seed of the draws.
     """
     sequences = [each for each in logged_sequences(cell.dataset, planner.nominal) if each.name in cell.logged]
-    if len(sequences) > MOST:
-        sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, MOST).astype(int)]
+    if len(sequences) > MAX_EXECUTIONS:
+        sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, MAX_EXECUTIONS).astype(int)]
     orders = {each.name: tuple(visit.place for visit in cell.logged[each.name]) for each in sequences}
     plans = [planner.plan(replace(each, operator=orders[each.name])) for each in sequences]
     until_s = max((longest_s(plan) for plan in plans), default=0.0)
@@ -86,7 +86,7 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
         for sequence, cycles in zip(sequences, rolled, strict=True)
         if not isinstance(cycles, EstimateError) and np.isfinite(cycles.duration_s).all()
     ]
-    if len(ended) < LEAST:
+    if len(ended) < MIN_EXECUTIONS:
         return None
     sequences, simulated = [sequence for sequence, _ in ended], np.array([cycles for _, cycles in ended])
     logged = logged_durations(cell.dataset, sequences)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.plan.jobs import Jobs
     from cyclekit.schema import Floats, Ints, Vector
 
-MOST_ORDERS = 1000
+MAX_ORDERS = 1000
 """Maximum number of orders of one agent; of more, a random sample of this size."""
 PAIRS = 50_000
 """Number of pairs of orders evaluated at once."""
@@ -45,11 +45,11 @@ class Pair:
 
 def orders_to_try(jobs: Jobs, seed: int) -> list[tuple[str, ...]]:
     """Return all distinct orders of some jobs; if there are too many, a random sample."""
-    found = list(dict.fromkeys(islice(every_order(jobs), MOST_ORDERS + 1)))
-    if len(found) <= MOST_ORDERS:
+    found = list(dict.fromkeys(islice(every_order(jobs), MAX_ORDERS + 1)))
+    if len(found) <= MAX_ORDERS:
         return found
     rng = np.random.default_rng(seed)
-    return list(dict.fromkeys(random_order(jobs, rng) for _ in range(MOST_ORDERS)))
+    return list(dict.fromkeys(random_order(jobs, rng) for _ in range(MAX_ORDERS)))
 
 
 def mean_times(cell: JointCell, robots: Sequence[Agenda], operators: Sequence[Agenda], *, both: bool) -> Floats:

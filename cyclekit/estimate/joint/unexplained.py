@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Vector
 
-LEAST_PART = 0.01
+MIN_PART = 0.01
 """Minimum share of unexplained waits in the executions' time that is considered."""
-LEAST_VISITS = 10
+MIN_VISITS = 10
 
 
 class Unexplained(NamedTuple):
@@ -35,7 +35,7 @@ def unexplained_waits(dataset: Dataset, executions: Collection[str], mean_s: flo
     waits = visits.with_columns(wait_s=pl.when(pl.col("waited_for").is_null()).then("wait_s").fill_null(0.0))
     waits = waits.with_columns(pl.col("wait_s").fill_null(0.0))
     total_s = float(waits["wait_s"].sum()) / max(len(executions), 1)
-    if total_s < LEAST_PART * mean_s:
+    if total_s < MIN_PART * mean_s:
         return Unexplained(0.0, 0.0)
     there = ["execution", "goal_place"]
     begin = pl.col("start_s").min().over("execution")
@@ -45,7 +45,7 @@ def unexplained_waits(dataset: Dataset, executions: Collection[str], mean_s: flo
     fitted = [
         place.select("execution", usual_s=pl.Series(_by_time_away(place), dtype=pl.Float64))
         for place in waits.partition_by("goal_place", maintain_order=True)
-        if place.height >= LEAST_VISITS
+        if place.height >= MIN_VISITS
     ]
     if not fitted:
         return Unexplained(total_s, 0.0)

@@ -23,7 +23,7 @@ AT_START_S = 0.5
 """Maximum time, s, from the start of an execution to a stay that counts as begun before the start."""
 WALK_M_S = 1.2
 """Walking speed, m/s, of an operator whose walks were never logged."""
-LEAST_WALKS, LEAST_M = 10, 0.1
+MIN_WALKS, MIN_M = 10, 0.1
 """Minimum number of walks, and minimum standard deviation of their lengths, m, to fit durations of other walks."""
 SURE = 3.0
 """Threshold, standard errors, for a significant difference between two means."""
@@ -107,7 +107,7 @@ class Segments:
             stays += [(times, visit.leaves_s - visit.arrives_s) for visit in mine]
         most = max((times for times, _ in stays), default=0)
         single, others = (np.array([s for n, s in stays if (n == most) is alone]) for alone in (True, False))
-        if min(len(single), len(others)) >= LEAST_WALKS:
+        if min(len(single), len(others)) >= MIN_WALKS:
             chance = np.hypot(single.std(ddof=1) / len(single) ** 0.5, others.std(ddof=1) / len(others) ** 0.5)
             if others.mean() - single.mean() > SURE * chance:
                 return np.sort(single)
@@ -164,7 +164,7 @@ class Segments:
         walks = [(part[-1, :2] - part[0, :2], len(part) - 1) for part in self._logged_walks()]
         far = np.array([float(np.linalg.norm(way)) for way, _ in walks])
         took = np.array([steps * self._step_s for _, steps in walks])
-        if len(walks) < LEAST_WALKS or far.std() < LEAST_M:
+        if len(walks) < MIN_WALKS or far.std() < MIN_M:
             return 0.0, 1.0 / WALK_M_S, np.zeros(1)
         per_m = max(float(np.cov(far, took)[0, 1] / far.var(ddof=1)), 0.0)
         least = float(took.mean() - per_m * far.mean())

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cyclekit.learning.coupling.visits import Event, ExecutionVisits
     from cyclekit.schema import Bools, Vector
 
-LEAST = 10
+MIN_CHANGES = 10
 """Fewer changes of a signal tell nothing."""
 OWN_TOOL, OWN_TOOL_S = 0.9, 0.5
 """A signal whose changes come in the robot's visits of one place, to this part, and within so long of each other after
@@ -74,7 +74,7 @@ def is_own_tool(courses: Sequence[ExecutionVisits], event: Event, place: str) ->
         for visit in course.visits["robot"]:
             if visit.place == place:
                 since_s += (at[(at >= visit.arrived_s) & (at <= visit.left_s)] - visit.arrived_s).tolist()
-    if len(since_s) < max(LEAST, OWN_TOOL * total):
+    if len(since_s) < max(MIN_CHANGES, OWN_TOOL * total):
         return False
     early_s, late_s = np.quantile(since_s, (0.05, 0.95))
     return bool(late_s - early_s < OWN_TOOL_S)
@@ -100,7 +100,7 @@ def _changes(courses: Sequence[ExecutionVisits], event: Event) -> Departures | N
         for index, course in enumerate(courses)
         for occurrence, (before, at) in enumerate(_pairs(course, event))
     ]
-    if len(rows) < LEAST:
+    if len(rows) < MIN_CHANGES:
         return None
     course, occurrence = np.array([row[:2] for row in rows], np.int64).T
     own_s, left_s = np.array([row[2:] for row in rows]).T

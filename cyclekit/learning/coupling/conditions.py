@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 HELD = 0.98
 """Minimum share of departures after the event, for a condition that all departures need."""
-NEEDED, LEAST_PART = 0.15, 2.0
+NEEDED, MIN_PART = 0.15, 2.0
 """For a condition that only some departures need: minimum share that need it, and factor on the required gain."""
 EARLY_S, EARLY_LEAVING_S = 0.25, 1.0
 """Tolerance, s: a departure may precede its event by this much (clock error); the second value is for an operator who
 leaves, because he finishes before his motion is visible."""
-LEAST_DECIDED = 5
+MIN_DECIDED = 5
 """Minimum number of departures that a condition must decide."""
 GAIN, GAIN_PER_DEPARTURE = 8.0, 0.05
 """Minimum gain in log-likelihood: the first value, plus the second per departure."""
@@ -51,7 +51,7 @@ PAIRED = 0.9
 """Minimum share of executions with exactly two departures per event, or two events per departure."""
 SHUFFLES = 6
 """Number of random orders of the events."""
-MOST = 2
+MAX_CONDITIONS = 2
 """Maximum number of conditions per gate."""
 KEPT = 400
 """Maximum number of departures from which lags are learned."""
@@ -90,7 +90,9 @@ def find_conditions(
         number = _natural(gates, open_to, number)
         condition, since, _ = open_to[number]  # type: ignore[misc]  # not None: it has the largest gain
         for other in _attach(gates, gates[number], condition, since):
-            open_to[other] = _best(times, gates[other], allowed[other]) if len(gates[other].found) < MOST else None
+            open_to[other] = (
+                _best(times, gates[other], allowed[other]) if len(gates[other].found) < MAX_CONDITIONS else None
+            )
     return gates
 
 
@@ -213,7 +215,7 @@ def _natural(gates: Sequence[Departures], open_to: Sequence[_Found | None], numb
 
 def _best(times: Times, gate: Departures, candidates: Sequence[Condition]) -> _Found | None:
     """Return the best condition that passes all tests, the time from its event to each departure in s, and its gain."""
-    if len(gate.left_s) < LEAST_DECIDED:
+    if len(gate.left_s) < MIN_DECIDED:
         return None
     before = float(gate.causes().log_likelihood.sum())
     taken = {one.event[:2] for (_, one), at in gate.since_s.items() if 2 * np.isfinite(at).sum() > len(at)}
@@ -222,7 +224,7 @@ def _best(times: Times, gate: Departures, candidates: Sequence[Condition]) -> _F
     always = _best_of(times, gate, free, before, least)
     rival = 0.0 if always is None else (1.0 + GAIN_TOLERANCE_SHARE) * always[2] / gate.step  # prefer one that all need
     partly = [one._replace(partly=True) for one in free]
-    return _best_of(times, gate, partly, before, max(rival, LEAST_PART * least)) or always
+    return _best_of(times, gate, partly, before, max(rival, MIN_PART * least)) or always
 
 
 def _best_of(
@@ -245,7 +247,7 @@ def _best_of(
             continue
         since = _later(condition, since)
         causes = gate.causes(since)
-        decided = causes.share[-1].sum() * gate.step >= LEAST_DECIDED
+        decided = causes.share[-1].sum() * gate.step >= MIN_DECIDED
         if (
             decided
             and not (follows and _follows(causes, since[:: gate.step]))
@@ -271,7 +273,7 @@ def _follows(causes: Causes, since: Vector) -> bool:
     decided = causes.share.argmax(axis=0)
     own, by_event = since[decided == 0], since[decided == len(causes.share) - 1]
     own = own[np.isfinite(own)]
-    if len(own) < LEAST_DECIDED or not len(by_event):
+    if len(own) < MIN_DECIDED or not len(by_event):
         return False
     return bool(np.mean(own <= by_event.max() + EARLY_S) > FOLLOWS)
 
@@ -317,13 +319,13 @@ def times_of(courses: Sequence[ExecutionVisits]) -> Times:
 def _holds(gate: Departures, condition: Condition, since: Vector) -> bool:
     """Return whether enough departures come after their events, and enough events come late enough to have decided."""
     known = np.isfinite(since)
-    if np.count_nonzero(known) < LEAST_DECIDED:
+    if np.count_nonzero(known) < MIN_DECIDED:
         return False
     late = since < gate.left_s - gate.own_s  # the event came after the agent was free to go
     held = known & (since >= -early_s(condition))
     share = np.count_nonzero(held) / np.count_nonzero(known)
     enough = NEEDED <= share < HELD if condition.partly else share >= HELD
-    return bool(enough and np.count_nonzero(late & (held if condition.partly else known)) >= LEAST_DECIDED)
+    return bool(enough and np.count_nonzero(late & (held if condition.partly else known)) >= MIN_DECIDED)
 
 
 def _later(condition: Condition, since: Vector) -> Vector:

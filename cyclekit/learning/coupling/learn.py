@@ -13,7 +13,7 @@ from cyclekit.errors import DatasetError
 from cyclekit.learning.coupling.answers import is_own_tool
 from cyclekit.learning.coupling.conditions import (
     KEPT,
-    LEAST_DECIDED,
+    MIN_DECIDED,
     decided_by,
     early_s,
     find_conditions,
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Floats, Vector
 
-LEAST_EXECUTIONS, MOST_EXECUTIONS = 5, 400
+MIN_EXECUTIONS, MAX_EXECUTIONS = 5, 400
 """Minimum and maximum number of executions to learn from; if there are more, an evenly spaced subset is used."""
-LEAST_LOST = 10
+MIN_LOST = 10
 """Number of motions, those with the least safety loss, from which the waiting point short of a place is computed."""
 TIE_S = 0.05
 """Tolerance, s: if the 10 % and 30 % quantiles of dwell are this close, the shortest dwells are own work without a
@@ -73,9 +73,9 @@ def learn_executions(
     Raises:
         UnknownName: The cell file names a place or event that the logs do not contain.
     """
-    if len(courses) < LEAST_EXECUTIONS:
+    if len(courses) < MIN_EXECUTIONS:
         return None
-    found = learn_courses(courses[:: -(-len(courses) // MOST_EXECUTIONS)], given)
+    found = learn_courses(courses[:: -(-len(courses) // MAX_EXECUTIONS)], given)
     if not found.coupled and not any(course.visits["operator"] for course in courses):
         return None
     phases = _phases(tasks)
@@ -148,7 +148,7 @@ def _gate(
         return None
     by_file = any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in given)
     own_s, cards = _parts(courses, found, usual_s, together)
-    cards = [card for card in cards if by_file or card.decided >= LEAST_DECIDED]  # redundant given the others
+    cards = [card for card in cards if by_file or card.decided >= MIN_DECIDED]  # redundant given the others
     if gate.at == "approach" and not cards:
         return None
     return GateCard(
@@ -230,5 +230,5 @@ def _phases(tasks: pl.DataFrame) -> dict[str, float]:
     """Return per place the share of the nominal motion at which the robot may wait, from motions with least loss."""
     seen = tasks.filter(pl.col("reached_s").is_not_null() & (pl.col("nominal_s") > 0.0)).sort("safety_loss_s")
     part = ((pl.col("reached_s") - pl.col("start_s")) / pl.col("nominal_s")).clip(0.0, 1.0)
-    phases = seen.group_by("goal_place").agg(part.head(LEAST_LOST).median())
+    phases = seen.group_by("goal_place").agg(part.head(MIN_LOST).median())
     return {str(place): float(phase) for place, phase in phases.iter_rows()}

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from cyclekit.schema import Vector
 
-MOST_GAPS = 400
+MAX_GAPS = 400
 """Maximum number of gaps to learn from."""
 FULL = 0.98
 """Share of the parts at whose arrival no more parts than the buffer size are waiting."""
@@ -55,7 +55,7 @@ def _source(courses: Sequence[ExecutionVisits], event: Event, place: str) -> Sou
         return None
     buffer = max(1, int(np.quantile(waiting, FULL, method="higher")))
     since = np.concatenate([_since(*each, buffer) for each in zip(came, taken, strict=True)], axis=1)
-    since = since[:, :: -(-since.shape[1] // MOST_GAPS)]
+    since = since[:, :: -(-since.shape[1] // MAX_GAPS)]
     decided = deciding_causes(since).share.argmax(axis=0) == 0
     gaps = reverse_kaplan_meier(since[0], decided * 1.0, np.ones(len(decided), np.bool_))
     return SourceCard(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ALIKE = 0.9
 """Probability that both agents need their event in the same departure; below 1: the deciding cause can be unclear."""
-LEAST_GAIN = 4.0
+MIN_GAIN = 4.0
 """Minimum gain in log-likelihood: equal to seven matching departures of which half are needed."""
 
 
@@ -38,7 +38,7 @@ def needed_together(
     pairs = [(mine, his, _gain(mine[1], his[1])) for mine, his in product(_partly(robot), _partly(operator))]
     found: dict[tuple[Gate, Condition], NeededTogether] = {}
     for (mine, my_needs), (his, his_needs), gain in sorted(pairs, key=lambda pair: -pair[2]):
-        if gain >= LEAST_GAIN and mine not in found and his not in found:
+        if gain >= MIN_GAIN and mine not in found and his not in found:
             every = {key: my_needs.get(key, True) and his_needs.get(key, True) for key in my_needs | his_needs}
             needed = round(float(np.mean(list(every.values()))), 4)
             found[mine] = found[his] = NeededTogether(len(found) // 2 + 1, needed)

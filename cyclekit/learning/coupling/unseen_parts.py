@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 WAITED_S = 0.3
 """A standstill is a wait if it exceeds the 10 % quantile of standstills by more than this, s."""
-LEAST = 10
+MIN_WAITS = 10
 """Minimum number of waits, of standstills without a wait, and of observed gaps."""
 LONG_S = 10.0
 """Assumed lead, s, of a part that was present before the robot."""
@@ -93,11 +93,11 @@ def find_unseen_parts(courses: Sequence[ExecutionVisits], place: str) -> SourceC
     """Return how parts arrive that the robot waits for at a place; None if its standstills do not show it."""
     visits = part_visits(courses, place)
     waited, seen = visits.waited, np.isfinite(visits.left)
-    if min(waited.sum(), (seen & ~waited).sum()) < LEAST or visits.came.shape[1] < 2:
+    if min(waited.sum(), (seen & ~waited).sum()) < MIN_WAITS or visits.came.shape[1] < 2:
         return None
     first = _times(visits, np.zeros(len(visits.came)), visits.came[:, 0], visits.left[:, 0])
     gaps = _times(visits, visits.part_s[:, :-1].ravel(), visits.came[:, 1:].ravel(), visits.left[:, 1:].ravel())
-    if min((gaps.mass > 0.0).sum(), (first.mass > 0.0).sum()) < LEAST:
+    if min((gaps.mass > 0.0).sum(), (first.mass > 0.0).sum()) < MIN_WAITS:
         return None
     found = [_likelihood(visits, first, gaps, buffer) for buffer in BUFFERS]
     if max(found) - _by_chance(visits) < least_gain(int(seen.sum())):

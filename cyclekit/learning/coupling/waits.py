@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard
 
-LEAST_S = 0.1
+MIN_S = 0.1
 """Minimum duration of a wait, s."""
 ABOUT_S = 0.1
 """Tolerance, s: an event ended a wait if the time between them lies within the range of its lags plus or minus this."""
@@ -53,7 +53,7 @@ def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], co
     wait = pl.max_horizontal(pl.min_horizontal(pl.col("ended_s").fill_null(0.0), stood), kept)
     split = (stood + on_the_way).is_not_null() & (own | ~pl.col("short").fill_null(value=True))
     lost = split & ~own & pl.col("lost_wait_s").is_not_null()
-    named = pl.col("ended_by").is_not_null() & (own | split | (pl.col("wait_s") > LEAST_S))
+    named = pl.col("ended_by").is_not_null() & (own | split | (pl.col("wait_s") > MIN_S))
     return joined.with_columns(
         waited_for=pl.when(named).then("ended_by"),
         wait_s=pl.when(split).then(wait + on_the_way).otherwise("wait_s"),
@@ -73,7 +73,7 @@ def _waits(course: ExecutionVisits, coupling: CouplingCard) -> Iterator[_Wait]:
             found = [
                 one for one in gate.conditions if (at := _opened(course, one, occurrence, left_s)) and at > ready_s
             ]
-            if found and left_s - ready_s > LEAST_S and index + first >= 0:
+            if found and left_s - ready_s > MIN_S and index + first >= 0:
                 last = max(found, key=lambda one: _opened(course, one, occurrence, left_s) or -np.inf)
                 short = (
                     agent == "robot" and np.isfinite(course.visits[agent][index].reached_s) and gate.at == "approach"

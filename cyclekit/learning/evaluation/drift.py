@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 NAMED = 4.0
 """Minimum difference, in standard errors, that is reported."""
-LEAST_SCALING = 0.01
+MIN_SCALING = 0.01
 """Minimum change of the mean error of the scaling that justifies a new training."""
-LEAST_SHARE = 0.03
+MIN_SHARE = 0.03
 """Minimum change of a share of time that counts as a new habit (0.03 = 3 percentage points)."""
 
 
@@ -136,17 +136,17 @@ def drift_between(
     cycles = [frame.executions.filter("complete")["duration_s"].to_numpy() for frame in (older, newer)]
     if min(len(part) for part in cycles) > 1:
         usual = float(cycles[0].mean())
-        habits.append(_shift("cycle time, part of its mean before", cycles[0] / usual, cycles[1] / usual, LEAST_SHARE))
+        habits.append(_shift("cycle time, part of its mean before", cycles[0] / usual, cycles[1] / usual, MIN_SHARE))
     counts = (judged[0]["execution"].n_unique(), judged[1]["execution"].n_unique())
     return Drift(tuple(safety), tuple(habits), counts)
 
 
 def _safety(old: pl.DataFrame, new: pl.DataFrame) -> list[Shift]:
-    found = [_shift("everywhere", _by_execution(old), _by_execution(new), LEAST_SCALING)]
+    found = [_shift("everywhere", _by_execution(old), _by_execution(new), MIN_SCALING)]
     for column in ("robot_task", "human_task"):
         for name in sorted(set(new[column].drop_nulls()) & set(old[column].drop_nulls())):
             was, now = (_by_execution(frame.filter(pl.col(column) == name)) for frame in (old, new))
-            found.append(_shift(f"{column.replace('_', ' ')} {name}", was, now, LEAST_SCALING))
+            found.append(_shift(f"{column.replace('_', ' ')} {name}", was, now, MIN_SCALING))
     return found
 
 
@@ -173,7 +173,7 @@ def _habits(before: pl.DataFrame, after: pl.DataFrame) -> list[Shift]:
     old, new = (_shares(frame.with_columns(where=place)) for frame in (before, after))
     names = sorted(set(old) | set(new))
     nobody = [np.zeros(frame["execution"].n_unique()) for frame in (before, after)]
-    return [_shift(name, old.get(name, nobody[0]), new.get(name, nobody[1]), LEAST_SHARE) for name in names]
+    return [_shift(name, old.get(name, nobody[0]), new.get(name, nobody[1]), MIN_SHARE) for name in names]
 
 
 def _shares(frame: pl.DataFrame) -> Mapping[str, Floats]:

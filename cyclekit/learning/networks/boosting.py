@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 TREES, _EVERY = 300, 10
 _LEARNING_RATE, _LEAVES, _LEAF_ROWS, _LOOKED_AT = 0.08, 31, 40, 16
-_MOST_ROWS, _LOSS_ROWS = 400_000, 20_000
+_MAX_ROWS, _LOSS_ROWS = 400_000, 20_000
 
 
 def fit_trees(
@@ -87,7 +87,7 @@ def grow(rows: Samples, *, seed: int = 0) -> Grown:
     """Train `TREES` trees on (a subset of) the rows; all comparisons use these settings."""
     from sklearn.ensemble import HistGradientBoostingRegressor  # slow to import
 
-    some = rows.where(_some(len(rows), _MOST_ROWS, seed))
+    some = rows.where(_some(len(rows), _MAX_ROWS, seed))
     features = window_features(some.model_inputs)
     trees = HistGradientBoostingRegressor(
         learning_rate=_LEARNING_RATE,

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints
 
 STAIRCASE, BOOSTED, LAST_SECOND = "distance staircase", "gradient boosting", "gradient boosting, last second"
-LEAST = 1.25
+MIN_RATIO = 1.25
 """Minimum ratio of the mean squared errors of model and rival at which the rival is reported."""
 CHANCE = 0.01
 """Significance level of the paired test."""
-LEAST_EXECUTIONS = 3
+MIN_EXECUTIONS = 3
 _BINS = 4096
 
 
@@ -114,12 +114,12 @@ def better_rival(
 
     _, which, rows = np.unique(execution, return_inverse=True, return_counts=True)
     count, found = len(rows), list[BetterRival]()
-    if count < LEAST_EXECUTIONS:
+    if count < MIN_EXECUTIONS:
         return None
     for name, squared in rivals.items():
         lead = np.bincount(which, model - squared) / rows
         sure = lead.mean() > stdtrit(count - 1, 1.0 - CHANCE) * lead.std(ddof=1) / count**0.5
-        if sure and model.mean() > LEAST * squared.mean():
+        if sure and model.mean() > MIN_RATIO * squared.mean():
             found.append(
                 BetterRival(
                     name, float(squared.mean()), float(model.mean()), count, tuple(_retrain_options(spec, name))

@@ -37,7 +37,7 @@ _BLOCK = 16_384
 _STEPS, _EPOCHS = 12_000, (8, 100)
 """Default number of epochs: as many as give this many steps, within these bounds."""
 _CENTRE_ROWS = 200_000
-_DECAY_ROWS, _MOST_DECAY = 3000, 0.1
+_DECAY_ROWS, _MAX_DECAY = 3000, 0.1
 """Default weight decay: this number divided by the training rows, with a maximum; few rows need more."""
 
 
@@ -133,7 +133,7 @@ def _run(
     """Train in place; `network` ends with the weights of the best epoch."""
     batches = max(len(learn) // spec.batch, 1)
     epochs = spec.epochs or min(max(round(_STEPS / batches), _EPOCHS[0]), _EPOCHS[1])
-    decay = min(_DECAY_ROWS / len(learn), _MOST_DECAY) if spec.weight_decay is None else spec.weight_decay
+    decay = min(_DECAY_ROWS / len(learn), _MAX_DECAY) if spec.weight_decay is None else spec.weight_decay
     steps = Steps(network, spec, decay, max(batches * epochs, 20))  # a shorter schedule cannot rise and fall
     balance = _balance(learn, len(levels)) if spec.balance == "classes" and spec.kind.is_classifier else None
     history: list[EpochCard] = []

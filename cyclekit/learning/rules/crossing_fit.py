@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cyclekit.learning.rules.rows import RuleRows
     from cyclekit.schema import Bools, Ints, Vector
 
-LEAST = 5
+MIN_CHANGES = 5
 """Minimum number of changes to locate a threshold."""
 LATE = 0.3
 """Prior standard deviation of the error of the reaction time, samples."""
@@ -84,7 +84,7 @@ def by_crossings(
     for place, (down, up) in crossings_of(limits, rows, steps, dated=True).items():
         both = LevelChanges(*(np.concatenate(pair) for pair in zip(down, up, strict=True)))
         mine = _likely((up if place.until else down) if lag[place.level] else both)
-        if len(mine.value_m) >= LEAST:
+        if len(mine.value_m) >= MIN_CHANGES:
             changes[place] = mine
     if not changes:
         return limits, frozenset()

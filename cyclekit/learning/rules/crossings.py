@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Ints, Vector
 
 
-LEAST = 15
+MIN_CHANGES = 15
 """Minimum number of changes in each direction for a statement on hysteresis."""
 NEAR_M = 0.35
 """Maximum distance, m, of a change from the edge that caused it."""
@@ -91,7 +91,7 @@ def lags(limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, in
     shown = []
     for place, ways in crossings_of(limits, rows, steps).items():
         down, up = (_mean(each.value_m) for each in ways)
-        if min(down.changes, up.changes) >= LEAST:
+        if min(down.changes, up.changes) >= MIN_CHANGES:
             margin = (down.value - up.value) if place.lower else (up.value - down.value)
             shown.append(margin > max(LAG_M, LAG_SURE * float(np.hypot(down.error, up.error))))
     return bool(shown) and 2 * sum(shown) > len(shown)

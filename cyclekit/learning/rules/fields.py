@@ -36,7 +36,7 @@ SURE_S = 0.03
 """Uncertainty of delays, s: this close to a change of the level the commanded level is unknown."""
 FEW_ROWS, GAIN = 5.0, 1e-3
 """Minimum gain of a signal, or of an edge of its rectangle: in rows, and as a share of the rows."""
-MOST_SIGNALS = 8
+MAX_SIGNALS = 8
 MARGIN = 0.005
 """Maximum deficit of the rule, in share of held-out levels, against the network."""
 
@@ -108,7 +108,7 @@ def _fit(rows: LimitRows, start: RegionCard | None) -> RegionCard:
     del start
     region, wrong = RegionCard(), rows.wrong(RegionCard())
     least = max(FEW_ROWS, GAIN * float(rows.weight.sum()))
-    while len(region.signals) < MOST_SIGNALS:
+    while len(region.signals) < MAX_SIGNALS:
         covered = inside(region, rows.positions)
         used = {one.signal for one in region.signals}
         tried = [

@@ -30,7 +30,7 @@ NEARER = 0.9
 FARTHER = 1.1
 """Maximum error of the law, as a multiple of that of boosted trees; an error below EXACT always passes."""
 EXACT = 0.01
-MOST = 10_000
+MAX_ROWS = 10_000
 """Maximum number of rows from which the compared models learn."""
 STAIRCASE, TREES = f"staircase of {STEPS} steps", "boosted trees"
 
@@ -118,7 +118,7 @@ def _rivals(X: Floats, scaling: Vector, judge: Floats) -> dict[str, Vector]:
     from sklearn.ensemble import HistGradientBoostingRegressor  # slow import
     from sklearn.tree import DecisionTreeRegressor
 
-    some = slice(None, None, max(1, len(X) // MOST))
+    some = slice(None, None, max(1, len(X) // MAX_ROWS))
     X, scaling = X[some], scaling[some]
     tree = DecisionTreeRegressor(max_leaf_nodes=STEPS, random_state=0).fit(X, scaling)
     trees = HistGradientBoostingRegressor(random_state=0).fit(X, scaling)

@@ -26,18 +26,18 @@ if TYPE_CHECKING:
 
 BOUND = 0.02
 """Tolerance within which a scaling counts as being at its lowest or highest value."""
-NARROW, MOST_VALUES = 0.01, 10
+NARROW, MAX_VALUES = 0.01, 10
 """Bin width, and number of bins whose values count as levels."""
 CONTINUOUS = 0.15
 """Minimum share of time between the bounds outside of these levels, for a continuous scaling."""
-LEAST = 100
+MIN_ROWS = 100
 """Minimum number of rows between the bounds."""
 _PILE, _BANDS, _PILED = 0.02, 5, 2.5
 """A common rate: relative tolerance, number of bands of this width below it, and minimum ratio of its count to the mean
 count of a band."""
 _FASTER = 0.02
-_LEAST_RAMP = 30
-_LEAST_PER_S = 0.02
+_MIN_RAMP = 30
+_MIN_PER_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -117,17 +117,17 @@ def limited(rows: LawRows, rates: RampRates, *, rises: bool) -> Bools:
 def resting_rates(rows: LawRows) -> RampRates:
     """Return the ramp rates that limit the scaling: the fastest rates, if many rows share them."""
     rate = rows.rate_per_s
-    return RampRates(_piled(-rate[rate < -_LEAST_PER_S]), _piled(rate[rate > _LEAST_PER_S]))
+    return RampRates(_piled(-rate[rate < -_MIN_PER_S]), _piled(rate[rate > _MIN_PER_S]))
 
 
 def _piled(rate: Vector) -> float | None:
     """Return the maximum of rates (N,), 1/s, if many more rows share it than slightly lower rates; else None."""
-    if len(rate) < _LEAST_RAMP:
+    if len(rate) < _MIN_RAMP:
         return None
     fast = float(np.quantile(rate, 1 - _FASTER))
     mine = np.abs(rate / fast - 1) <= _PILE
     beside = (rate < (1 - _PILE) * fast) & (rate >= (1 - 2 * _PILE * (1 + _BANDS)) * fast)
-    if mine.sum() < max(_LEAST_RAMP, _PILED * beside.sum() / _BANDS):
+    if mine.sum() < max(_MIN_RAMP, _PILED * beside.sum() / _BANDS):
         return None
     return float(np.median(rate[mine])) if (rate > (1 + 2 * _PILE) * fast).mean() <= _FASTER / 2 else None
 
@@ -143,7 +143,7 @@ def is_continuous(rows: LawRows) -> bool:
     if not len(rest):
         return False
     between = rest[(rest > rest.min() + BOUND) & (rest < rest.max() - BOUND)]
-    if len(between) < LEAST:
+    if len(between) < MIN_ROWS:
         return False
     counts = np.sort(np.bincount((between / NARROW).round().astype(np.int64).clip(min=0)))[::-1]
-    return float(counts[MOST_VALUES:].sum()) > CONTINUOUS * len(between)
+    return float(counts[MAX_VALUES:].sum()) > CONTINUOUS * len(between)

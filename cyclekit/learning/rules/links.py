@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
 
 _JOINTS = 6
-CUBE_M, MOST_POSES = 0.04, 2000
+CUBE_M, MAX_POSES = 0.04, 2000
 """Edge length, m, of cubes of TCP positions that share a pose, and maximum number of poses stored."""
-_NEAR, _LEAST_M = 4, 1e-3
+_NEAR, _MIN_M = 4, 1e-3
 """Number of nearest poses that are averaged with weights 1 / distance, and the offset of that distance, m."""
 _ENOUGH = 400
 """Number of samples by which the arm is recognised."""
@@ -40,7 +40,7 @@ class ArmPoses:
         """Return the joints from base to TCP, shape (N, J, 3), m, for positions of the TCP, shape (N, 3), m."""
         apart, near = self._tree.query(robot_m, k=min(_NEAR, self._tree.n))
         apart, near = apart.reshape(len(robot_m), -1), near.reshape(len(robot_m), -1)
-        weight = 1.0 / (apart + _LEAST_M)
+        weight = 1.0 / (apart + _MIN_M)
         joints = np.einsum("nk,nkjx->njx", weight / weight.sum(axis=1, keepdims=True), self._joints_m[near])
         return np.concatenate([joints, robot_m[:, None]], axis=1)
 
@@ -57,7 +57,7 @@ def poses_of(dataset: Dataset, executions: Sequence[str]) -> tuple[PoseCard, ...
     side = CUBE_M
     while True:
         _, cube, count = np.unique(np.floor(points[:, -1] / side), axis=0, return_inverse=True, return_counts=True)
-        if len(count) <= MOST_POSES:
+        if len(count) <= MAX_POSES:
             break
         side *= 1.5
     total = np.zeros((len(count), *points.shape[1:]))

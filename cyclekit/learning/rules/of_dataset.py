@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from cyclekit.learning.rules.rows import RuleRows
     from cyclekit.schema import Vector
 
-MOST_ROWS = 60_000
+MAX_ROWS = 60_000
 """Maximum number of samples; above it, executions are drawn at random (thresholds are then known to millimetres)."""
-LEAST_ROWS, LEAST_EXECUTIONS = 500, 3
+MIN_ROWS, MIN_EXECUTIONS = 500, 3
 PARTS, EQUAL = 5, 0.002
 """Number of partial latencies tried with hysteresis, and the tolerance in explained share within which the middle one
 of the best is chosen."""
@@ -136,7 +136,7 @@ def _fields(
 
 def _too_few(rows: RuleRows) -> bool:
     """Return whether there are too few rows, executions or levels to find a rule."""
-    return len(rows) < LEAST_ROWS or len(np.unique(rows.execution)) < LEAST_EXECUTIONS or len(np.unique(rows.level)) < 2
+    return len(rows) < MIN_ROWS or len(np.unique(rows.execution)) < MIN_EXECUTIONS or len(np.unique(rows.level)) < 2
 
 
 def _with_poses(found: RuleSearch, dataset: Dataset, names: Sequence[str]) -> RuleSearch:
@@ -147,11 +147,11 @@ def _with_poses(found: RuleSearch, dataset: Dataset, names: Sequence[str]) -> Ru
 
 
 def _looked_at(dataset: Dataset, seed: int) -> list[str]:
-    """Return the names of all executions, or of a random subset with at most MOST_ROWS samples."""
+    """Return the names of all executions, or of a random subset with at most MAX_ROWS samples."""
     names: list[str] = dataset.executions["execution"].to_list()
-    if count_rows(dataset) <= MOST_ROWS:
+    if count_rows(dataset) <= MAX_ROWS:
         return names
-    some = set(some_executions(dataset, names, MOST_ROWS, seed=seed))
+    some = set(some_executions(dataset, names, MAX_ROWS, seed=seed))
     return [name for name in names if name in some]
 
 
@@ -170,7 +170,7 @@ def law_of(
         return None
     names = _looked_at(dataset, seed)
     rows = law_rows(dataset, names)
-    if rows is None or len(rows) < LEAST_ROWS or len(np.unique(rows.execution)) < LEAST_EXECUTIONS:
+    if rows is None or len(rows) < MIN_ROWS or len(np.unique(rows.execution)) < MIN_EXECUTIONS:
         return None
     unseen = () if model is None else model.card.held_out
     judged = _numbers(names, unseen, rows.execution)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cyclekit.learning.rules.cuts import LimitRows
     from cyclekit.schema import Bools, Vector
 
-MOST_SIDES = 6
+MAX_SIDES = 6
 _TRIED = 8
 """Maximum number of sides that are added before the least useful ones are removed."""
 _GAIN = 3e-4
@@ -132,7 +132,7 @@ def _fewer(floor: _Floor, sides: list[_Side]) -> list[_Side]:
     while len(sides) > 1:
         others = [[*sides[:at], *sides[at + 1 :]] for at in range(len(sides))]
         best = max(others, key=floor.gain)
-        if len(sides) <= MOST_SIDES and floor.gain(best) < floor.gain(sides) - _GAIN * float(floor.weight.sum()):
+        if len(sides) <= MAX_SIDES and floor.gain(best) < floor.gain(sides) - _GAIN * float(floor.weight.sum()):
             break
         sides = _moved(floor, best, _COARSE_DEG)
     return sides

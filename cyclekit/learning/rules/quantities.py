@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.rule import LimitCard, MetresCard, RectangleCard, RegionCard
 
 
-MOST_M = 0.05
+MAX_M = 0.05
 """Maximum distance, m, of a bound that counts as a gap between samples; beyond, samples are missing."""
 
 BETWEEN_M = 0.01
@@ -97,7 +97,7 @@ def released(limits: tuple[LimitCard, ...], by_m: float) -> tuple[LimitCard, ...
 
 
 def with_bounds(limits: tuple[LimitCard, ...], *, larger: bool, least_m: float = 0.0) -> tuple[LimitCard, ...]:
-    """Return a rule with each region as large, or as small, as the bounds of its values allow, within MOST_M.
+    """Return a rule with each region as large, or as small, as the bounds of its values allow, within MAX_M.
 
     Each value moves by at least `least_m`, with hysteresis by at least BETWEEN_M: an operator so close to a threshold
     may have crossed it between two samples, and the level is then held for long.
@@ -107,7 +107,7 @@ def with_bounds(limits: tuple[LimitCard, ...], *, larger: bool, least_m: float =
     def moved(place: RulePlace, metres: MetresCard) -> MetresCard:
         upper = larger == (outwards(place) > 0)
         bound = metres.high if upper else metres.low
-        way = 0.0 if bound is None else min(abs(bound - metres.value), MOST_M)
+        way = 0.0 if bound is None else min(abs(bound - metres.value), MAX_M)
         way = max(way, least[place.level])
         return structs.replace(metres, value=metres.value + (way if upper else -way))
 

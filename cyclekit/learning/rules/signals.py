@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Bools, Ints, Vector
 
-LEAST_CHANGES = 10
+MIN_CHANGES = 10
 """Minimum number of changes of a signal."""
-LEAST_DELAY_S, MOST_DELAY_S = 0.02, 1.0
+MIN_DELAY_S, MAX_DELAY_S = 0.02, 1.0
 """Minimum and maximum delay, s, of the level after a signal; the minimum exceeds the error of a mean delay."""
 SPREAD_S = 0.1
 """Tolerance, s, within which delays count as equal: the time between two samples."""
@@ -73,12 +73,12 @@ def lags_after(changes: SignalChanges, answers_s: Vector, seen_s: Vector) -> Vec
         seen_s: Times at which the level is known, ascending.
     """
     at = changes.t_s[1:][changes.value[1:] != changes.value[:-1]]
-    at = at[_near(seen_s, at) & _near(seen_s, at + MOST_DELAY_S)]
+    at = at[_near(seen_s, at) & _near(seen_s, at + MAX_DELAY_S)]
     if not len(answers_s):
         return np.full(len(at), np.nan)
     after = np.searchsorted(answers_s, at - SPREAD_S).clip(0, len(answers_s) - 1)
     lag = answers_s[after] - at
-    return np.asarray(np.where(np.abs(lag) <= MOST_DELAY_S, lag, np.nan))
+    return np.asarray(np.where(np.abs(lag) <= MAX_DELAY_S, lag, np.nan))
 
 
 def fixed_delay(lag_s: Vector) -> float | None:
@@ -87,11 +87,11 @@ def fixed_delay(lag_s: Vector) -> float | None:
     Args:
         lag_s: Result of `lags_after`.
     """
-    if len(lag_s) < LEAST_CHANGES or not np.isfinite(lag_s).any():
+    if len(lag_s) < MIN_CHANGES or not np.isfinite(lag_s).any():
         return None
     alike = np.abs(lag_s - np.nanmedian(lag_s)) <= SPREAD_S
     delay_s = float(lag_s[alike].mean())
-    return round(delay_s, 3) if alike.mean() >= FOLLOWED and delay_s > LEAST_DELAY_S else None
+    return round(delay_s, 3) if alike.mean() >= FOLLOWED and delay_s > MIN_DELAY_S else None
 
 
 def _events(dataset: Dataset, sessions: set[str]) -> dict[str, dict[str, SignalChanges]]:

@@ -44,14 +44,14 @@ if TYPE_CHECKING:
     from cyclekit.plots.drawing import Drawing
     from cyclekit.schema import Floats
 
-LEAST_ROWS = 500
+MIN_ROWS = 500
 """Minimum number of samples with positions and a scaling."""
 BY_DISTANCE = 0.02
 """Maximum deficit in explained variance, against the best other rule, at which a distance is chosen as the rule."""
 SAME = 0.003
 """Tolerance in explained variance within which distances count as equal; then the first of DISTANCES is chosen."""
 _NO_PROOF = "read from logs, the safety system was not measured: no safety proof"
-LEAST_SEEN = 5
+MIN_SEEN = 5
 """Minimum number of samples in a cell of the floor; cells with fewer are left blank."""
 
 
@@ -176,8 +176,8 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
     if by_signals(dataset):
         return _by_signals(model, dataset, seed)
     rows, notes = _rows(dataset)
-    if len(rows.scaling) < LEAST_ROWS:
-        msg = f"{dataset.path}: {len(rows.scaling)} samples have both positions and a scaling; {LEAST_ROWS} are needed"
+    if len(rows.scaling) < MIN_ROWS:
+        msg = f"{dataset.path}: {len(rows.scaling)} samples have both positions and a scaling; {MIN_ROWS} are needed"
         raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
     levels = model.levels
     predicted = _predicted(model, rows)
@@ -285,7 +285,7 @@ def _floor(rows: ScalingSamples) -> tuple[Floats, Floats]:
     code = code.ravel()
     order = np.argsort(code, kind="stable")
     parts = np.split(rows.scaling[order], np.cumsum(np.bincount(code))[:-1])
-    seen = np.array([len(part) >= LEAST_SEEN for part in parts])
+    seen = np.array([len(part) >= MIN_SEEN for part in parts])
     medians = np.array([np.median(part) for part in parts])
     return np.asarray(cell[seen] * FLOOR_M), medians[seen]
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 FLOOR_M = 0.2
 """Width of a cell of the floor, m."""
 RESAMPLES = 40
-MOST_ROWS = 60_000
+MAX_ROWS = 60_000
 CROSSINGS = 60
 """Minimum number of changes of the level to locate a threshold."""
 AROUND_S, FASTEST_M_S, BEND_M = 0.25, 4.0, 0.1
@@ -112,8 +112,8 @@ def thresholds(rows: ScalingSamples, levels: Sequence[float], distance: str, *, 
     drawn = []
     for pick in picks:
         some = np.concatenate([by_execution[i] for i in pick.tolist()])
-        if some.size > MOST_ROWS:
-            some = rng.choice(some, MOST_ROWS)
+        if some.size > MAX_ROWS:
+            some = rng.choice(some, MAX_ROWS)
         drawn.append(by_distance(rows.of(some), levels, distance)[0])
     low, high = np.quantile(np.array(drawn), (0.025, 0.975), axis=0, method="nearest")
     crossed = crossings(rows, levels, distance)

@@ -24,9 +24,9 @@ BLOCKS = 5
 """Number of blocks of executions for a standard error."""
 CHANGED = 3.0
 """Minimum change of the pace, in standard errors."""
-LEAST_CHANGE = 0.02
+MIN_CHANGE = 0.02
 """Minimum change of the pace, as a share."""
-MOST = 500
+MAX_EXECUTIONS = 500
 """Maximum number of executions evaluated; above it, evenly spaced ones."""
 
 
@@ -41,7 +41,7 @@ class PaceShift:
     @property
     def changed(self) -> bool:
         """Whether the change is significant and large enough to matter."""
-        return abs(self.z) > CHANGED and abs(self.change) > LEAST_CHANGE
+        return abs(self.z) > CHANGED and abs(self.change) > MIN_CHANGE
 
 
 @dataclass(frozen=True, repr=False)
@@ -106,7 +106,7 @@ def judge_task_times(
         DatasetError: No execution can be evaluated.
     """
     every, _ = logged_runs(dataset)
-    runs = every[:: -(-len(every) // MOST) or 1]
+    runs = every[:: -(-len(every) // MAX_EXECUTIONS) or 1]
     now = max((pace.last for pace in model.pace.values()), default=0)
     ratios, inside, unknown = [], [], 0
     for number, run in enumerate(runs):

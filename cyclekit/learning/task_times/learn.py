@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Progress, Vector
 
-LEAST_EXECUTIONS = 5
+MIN_EXECUTIONS = 5
 """Minimum number of executions."""
-LEAST_ORDERS = 5
+MIN_ORDERS = 5
 """Minimum number of orders to hold out whole orders; with fewer, single executions are held out."""
 FOLDS = 5
 """Number of cross-validation folds."""
@@ -48,8 +48,8 @@ def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | No
         DatasetError: There are too few complete executions.
     """
     runs, agents = logged_runs(dataset)
-    if len(runs) < LEAST_EXECUTIONS:
-        msg = f"{dataset.place}: executions whose tasks all have an end: {len(runs)}; {LEAST_EXECUTIONS} are needed"
+    if len(runs) < MIN_EXECUTIONS:
+        msg = f"{dataset.place}: executions whose tasks all have an end: {len(runs)}; {MIN_EXECUTIONS} are needed"
         raise DatasetError(msg, cure=f"Ingest more logs. What is known: {command_line('inspect', dataset.place)}")
     return structs.replace(learn_runs(runs, agents, seed=seed, progress=progress), dataset=dataset.path.name)
 
@@ -65,7 +65,7 @@ def learn_runs(
     """Return the task times learned from executions.
 
     Args:
-        runs: At least LEAST_EXECUTIONS.
+        runs: At least MIN_EXECUTIONS.
         agents: `robot` or `operator` by agent name.
         seed: Seed of random draws.
         folds: Number of cross-validation folds over the orders.
@@ -153,7 +153,7 @@ def _judged(
 ) -> HeldOutCard | None:
     orders = sorted({run.order for run in runs})
     rng = np.random.default_rng(seed)
-    if len(orders) >= LEAST_ORDERS:
+    if len(orders) >= MIN_ORDERS:
         number = dict(zip(orders, rng.permutation(len(orders)) % folds, strict=True))
         fold_of = np.array([number[run.order] for run in runs])
     else:
@@ -172,7 +172,7 @@ def _judged(
                 continue
             found.append(_HeldOut(run.order, float(took_s.mean()), float(took_s.std(ddof=1)), run.duration_s))
         tell(float(fold + 1))
-    if len(found) < LEAST_EXECUTIONS:
+    if len(found) < MIN_EXECUTIONS:
         return None
     asked = [runs[number] for number in rng.permutation(len(runs))[:ASKED]]
     return structs.replace(_summed_up(found), learning_error=_learning_error(models, asked, seed))

@@ -16,13 +16,13 @@ from cyclekit.dataset.cards.task_model import PaceCard
 if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
 
-LEAST_EXECUTIONS = 30
+MIN_EXECUTIONS = 30
 """Minimum number of executions."""
 BLOCKS = 10
 """Number of blocks."""
 LEVEL = 0.01
 """Significance level."""
-LEAST_CHANGE = 0.03
+MIN_CHANGE = 0.03
 """Minimum change of the log duration from the first to the last execution that is corrected."""
 
 
@@ -34,7 +34,7 @@ def pace_drift(number: Ints, log_work: Vector) -> PaceCard | None:
         log_work: Log work of each repetition, less the mean of its task, shape (N,).
     """
     of, where = np.unique(number, return_inverse=True)
-    if len(of) < LEAST_EXECUTIONS:
+    if len(of) < MIN_EXECUTIONS:
         return None
     mean = np.bincount(where, log_work) / np.bincount(where)
     best: tuple[float, PaceCard] | None = None
@@ -44,7 +44,7 @@ def pace_drift(number: Ints, log_work: Vector) -> PaceCard | None:
         x = card.passed(of)
         blocks = np.array_split(np.arange(len(of)), BLOCKS)
         change, chance, left = _trend(*(np.array([values[block].mean() for block in blocks]) for values in (x, mean)))
-        if chance < LEVEL / 2 and abs(change) >= LEAST_CHANGE and (best is None or left < best[0]):
+        if chance < LEVEL / 2 and abs(change) >= MIN_CHANGE and (best is None or left < best[0]):
             best = left, structs.replace(card, change=change, chance=chance)
     return best[1] if best else None
 

@@ -28,7 +28,7 @@ RATES_SPREAD = 0.7
 FACTOR_SPREAD = 0.1
 """Prior standard deviation of the log factors of the previous task and of the occurrence: the way to a task, and the
 slot of a part, change the work only slightly."""
-_LEAST_SPREAD = 1e-3
+_MIN_SPREAD = 1e-3
 ALONE = ""
 
 
@@ -110,7 +110,7 @@ def fit_rates(runs: Sequence[Run], agent: str, task: str) -> TaskRates:
 def _density(at: Vector, parts: _Parts) -> tuple[float, Vector]:
     """Return the negative log posterior density, and its gradient."""
     k, count = parts.beside.shape[1], len(parts.last)
-    mean, spread, log_rate, factor = at[0], np.exp(at[1]) + _LEAST_SPREAD, at[2 : 2 + k], at[2 + k :]
+    mean, spread, log_rate, factor = at[0], np.exp(at[1]) + _MIN_SPREAD, at[2 : 2 + k], at[2 + k :]
     work, ends = parts.work(log_rate), parts.beside[parts.last]
     z = (np.log(work) - mean - parts.factors @ factor) / spread
     value = 0.5 * z @ z + count * np.log(spread) + np.log(work).sum() - (ends @ log_rate).sum()

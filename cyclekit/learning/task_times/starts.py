@@ -24,7 +24,7 @@ HELD = 0.98
 """Minimum share of starts after a condition's end."""
 EARLY_S = 0.15
 """Tolerance, s: a start may precede its condition by this much (rounding, clock error)."""
-LEAST_DECIDED = 5
+MIN_DECIDED = 5
 """Minimum number of starts that a condition must decide alone."""
 DECIDED_S = 0.3
 """Minimum lead, s, of all other causes at a start that a condition decided."""
@@ -32,7 +32,7 @@ REGULAR_S = 0.05
 """Resolution of lags, s."""
 GAIN_PER_START, GAIN = 0.1, 6.0
 """Minimum gain in regularity (`_gain`): the first value per start, plus the second."""
-MOST = 3
+MAX_CONDITIONS = 3
 """Maximum number of conditions per task."""
 
 
@@ -76,7 +76,7 @@ def learn_starts(runs: Sequence[Run], agent: str, task: str) -> Starts:
     open_to: dict[NeedCard | None, Vector] = {None: planned}
     open_to |= {need: _ends(seen, need) for need in _candidates(runs, agent)}
     chosen: list[NeedCard | None] = []
-    while len(chosen) < MOST:
+    while len(chosen) < MAX_CONDITIONS:
         tried = {need: _gain(start, ready, ends) for need, ends in open_to.items() if need not in chosen}
         best = max(tried, key=lambda need: tried[need], default=None)
         least = GAIN + np.log(len(open_to)) + GAIN_PER_START * len(seen)
@@ -118,7 +118,7 @@ def _gain(start: Vector, ready: Vector, ends: Vector) -> float:
     known = np.isfinite(ends)
     held = start >= ends - EARLY_S
     decided = known & held & (ends > ready + DECIDED_S)
-    if not known.any() or held[known].mean() < HELD or decided.sum() < LEAST_DECIDED:
+    if not known.any() or held[known].mean() < HELD or decided.sum() < MIN_DECIDED:
         return -np.inf
     with_it = np.where(held, np.fmax(ready, ends), ready)
     return len(start) * float(np.log(_deviation(start - ready) / _deviation(start - with_it)))

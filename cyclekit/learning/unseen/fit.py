@@ -39,15 +39,15 @@ ROUNDS = 20
 """Number of k-means iterations for the centres of the regions."""
 STATES = (6, 8, 12)
 """Numbers of hidden states tried."""
-LEAST_COMPARED = 12
+MIN_COMPARED = 12
 """Minimum number of executions at which a model with regions is tried."""
 HELD_OUT = 0.25
 """Share of the executions held out for the comparison."""
 BEYOND = 2.0
 """Minimum advantage of the model with regions, in standard errors."""
-MOST_COMPARED = 80
+MAX_COMPARED = 80
 """Maximum number of executions in the comparison."""
-LEAST = 3
+MIN_EXECUTIONS = 3
 """Minimum number of executions."""
 
 
@@ -61,7 +61,7 @@ def learn_unseen(dataset: Dataset, *, seed: int = 0, progress: Progress | None =
         progress: Called with share done and text.
 
     Raises:
-        DatasetError: The scaling is unknown or constant, or there are fewer than LEAST executions.
+        DatasetError: The scaling is unknown or constant, or there are fewer than MIN_EXECUTIONS executions.
     """
     tell = progress or (lambda _fraction, _text: None)
     levels, courses = _usable(dataset)
@@ -97,8 +97,8 @@ def _usable(dataset: Dataset) -> tuple[tuple[float, ...], dict[str, Course]]:
     if len(levels) < 2:
         msg = f"{dataset.path}: the speed scaling is {levels[0] if levels else 1.0:.2f} everywhere"
         raise DatasetError(msg, cure="Log executions in which the operator is near enough to slow the robot.")
-    if len(courses) < LEAST:
-        msg = f"{dataset.path}: {len(courses)} usable execution(s); at least {LEAST} are needed"
+    if len(courses) < MIN_EXECUTIONS:
+        msg = f"{dataset.path}: {len(courses)} usable execution(s); at least {MIN_EXECUTIONS} are needed"
         raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
     return levels, courses
 
@@ -116,9 +116,9 @@ class _Choice:
 def _chosen(courses: Sequence[Course], centres: Points, levels: int, every: int, seed: int, tell: Progress) -> _Choice:
     """Return the model that explains held-out executions best; with regions only if significantly better."""
     anywhere = _Choice(centres[:1], 0)
-    if len(courses) < LEAST_COMPARED:
+    if len(courses) < MIN_COMPARED:
         return anywhere
-    drawn = np.random.default_rng(seed).permutation(len(courses))[:MOST_COMPARED]
+    drawn = np.random.default_rng(seed).permutation(len(courses))[:MAX_COMPARED]
     seen = side_by_side([courses[i] for i in drawn], centres, every)
     count = round(HELD_OUT * len(drawn))
     judged, learned = seen.of(np.arange(count)), seen.of(np.arange(count, len(drawn)))

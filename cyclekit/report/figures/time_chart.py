@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cyclekit.report.inputs import PageInputs
     from cyclekit.report.texts import ReportTexts
 
-MOST_SEQUENCES = 4
+MAX_SEQUENCES = 4
 """Maximum number of sequences drawn; the others are in the tables."""
 PAPER_IN = 4.5
 """Maximum height of a chart that is printed as a whole, inches."""
@@ -61,7 +61,7 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
     found = [*([today] if today else []), *page.ranked]
     if not found:
         return
-    drawn = found[: MOST_SEQUENCES + bool(today)]
+    drawn = found[: MAX_SEQUENCES + bool(today)]
     caption = " ".join(_said(texts, drawn, len(found) - len(drawn)))
     tables = [_plan(texts, each) if each.plan else _tasks(texts, each) for each in found if each.tasks]
     if page.ranked:

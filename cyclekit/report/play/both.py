@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 PACES = (0.8, 1.5)
 """Minimum and maximum factor on the speed of the operator."""
-MOST_PARTS = 10
+MAX_PARTS = 10
 """Maximum number of parts of a source in advance, unless the cell has more."""
 
 
@@ -94,7 +94,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
         "went": went if None in orders else [],
         "waited_for": sorted(planner.waited_for),
         "paces": PACES,
-        "most_parts": MOST_PARTS,
+        "most_parts": MAX_PARTS,
     }
     source, tasks = scaling_source(model, dataset, legs, tracks, arrays)
     gates = Gates(card)

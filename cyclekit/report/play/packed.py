@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-UNKNOWN, MOST = -(2**15), 2**15 - 1
+UNKNOWN, MAX_COORDINATE = -(2**15), 2**15 - 1
 """Code of an unknown coordinate; largest coordinate."""
 FINEST = 10_000.0
 """Maximum resolution, units per metre."""
@@ -23,7 +23,7 @@ FINEST = 10_000.0
 def units_per_metre(*xyz_m: NDArray[np.floating[Any]]) -> float:
     """Return the resolution of coordinates in 16 bits, units per metre; the same for all."""
     farthest = max(float(np.nanmax(np.abs(some), initial=1.0)) for some in xyz_m)
-    return min(FINEST, float(np.floor(MOST / farthest)))
+    return min(FINEST, float(np.floor(MAX_COORDINATE / farthest)))
 
 
 def in_units(xyz_m: NDArray[np.floating[Any]], per_metre: float) -> NDArray[np.int16]:

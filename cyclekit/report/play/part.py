@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cyclekit.report.play.tables import Tables
     from cyclekit.report.texts import ReportTexts
 
-MOST_BYTES = 2_000_000
+MAX_BYTES = 2_000_000
 """A page with larger tables is too slow to open on a phone."""
 Kind = Literal["robot", "both", "list"]
 _COLOURS: dict[Kind, tuple[str, ...]] = {
@@ -93,7 +93,7 @@ def _made(texts: ReportTexts, kind: Kind, shown: Sequence[CycleEstimate], make: 
         data = packed(*make())
     except CyclekitError as error:  # the estimates were made in another process, on other tracks
         return _Made(kind, names, None, texts("play.failed", why=error.seen))
-    if len(data) > MOST_BYTES:
+    if len(data) > MAX_BYTES:
         return _Made(kind, names, None, texts("play.too_large", size=f"{len(data) / 1e6:.1f}"))
     return _Made(kind, names, data)
 
@@ -103,7 +103,7 @@ def _joined(texts: ReportTexts, made: Sequence[_Made]) -> PlayPart:
     kept, missing = list[_Made](), list[str]()
     for each in made:
         size = sum(len(other.data or "") for other in (*kept, each))
-        why = each.why or (texts("play.too_large", size=f"{size / 1e6:.1f}") if size > MOST_BYTES else "")
+        why = each.why or (texts("play.too_large", size=f"{size / 1e6:.1f}") if size > MAX_BYTES else "")
         if not why:
             kept.append(each)
         else:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.schema import Floats, Vector
 
-MOST_ENTRIES = 20_000_000
+MAX_ENTRIES = 20_000_000
 """Maximum number of entries of a table: a larger one takes minutes to fill, and no page holds it."""
 PATH_S, HUMAN_M = 0.1, 0.03
 """Nominal time between the points of a motion, and edge of the cells, where the operator's position counts."""
@@ -71,7 +71,7 @@ def scaling_table(
     """
     code, cells = cells_of(tracks, HUMAN_M)
     entries = sum(len(path) for path in paths) * len(cells)
-    if entries > MOST_ENTRIES:
+    if entries > MAX_ENTRIES:
         raise EstimateError(f"a table of its scaling would have {entries / 1e6:.0f} million entries")
     known = model if isinstance(model, OnStates) else logged_support(dataset)
     lags, levels = _lags(model, dynamics), tuple(getattr(model, "levels", ()))

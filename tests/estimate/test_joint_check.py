@@ -41,7 +41,7 @@ def test_cycles_that_vary_much_are_no_bias(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(f"{module}.logged_durations", lambda _, some: logged[[int(one.name) for one in some]])
     monkeypatch.setattr(f"{module}.longest_s", lambda _: 100.0)
     monkeypatch.setattr(f"{module}.unexplained_waits", lambda *_: SimpleNamespace(wait_s=0.0, by_order_s=0.0))
-    monkeypatch.setattr(f"{module}.MOST", count)
+    monkeypatch.setattr(f"{module}.MAX_EXECUTIONS", count)
     cell: Any = SimpleNamespace(
         dataset=None,
         logged=dict.fromkeys(names, ()),

@@ -34,6 +34,8 @@ SAME_S = 0.04
 """Tolerance for equal delays, s."""
 AT_ONCE_S = 0.012
 """Maximum delay, s, at which a signal may be cause or effect of the level; such signals are tried after all others."""
+ROWS = 1.25
+"""The same, in rows of the log: a field and the speed that it lowers at once change in the same row."""
 LATE_S = 0.5
 """Maximum time, s, after a change of speed at which a signal may be a field that is logged late."""
 MIN_GAIN = 0.02
@@ -67,6 +69,7 @@ class SignalEvidence:
         falls_s, rises_s: Times when the level began to fall and to rise, s.
         signals: Changes of each signal.
         levels: Levels of the scaling, ascending.
+        period_s: Time between rows of the robot log, s: no delay below it can be seen.
     """
 
     t_s: Vector
@@ -78,6 +81,12 @@ class SignalEvidence:
     rises_s: Vector
     signals: Mapping[str, SignalChanges]
     levels: Sequence[float]
+    period_s: float = 0.0
+
+    @property
+    def at_once_s(self) -> float:
+        """Maximum delay, s, at which a signal may be cause or effect of the level."""
+        return max(AT_ONCE_S, ROWS * self.period_s)
 
 
 class _Lead(NamedTuple):
@@ -125,7 +134,7 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
                     "[[operator_signals]] of the cell file", "signal that changes", one.signal, evidence.signals
                 )
             occupied = state_of(one.occupied)
-            lead = _lead(occupied, *_delays(evidence, one.signal, occupied))
+            lead = _lead(occupied, *_delays(evidence, one.signal, occupied), evidence.at_once_s)
             leads[one.signal] = lead or _Lead(occupied, 0.0, None)
         order = [(one.name, one.signal) for one in told]
     else:
@@ -163,7 +172,7 @@ def _leading(evidence: SignalEvidence) -> dict[str, _Lead]:
             continue
         tried = [(value, *_delays(evidence, name, value)) for value in np.unique(changes.value).tolist()]
         value, falls, rises = max(tried, key=lambda one: one[1][1] + one[2][1])
-        lead = _lead(value, falls, rises)
+        lead = _lead(value, falls, rises, evidence.at_once_s)
         if lead is not None and not _of_program(evidence, changes.at(evidence.t_s) == value):
             found[name] = lead
     return found
@@ -179,22 +188,22 @@ def _following(evidence: SignalEvidence) -> tuple[tuple[str, float], ...]:
             late = [one.delay_s for one in (falls, rises) if one.delay_s is not None]
             if (
                 len(late) == 2
-                and -LATE_S <= min(late) <= max(late) <= -AT_ONCE_S
+                and -LATE_S <= min(late) <= max(late) <= -evidence.at_once_s
                 and falls.number + rises.number >= MIN_RESPONSES
             ):
                 found.append((name, -min(late)))
     return tuple(found)
 
 
-def _lead(occupied: str, falls: _Responses, rises: _Responses) -> _Lead | None:
+def _lead(occupied: str, falls: _Responses, rises: _Responses, at_once_s: float) -> _Lead | None:
     """Return the response of the level to a signal; None if the level does not follow it.
 
     Falls are rare if a field is effective on only a small part of the path; the delay is then taken from the rises.
     """
     often, seldom = sorted((falls, rises), key=lambda one: -one.number)
-    if often.delay_s is None or often.delay_s <= -AT_ONCE_S or falls.number + rises.number < MIN_RESPONSES:
+    if often.delay_s is None or often.delay_s <= -at_once_s or falls.number + rises.number < MIN_RESPONSES:
         return None
-    if seldom.delay_s is None or seldom.delay_s <= -AT_ONCE_S:
+    if seldom.delay_s is None or seldom.delay_s <= -at_once_s:
         return _Lead(occupied, often.delay_s, None) if 2 * seldom.number < often.number + 1 else None
     return _Lead(occupied, falls.delay_s or 0.0, rises.delay_s)
 
@@ -205,7 +214,7 @@ def _explaining(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> list[st
     on: list[Bools] = []
     rest = _unexplained(evidence, on)
     for at_once in (False, True):
-        left = [name for name, lead in leads.items() if (lead.delay_s < AT_ONCE_S) == at_once]
+        left = [name for name, lead in leads.items() if (lead.delay_s < evidence.at_once_s) == at_once]
         while left and len(chosen) < MAX_SIGNALS:
             states = {name: _on(evidence, name, leads[name]) for name in left}
             rests = {name: _unexplained(evidence, [*on, state]) for name, state in states.items()}

@@ -198,9 +198,17 @@ def _evidence(
         np.array([c.t_s + at for mine, at in zip(changes, shifts, strict=True) for c in mine if c.rises is up])
         for up in (False, True)
     )
-    place = np.column_stack([x_m, y_m])
     return SignalEvidence(
-        t_s, level, place, task, execution, np.sort(falls), np.sort(rises), _joined(values, shifts), levels
+        t_s=t_s,
+        level=level,
+        place=np.column_stack([x_m, y_m]),
+        task=task,
+        execution=execution,
+        falls_s=np.sort(falls),
+        rises_s=np.sort(rises),
+        signals=_joined(values, shifts),
+        levels=levels,
+        period_s=float(np.median([run.period_s for mine in sessions for run in runs[mine.session]])),
     )
 
 

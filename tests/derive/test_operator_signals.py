@@ -170,6 +170,18 @@ def test_where_none_is_found_those_that_follow_the_speed_are_told() -> None:
     )
 
 
+def test_a_field_that_changes_in_the_row_of_the_speed_is_found() -> None:
+    known, row_s = evidence(3), 0.04
+    late = {
+        name: one._replace(t_s=one.t_s + DELAY_S + row_s) if name in ("digital-input 2", "digital-input 3") else one
+        for name, one in known.signals.items()
+        if name != "digital-input 4"  # the lamp
+    }
+    same_row = dataclasses.replace(known, signals=late, period_s=row_s)
+    assert {card.signal for card in find_signals(same_row).cards} == {"digital-input 2", "digital-input 3"}
+    assert not find_signals(dataclasses.replace(same_row, period_s=0.008)).cards  # five rows after the speed
+
+
 def test_a_signal_that_no_log_holds_is_refused_with_those_that_there_are() -> None:
     with pytest.raises(UnknownName, match="door_closed") as refused:
         find_signals(evidence(3), (OperatorSignal("door", "door_closed", "0"),))

@@ -192,9 +192,9 @@ def coupling_table(found: CouplingCard | None) -> str:
             )
         for one in source.after:
             lag = f"{max(_quantile(one.lag_s, 0.05), 0.0):.1f} to {_quantile(one.lag_s, 0.95):.1f} s"
-            turn = ", 1 earlier" if one.back else ""
-            said = f"{source.signal} {source.event} comes {lag} after robot {one.event} {one.place}{turn}"
-            parts.append(f"{said}, or {gap} after the one before, whichever is later")
+            visit = " in its visit before" if one.back else ""
+            own = f", or {gap} after the one before, whichever is later" if _quantile(source.gap_s, 0.95) > 0.0 else ""
+            parts.append(f"{source.signal} {source.event} comes {lag} after robot {one.event} {one.place}{visit}{own}")
     return "\n".join(parts)
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from cyclekit.cli.lists import coupling_table
+from cyclekit.dataset.cards.coupling import ConditionCard, CouplingCard, GateCard, SourceCard
 from cyclekit_sim.task_lists import simulate_task_lists
 
 TASKS = [
@@ -163,3 +165,18 @@ def test_logs_of_one_name_are_told_apart_by_their_folders(cyclekit, tasks: Path,
     assert [line.split()[0] for line in shown.splitlines() if " task-list " in line] == [
         f"day_{number}/tasks.csv" for number in range(4)
     ]
+
+
+@pytest.mark.parametrize(
+    ("gap_s", "said"),
+    [((0.0,), "press\n"), ((4.0,), "press in its visit before, or 4.0 to 4.0 s after the one before")],
+)
+def test_when_a_signal_comes_names_its_own_work_only_where_it_has_some(gap_s: tuple[float, ...], said: str) -> None:
+    done = ConditionCard(agent="signal", place="done", event="set", lag_s=(0.0,))
+    leaves = ConditionCard(agent="robot", place="press", event="leaves", lag_s=(25.0,), back=int(gap_s[0] > 0.0))
+    card = CouplingCard(
+        gates=(GateCard(agent="robot", at="leave", place="press", own_s=(1.0,), conditions=(done,), passages=9),),
+        sources=(SourceCard(signal="done", gap_s=gap_s, taken_by="press", after=(leaves,)),),
+        executions=9,
+    )
+    assert f"done set comes 25.0 to 25.0 s after robot leaves {said}" in coupling_table(card) + "\n"

@@ -16,13 +16,13 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.dataset.cards import note
 from cyclekit.dataset.signals import switches
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.cause_samples import TwoStateSignal, joined, rows_of
 from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
 from cyclekit.derive.first_pass import first_pass
-from cyclekit.derive.last_pass import LastPassInput, LastPassResult, last_pass
+from cyclekit.derive.last_pass import LastPassInput, last_pass
+from cyclekit.derive.notes import empty_tracker_notes, input_notes, signal_notes, unseen_notes
 from cyclekit.derive.operator_tasks import operator_tasks
 from cyclekit.derive.over_sessions import Passes, is_much
 from cyclekit.derive.reaction_time import reaction_time
@@ -34,7 +34,7 @@ from cyclekit.derive.stops_at_places import StopAtPlace, stops_at_places
 from cyclekit.derive.tracker_frame import frame_notes
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
-from cyclekit.people.silence import absences, is_empty
+from cyclekit.people.silence import absences
 from cyclekit.scaling.levels import Staircase, find_staircase
 from cyclekit.scaling.response import MAX_CHANGES, SafetyResponse, read_response
 from cyclekit.storage.parquet import forget
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import LogGroup
     from cyclekit.dataset.signals import Read, Stored
-    from cyclekit.derive.operator_signals import FoundSignals
     from cyclekit.derive.robot import RobotInSessions
     from cyclekit.derive.second_pass import SessionToSample
     from cyclekit.derive.session_signals import PresenceSignals
@@ -251,11 +250,11 @@ def _derived(
         warnings=[
             *robot.warnings,
             *(staircase.warnings if some or not sampled else []),
-            *_input_notes(evidence),
-            *_signal_notes(presence.found),
+            *input_notes(evidence),
+            *signal_notes(presence.found),
             *mixed_sources(sampled, presence),
-            *_empty_tracker_notes(sampled, operator_absence),
-            *_unseen_notes(finished),
+            *empty_tracker_notes(sampled, operator_absence),
+            *unseen_notes(finished),
             *frame_notes(sampled, [one.changes for one in finished], levels, folder, sources, read, cell),
         ],
     )
@@ -286,17 +285,6 @@ def _tasks(
     return tasks.with_columns(pl.Series(f"lost_{cause}_s", column, nan_to_null=True) for cause, column in named)
 
 
-def _empty_tracker_notes(sampled: Sequence[SecondPassResult], operator_absence: Sequence[Absence]) -> list[Note]:
-    """Return a note: in how many sessions an empty tracker log means no operator, and in how many unknown."""
-    empty = [
-        absence
-        for one, absence in zip(sampled, operator_absence, strict=True)
-        if one.silences and is_empty(one.silences)
-    ]
-    absent = sum(absence.until_s == np.inf for absence in empty)
-    return [note("tracker-empty", absent=absent, unknown=len(empty) - absent)] if empty else []
-
-
 def _operator_rows(
     session: SecondPassResult, human_places: Mapping[str, Place], *, to_next: bool
 ) -> list[tuple[object, ...]]:
@@ -308,38 +296,6 @@ def _operator_rows(
         human_places,
         [until_s for _, until_s in session.standstills_to_next],
     )
-
-
-def _input_notes(evidence: Evidence) -> list[Note]:
-    """Return a note for each input that slows the robot."""
-    return [
-        note("input-slows", signal=name, state="on" if how.on else "off", percent=round(100 * how.cap))
-        for name, how in evidence.inputs.items()
-    ]
-
-
-def _signal_notes(found: FoundSignals) -> list[Note]:
-    """Return notes: signals that were found to show people, or signals that follow the speed."""
-    if found.follow:
-        names, late_s = zip(*found.follow, strict=True)
-        return [note("signals-follow", signals=", ".join(names), late_s=max(late_s))]
-    return [
-        note(
-            "operator-signal",
-            signal=one.signal,
-            occupied=one.occupied,
-            delay_s=one.delay_s,
-            explained=one.explained,
-        )
-        for one in found.cards
-        if not one.told
-    ]
-
-
-def _unseen_notes(finished: Sequence[LastPassResult]) -> list[Note]:
-    """Return a note: how often a signal shows a person whom the tracker misses."""
-    samples, sessions = sum(one.unseen for one in finished), sum(one.unseen > 0 for one in finished)
-    return [note("operator-unseen", samples=samples, sessions=sessions)] if samples else []
 
 
 def _task_times(executed_tasks: Sequence[ExecutedTask]) -> Floats:

@@ -16,12 +16,11 @@ from ingested import ROUND_TRIP, bytes_and_times, only_bytes
 from cyclekit.config import Cell, Executions, Source
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, CyclekitError, LogError, OutputError, UnknownFormat, UnknownName
-from cyclekit.ingest.discover import suggest_cell
 from cyclekit.ingest.ingest import ingest
 from cyclekit.parallel.engine import Engine
 
 if TYPE_CHECKING:
-    from simulated_cells import Cells, SimulatedCell
+    from simulated_cells import Cells
 
 WALK = [(1.0 + 0.01 * i, 2.0, 0.2) for i in range(150)]
 
@@ -350,27 +349,6 @@ def test_executions_that_begin_by_a_register_nobody_logged_are_refused(three_run
         cell = Cell(executions=Executions("signal", signal=signal))
         with pytest.raises(ConfigError, match=f"begin by {signal}, but the log does not hold it"):
             ingest([three_runs], tmp_path / "dataset", cell=cell)
-
-
-def test_the_cell_file_suggested_for_logs_names_those_of_a_kind_once_with_their_adapter(three_runs: Path):
-    cell = suggest_cell([three_runs]).cell
-    assert [(source.path, source.adapter) for source in cell.sources] == [("run_*.csv", "ur-rtde")]
-
-
-def test_the_path_suggested_for_numbered_logs_matches_the_next_ones_too(tmp_path: Path, robot_log: Any):
-    for name in ("run_008.csv", "run_009.csv", "day/0701.csv", "day/0702.csv"):
-        robot_log(tmp_path / name, ROUND_TRIP)
-    paths = {source.path for source in suggest_cell([tmp_path]).cell.sources}
-    assert paths == {"run_*.csv", "day/070*.csv"}  # a name of digits alone keeps the common ones
-    (tmp_path / "run_notes.csv").write_text("of no adapter\n")  # and of no source either
-    paths = {source.path for source in suggest_cell([tmp_path]).cell.sources}
-    assert paths == {"run_00*.csv", "day/070*.csv"}
-
-
-def test_the_cell_file_suggested_for_a_dataset_names_the_places_found(boxes: SimulatedCell):
-    cell = suggest_cell([boxes.dataset.path]).cell
-    assert set(cell.places) == set(boxes.dataset.places)
-    assert cell.places["conveyor"].xyz_m == pytest.approx((0.6, 0.0, 0.1), abs=1e-3)
 
 
 def test_progress_goes_from_nothing_to_the_whole(three_runs: Path, tmp_path: Path):

@@ -124,6 +124,7 @@ def _fit(
     elif source is not None and source.sync is not None:
         sync = source.sync
         found = fit_events(event_times(entry, sync.other, *tables), event_times(master, sync.robot, *tables))
+        found = _warned("clock-of-robot-restarted", found) if _robot_restarts(master, tables) else found
     elif source is not None and source.sees is not None:
         found = _by_motion(entry, master, source, tables)
     if found is not None:
@@ -253,7 +254,21 @@ def _stamps_of(entry: LogCard, read: Read) -> pl.DataFrame | None:
 
 def _is_lost(entry: LogCard, read: Read) -> bool:
     """Return whether a log has stamps to which no line fits."""
-    return entry.clock.kind != "epoch" and "stamps" in entry.tables and _to_epoch(entry, read) is None
+    stamps = _stamps_of(entry, read)
+    return entry.clock.kind != "epoch" and stamps is not None and stamps.height > 1 and _to_epoch(entry, read) is None
+
+
+def _robot_restarts(master: LogCard, tables: _Tables) -> bool:
+    """Return whether the robot's clock restarted while it was recorded."""
+    if "robot" not in master.tables:
+        return False
+    table, last_s = tables.stored(master.id, ["t_s"]), np.nan
+    for begin, end in table.groups:
+        times = table.column("t_s", begin, end)
+        if (np.diff(times, prepend=last_s) < -RESTART_S).any():
+            return True
+        last_s = float(times[-1])
+    return False
 
 
 def _restarts(stamps: pl.DataFrame | None) -> bool:

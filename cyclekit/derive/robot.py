@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from cyclekit.dataset.cards import note
 from cyclekit.derive.second_pass import SessionToSample
 from cyclekit.scaling.run_scaling import with_scaling
+from cyclekit.scaling.set_override import MIN_SLOW, never_changes, slow_share
 from cyclekit.segmentation.arrivals import PlaceStandstills, place_standstills
 from cyclekit.segmentation.dwell import Dwell, usual_dwells
 from cyclekit.segmentation.executions import Execution, find_executions, find_visits
@@ -82,6 +83,27 @@ def robot_of(
     for result in results:
         standstills += [replace(stop, run=stop.run + len(runs)) for stop in result.standstills]
         runs += result.runs
+    find = partial(_robot, results=results, sessions=sessions, cell=cell, engine=engine)
+    if never_changes([runs[number] for session in sessions if not session.reference for number in session.runs]):
+        silent = [run.with_set_override() for run in runs]
+        stops = [stop for number, run in enumerate(silent) for stop in find_standstills(run, number)]
+        robot = find(silent, stops, progress=lambda done, told: progress(0.5 * done, told))
+        if (share := slow_share(robot.runs)) >= MIN_SLOW:
+            return robot._replace(warnings=[note("scaling-constant", share=share), *robot.warnings])
+    return find(runs, standstills, progress=progress)
+
+
+def _robot(
+    runs: list[Run],
+    standstills: list[Standstill],
+    *,
+    results: Sequence[FirstPassResult],
+    sessions: Sequence[Session],
+    cell: Cell,
+    engine: Engine,
+    progress: Progress,
+) -> RobotInSessions:
+    """Find the same in runs with their standstills."""
     marks = [marks for result in results for marks in result.marks]
     places, executions = _divided(runs, standstills, marks, cell)
     with keeping(KEPT_BYTES):

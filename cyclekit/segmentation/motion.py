@@ -135,6 +135,10 @@ class RobotRun:
         scaling, deviation, gap = Overlay(parts).rows(0, self.rows - 1)
         return replace(self, scaling=scaling, deviation=deviation, gap=gap, is_inferred=not logged_apart)
 
+    def with_set_override(self) -> RobotRun:
+        """Return the run with its logged scaling as the operator's slider, and the scaling unknown."""
+        return replace(self, scaling=np.full(self.rows, np.nan), slider=self.scaling)
+
     def with_halts(self, spans_s: Sequence[tuple[float, float]]) -> RobotRun:
         """Return a run of inferred scaling with a scaling of 0 in some times, session seconds."""
         deviation = np.full(self.rows, np.nan) if self.deviation is None else self.deviation

@@ -58,6 +58,7 @@ class StoredRun:
         inferred: Scaling that replaces the logged one; None = as logged.
         logged_apart: Whether that scaling was logged in a separate log, not inferred.
         changes: Times of changes of each logged signal, session seconds, ascending.
+        set_override: Whether the logged scaling is the override that was set, and so a slider (`with_set_override`).
     """
 
     table: StoredTable
@@ -73,6 +74,7 @@ class StoredRun:
     inferred: Overlay | None = None
     logged_apart: bool = False
     changes: Mapping[str, Vector] = field(default_factory=dict)
+    set_override: bool = False
 
     @property
     def rows(self) -> int:
@@ -96,12 +98,16 @@ class StoredRun:
         if self.inferred is not None:
             return RobotRun(t_s[inside], xyz[inside], speed[inside], *self.inferred.rows(first, last))
         slider, scaling = self.slider_at(first, last), columns["scaling"][inside]
-        if slider is not None:
+        if self.set_override:
+            scaling = np.full(len(scaling), np.nan)
+        elif slider is not None:
             scaling = np.clip(scaling / moving_slider(slider, len(slider)), 0.0, 1.0)
         return RobotRun(t_s[inside], xyz[inside], speed[inside], scaling)
 
     def slider_at(self, first: int, last: int) -> Vector | None:
         """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None if it was not logged."""
+        if self.set_override:
+            return self.table.column("scaling", self.first + first, self.first + last + 1)
         if self.more is None or "slider" not in self.more.columns:
             return None
         return self.more.column("slider", self.first + first, self.first + last + 1)
@@ -147,6 +153,10 @@ class StoredRun:
         """Return the run with its scaling replaced by `parts`; unknown (NaN) elsewhere."""
         kept = Overlay(parts)
         return replace(self, inferred=kept, knows_scaling=kept.is_known, logged_apart=logged_apart)
+
+    def with_set_override(self) -> StoredRun:
+        """Return the run with its logged scaling as the operator's slider, and the scaling unknown."""
+        return replace(self, set_override=True, knows_scaling=False)
 
     def with_halts(self, spans_s: Sequence[tuple[float, float]]) -> StoredRun:
         """Return a run of inferred scaling with a scaling of 0 in some times, session seconds."""

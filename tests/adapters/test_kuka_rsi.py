@@ -247,3 +247,24 @@ def test_a_log_without_ipoc_says_how_it_can_be_read(tmp_path):
     with pytest.raises(MissingColumns, match="'IPOC'") as refusal:
         read(path)
     assert 'adapter = "csv"' in str(refusal.value)
+
+
+@pytest.mark.parametrize("written", ["%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%Y-%m-%dT%H:%M:%S"])
+def test_the_pcs_time_may_be_written_as_in_other_logs(tmp_path, written):
+    rows, offset_s = stamped(10)
+    dates = [datetime.fromisoformat(one[:19]).strftime(written) + one[19:] for one in rows]
+    log = read(write(tmp_path / "robot.csv", *dates), map={"time_zone": "Europe/Rome"})
+    assert (log.stamps["host_s"] - log.stamps["t_s"] - offset_s).abs().max() < 0.02
+
+
+def test_a_pcs_time_that_cannot_be_read_is_said(tmp_path):
+    rows = [one.replace("2024-05-06 14:05:15", "6 May 14:05:15") for one in (row(12), row(24))]
+    log = read(write(tmp_path / "robot.csv", *rows), map={"time_zone": "Europe/Rome"})
+    assert [said for said in log.warnings if "'Timestamp' holds no date and time that can be read" in said]
+
+
+def test_the_pcs_time_goes_on_through_the_hour_that_is_repeated(tmp_path):
+    ends = datetime(2026, 10, 25, 1, 0, tzinfo=ZoneInfo("UTC")).timestamp()
+    rows, offset_s = stamped(60, begin=ends - 40.0)
+    log = read(write(tmp_path / "robot.csv", *rows), map={"time_zone": "Europe/Rome"})
+    assert (log.stamps["host_s"] - log.stamps["t_s"] - offset_s).abs().max() < 0.02

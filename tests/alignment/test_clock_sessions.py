@@ -190,6 +190,18 @@ def test_pairs_of_the_cell_file_place_the_tracker(few: Path, tmp_path: Path):
     assert worst_s(operator.clock, length_s(dataset)) < 1e-6
 
 
+def test_a_robot_that_was_switched_off_and_on_is_said(few: Path, tmp_path: Path):
+    logs = shutil.copytree(few, tmp_path / "logs")
+    for robot in sorted(logs.rglob("robot.csv")):
+        log = pl.read_csv(robot, separator=" ")
+        again = pl.int_range(pl.len()) >= pl.len() // 2
+        since_s = log["timestamp"] - log["timestamp"][log.height // 2] + 20.0
+        log.with_columns(timestamp=pl.when(again).then(since_s).otherwise("timestamp")).write_csv(robot, separator=" ")
+    cell = cell_with(few, {"same_clock_as": GRIPPER.path}, GRIPPER)
+    _, operator = ingested(logs, tmp_path / "d", cell)
+    assert operator.clock.warnings[0].code == "clock-of-robot-restarted"
+
+
 def test_a_wrong_signal_is_refused_with_those_that_are_there(few: Path, tmp_path: Path):
     wrong = replace(GRIPPER, sync=Sync("digital-output 0", "sync_out"))
     with pytest.raises(ConfigError) as caught:

@@ -105,6 +105,12 @@ def test_a_device_that_was_switched_off_and_on_is_not_placed_by_one_line() -> No
     assert [one.code for one in clock.warnings] == ["clock-restarted", "clock-assumed"]
 
 
+def test_stamps_without_a_row_do_not_drift() -> None:
+    robot, people = entry("r", "epoch", EPOCH_S, "robot"), entry("p", "uptime", 77.0, "people", "stamps")
+    clock = placed(robot, people, {"p": stamps(77.0, 0.0).clear()})
+    assert [one.code for one in clock.warnings] == ["clock-assumed"]
+
+
 def test_stamps_that_lie_far_above_their_line_are_worth_a_warning() -> None:
     robot, people = entry("r", "epoch", EPOCH_S, "robot"), entry("p", "uptime", 77.0, "people", "stamps")
     late = stamps(77.0, 0.0).with_columns(pl.col("host_s") + pl.Series(np.random.default_rng(3).uniform(0, 1, 30_000)))

@@ -26,6 +26,7 @@ from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.tasks.task_columns import is_task_list
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
+from cyclekit_adapters.text.repeated_hour import RepeatedHour
 from cyclekit_adapters.text.text_blocks import file_encoding, head_of
 from cyclekit_adapters.text.written_time import checked_zone
 
@@ -48,11 +49,11 @@ class _EventCsv:
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         unit, zone = _settings(options)
         table = _table(path, unit)
-        times, steps, states = table.times, BackwardSteps(T_S), StateChanges()
+        times, steps, states, hour = table.times, BackwardSteps(T_S), StateChanges(), RepeatedHour(zone)
         clock = "epoch" if times.clock == "epoch" or (zone and _has_date(times)) else "relative"
 
         def make(rows: TextRows) -> Recording:
-            rows = timed(rows, times, zone)
+            rows = timed(rows, times, hour)
             events = states.changes(rows.frame, T_S, table.signals) if table.signals else _long(rows.frame, table)
             steps.add(rows.frame)
             return Recording(
@@ -69,7 +70,7 @@ class _EventCsv:
                 "time": f"{' and '.join(times.columns)}: {times.why}",
                 "columns": ", ".join(table.names[:60]),
             }
-            return replace(last, warnings=tuple(_warnings(times, zone, steps.count)), facts=facts)
+            return replace(last, warnings=(*_warnings(times, zone, steps.count), *hour.warnings()), facts=facts)
 
         texts = [*(times.columns if times.pattern else ()), *table.signals]
         texts += [name for name in (table.signal, table.value) if name is not None]

@@ -111,7 +111,7 @@ class _KukaRsiCsv:
                 *repeats.warnings(),
                 *([] if columns.place else [_NO_PLACE]),
                 *_warnings(layout.names, late.most.get(_LATE, 0.0)),
-                *_no_zone(host),
+                *_unread_host(host),
             ]
             return replace(last, warnings=tuple(messages), facts=facts | _host_fact(host))
 
@@ -130,9 +130,14 @@ def _zone(options: ReadOptions) -> str | None:
     return checked_zone(options.map.get("time_zone"), where)
 
 
-def _no_zone(host: HostClock | None) -> list[str]:
-    if host is None or host.read or not host.unread or host.zone is not None:
+def _unread_host(host: HostClock | None) -> list[str]:
+    if host is None or host.read or not host.unread:
         return []
+    if host.zone is not None:
+        return [
+            f"column {host.column!r} holds no date and time that can be read, such as 2024-05-01 10:00:00 or "
+            "01.05.2024 10:00:00: the log is not aligned by it"
+        ]
     return [
         f"column {host.column!r} is the PC's local time, and the log names no time zone: give time_zone, for example "
         '"Europe/Rome", in [sources.map] to align the log with logs in epoch time'

@@ -28,6 +28,7 @@ from cyclekit_adapters.robots.controller_time import BackwardSteps, Range, Repea
 from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.list_cells import ListCells, first_width
+from cyclekit_adapters.text.repeated_hour import RepeatedHour
 from cyclekit_adapters.text.text_rows import TextRows, Wanted
 from cyclekit_adapters.text.workbook import is_workbook
 
@@ -65,14 +66,14 @@ class _MappedCsv:
         zoned = name_their_zone(table.first_rows, names, mapping)
         clock = mapping.clock_kind(zoned=zoned)
         repeats, seen, back = RepeatFilter(T_S), _Seen(mapping, role), BackwardSteps(T_S, mapping.person)
-        events = StateChanges(mapping.names)
+        events, hour = StateChanges(mapping.names), RepeatedHour(mapping.time_zone)
         canonicals: dict[str, Callable[[pl.DataFrame, CsvMap], pl.DataFrame]]
         canonicals = {"robot": _robot, "people": _people, "events": partial(_events, events)}
         canonical = canonicals[role]
         wanted, lists = _wanted(columns, role)
 
         def make(rows: TextRows) -> Recording:
-            rows = timed(lists.rows(rows), mapping, options.rate_hz, zoned=zoned)
+            rows = timed(lists.rows(rows), mapping, options.rate_hz, hour, zoned=zoned)
             rows = _of_good_quality(rows, mapping)
             if clock == "epoch":
                 require_epoch(path, rows.frame, mapping)
@@ -96,7 +97,8 @@ class _MappedCsv:
 
         def finish(last: Recording) -> Recording:
             facts = {"columns": ", ".join(name[:80] for name in names[:60]), **table.facts}
-            return replace(last, warnings=(*seen.warnings(repeats.back, clock), *back.warnings()), facts=facts)
+            warnings = (*seen.warnings(repeats.back, clock), *back.warnings(), *hour.warnings())
+            return replace(last, warnings=warnings, facts=facts)
 
         yield from in_parts(path, table.blocks(names, wanted), make, finish)
 

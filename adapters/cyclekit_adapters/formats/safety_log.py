@@ -22,6 +22,7 @@ from cyclekit_adapters.tasks.row_times import T_S, timed
 from cyclekit_adapters.tasks.safety_columns import LENGTHS, WHERE, SafetyColumns, is_safety_log, mapped_columns
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, fields_of, header_names, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
+from cyclekit_adapters.text.repeated_hour import RepeatedHour
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
 from cyclekit_adapters.text.written_time import checked_zone
 
@@ -81,10 +82,10 @@ class _SafetyCsv:
         zoned = times.clock == "epoch" or (
             settings.zone is not None and times.pattern not in ("", "%H:%M", "%H:%M:%S%.f")
         )
-        seen, steps = _Seen(), BackwardSteps(T_S)
+        seen, steps, hour = _Seen(), BackwardSteps(T_S), RepeatedHour(settings.zone)
 
         def make(rows: TextRows) -> Recording:
-            rows = timed(rows, times, settings.zone)
+            rows = timed(rows, times, hour)
             steps.add(rows.frame)
             return Recording(
                 safety=_table(rows.frame, columns, settings.full, seen),
@@ -96,7 +97,7 @@ class _SafetyCsv:
 
         def finish(last: Recording) -> Recording:
             _check(path, columns, settings, seen)
-            warnings = tuple(_warnings(times, seen, steps.count, zoned=zoned))
+            warnings = (*_warnings(times, seen, steps.count, zoned=zoned), *hour.warnings())
             return replace(last, warnings=warnings, facts=_facts(columns, times, settings))
 
         numbers = [*columns.overrides, *(name for name in (columns.distance, columns.deviation) if name)]

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from cyclekit_adapters.text.repeated_hour import RepeatedHour
+
 T_S = "\x1ft_s"  # a name that no column of a file has
 _JOINED = "\x1fwhen"
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
@@ -52,8 +54,8 @@ def require_epoch(path: Path, frame: pl.DataFrame, mapping: CsvMap) -> None:
     raise LogError(path, cause, cure=cure)
 
 
-def timed(rows: TextRows, mapping: CsvMap, rate_hz: float | None, *, zoned: bool) -> TextRows:
-    """Add the time in seconds as column T_S; a row with an unreadable time is set aside."""
+def timed(rows: TextRows, mapping: CsvMap, rate_hz: float | None, hour: RepeatedHour, *, zoned: bool) -> TextRows:
+    """Add the time in seconds as column T_S, in the zone of `hour`; a row with an unreadable time is set aside."""
     frame = rows.frame
     if not mapping.time:
         return replace(rows, frame=frame.with_columns((pl.col(INDEX) / cast("float", rate_hz)).alias(T_S)))
@@ -64,7 +66,7 @@ def timed(rows: TextRows, mapping: CsvMap, rate_hz: float | None, *, zoned: bool
         return _counted(rows, mapping, rate_hz)
     text = pl.concat_str(mapping.time, separator=" ")
     plain = text if "," in str(mapping.time_format) else text.str.replace_all(",", ".", literal=True)  # 10:00:00,250
-    when = written_seconds(plain, str(mapping.time_format), mapping.time_zone, zoned=zoned)
+    when = written_seconds(plain, str(mapping.time_format), hour.zone, zoned=zoned)
     frame = frame.with_columns(text.alias(_JOINED), when.alias(T_S))
     rows = replace(rows, frame=frame)
     bad = frame[T_S].is_null()
@@ -72,7 +74,7 @@ def timed(rows: TextRows, mapping: CsvMap, rate_hz: float | None, *, zoned: bool
         first = frame.filter(bad)[_JOINED][0]
         pattern = mapping.time_format
         rows = rows.without(bad, f"its time does not match {pattern!r} (the first: {str(first)[:40]!r})")
-    return replace(rows, frame=rows.frame.drop(_JOINED))
+    return replace(rows, frame=rows.frame.drop(_JOINED).with_columns(hour.in_order(rows.frame[T_S])))
 
 
 def _counted(rows: TextRows, mapping: CsvMap, rate_hz: float | None) -> TextRows:

@@ -8,15 +8,17 @@ cycle. Other modules decide how to use both clocks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import polars as pl
 
 from cyclekit.schema import STAMPS, conform
+from cyclekit_adapters.text.repeated_hour import RepeatedHour
 
 _EPOCH_S = 1e8  # s; a smaller number is not a time since 1970
 _GAP_CYCLES = 2.5
 _TIME_OF_DAY = r"\d:\d\d"
+_DAY_FIRST, _YEAR_FIRST = r"^(\d\d)\.(\d\d)\.(\d{4})", r"^(\d{4})/(\d\d)/(\d\d)"
 
 
 @dataclass
@@ -34,9 +36,13 @@ class HostClock:
     zone: str | None
     read: int = 0
     unread: int = 0
+    hour: RepeatedHour = field(init=False)
     _last: tuple[float, float] | None = None
     _cycle_s: float | None = None
     _tells: bool | None = None
+
+    def __post_init__(self) -> None:
+        self.hour = RepeatedHour(self.zone)
 
     def stamps(self, t_s: pl.Series, text: pl.Series) -> pl.DataFrame | None:
         """Return table STAMPS of the next rows; always None if no zone is given and the first block holds no host time.
@@ -45,7 +51,7 @@ class HostClock:
             t_s: Device time, shape (N,), s.
             text: Host time as written, shape (N,).
         """
-        host = pl.select(seconds_since_1970(text, self.zone).alias("host_s")).to_series()
+        host = self.hour.in_order(pl.select(seconds_since_1970(text, self.zone).alias("host_s")).to_series())
         self.read += len(host) - host.null_count()
         self.unread += int((host.is_null() & text.str.contains(_TIME_OF_DAY)).sum())
         self._tells = self.zone is not None or self.read > 0 if self._tells is None else self._tells
@@ -75,7 +81,8 @@ def seconds_since_1970(text: pl.Series, zone: str | None) -> pl.Expr:
     number = pl.lit(text).cast(pl.Float64, strict=False)
     known = [zoned.dt.epoch("us") * 1e-6, pl.when(number > _EPOCH_S).then(number)]
     if zone is not None:
-        plain = iso.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f", time_unit="us", strict=False)
-        placed = plain.dt.replace_time_zone(zone, ambiguous="null", non_existent="null")
+        ordered = iso.str.replace(_DAY_FIRST, "$3-$2-$1").str.replace(_YEAR_FIRST, "$1-$2-$3")
+        plain = ordered.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f", time_unit="us", strict=False)
+        placed = plain.dt.replace_time_zone(zone, ambiguous="earliest", non_existent="null")
         known.append(placed.dt.convert_time_zone("UTC").dt.epoch("us") * 1e-6)
     return pl.coalesce(known)

@@ -131,6 +131,10 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "clock-restarted": (
         "a device's clock was restarted while recording, so its stamps cannot align the clock: split the log there"
     ),
+    "clock-of-robot-restarted": (
+        "the robot's clock was restarted while recording: this log is aligned with one part of the robot's log only, "
+        "and its signals are wrong in the others; split the robot's log at the restart, and this log too"
+    ),
     "clock-stamps-apart": (
         "a device's and its host's stamps drift apart by more than clocks do, and no linear fit describes them"
     ),
@@ -205,6 +209,10 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     # the speed scaling
     "scaling-unknown": lambda values: f"{_scaling(values)}; it cannot be inferred either, because no motion repeats",
     "scaling-inferred": _scaling_inferred,
+    "scaling-constant": (
+        "the logged speed scaling never changes, but in {share:.0%} of the motion the robot is slower than in its "
+        "fastest repetitions: it is taken for the override that was set, and the scaling is inferred from the motion"
+    ),
     "scaling-of-safety-log": lambda values: (
         f"{_overrides(values)} taken for the robot's speed scaling: its motion agrees to {values['error']:.3f} "
         f"(median), {_later(values)}"

@@ -257,10 +257,9 @@ def _listed(runs: Sequence[Run], agent: str, kind: str) -> list[PlannedShare]:
 
 def _parts_s(rows: pl.DataFrame) -> Floats:
     """Return motion, safety loss, dwell and wait of each task, shape (tasks, 4), s; unknown loss counts as motion."""
-    loss = pl.col("safety_loss_s").fill_null(0.0)
-    motion = pl.col("arrival_s") - pl.col("start_s") - loss
-    others = (pl.col(name).fill_null(0.0) for name in ("dwell_s", "wait_s"))
-    return np.asarray(rows.select(motion.clip(0.0).alias("motion"), loss, *others).to_numpy(), dtype=np.float64)
+    parts = [pl.col(name).fill_null(0.0) for name in ("safety_loss_s", "dwell_s", "wait_s")]
+    motion = pl.col("end_s") - pl.col("start_s") - pl.sum_horizontal(parts)  # a wait may be short of the place
+    return np.asarray(rows.select(motion.clip(0.0).alias("motion"), *parts).to_numpy(), dtype=np.float64)
 
 
 def _operator_at(

@@ -163,13 +163,9 @@ def task_shares(tasks: pl.DataFrame) -> list[Share]:
     """
     if tasks.is_empty():
         return []
-    motion = pl.col("arrival_s") - pl.col("start_s")
-    known = tasks.with_columns(
-        nominal_s=pl.col("nominal_s").fill_null(motion),
-        safety_loss_s=pl.col("safety_loss_s").fill_null(0.0),
-        dwell_s=pl.col("dwell_s").fill_null(0.0),
-        wait_s=pl.col("wait_s").fill_null(0.0),
-    )
+    known = tasks.with_columns(pl.col("safety_loss_s", "dwell_s", "wait_s").fill_null(0.0))
+    motion = pl.col("end_s") - pl.col("start_s") - pl.sum_horizontal("safety_loss_s", "dwell_s", "wait_s")
+    known = known.with_columns(pl.col("nominal_s").fill_null(motion.clip(0.0)))
     means = known.group_by("task").agg(*(pl.col(part).mean() for part in _PARTS), pl.len().alias("seen"))
     total = pl.col("safety_loss_s") * pl.col("seen")
     rows = means.sort(total, pl.col("task"), descending=[True, False]).iter_rows(named=True)

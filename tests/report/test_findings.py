@@ -16,6 +16,7 @@ from ruled import box, near, ruled
 
 from cyclekit.config import Cell, Furniture
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.baseline import logged_cycle
 from cyclekit.plots.colours import scaling_hex
 from cyclekit.report import findings
 from cyclekit.report.calibration import calibration
@@ -65,6 +66,22 @@ def test_logged_tasks_keep_their_seconds(dataset):
     whole = (tasks["end_s"] - tasks["start_s"]).sum()
     assert sum(row.total_s * row.seen for row in rows) == pytest.approx(whole)
     assert rows[0].safety_s * rows[0].seen == max(row.safety_s * row.seen for row in rows)
+
+
+@pytest.mark.parametrize("scaling_known", [True, False])
+def test_a_wait_short_of_a_place_is_wait_and_not_motion(dataset, monkeypatch, scaling_known):
+    tasks = dataset.tasks().with_columns(pl.col("nominal_s") - 0.5, wait_s=pl.lit(0.5))  # arrival only after the wait
+    if not scaling_known:
+        tasks = tasks.with_columns(nominal_s=None, safety_loss_s=None)
+    monkeypatch.setattr(Dataset, "tasks", lambda _: tasks)
+    today = logged_cycle(dataset, dataset.executions["execution"].to_list()[:1], "today")
+    assert today.wait_s == pytest.approx(0.5 * len(today.tasks))
+    assert sum(task.nominal_s + task.safety_loss_s for task in today.tasks) == pytest.approx(
+        today.expected_s - today.wait_s - today.dwell_s
+    )
+    rows = findings.task_shares(tasks)
+    assert [row.wait_s for row in rows] == pytest.approx([0.5] * len(rows))
+    assert sum(row.total_s * row.seen for row in rows) == pytest.approx((tasks["end_s"] - tasks["start_s"]).sum())
 
 
 def test_time_lost_is_laid_to_what_the_operator_did(dataset):

@@ -201,7 +201,7 @@ def first_sequence(dataset: Dataset) -> tuple[TaskSequence, int, int]:
         cure = "Log at least one execution from its start to its end."
         raise DatasetError(f"{dataset.place}: no complete execution in it, so no order was logged", cure=cure)
     ((order, count),) = Counter(orders).most_common(1)
-    name = "as logged most often"
+    name = f"order of {count} of {len(orders)} executions"
     if dataset.holds_task_lists_alone:
         return TaskSequence.of_plan(name, [PlannedTask(agent, task) for agent, task in order]), count, len(orders)
     return TaskSequence(name, order), count, len(orders)

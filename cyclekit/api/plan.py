@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import estimator_model, jobs_of, path_of, place_of, task_jobs_of
 from cyclekit.api.workbooks import need_workbook, sheets_of_plan
-from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.config.write import sequence_to_toml
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
@@ -82,8 +79,4 @@ def plan_order(
 
 def _sequence_file(found: OrderPlan) -> str:
     """Return the order found as a sequence file: the robot's places, or a plan for both."""
-    order = TaskSequence("planned", found.places)
-    if found.operator is not None:
-        tasks = [PlannedTask("robot", f"{a}->{b}") for a, b in pairwise(found.places)]
-        order = TaskSequence.of_plan("planned", [*tasks, *(PlannedTask("operator", place) for place in found.operator)])
-    return "# Written by cyclekit plan\n" + sequence_to_toml(order)
+    return "# Written by cyclekit plan\n" + sequence_to_toml(found.sequence("planned"))

@@ -134,7 +134,7 @@ def write_report(
             `what_if`, `LABEL=FILE.json` of `estimate_cycles`.
         jobs: Work whose fastest order is searched; it is estimated and changed like the sequences.
         takt_s: Takt time to compare the cycles with, s.
-        baseline: Name of the sequence to compare the others with; default: the order logged most.
+        baseline: Name of the sequence to compare the others with; default: the logged executions.
         kind: `html`, `json`, `csv`, `md` or `xlsx`; default: by the suffix of `out`.
         pdf: Also print the page here, with an installed browser.
         template: Folder with files that replace the page's own.
@@ -331,8 +331,11 @@ def _part(tell: Progress, begin: float, end: float) -> Callable[[float, str], No
 
 def _with_order(sequences: list[TaskSequence], planned: OrderPlan | None) -> list[TaskSequence]:
     """Return the sequences with the order found, unless it is one of them."""
-    if planned is None or any(each.places == planned.places and each.operator is None for each in sequences):
+    if planned is None:
+        return sequences
+    order = planned.sequence(ORDER)
+    if any(each.places == order.places and each.operator is None for each in sequences):
         return sequences
     names = {each.name for each in sequences}
     name = next(name for n in count(1) if (name := ORDER if n == 1 else f"{ORDER} {n}") not in names)
-    return [*sequences, TaskSequence(name, planned.places)]
+    return [*sequences, replace(order, name=name)]

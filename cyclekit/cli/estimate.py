@@ -283,10 +283,10 @@ def plan_table(entry: CycleEstimate) -> str:
     """Return a table with one row per task of a plan for both agents: start, end, and cause of its wait."""
     rows = []
     for task in sorted(entry.plan, key=lambda one: one.start_s):
-        cause = max(task.decided, key=lambda name: task.decided[name])
-        waited = f"{cause} ({percent(task.decided[cause])})" if task.wait_s > MIN_WAIT_S else "-"
+        cause = task.ended_by if task.wait_s > MIN_WAIT_S else None
+        waited = f"{cause[0]} ({percent(cause[1])} of cycles)" if cause else "-"
         rows.append([task.agent, task.task, f"{task.start_s:.1f}", f"{task.end_s:.1f}", f"{task.wait_s:.1f}", waited])
-    return table(["agent ", "task ", "start, s", "end, s", "wait, s", "waits for"], rows)
+    return table(["agent ", "task ", "start, s", "end, s", "wait, s", "wait ended by"], rows)
 
 
 def basis_and_limits(found: Sequence[CycleEstimate]) -> str:

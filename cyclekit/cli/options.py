@@ -34,7 +34,7 @@ Takt = Annotated[
 ]
 Baseline = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Sequence that the others are compared with; default: the one logged most."),
+    typer.Option(metavar="NAME", help="Sequence that the others are compared with; default: the logged executions."),
 ]
 OperatorLog = Annotated[
     Path | None, typer.Option(help="Real tracker recording to use instead of the simulated operator.")

@@ -93,7 +93,7 @@ _SAID = {
     "sequences": "the orders whose cycle time is estimated",
     "jobs": "the work whose order the command plan searches",
     "takt": "takt time: the time in which a part is needed",
-    "baseline": "the sequence that others are compared with; else what was logged most",
+    "baseline": "the sequence that others are compared with; else the logged executions",
     "estimates": ".json, .csv or .xlsx",
     "report": "the page for the customer",
     "template": "folder with your logo and look (docs/report.md)",

@@ -11,9 +11,10 @@ import polars as pl
 
 from cyclekit.config.sequences import PLAN
 from cyclekit.estimate.bias import half_width_95
+from cyclekit.estimate.logged_both import logged_of_both, logged_plan
 from cyclekit.estimate.resample import TOGETHER, resampled, wilson
 from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, SPLIT, CycleEstimate, PlannedShare, TaskShare
-from cyclekit.estimate.same_work import work_of
+from cyclekit.estimate.same_work import plan_goals, work_of
 from cyclekit.learning.task_times.runs import logged_runs
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Vector
 
 MIN_RUNS = 5
-"""Minimum number of executions of the most frequent order to use it as baseline; below it, all of the same work."""
+"""Minimum number of executions of the usual order to use it alone as baseline; below it, all of the same work."""
 LEVELS = (0.05, 0.5, 0.95)
 """Quantile levels reported for logged executions."""
 
@@ -41,6 +42,7 @@ class Baseline:
         missed: Number of executions longer than the takt time; None without a takt time.
         within: Share of executions within the takt time, with its 95 % interval; None without a takt time.
         order: The order that all of them ran; None if they ran several.
+        others: Number of executions of the same work in other orders, which do not count.
         names: Names of the executions.
         sequence: Name of the sequence chosen as baseline; None without one.
     """
@@ -52,6 +54,7 @@ class Baseline:
     missed: int | None = None
     within: tuple[float, float, float] | None = None
     order: tuple[str, ...] | None = None
+    others: int = 0
     names: tuple[str, ...] = ()
     sequence: str | None = None
 
@@ -69,9 +72,10 @@ class Baseline:
 def baseline_of(
     dataset: Dataset, work: Work, takt_s: float | None, named: CycleEstimate | None = None
 ) -> Baseline | None:
-    """Return the baseline: logged executions of the most frequent order, without reference runs without an operator.
+    """Return the baseline: the logged executions of this work, without reference runs without an operator.
 
-    If that order ran fewer than MIN_RUNS times, all executions of the same work count. None if there are none.
+    If one order makes up more than half of them, and at least MIN_RUNS, it is the usual one, and counts alone. None if
+    there are none. The cycle of a plan ends when both agents are done.
 
     Args:
         dataset: The logs.
@@ -80,11 +84,16 @@ def baseline_of(
         named: The sequence chosen as baseline: its logged executions are used, or its estimate if it was never logged.
     """
     durations = dict(dataset.executions.filter("complete").select("execution", "duration_s").iter_rows())
-    logged = _orders(dataset)
+    logged = {name: [order] for name, order in _orders(dataset).items()}
+    if work.plan and (both := logged_of_both(dataset)):
+        durations, logged = (
+            {name: getattr(one, key) for name, one in both.items()} for key in ("duration_s", "orders")
+        )
     ran = {
-        one.execution: logged[one.execution]
+        one.execution: order
         for one in dataset.card.executions
-        if one.execution in durations and not one.reference and _does(logged.get(one.execution, ()), work)
+        for order in logged.get(one.execution, ())
+        if one.execution in durations and not one.reference and _does(order, work)
     }
     if named is not None:
         ran = {name: places for name, places in ran.items() if places == _order_of(named)}
@@ -92,16 +101,16 @@ def baseline_of(
             return _estimated(named, takt_s)
     if not ran:
         return None
-    order, times = Counter(ran.values()).most_common(1)[0]
-    if times >= MIN_RUNS:
+    (order, times), count = Counter(ran.values()).most_common(1)[0], len(ran)
+    if times >= MIN_RUNS and 2 * times > count:
         ran = {name: places for name, places in ran.items() if places == order}
     names, same = tuple(ran), len(set(ran.values())) == 1
     cycles_s = np.array([durations[name] for name in names], dtype=np.float64)
     low_s, high_s = _interval(names, cycles_s)
     missed = None if takt_s is None else int((cycles_s > takt_s).sum())
     within = None if missed is None else (1 - missed / len(names), *wilson(1 - missed / len(names), len(names)))
-    mean_s, name = float(cycles_s.mean()), named.name if named else None
-    return Baseline(len(names), mean_s, low_s, high_s, missed, within, order if same else None, names, name)
+    mean_s, name, usual = float(cycles_s.mean()), named.name if named else None, order if same else None
+    return Baseline(len(names), mean_s, low_s, high_s, missed, within, usual, count - len(names), names, name)
 
 
 def _orders(dataset: Dataset) -> dict[str, tuple[str, ...]]:
@@ -115,7 +124,11 @@ def _orders(dataset: Dataset) -> dict[str, tuple[str, ...]]:
 
 
 def _order_of(named: CycleEstimate) -> tuple[str, ...]:
-    return named.places if named.tracks else _plan_order([(task.kind, task.task) for task in named.plan])
+    if not named.tracks:
+        return _plan_order([(task.kind, task.task) for task in named.plan])
+    if named.places[:1] != (PLAN,):
+        return named.places
+    return (PLAN, *sorted(plan_goals(named.places[1:]), key=lambda task: not task.startswith("robot: ")))
 
 
 def _plan_order(tasks: Sequence[tuple[str, str]]) -> tuple[str, ...]:
@@ -135,7 +148,7 @@ def _does(order: tuple[str, ...], work: Work) -> bool:
 def _estimated(named: CycleEstimate, takt_s: float | None) -> Baseline:
     within = named.takt_probability if named.takt_s == takt_s else None
     interval = named.expected_low_s, named.expected_high_s
-    return Baseline(0, named.expected_s, *interval, None, within, named.places, (), named.name)
+    return Baseline(0, named.expected_s, *interval, None, within, named.places, sequence=named.name)
 
 
 def _interval(names: Sequence[str], cycles_s: Vector) -> tuple[float, float]:
@@ -163,10 +176,11 @@ def logged_order(dataset: Dataset) -> tuple[str, ...]:
     return tuple(name for name in names if of[name] == order)
 
 
-def logged_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEstimate | None:
+def logged_cycle(dataset: Dataset, names: Sequence[str], title: str, *, both: bool = False) -> CycleEstimate | None:
     """Return logged executions of one order as an estimate: mean task times and quantiles of the cycles.
 
-    None if the robot's tasks are unknown, or differ between the executions.
+    None if the robot's tasks are unknown, or differ between the executions. With `both`, if the operator's tasks are
+    the same too, it has the tasks of both agents, and its cycle ends when both are done.
     """
     tasks = dataset.tasks().filter(pl.col("execution").is_in(list(names))).sort("execution", "start_s")
     each = [rows for _, rows in tasks.group_by(["execution"], maintain_order=True)]
@@ -186,7 +200,10 @@ def logged_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEst
         TaskShare(task, float(took), *parts, *ends)
         for task, took, parts, ends in zip(each[0]["task"], took_s, parts_s.tolist(), band, strict=True)
     )
-    cycles_s, split = ends_s[:, -1], dict(zip(SPLIT, parts_s.sum(axis=0).tolist(), strict=True))
+    plan = logged_plan(dataset, names) if both else ()
+    durations = logged_of_both(dataset) if plan else {}
+    cycles_s = np.array([durations[name].duration_s for name in names]) if plan else ends_s[:, -1]
+    split = dict(zip(SPLIT, parts_s.sum(axis=0).tolist(), strict=True))
     low_s, high_s = _interval(names, cycles_s)
     quantiles = {level: float(np.quantile(cycles_s, level)) for level in LEVELS} if single else {}
     places = next(tuple(one.places) for one in dataset.card.executions if one.execution == names[0])
@@ -194,7 +211,8 @@ def logged_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEst
         title, places, float(cycles_s.mean()), low_s, high_s, quantiles, **split,
         support=1.0, tracks=len(each), warnings=(), tasks=shares, safety_by_activity_s={},
         durations_s=tuple(cycles_s.tolist()), estimator="logged", why="logged executions", executions=len(each),
-        operator_at=_operator_at(dataset, names, begins_s, float(cycles_s.mean())),
+        operator_at={} if plan else _operator_at(dataset, names, begins_s, float(cycles_s.mean())),
+        plan=plan, idle_s=max(float(cycles_s.mean()) - sum(split.values()), 0.0),
     )  # fmt: skip
 
 

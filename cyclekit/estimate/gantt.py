@@ -170,7 +170,7 @@ def _shares_of(each: CycleEstimate) -> dict[int, TaskShare]:
 
 def _ended_by(task: PlannedShare, plan: Sequence[PlannedShare]) -> PlannedShare | None:
     """Return the other agent's task that ended a wait: the last of that name to have ended, else to have begun."""
-    cause = max(task.decided, key=lambda name: task.decided[name], default="")
+    cause, _ = task.ended_by or ("", 0.0)
     able = [one for one in plan if f"{one.agent}: {one.task}" == cause and one.agent != task.agent]
     ended = [one for one in able if one.end_s <= task.start_s + SHOWN_S]
     begun = [one for one in able if one.start_s < task.start_s]

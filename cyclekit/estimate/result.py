@@ -52,6 +52,10 @@ class TaskShare:
     end_high_s: float | None = None
 
 
+OWN_TASK = "own task before"
+"""Cause of a start that the end of the agent's previous task decided."""
+
+
 @dataclass(frozen=True)
 class PlannedShare:
     """One task of a plan for robot and operator: means over the cycles, seconds from the first start.
@@ -76,6 +80,12 @@ class PlannedShare:
     decided: Mapping[str, float]
     end_low_s: float | None = None
     end_high_s: float | None = None
+
+    @property
+    def ended_by(self) -> tuple[str, float] | None:
+        """What most often ended the wait before the task, and in which share of the cycles; None = nothing did."""
+        causes = [(cause, share) for cause, share in self.decided.items() if cause != OWN_TASK]
+        return max(causes, key=lambda each: each[1], default=None)
 
 
 @dataclass(frozen=True, repr=False)

@@ -46,11 +46,13 @@ class Work:
         visits: Places driven to, sorted; a place visited twice occurs twice.
         start: Start of an open cycle; None if the cycle ends at its start.
         operator: Requested operator tasks; None if left open.
+        plan: Whether it is the work of both agents; each visit then begins with the name of its agent.
     """
 
     visits: tuple[str, ...]
     start: str | None
     operator: tuple[str, ...] | None = None
+    plan: bool = False
 
     def __str__(self) -> str:
         """Describe the work: `3 visits (conveyor x2, left_1) from home`."""
@@ -68,10 +70,15 @@ def work_of(places: Sequence[str], operator: tuple[str, ...] | None = None) -> W
     A robot task `a->b` of a plan counts by its goal, so that orders of the same visits are the same work.
     """
     if places[:1] == (PLAN,):
-        tasks = (task.partition(": ") for task in places[1:])
-        return Work(tuple(sorted(f"{agent}: {name.rpartition('->')[2]}" for agent, _, name in tasks)), None, operator)
+        return Work(tuple(sorted(plan_goals(places[1:]))), None, operator, plan=True)
     closed = len(places) > 1 and places[0] == places[-1]
     return Work(tuple(sorted(places[1:])), None if closed or not places else places[0], operator)
+
+
+def plan_goals(tasks: Iterable[str]) -> tuple[str, ...]:
+    """Return the tasks of a plan (`robot: a->b`, `operator: c`) with the goals alone (`robot: b`)."""
+    parts = (task.partition(": ") for task in tasks)
+    return tuple(f"{agent}: {name.rpartition('->')[2]}" for agent, _, name in parts)
 
 
 def by_work(cycles: Iterable[Cycle]) -> dict[Work, list[Cycle]]:

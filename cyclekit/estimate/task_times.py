@@ -10,7 +10,7 @@ import numpy as np
 from cyclekit.errors import CyclekitError, EstimateError
 from cyclekit.estimate.conformal import conformal
 from cyclekit.estimate.resample import Z95, least_wide
-from cyclekit.estimate.result import CycleEstimate, PlannedShare, TaskShare
+from cyclekit.estimate.result import OWN_TASK, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.estimate.same_work import by_work
 from cyclekit.learning.task_times.roll import SimulatedPlan, agent_of, roll_plan
 
@@ -198,7 +198,7 @@ def _shares(
 
 def _decided(rolled: SimulatedPlan, number: int) -> dict[str, float]:
     """Return the share of the cycles in which each cause decided the start of a task."""
-    names = {-2: "planned start", -1: "own task before"}
+    names = {-2: "planned start", -1: OWN_TASK}
     which, count = np.unique(rolled.decides[:, number], return_counts=True)
     told = zip(which.tolist(), (count / len(rolled.decides)).tolist(), strict=True)
     return {names.get(key) or rolled.tasks[key].shown: part for key, part in told}

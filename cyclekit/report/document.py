@@ -76,7 +76,7 @@ def as_csv(page: PageInputs) -> str:
             rows.append(["", "", share.name, share.total_s, "", "", *parts, share.seen, *[""] * 5])
     rows.extend(_tried_rows(ranked, page.what_if))
     if planned is not None:
-        work = str(work_of(planned.places))
+        work = str(work_of(planned.sequence("").places))
         rows.append(["", 0, "", planned.expected_s, *[""] * 7, "order", *planned.saves_s, work])
         rows.extend(["", order, visit, *[""] * 8, "order", *[""] * 4] for order, visit in enumerate(planned.order, 1))
     return csv_text(rows)

@@ -90,6 +90,12 @@ class PageInputs:
         """The floor plan; None where no operator position is known."""
         return floor_plan(self.dataset, self.samples, self.answers)
 
+    @property
+    def coupled(self) -> bool:
+        """Whether robot or operator are known to wait for anything."""
+        coupling = self.dataset.card.coupling
+        return coupling is not None and coupling.coupled
+
     @cached_property
     def verdict(self) -> TaktVerdict | None:
         """The verdict; None without sequences, an order search or changes."""

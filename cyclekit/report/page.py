@@ -107,7 +107,7 @@ def compose_report(
         what_if: The same sequences under other conditions.
         planned: The order found for the same work.
         takt_s: Takt time to compare the cycles with, s.
-        baseline: Name of the sequence that the others are compared with; by default the order logged most.
+        baseline: Name of the sequence that the others are compared with; by default the logged executions.
         missing: Optional parts that could not be computed, and why, one sentence each; shown in the last section.
         cell_name: Title of the page; the dataset's name where not given.
         kind: `html`; `json` for everything, `csv` for the seconds per task, `md` for words and tables.

@@ -98,7 +98,7 @@ def report_tasks(
         planned: The order found.
         changed: Plans under changes.
         takt_s: Takt time that the cycles are held against, s.
-        baseline: Name of the plan that the others are held against; by default what was logged most.
+        baseline: Name of the plan that the others are compared with; by default the logged executions.
         kind: `html`, `json`, `md`, or `csv` for the estimates alone.
         template: Folder whose style and words replace the page's own.
         cell_name: Title of the page; the dataset's name where not given.
@@ -111,7 +111,7 @@ def report_tasks(
     look, found = Template(template), sorted(estimates or (), key=lambda one: one.expected_s)
     texts, tried = look.texts, [Tried.of(one, takt_s) for one in changed]
     held = verdict(dataset, found, tried, None, takt_s, baseline)
-    today = _today(dataset, held.today, look.texts("time_chart.today")) if held else None
+    today = _today(texts, dataset, held.today) if held else None
     missing = [NOT_KNOWN[0], *([] if card else [NO_MODEL])]
     played = play_lists(texts, card, found, takt_s) if play and card and kind == "html" else None
     missing += played.missing if played else ()
@@ -141,9 +141,11 @@ def report_tasks(
     return ReportFacts(out, out.stat().st_size, headline, content.count("<figure"), tuple(missing), len(found))
 
 
-def _today(dataset: Dataset, today: Baseline | None, title: str) -> CycleEstimate | None:
+def _today(texts: ReportTexts, dataset: Dataset, today: Baseline | None) -> CycleEstimate | None:
     """Return the logged cycle that the plans are compared with, if its executions ran one order."""
-    return listed_cycle(dataset, today.names, title) if today and today.order and today.executions else None
+    if not today or not today.order or not today.executions:
+        return None
+    return listed_cycle(dataset, today.names, texts("time_chart.today", executions=count(today.executions)))
 
 
 def _logged(texts: ReportTexts, dataset: Dataset, takt_s: float | None) -> list[Part]:
@@ -208,7 +210,7 @@ def _plan(one: CycleEstimate) -> Part:
         waits = [fixed(task.wait_s, 1), f"{cause} ({percent(task.decided[cause])})"]
         named = [task.agent, str(turn[task.agent]), task.task]
         rows.append([*named, fixed(task.start_s, 1), fixed(task.end_s, 1), *waits])
-    heads = ["agent", "no.", "task", "start, s", "end, s", "wait, s", "start decided by"]
+    heads = ["agent", "no.", "task", "start, s", "end, s", "wait, s", "starts after"]
     return Part(one.name, heads=heads, rows=rows, folded=True)
 
 

@@ -1,7 +1,7 @@
 """The verdict: today's logged cycle time against the best order and change found for the same work.
 
-"Today" is the logged executions of the order run most, or of the sequence that was named for the baseline; only where
-that was never logged, its estimate.
+"Today" is the mean of the logged executions of this work (of the usual order alone, if more than half ran it), or of
+the sequence that was named for the baseline; only where that was never logged, its estimate.
 """
 
 from __future__ import annotations
@@ -50,7 +50,9 @@ class TaktVerdict:
     @property
     def order(self) -> OrderPlan | None:
         """The order found, unless a given sequence is faster."""
-        given = self.best is not None and self.planned is not None and self.best.places != self.planned.places
+        given = (
+            self.best is not None and self.planned is not None and self.best.places != self.planned.sequence("").places
+        )
         return None if given else self.planned
 
     @property
@@ -74,7 +76,7 @@ class TaktVerdict:
             "work": vars(self.work),
             "takt_s": self.takt_s,
             "today": None if self.today is None else self.today.to_dict(),
-            "best": None if self.expected_s is None else best | {"order": order and order.places},
+            "best": None if self.expected_s is None else best | {"order": order and order.sequence("").places},
             "change": None if change is None else tried | _saving(self, change.expected_s) | {"within": change.within},
         }
 
@@ -116,7 +118,7 @@ def verdict(
         tried: Sequences under changes.
         planned: The order found.
         takt_s: The takt time.
-        baseline: Name of the sequence that the others are held against; None: what was logged most.
+        baseline: Name of the sequence that the others are compared with; None: the logged executions.
 
     Raises:
         UnknownName: No sequence has that name.
@@ -124,7 +126,7 @@ def verdict(
     named = next((each for each in ranked if each.name == baseline), None)
     if baseline is not None and named is None:
         raise UnknownName("the baseline", "sequence", baseline, [each.name for each in ranked])
-    works = [work_of(planned.places)] if planned else [*by_work(ranked)] or [*by_work(tried)]
+    works = [work_of(planned.sequence("").places)] if planned else [*by_work(ranked)] or [*by_work(tried)]
     works = [work_of(named.places, named.operator)] if named else [work for work in works if work.visits]
     if not works:
         return None
@@ -152,7 +154,8 @@ def _today(texts: ReportTexts, found: TaktVerdict) -> str:
         return ""
     mean, _ = with_uncertainty(today.mean_s, today.low_s, today.high_s)
     mean = fixed(today.mean_s, 1) if today.executions else mean  # of what was logged it is no estimate
-    said = texts("verdict.today", mean=mean)
+    key = "verdict.today_single" if today.executions == 1 else "verdict.today"
+    said = texts(key, mean=mean, executions=count(today.executions))
     if today.sequence is not None:
         said = texts("verdict.baseline", name=today.sequence, mean=mean)
     return f"{said}{_within(texts, 'verdict.within_takt', today.within, found.takt_s)}."
@@ -188,7 +191,7 @@ def _found(texts: ReportTexts, found: TaktVerdict) -> str:
     values = {"label": change.label, "mean": mean, "change": beside}
     if not said:
         return f"{texts('verdict.change_alone', name=change.sequence, **values)}."
-    named = best.places if best else found.order.places if found.order else ()
+    named = best.places if best else found.order.sequence("").places if found.order else ()
     if change.places == named:
         return f"{said}; {texts('verdict.with_change', **values)}."
     return f"{said}; {texts('verdict.with_change_of', name=change.sequence, **values)}."
@@ -227,6 +230,7 @@ def basis(texts: ReportTexts, found: TaktVerdict) -> str:
         return texts("verdict.today_one", mean=fixed(today.mean_s, 1))
     values = {"mean": fixed(today.mean_s, 1), "interval": interval, "executions": count(today.executions)}
     said = texts("verdict.basis_order" if today.order else "verdict.basis", **values)
+    said += texts("verdict.basis_others", others=count(today.others)) if today.others else ""
     if today.missed is None or found.takt_s is None:
         return f"{said}."
     missed = {"missed": count(today.missed), "share": percent(today.missed_share), "takt": given(found.takt_s)}

@@ -102,7 +102,7 @@ def test_with_a_model_today_stands_above_the_plans_and_the_page_is_played_with(t
     asked = {"model": tmp_path / "model", "sequences": tmp_path / "plan.toml"}
     facts = write_report(logged, tmp_path / "page.html", **asked)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "today, as logged: 15.9 s" in page
+    assert "today, 20 logged executions: 15.9 s" in page
     assert '<section id="play" hidden>' in page
     assert '<a href="#play">' in page
     assert not any("played" in text for text in facts.missing)

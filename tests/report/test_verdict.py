@@ -54,7 +54,7 @@ def test_today_is_the_logged_cycle_and_the_order_and_change_stand_beside_it(logg
     given = {"estimates": [estimate("as now", 31.0, places=ROUTE), order], "what_if": [change], "planned": PLANNED}
     found = document(logged, tmp_path, takt_s=30.5, **given)
     said = (
-        "Today 31.0 s, 50 % of cycles within the takt of 30.5 s (95 % CI 15 to 85 %). "
+        "Today 31.0 s (mean of 4 logged executions), 50 % of cycles within the takt of 30.5 s (95 % CI 15 to 85 %). "
         "The order found takes 25.0 s, saving 6.0 s (−19 %), 100 % of cycles within the takt (95 % CI 44 to 100 %); "
         "with “smaller zone” 20.0 s, saving 11.0 s (−35 %), 100 % of cycles within the takt (95 % CI 70 to 100 %)."
     )
@@ -69,8 +69,10 @@ def test_today_is_the_logged_cycle_and_the_order_and_change_stand_beside_it(logg
     assert (found["verdict"]["change"]["expected_s"], found["verdict"]["change"]["saves_s"]) == (20.0, 11.0)
     assert found["verdict"]["change"]["within"] == [1, 0.7, 1]
     (basis, *_) = found["sentences"]["answer"]
-    assert basis.startswith("Today: mean 31.0 s (95 % CI ")
-    assert basis.endswith("of the 4 logged executions of the order run most; 2 of them (50 %) miss the takt of 30.5 s.")
+    assert basis.startswith("Today: 31.0 s (95 % CI ")
+    assert basis.endswith(
+        "the mean of the 4 logged executions of the usual order; 2 of them (50 %) miss the takt of 30.5 s."
+    )
     markdown = compose_report(logged, None, tmp_path / "r.md", kind="md", takt_s=30.5, **given).path.read_text("utf-8")
     assert f"**{said}**" in markdown.replace("\N{NO-BREAK SPACE}", " ")
 
@@ -84,13 +86,16 @@ def in_orders(logged, *orders):
     return Dataset(logged.path, structs.replace(logged.card, executions=tuple(entries)))
 
 
-def test_the_baseline_is_the_order_run_most_where_it_was_run_often(logged, tmp_path):
+def test_the_baseline_is_the_usual_order_if_more_than_half_ran_it(logged, tmp_path):
     often = in_orders(logged, *[ROUTE] * 5, *[TURNED] * 3)
     today = baseline_of(often, work_of(ROUTE), None)
-    assert (today.executions, today.order) == (5, ROUTE)
+    assert (today.executions, today.order, today.others) == (5, ROUTE, 3)
     assert today.mean_s == pytest.approx((28 + 30 + 31 + 35 + 28) / 5)
-    seldom = baseline_of(in_orders(logged, *[ROUTE] * 3, *[TURNED] * 3), work_of(ROUTE), None)
-    assert (seldom.executions, seldom.order) == (6, None)
+    for few, others in ((3, 1), (5, 5)):  # too few of one order, or not the usual one
+        mixed = baseline_of(in_orders(logged, *[ROUTE] * few, *[TURNED] * others), work_of(ROUTE), None)
+        assert (mixed.executions, mixed.order, mixed.others) == (few + others, None, 0)
+    words = document(often, tmp_path, estimates=[estimate("as now", 31.0, places=ROUTE)])["sentences"]["answer"][0]
+    assert words.endswith("the mean of the 5 logged executions of the usual order (3 in other orders do not count).")
 
 
 @pytest.mark.parametrize("times", [2, 3])
@@ -128,13 +133,19 @@ def test_where_no_logged_execution_does_the_work_there_is_no_today(logged, tmp_p
 
 def test_a_sequence_within_todays_interval_is_not_said_to_be_quicker(logged, tmp_path):
     found = document(logged, tmp_path, estimates=[estimate("turned", 30.5, places=TURNED)])
-    assert found["answer"] == "Today 31.0 s. “turned” takes 30.5 s on average, not clearly different."
+    assert (
+        found["answer"]
+        == "Today 31.0 s (mean of 4 logged executions). “turned” takes 30.5 s on average, not clearly different."
+    )
 
 
 def test_an_order_that_is_not_sure_to_save_time_is_no_answer(logged, tmp_path):
     even = replace(PLANNED, saves_s=(0.2, -0.4, 0.8))
     found = document(logged, tmp_path, planned=even, estimates=[estimate("order found", 30.8, places=TURNED)])
-    assert found["answer"] == "Today 31.0 s. No clearly faster order of the same work was found."
+    assert (
+        found["answer"]
+        == "Today 31.0 s (mean of 4 logged executions). No clearly faster order of the same work was found."
+    )
 
 
 def test_a_change_of_other_work_or_without_a_sure_saving_is_not_in_the_verdict(logged, tmp_path):

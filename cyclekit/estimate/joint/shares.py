@@ -10,7 +10,7 @@ import numpy as np
 from cyclekit.estimate.joint.plans import legs_of_tasks
 from cyclekit.estimate.joint.roll import begins_s
 from cyclekit.estimate.joint.walk import OWN, PLANNED
-from cyclekit.estimate.result import ELSEWHERE, PARTS, PlannedShare, TaskShare
+from cyclekit.estimate.result import ELSEWHERE, OWN_TASK, PARTS, PlannedShare, TaskShare
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -109,7 +109,7 @@ def _spans(agent: OneAgent, rolled: RolledBoth) -> Iterator[_Span]:
 
 def _decided(columns: Ints, whose: dict[int, str]) -> dict[str, float]:
     """Return the share of the cycles in which each cause decided departure; of several gates, the last that held."""
-    names = {OWN: "own task before", PLANNED: "planned start"} | whose
+    names = {OWN: OWN_TASK, PLANNED: "planned start"} | whose
     last = np.full(len(columns), OWN)
     for gate in range(columns.shape[1]):
         last = np.where(columns[:, gate] != OWN, columns[:, gate], last)

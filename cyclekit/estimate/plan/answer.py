@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.config.sequences import TaskSequence
+from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
 from cyclekit.estimate.joint.answer import waits_are_known
@@ -88,6 +89,13 @@ class OrderPlan(Result):
     unlogged: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     operator: tuple[str, ...] | None = None
+
+    def sequence(self, name: str) -> TaskSequence:
+        """Return the order as a sequence: the robot's places or, if the operator's was searched too, a plan of both."""
+        if self.operator is None:
+            return TaskSequence(name, self.places)
+        tasks = [PlannedTask("robot", f"{a}->{b}") for a, b in pairwise(self.places)]
+        return TaskSequence.of_plan(name, [*tasks, *(PlannedTask("operator", place) for place in self.operator)])
 
     def plot(self) -> Drawing:
         """Return a figure of the mean cycle time of the order and of the others (matplotlib)."""

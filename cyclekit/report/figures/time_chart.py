@@ -5,13 +5,14 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
+from cyclekit.config.sequences import PLAN
 from cyclekit.estimate.baseline import logged_cycle, logged_order
 from cyclekit.estimate.gantt import SHOWN_S, blocks_of, legend_of
 from cyclekit.plots.gantt import draw_blocks, height_in
 from cyclekit.plots.style import tip
 from cyclekit.report.figures.figure import Chart, Figure
 from cyclekit.report.findings import task_shares
-from cyclekit.report.numbers import UNKNOWN, fixed
+from cyclekit.report.numbers import UNKNOWN, count, fixed, percent
 from cyclekit.report.pictures import WIDE_IN, Picture
 from cyclekit.report.tables import ReportTable
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 MAX_SEQUENCES = 4
 """Maximum number of sequences drawn; the others are in the tables."""
+ALWAYS = 0.995
+"""From this share of the cycles on, what ended a wait is given without the share."""
 PAPER_IN = 4.5
 """Maximum height of a chart that is printed as a whole, inches."""
 PARTS = ("nominal", "safety", "dwell", "wait")
@@ -38,7 +41,7 @@ _WORDS = {
     "lane": "Operator: share of the cycles in which the operator is at each place or on the way to it.",
     "picture": "Time chart of {count} cycles. {name}: {mean} s; largest safety loss at {task}, {loss} s.",
     "more": "{count} more are in the tables.",
-    "today": "today, as logged",
+    "today": "today, {executions} logged executions",
     "one": "logged execution {name}",
     "split": "Mean split of one cycle, seconds",
     "tasks": "{name}: mean split per task, in order",
@@ -53,6 +56,7 @@ _WORDS = {
     "band": "End in single cycles, s",
     "wait": "Wait before it, s",
     "ended": "Wait ended by",
+    "ended_in": "{cause} (in {share} of the cycles)",
 }
 
 
@@ -113,15 +117,14 @@ def _said(texts: ReportTexts, drawn: Sequence[CycleEstimate], left: int) -> Iter
 
 def _today(page: PageInputs) -> CycleEstimate | None:
     """Return today's cycle if its executions ran one order; without sequences a logged cycle."""
-    if page.ranked:
-        today = page.verdict.today if page.verdict else None
-        names = today.names if today and today.order else ()
-        title = page.texts("time_chart.today")
-    else:
-        names = logged_order(page.dataset)
-        one = len(names) == 1
-        title = page.texts("time_chart.one", name=names[0]) if one else page.texts("time_chart.today")
-    return logged_cycle(page.dataset, names, title) if names else None
+    today = page.verdict.today if page.verdict else None
+    names = logged_order(page.dataset) if not page.ranked else today.names if today and today.order else ()
+    if not names:
+        return None
+    key = "time_chart.one" if len(names) == 1 else "time_chart.today"
+    title = page.texts(key, name=names[0], executions=count(len(names)))
+    both = today.order[:1] == (PLAN,) if today and today.order else page.coupled
+    return logged_cycle(page.dataset, names, title, both=both)
 
 
 def _heads(texts: ReportTexts) -> list[str]:
@@ -160,9 +163,10 @@ def _plan(texts: ReportTexts, each: CycleEstimate) -> ReportTable:
     rows = []
     for task in each.plan:
         times = [fixed(task.start_s, 1), fixed(task.end_s, 1), _band(task.end_low_s, task.end_high_s)]
-        waits = task.wait_s > SHOWN_S
-        cause = max(task.decided, key=lambda name: task.decided[name]) if waits else ""
-        rows.append([texts.task(task.task), task.agent, *times, fixed(task.wait_s, 1), texts.task(cause)])
+        cause, share = (task.ended_by if task.wait_s > SHOWN_S else None) or ("", 0.0)
+        ended = texts.task(cause)
+        ended = texts("time_chart.ended_in", cause=ended, share=percent(share)) if 0.0 < share < ALWAYS else ended
+        rows.append([texts.task(task.task), task.agent, *times, fixed(task.wait_s, 1), ended])
     caption = texts("time_chart.plan", name=each.name)
     return ReportTable(caption, heads, rows, frozenset((2, 3, 4, 5)), silent=True)
 

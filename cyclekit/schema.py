@@ -198,9 +198,9 @@ TASKS: Mapping[str, Column] = {
     "lost_slider_s": Column(F64, "s", "time lost to the operator's speed slider: integral of s (1 - slider)"),
     "lost_input_s": Column(F64, "s", "time lost to an input that slows the robot, such as reduced mode"),
     "lost_limits_s": Column(F64, "s", "time lost where the robot is slow in every pass: stopping or joint limits"),
-    "lost_wait_s": Column(F64, "s", "standstill for a part or signal"),
+    "lost_wait_s": Column(F64, "s", "wait for the operator, a part or a signal"),
     "lost_pause_s": Column(F64, "s", "time in which the program was paused or stopped"),
-    "lost_stop_s": Column(F64, "s", "standstill midway without a person near: protective stop"),
+    "lost_stop_s": Column(F64, "s", "standstill between places without a person near: protective stop"),
     "lost_unknown_s": Column(F64, "s", "time lost to speed scaling of unknown cause"),
 }
 """One row per executed task. For a task found in the robot's motion, nominal + lost slider + safety loss + dwell + wait

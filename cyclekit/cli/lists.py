@@ -6,19 +6,16 @@ from typing import TYPE_CHECKING
 
 from cyclekit.cli.terminal import bullet, duration, percent, table
 from cyclekit.dataset.lost_time import CAUSE_NAMES
-from cyclekit.learning.coupling.waits import condition_text
+from cyclekit.learning.coupling.words import source_lines, wait_rows
 from cyclekit.scaling.response import MIN_RAMPS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from cyclekit.dataset.cards import CouplingCard
     from cyclekit.dataset.lost_time import LostTime, PersonLoss
     from cyclekit.inspect.facts import SafetyFacts, TaskListFacts
     from cyclekit.inspect.response import ResponseFacts
     from cyclekit.scaling.override_log import OverrideResponse
 
-_AT = {"leave": "at", "approach": "before"}
 _FEW_ROWS = (
     "the log has fewer than 3 rows in a ramp between levels; simulated ramps of 500 % per second, logged at 10 Hz, "
     "were read 24 % too slow to 15 % too steep. Log at a higher rate."
@@ -116,8 +113,8 @@ def lost_table(found: LostTime | None) -> str:
     total = sum(found.seconds.values())
     stops = sum(found.stops_per_hour.values())
     rows.append(["all lost time", f"{total:.1f}", f"{100 * total / found.duration_s:.1f}", f"{stops:.1f}"])
-    shown = table(["time lost to ", "s", "% of executions", "stops midway per hour"], rows)
-    return f"{shown}\nspeed changes per hour: {found.changes_per_hour:.1f}"
+    shown = table(["time lost to ", "s", "% of executions", "standstills per hour"], rows)
+    return f"{shown}\nstandstills: between places; changes of the speed scaling per hour: {found.changes_per_hour:.1f}"
 
 
 def _level(one: PersonLoss) -> list[str]:
@@ -162,43 +159,11 @@ def coupling_table(found: CouplingCard | None) -> str:
     if found is None:
         return ""
     rows = []
-    for gate in found.gates:
-        for one in gate.conditions:
-            low, middle, high = (_quantile(one.lag_s, level) for level in (0.05, 0.5, 0.95))
-            who = f"{gate.agent} {_AT[gate.at]} {gate.place}" + (" (told)" if gate.told else "")
-            decided = f"{one.decided} of {gate.passages}"
-            back = f", {one.back} earlier" if one.back else ""
-            back += ", every 2nd time" if one.turns.every > 1 else ""
-            back += f", needed in {one.needed:.0%}" if one.needed < 1.0 else ""
-            back += ", where the other waits too" if one.together else ""
-            rows.append(
-                [
-                    who,
-                    condition_text(one) + back,
-                    f"{middle:.1f}",
-                    f"{low:.1f} to {high:.1f}",
-                    percent(one.held),
-                    decided,
-                ]
-            )
+    for row in wait_rows(found):
+        low_s, middle_s, high_s = row.lag_s
+        lag = [f"{middle_s:.1f}", f"{low_s:.1f} to {high_s:.1f}"]
+        rows.append([row.who, row.until, *lag, percent(row.condition.held), row.had_to_wait])
     if not rows:
         return f"no waits for each other found in {found.executions} executions"
-    parts = [table(["who waits ", "until ", "lag, s", "5-95%", "held", "decided"], rows)]
-    for source in found.sources:
-        gap = f"{_quantile(source.gap_s, 0.05):.1f} to {_quantile(source.gap_s, 0.95):.1f} s"
-        if not source.after:
-            parts.append(
-                f"parts of {source.signal} come {gap} apart; at most {source.buffer} wait at {source.taken_by}"
-            )
-        for one in source.after:
-            lag = f"{max(_quantile(one.lag_s, 0.05), 0.0):.1f} to {_quantile(one.lag_s, 0.95):.1f} s"
-            visit = " in its visit before" if one.back else ""
-            own = f", or {gap} after the one before, whichever is later" if _quantile(source.gap_s, 0.95) > 0.0 else ""
-            parts.append(f"{source.signal} {source.event} comes {lag} after robot {one.event} {one.place}{visit}{own}")
-    return "\n".join(parts)
-
-
-def _quantile(values: Sequence[float], level: float) -> float:
-    at = level * (len(values) - 1)
-    low = int(at)
-    return values[low] + (at - low) * (values[min(low + 1, len(values) - 1)] - values[low])
+    heads = ["who waits ", "until ", "lag, s", "5-95%", "obeyed", "had to wait"]
+    return "\n".join([table(heads, rows), *source_lines(found)])

@@ -17,7 +17,7 @@ CAUSE_NAMES: Mapping[str, str] = {
     "slider": "operator's speed slider",
     "input": "input, such as reduced mode",
     "limits": "limits of the path",
-    "wait": "wait for a part or signal",
+    "wait": "wait for the operator, a part or a signal",
     "pause": "program paused",
     "stop": "protective stop",
     "unknown": "unknown cause",
@@ -48,7 +48,7 @@ class LostTime:
     Attributes:
         seconds: Lost time by cause, s.
         duration_s: Total duration of the executions.
-        stops_per_hour: Number of standstills midway per hour, by cause.
+        stops_per_hour: Number of standstills between places per hour, by cause.
         changes_per_hour: Number of level changes of the speed scaling per hour.
         person: Time lost to people, by level.
     """

@@ -42,10 +42,13 @@ class LoggedBoth(NamedTuple):
 
     @property
     def orders(self) -> list[tuple[str, ...]]:
-        """The order as a plan; a second one leaves out where the operator is at the start, as a plan may."""
-        first = next((n for n, task in enumerate(self.tasks) if task.startswith("operator")), len(self.tasks))
-        goals = (PLAN, *plan_goals(self.tasks))
-        return [goals, goals[: first + 1] + goals[first + 2 :]] if self.begins_at else [goals]
+        """The order as plans may have it: with and without the place where the operator is at the start.
+
+        If he is on his way already, he comes from the place where he ends.
+        """
+        robot, operator = ([task for task in self.tasks if task.startswith(agent)] for agent in ("robot", "operator"))
+        other = operator[1:] if self.begins_at else [operator[-1], *operator]
+        return [(PLAN, *plan_goals([*robot, *his])) for his in (operator, other)]
 
 
 def logged_of_both(dataset: Dataset) -> dict[str, LoggedBoth]:

@@ -192,7 +192,7 @@ def draw_blocks(
     for block in blocks:
         names |= _Drawing(axes, block, top_in, s_per_in, tip).draw()
         top_in += block.height_in
-    axes.set_yticks(list(names), [_fitting((text,), left_in - 0.1, _NAME_PT, cut=True) for text in names.values()])
+    axes.set_yticks(list(names), [fitting((text,), left_in - 0.1, _NAME_PT, cut=True) for text in names.values()])
     axes.tick_params(axis="y", length=0, labelsize=_NAME_PT)
     if takt_s is not None:
         line = axes.axvline(takt_s, color=colours.SCALING_ANCHORS[0][1], linewidth=1.3, linestyle=(0, (5, 2)), zorder=4)
@@ -217,7 +217,7 @@ class _Drawing:
         """Draw the block; return the names of its lanes by position, inches."""
         block, names = self._block, dict[float, str]()
         room_in = self._axes.get_xlim()[1] / self._s_per_in
-        title = _fitting(block.titles, room_in, _TITLE_PT, cut=True, weight="bold")
+        title = fitting(block.titles, room_in, _TITLE_PT, cut=True, weight="bold")
         at_in = self._top_in + _TITLE_IN - 0.06
         self._write(0.0, at_in, title, _TITLE_PT, weight="bold")
         if block.course is not None:
@@ -264,7 +264,7 @@ class _Drawing:
         arrives = any((arrow.to_lane, arrow.to_s) == (label.lane, label.start_s) for arrow in self._block.arrows)
         beside_in = 0.07 if arrives else 0.0
         room_in = (label.end_s - label.start_s) / self._s_per_in
-        if text := _fitting(label.texts, room_in - 0.03 - beside_in, _LABEL_PT):
+        if text := fitting(label.texts, room_in - 0.03 - beside_in, _LABEL_PT):
             at_in = self._bars_in[label.lane] - 0.04
             self._write(label.start_s + beside_in * self._s_per_in, at_in, text, _LABEL_PT)
 
@@ -330,7 +330,7 @@ def _draw_key(figure: Figure, legend: Mapping[str, str], width_in: float, all_in
             at_in += _text_in(text, _NAME_PT) + 0.36
 
 
-def _fitting(texts: Sequence[str], room_in: float, size_pt: float, *, cut: bool = False, weight: str = "normal") -> str:
+def fitting(texts: Sequence[str], room_in: float, size_pt: float, *, cut: bool = False, weight: str = "normal") -> str:
     """Return the first text that fits; if none does, the last one shortened with `cut`, else an empty text."""
     for text in texts:
         if _text_in(text, size_pt, weight) <= room_in:

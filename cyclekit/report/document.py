@@ -42,6 +42,7 @@ def as_json(cell: str, made: str, page: PageInputs, sections: Mapping[str, Any])
         "levels": [asdict(band) for band in found.bands] if found else [],
         "distance_explains": found.explained if found else None,
         "losses": [asdict(loss) for loss in losses(page.samples, page.seen.executions)],
+        "waits": [row.to_dict() | {"waited_s": seconds} for row, seconds in page.waits],
         "what_if": [asdict(change) for change in page.what_if],
         "plan": None if page.planned is None else page.planned.to_dict(),
         "evaluation": None if page.evaluation is None else page.judged,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import DatasetError
 from cyclekit.estimate.what_to_log import what_to_log
+from cyclekit.learning.coupling.words import wait_rows, waited_s
 from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.report import findings
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.what_to_log import RecordingPlan
+    from cyclekit.learning.coupling.words import WaitRow
     from cyclekit.report.findings import Judged, LoggedResponse, Overview, Predicts
     from cyclekit.report.floor import FloorPlan
     from cyclekit.report.texts import ReportTexts
@@ -95,6 +97,13 @@ class PageInputs:
         """Whether robot or operator are known to wait for anything."""
         coupling = self.dataset.card.coupling
         return coupling is not None and coupling.coupled
+
+    @cached_property
+    def waits(self) -> list[tuple[WaitRow, float]]:
+        """The wait conditions in words, each with the time waited for it per logged execution, s."""
+        rows = wait_rows(self.dataset.card.coupling, self.texts.place)
+        each_s = waited_s(self.dataset.every_task(), rows) if rows else []
+        return [(row, seconds / self.seen.executions) for row, seconds in zip(rows, each_s, strict=True)]
 
     @cached_property
     def verdict(self) -> TaktVerdict | None:

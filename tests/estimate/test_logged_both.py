@@ -33,7 +33,7 @@ def task(agent: str, index: int, name: str, times_s: tuple[float | None, ...], *
             "arrival_s": arrival_s, "end_s": end_s, "dwell_s": 0.0, "wait_s": 0.0, **told}  # fmt: skip
 
 
-def logged(more_s: tuple[float, ...] = (0.0, 1.0), *, turned: bool = False) -> Dataset:
+def logged(more_s: tuple[float, ...] = (0.0, 1.0), *, turned: bool = False, begins_at: bool = True) -> Dataset:
     """Return a stand-in: the robot waits short of the fixture for the operator, and at the conveyor for a part."""
     rows, executions = [], []
     for number, more in enumerate(more_s):
@@ -51,6 +51,7 @@ def logged(more_s: tuple[float, ...] = (0.0, 1.0), *, turned: bool = False) -> D
                  dwell_s=3.0),
             task("operator", 3, "bench", (16.0 + more, 18.0 + more, None)),
         ]  # fmt: skip
+        some = some if begins_at else [each for each in some if each["task"] != "rest"]
         rows += [{"execution": name, **each} | {k: each[k] + at for k in each if k in TIMES and each[k] is not None}
                  for each in some]  # fmt: skip
     tasks = schema.conform(pl.DataFrame(rows, infer_schema_length=None), schema.TASKS)
@@ -81,6 +82,9 @@ def test_todays_cycle_of_a_plan_is_that_of_the_executions_with_the_same_work_of_
     assert today is not None
     assert (today.executions, today.mean_s) == (2, pytest.approx(27.8))
     assert baseline_of(logged(), work_of(plan(["bench"]).places), None) is None
+    moving = baseline_of(logged(begins_at=False), work_of(plan(["bench", *his[-3:]]).places), None)
+    assert moving is not None
+    assert moving.executions == 2  # he comes from the bench, where he ends
     robot = baseline_of(logged(), work_of(["home", "conveyor", "fixture", "home"]), None)
     assert robot is not None
     assert robot.mean_s == pytest.approx(20.5)

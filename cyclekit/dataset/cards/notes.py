@@ -270,7 +270,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         f"{{varied:.0%}} of the known samples lie on slopes of many rates: a continuous function; {_REGRESSION}"
     ),
     "levels-not-held": (
-        f"only {{held:.0%}} of the known samples are held: probably a continuous function; {_REGRESSION}"
+        f"only {{held:.0%}} of the known samples stay on one value: probably a continuous function; {_REGRESSION}"
     ),
     "levels-with-slider": (
         "the values are levels times an operator slider ({sliders}); the levels are given without it"

@@ -11,7 +11,7 @@ from cyclekit.learning.coupling.unseen_parts import with_parts
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard
 
@@ -112,9 +112,9 @@ def _opened(course: ExecutionVisits, condition: ConditionCard, occurrence: int, 
     return left_s - since + float(np.median(condition.lag_s)) if decided else None
 
 
-def condition_text(condition: ConditionCard) -> str:
-    """Return a condition as text: `operator leaves fixture (release set)`, `part set`."""
+def condition_text(condition: ConditionCard, shown: Callable[[str], str] = str) -> str:
+    """Return a condition as text: `operator leaves fixture (release set)`, `part set`; `shown` displays a place."""
     if condition.agent == "signal":
         return f"{condition.place} {condition.event}"
     signal = "" if condition.signal is None else f" ({condition.signal})"
-    return f"{condition.agent} {condition.event} {condition.place}{signal}"
+    return f"{condition.agent} {condition.event} {shown(condition.place)}{signal}"

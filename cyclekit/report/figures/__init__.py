@@ -16,6 +16,7 @@ from cyclekit.report.figures.lost_causes import LOST_CAUSES
 from cyclekit.report.figures.predictions import CALIBRATION, CONFUSION
 from cyclekit.report.figures.staircase import STAIRCASE
 from cyclekit.report.figures.time_chart import TIME_CHART
+from cyclekit.report.figures.waits import WAITS
 
 if TYPE_CHECKING:
     from cyclekit.report.inputs import PageInputs
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 FIGURES: tuple[Figure, ...] = (
     CYCLE_TIMES,
     TIME_CHART,
+    WAITS,
     LOST_CAUSES,
     STAIRCASE,
     ZONES,

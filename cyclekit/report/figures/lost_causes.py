@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 _WORDS = {
     "title": "What time was lost to",
-    "caption": "Mean time lost per logged execution, by cause. Per hour the robot came to a standstill midway {stops} "
-    "times, and changed its speed {changes} times.",
+    "caption": "Mean time lost per logged execution, by cause. Per hour the robot stood still between places {stops} "
+    "times, and its speed scaling changed {changes} times.",
     "picture": "Time lost per execution by cause; most to {cause}, {loss} s.",
     "axis": "lost per execution, s",
     "cause": "Cause",
     "seconds": "Per execution, s",
     "share": "Share, %",
-    "stops": "Stops midway per hour",
+    "stops": "Standstills between places per hour",
 }
 
 

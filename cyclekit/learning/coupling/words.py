@@ -1,0 +1,111 @@
+"""Wait conditions in words, the same in every command and on the page, and what each of them costs in the logs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.learning.coupling.waits import condition_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard
+
+_AT = {"leave": "at", "approach": "before"}
+
+
+@dataclass(frozen=True)
+class WaitRow:
+    """One wait condition in words.
+
+    Attributes:
+        gate, condition: What it says in words.
+        who: Who waits where: `robot before fixture`.
+        until: Until what: `operator leaves fixture (release set)`, and in which passages.
+        lag_s: 5 %, 50 % and 95 % quantile of the time from the event until the agent goes on, s.
+        had_to_wait: In how many of the logged passages this event came last.
+    """
+
+    gate: GateCard
+    condition: ConditionCard
+    who: str
+    until: str
+    lag_s: tuple[float, float, float]
+    had_to_wait: str
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain JSON values."""
+        obeyed = {"obeyed": self.condition.held, "had_to_wait": self.condition.decided, "passages": self.gate.passages}
+        return {"who": self.who, "until": self.until, "lag_s": list(self.lag_s), **obeyed}
+
+
+def wait_rows(found: CouplingCard | None, shown: Callable[[str], str] = str) -> list[WaitRow]:
+    """Return the wait conditions of a cell in words; `shown` gives the display name of a place."""
+    rows = []
+    for gate in found.gates if found else ():
+        for one in gate.conditions:
+            who = f"{gate.agent} {_AT[gate.at]} {shown(gate.place)}" + (" (told)" if gate.told else "")
+            low_s, middle_s, high_s = (_quantile(one.lag_s, level) for level in (0.05, 0.5, 0.95))
+            had_to_wait = f"{one.decided} of {gate.passages}"
+            until = condition_text(one, shown) + _passages(one)
+            rows.append(WaitRow(gate, one, who, until, (low_s, middle_s, high_s), had_to_wait))
+    return rows
+
+
+def _passages(one: ConditionCard) -> str:
+    """Return in which passages a condition is needed, as the end of a phrase."""
+    text = f", {one.back} visit{'s' * (one.back > 1)} earlier" if one.back else ""
+    text += ", every 2nd time" if one.turns.every > 1 else ""
+    text += f", needed in {one.needed:.0%}" if one.needed < 1.0 else ""
+    return text + (", where the other waits too" if one.together else "")
+
+
+def source_lines(found: CouplingCard | None) -> list[str]:
+    """Return when parts and signals that neither agent sets come, one sentence each."""
+    return [line for source in (found.sources if found else ()) for line in _source_lines(source)]
+
+
+def _source_lines(source: SourceCard) -> list[str]:
+    gap = f"{_quantile(source.gap_s, 0.05):.1f} to {_quantile(source.gap_s, 0.95):.1f} s"
+    if not source.after:
+        return [f"parts of {source.signal} come {gap} apart; at most {source.buffer} wait at {source.taken_by}"]
+    lines = []
+    for one in source.after:
+        lag = f"{max(_quantile(one.lag_s, 0.05), 0.0):.1f} to {_quantile(one.lag_s, 0.95):.1f} s"
+        visit = " in its visit before" if one.back else ""
+        own = f", or {gap} after the one before, whichever is later" if _quantile(source.gap_s, 0.95) > 0.0 else ""
+        lines.append(f"{source.signal} {source.event} comes {lag} after robot {one.event} {one.place}{visit}{own}")
+    return lines
+
+
+def waited_s(tasks: pl.DataFrame, rows: Sequence[WaitRow]) -> list[float]:
+    """Return the time that logged tasks waited for each condition, s, in all of them together.
+
+    Args:
+        tasks: Table TASKS of both agents, with what ended each wait.
+        rows: The conditions by which the waits were named.
+    """
+    order = ("execution", "agent", "index")
+    goal = pl.col("task").str.split("->").list.last()
+    open_ = tasks.sort(order).with_columns(
+        goal=goal, next_goal=goal.shift(-1).over("execution", "agent"), s=pl.coalesce("lost_wait_s", "wait_s")
+    )
+    found = []
+    for row in rows:
+        gate = row.gate
+        there = pl.col("goal") == gate.place
+        there = there if gate.at == "leave" else there | (pl.col("next_goal") == gate.place)
+        mine = (pl.col("agent") == gate.agent) & (pl.col("waited_for") == condition_text(row.condition)) & there
+        mine = mine.fill_null(value=False)
+        found.append(float(open_.filter(mine)["s"].sum()))
+        open_ = open_.filter(~mine)
+    return found
+
+
+def _quantile(values: Sequence[float], level: float) -> float:
+    at = level * (len(values) - 1)
+    low = int(at)
+    return values[low] + (at - low) * (values[min(low + 1, len(values) - 1)] - values[low])

@@ -17,7 +17,7 @@ CAUSE_NAMES: Mapping[str, str] = {
     "slider": "operator's speed slider",
     "input": "input, such as reduced mode",
     "limits": "limits of the path",
-    "wait": "wait for the operator, a part or a signal",
+    "wait": "wait for operator, part or signal",
     "pause": "program paused",
     "stop": "protective stop",
     "unknown": "unknown cause",

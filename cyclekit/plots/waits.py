@@ -6,7 +6,7 @@ An arrow leads from what is waited for to the place where an agent waits; the wi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cyclekit.plots import colours
 from cyclekit.plots.gantt import fitting
@@ -99,10 +99,10 @@ def _draw_box(axes: Axes, box: tuple[bool, str, str], middle_in: float, width_in
     right, agent, name = box
     box_in, colour = _BOX_PART * width_in, _COLOURS[agent]
     left_in = width_in - box_in - 0.02 if right else 0.02
-    look = {"boxstyle": "round,pad=0,rounding_size=0.05", "facecolor": "white", "edgecolor": colour, "linewidth": 1.4}
+    look: dict[str, Any] = {"boxstyle": "round,pad=0,rounding_size=0.05", "facecolor": "white", "edgecolor": colour, "linewidth": 1.4}
     axes.add_patch(FancyBboxPatch((left_in, middle_in - _BOX_IN / 2), box_in, _BOX_IN, zorder=3, **look))
     text = fitting((name,), box_in - 0.1, _TEXT_PT, cut=True)
-    centre = {"ha": "center", "va": "center", "zorder": 4}
+    centre: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 4}
     axes.text(left_in + box_in / 2, middle_in, text, color=INK, fontsize=_TEXT_PT, **centre)
 
 

@@ -160,7 +160,7 @@ def operator_tracks(
     parts = [_on_circles(mine, after, step, length)] if anywhere and not on_states else []
     if beginnings or not parts:
         instants = _instants([len(track.where) for track in mine.values()]) if anywhere and on_states else [0]
-        parts.insert(0, _continued(tracks, begins, after, step, length, instants, states=on_states and free, free=free))
+        parts.insert(0, _continued(tracks, begins, after, step, length, instants, states=on_states, free=free))
     starts = parts[0] if len(parts) == 1 else TrackStarts(*(np.concatenate(part) for part in zip(*parts, strict=True)))
     where, activity, owner, logged = starts
     executions = tuple(begins[k] for k in owner.tolist())
@@ -200,18 +200,18 @@ def _continued(
     free: bool,
 ) -> TrackStarts:
     """Return executions from these samples on, continued with stretches of others."""
-    ran_on = [_run_on(tracks, [name, *after[name]], step) for name in begins]
+    ran_on = [_run_on(tracks, [name, *after[name]], step, states=states) for name in begins]
     entries = [(number, min(at, len(tracks[name].where) - 1)) for at in instants for number, name in enumerate(begins)]
     streams = [Stretch(ran_on[k][0].where[at:], ran_on[k][0].activity[at:]) for k, at in entries]
     followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
     pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
-    if states:
+    if states and free:
         where, activity = continue_courses(streams, pool, length)
     else:
         owners = [followed.get(ran_on[k][1], -1) for k, _ in entries]
         where, activity = Continuation(pool, step, phase_free=free).extend(streams, owners, length)
-    owner, logged = np.array([k for k, _ in entries]), np.array([len(stream.where) for stream in streams])
-    return TrackStarts(where, activity, owner, logged)
+    logged = np.array([len(stream.where) for stream in streams])
+    return TrackStarts(where, activity, np.array([k for k, _ in entries]), logged)
 
 
 def _instants(lengths: Sequence[int]) -> list[int]:
@@ -226,7 +226,7 @@ def _instants(lengths: Sequence[int]) -> list[int]:
 
 def _runs_on(dataset: Dataset) -> bool:
     order = dataset.executions.sort("session", "start_s")
-    pause = order.select((pl.col("start_s") - pl.col("end_s").shift().over("session")).alias("pause"))["pause"]
+    pause = order.select(pause=pl.col("start_s") - pl.col("end_s").shift().over("session"))["pause"]
     return bool((pause <= RUN_ON_S).sum() >= 0.8 * max(len(pause) - order["session"].n_unique(), 1))
 
 
@@ -331,8 +331,8 @@ def _in_states(dataset: Dataset, model: OnStates) -> tuple[list[str], dict[str, 
     for name, (t_s, state) in model.logged_states(dataset).items():
         if name not in alone:
             where = np.hstack([np.zeros((len(state), 3)), state])
-            ends = float(t_s[0]), float(t_s[-1])
-            tracks[name] = LoggedTrack(where, state[:, 0].astype(np.int64), *ends, seen=True, away=False, followed=True)
+            log = where, state[:, 0].astype(np.int64), float(t_s[0]), float(t_s[-1])
+            tracks[name] = LoggedTrack(*log, seen=True, away=False, followed=True)
     return list(model.states), tracks
 
 
@@ -371,29 +371,28 @@ def _order(activity: NDArray[np.int64], names: list[str]) -> tuple[str, ...]:
 
 def _after(dataset: Dataset) -> dict[str, list[str]]:
     """Return the next two executions after each one in its session."""
-    found: dict[str, list[str]] = {}
-    for (_,), rows in dataset.executions.group_by(["session"], maintain_order=True):
-        order = rows["execution"].to_list()
-        found |= {name: order[number + 1 : number + 3] for number, name in enumerate(order)}
-    return found
+    sessions = dataset.executions.group_by("session", maintain_order=True).agg("execution")["execution"].to_list()
+    return {name: order[k + 1 : k + 3] for order in sessions for k, name in enumerate(order)}
 
 
-def _run_on(tracks: dict[str, LoggedTrack], names: list[str], step: float) -> tuple[Stretch, str]:
+def _run_on(tracks: dict[str, LoggedTrack], names: list[str], step: float, *, states: bool) -> tuple[Stretch, str]:
     """Return the track of the first execution and those that follow without a longer pause, and the last one's name."""
     name, *others = names
     end_s, parts = tracks[name].end_s, [Stretch(tracks[name].where, tracks[name].activity)]
     for following in others:
         if following not in tracks or tracks[following].begin_s - end_s > RUN_ON_S:
             break
-        after = tracks[following]
-        parts = [*parts[:-1], _until(parts[-1], end_s, after, step), Stretch(after.where, after.activity)]
-        end_s, name = after.end_s, following
+        parts[-1] = _until(parts[-1], end_s, tracks[following], step, states=states)
+        parts.append(Stretch(tracks[following].where, tracks[following].activity))
+        end_s, name = tracks[following].end_s, following
     return Stretch(*(np.concatenate([getattr(part, of) for part in parts]) for of in ("where", "activity"))), name
 
 
-def _until(log: Stretch, end_s: float, following: LoggedTrack, step: float) -> Stretch:
-    """Return a log extended through the pause to the next log: straight to its start, at the last task."""
+def _until(log: Stretch, end_s: float, following: LoggedTrack, step: float, *, states: bool = False) -> Stretch:
+    """Return a log extended to the next one: straight to its start, at the last task; a state changes half-way."""
     pause = max(0, round((following.begin_s - end_s) / step) - 1)
-    weight = (np.arange(1, pause + 1) / (pause + 1))[:, None]
+    weight = np.arange(1, pause + 1)[:, None] / (pause + 1)
+    weight = np.round(weight) if states else weight
     way = log.where[-1] * (1 - weight) + following.where[0] * weight
-    return Stretch(np.concatenate([log.where, way]), np.append(log.activity, np.full(pause, log.activity[-1])))
+    doing = np.where(states & (weight[:, 0] > 0), following.activity[0], log.activity[-1])
+    return Stretch(np.concatenate([log.where, way]), np.append(log.activity, doing))

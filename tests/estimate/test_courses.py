@@ -80,3 +80,24 @@ def test_courses_of_states_are_entered_at_several_instants(monkeypatch: pytest.M
     later = len(names) * 2
     np.testing.assert_array_equal(found.activity[0, :50], logs[names[0]].activity)
     np.testing.assert_array_equal(found.activity[later, :25], logs[names[0]].activity[25:])
+
+
+def test_in_a_pause_between_executions_people_are_in_the_last_or_the_next_state_and_in_none_between(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    logs = {"first": course((0, 50)), "second": course((5, 50))}
+    begins_s = {"first": 0.0, "second": 8.0}
+    flags = {"seen": True, "away": False, "followed": True}
+    logged = {
+        name: tracks.LoggedTrack(one.where, one.activity, begins_s[name], begins_s[name] + 4.9, **flags)
+        for name, one in logs.items()
+    }
+    monkeypatch.setattr(tracks, "_in_states", lambda dataset, model: ([str(number) for number in range(6)], logged))
+    executions = pl.DataFrame({"execution": list(logs), "session": 0, "start_s": [0.0, 8.0], "end_s": [4.9, 12.9],
+                               "complete": True})  # fmt: skip
+    dataset = SimpleNamespace(rate_hz=10.0, executions=executions, card=SimpleNamespace(executions=()), path="cell")
+    found = tracks.operator_tracks(dataset, horizon_s=12.0, model=Mock(spec=OnStates))  # type: ignore[arg-type]
+    assert found.state is not None
+    np.testing.assert_array_equal(found.state[0, :65, 0], 0)
+    np.testing.assert_array_equal(found.state[0, 66:120, 0], 5)
+    np.testing.assert_array_equal(found.activity[0, :120], found.state[0, :120, 0])

@@ -17,6 +17,7 @@ from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.config.write import sequence_to_toml
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, LogError, OutputError, command_line
+from cyclekit.estimate.what_to_log import doubtful_places
 from cyclekit.ingest.discover import CELL_FILE, cell_for, find_all, suggest_cell
 from cyclekit.storage.atomic import write_text
 from cyclekit.storage.identify import MODEL_CARD
@@ -200,7 +201,8 @@ def first_sequence(dataset: Dataset) -> tuple[TaskSequence, int, int]:
     if not orders:
         cure = "Log at least one execution from its start to its end."
         raise DatasetError(f"{dataset.place}: no complete execution in it, so no order was logged", cure=cure)
-    ((order, count),) = Counter(orders).most_common(1)
+    none = doubtful_places(dataset) if dataset.positions else set[str]()
+    ((order, count),) = Counter([order for order in orders if not none & set(order)] or orders).most_common(1)
     name = f"order of {count} of {len(orders)} executions"
     if dataset.holds_task_lists_alone:
         return TaskSequence.of_plan(name, [PlannedTask(agent, task) for agent, task in order]), count, len(orders)

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 ENOUGH = 5
 """Minimum number of repetitions of a task: with fewer, single ones determine its motion (median) and dwell (mean)."""
+FEW_PART = 0.1
+"""Maximum share of the executions that visit a found place which may be none."""
+SHORT_S = 0.1
+"""Maximum median dwell at a found place which may be none, s."""
 WITHIN = 0.01
 """Requested half-width of the 95 % interval of the mean cycle time, as a share of the mean."""
 
@@ -56,6 +60,7 @@ class RecordingPlan(Result):
             fewer than two executions.
         within: The requested half-width.
         more: Total number of executions to log, of these orders and of those logged so far.
+        doubtful: Found places that may be none (`doubtful_places`), whose rare tasks are not asked for.
     """
 
     missing: tuple[str, ...]
@@ -65,6 +70,7 @@ class RecordingPlan(Result):
     half_width: float | None
     within: float
     more: int
+    doubtful: tuple[str, ...] = ()
 
     @property
     def lines(self) -> list[str]:
@@ -81,6 +87,10 @@ class RecordingPlan(Result):
             name = f" (sequence {one.name!r})" if one.name else ""
             times = f"{one.executions} execution{'s' * (one.executions != 1)}"
             found.append(f"log {times} of {', '.join(map(shown, one.places))}{name}")
+        if self.doubtful:
+            names = ", ".join(map(shown, self.doubtful))
+            why = "the robot only waits there, or stood there in few executions"
+            found.append(f"not asked for: tasks of {names}: {why}; if it works there, name it in cell.toml")
         if self.half_width is not None and self.half_width > self.within:
             known = f"the mean cycle time of {self.executions} executions is known to +-{self.half_width:.1%} (95% CI)"
             why = "the interval narrows with the root of their number"
@@ -116,14 +126,34 @@ def what_to_log(dataset: Dataset, sequences: Sequence[TaskSequence] = (), *, wit
         raise DatasetError(f"{dataset.place}: no robot task in it", cure="Log executions that drive to places.")
     of_places = [one for one in sequences if one.tasks and not one.plan]
     asked = dict.fromkeys(task for one in of_places for task in one.tasks) or dict.fromkeys(counts)
-    lacking = {task: counts.get(task, 0) for task in asked if counts.get(task, 0) < ENOUGH}
-    orders = _of_sequences(of_places, lacking) if of_places else _one_tour(dataset, counts, lacking)
+    few = {task: counts.get(task, 0) for task in asked if counts.get(task, 0) < ENOUGH}
+    none = doubtful_places(dataset)
+    left_out = {task: none & set(task.split("->")) for task, count in few.items() if count}
+    lacking = {task: count for task, count in few.items() if not left_out.get(task)}
+    usable = {task: count for task, count in counts.items() if not left_out.get(task)}
+    orders = _of_sequences(of_places, lacking) if of_places else _one_tour(dataset, usable, lacking)
     executions, half = _half_width(dataset)
     wanted = 0 if half is None else math.ceil(executions * (half / within) ** 2) - executions
     more = max(wanted, sum(one.executions for one in orders))
     missing = tuple(task for task, count in lacking.items() if count == 0)
     rare = {task: count for task, count in lacking.items() if count}
-    return RecordingPlan(missing, rare, tuple(orders), executions, half, within, more)
+    doubtful = tuple(sorted(set().union(*left_out.values())))
+    return RecordingPlan(missing, rare, tuple(orders), executions, half, within, more, doubtful)
+
+
+def doubtful_places(dataset: Dataset) -> set[str]:
+    """Return found places of the robot that may be none: it only waits there, or stood there in few executions.
+
+    Places named in the cell file, and those where an execution starts or ends, are never doubtful.
+    """
+    whole = [one.places for one in dataset.card.executions if one.complete and one.places]
+    ends = {place for places in whole for place in (places[0], places[-1])}
+    often = Counter(place for places in whole for place in set(places))
+    visits = dataset.tasks().group_by("goal_place").agg(pl.col("dwell_s").median(), pl.col("wait_s").median())
+    waits = {place for place, dwell, wait in visits.iter_rows() if (dwell or 0.0) < SHORT_S < (wait or 0.0)}
+    few = {place for place, times in often.items() if times < ENOUGH and times <= FEW_PART * len(whole)}
+    found = {name for name, place in dataset.card.places.items() if place.inferred}
+    return (found - ends) & (waits | few)
 
 
 def _half_width(dataset: Dataset) -> tuple[int, float | None]:

@@ -93,14 +93,15 @@ def _columns(arrows: Sequence[WaitArrow]) -> tuple[list[tuple[bool, str, str]], 
     return [box for box in boxes if not box[0]], [box for box in boxes if box[0]]
 
 
-def _draw_box(axes: Axes, box: tuple[bool, str, str], middle_in: float, width_in: float) -> None:
+def _draw_box(axes: Axes, whose: tuple[bool, str, str], middle_in: float, width_in: float) -> None:
     from matplotlib.patches import FancyBboxPatch
 
-    right, agent, name = box
+    right, agent, name = whose
     box_in, colour = _BOX_PART * width_in, _COLOURS[agent]
     left_in = width_in - box_in - 0.02 if right else 0.02
-    look: dict[str, Any] = {"boxstyle": "round,pad=0,rounding_size=0.05", "facecolor": "white", "edgecolor": colour, "linewidth": 1.4}
-    axes.add_patch(FancyBboxPatch((left_in, middle_in - _BOX_IN / 2), box_in, _BOX_IN, zorder=3, **look))
+    corner, look = (left_in, middle_in - _BOX_IN / 2), "round,pad=0,rounding_size=0.05"
+    box = FancyBboxPatch(corner, box_in, _BOX_IN, boxstyle=look, facecolor="white", edgecolor=colour, linewidth=1.4)
+    axes.add_patch(box).set_zorder(3)
     text = fitting((name,), box_in - 0.1, _TEXT_PT, cut=True)
     centre: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 4}
     axes.text(left_in + box_in / 2, middle_in, text, color=INK, fontsize=_TEXT_PT, **centre)

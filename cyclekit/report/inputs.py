@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.config.sequences import TaskSequence
+from cyclekit.config.sequences import PLAN, TaskSequence
 from cyclekit.errors import DatasetError
 from cyclekit.estimate.what_to_log import what_to_log
 from cyclekit.learning.coupling.words import wait_rows, waited_s
@@ -118,7 +118,7 @@ class PageInputs:
     @cached_property
     def to_log(self) -> RecordingPlan | None:
         """What to log next for these sequences; None where the robot's tasks are not known."""
-        asked = [TaskSequence(each.name, each.places) for each in self.ranked if not each.plan]
+        asked = [TaskSequence(each.name, _robot_places(each)) for each in self.ranked]
         try:
             return what_to_log(self.dataset, asked)
         except DatasetError:
@@ -128,3 +128,11 @@ class PageInputs:
     def judged(self) -> dict[str, Any]:
         """The evaluation of the model as JSON values; empty without one."""
         return {} if self.evaluation is None else self.evaluation.to_dict()
+
+
+def _robot_places(each: CycleEstimate) -> tuple[str, ...]:
+    """Return the robot's ordered places, also of a plan for both."""
+    if each.places[:1] != (PLAN,):
+        return each.places
+    tasks = [task.task.split("->") for task in each.tasks]
+    return (*tasks[0][:1], *(task[-1] for task in tasks)) if tasks else ()

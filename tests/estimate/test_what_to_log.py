@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from itertools import pairwise
+from itertools import pairwise, permutations
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
+import polars as pl
 import pytest
 from fabricated import fabricate_dataset
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit import plan_recordings
+from cyclekit.api.init import first_sequence
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.errors import ConfigError, CyclekitError
-from cyclekit.estimate.what_to_log import ENOUGH, _of_sequences, _one_tour
+from cyclekit.estimate.what_to_log import ENOUGH, _of_sequences, _one_tour, doubtful_places, what_to_log
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,6 +86,52 @@ def test_a_tour_drives_logged_tasks_alone_and_holds_every_rare_one_it_can_reach(
         assert driven <= set(counts)
         assert set(order.adds) == driven & set(lacking)
         assert order.executions >= 1
+
+
+def mixed(*, inferred: bool = True) -> Dataset:
+    """Return a stand-in of 60 executions: b has a rare task, the robot only waits at w, and stood at s four times."""
+    orders = [("home", "w", "a", *(["s"] if n < 4 else []), *(["b"] if n % 2 else []), "home") for n in range(60)]
+    orders[0] = ("home", "w", "a", "b", "a", "home")
+    return stand_in(orders, inferred=inferred)
+
+
+def stand_in(orders: list[tuple[str, ...]], *, inferred: bool = True) -> Dataset:
+    """Return a stand-in of executions in these orders; the robot only waits at w."""
+    rows = [
+        {"task": f"{a}->{b}", "goal_place": b, "nominal_s": 1.0, "dwell_s": 0.0 if b == "w" else 1.0,
+         "wait_s": 2.0 if b == "w" else 0.0}
+        for places in orders for a, b in pairwise(places)
+    ]  # fmt: skip
+    places = {name: SimpleNamespace(inferred=inferred) for name in set().union(*orders)}
+    executions = [SimpleNamespace(complete=True, places=order) for order in orders]
+    durations = pl.DataFrame({"complete": [True, True], "duration_s": [10.0, 10.0]})
+    found = {"tasks": lambda: pl.DataFrame(rows), "require_positions": lambda: None, "executions": durations,
+             "positions": ("robot",), "holds_task_lists_alone": False}  # fmt: skip
+    return cast("Dataset", SimpleNamespace(**found, card=SimpleNamespace(executions=executions, places=places)))
+
+
+def test_places_that_may_be_waits_are_not_asked_for_and_named() -> None:
+    assert doubtful_places(mixed()) == {"w", "s"}
+    plan = what_to_log(mixed())
+    assert plan.rare == {"b->a": 1}
+    (order,) = plan.orders
+    assert order.adds == ("b->a",)
+    assert "s" not in order.places
+    assert plan.doubtful == ("s",)  # tasks of w were logged often
+    assert plan.lines[-1].startswith("not asked for: tasks of s: the robot only waits there, or stood there in few")
+    asked = what_to_log(mixed(), [TaskSequence("new", ("home", "s", "home"))])
+    assert asked.missing == ("home->s",)  # never logged: without it the sequence has no answer
+    named = what_to_log(mixed(inferred=False))
+    assert {"a->s", "s->b"} < set(named.rare)
+    assert named.doubtful == ()
+
+
+def test_the_first_order_of_a_project_avoids_places_that_may_be_waits() -> None:
+    usual = [("home", *order, "home") for order in permutations("abcd")] * 2
+    stopped = [("home", "a", "s", "b", "home")] * 3
+    assert first_sequence(stand_in(stopped + usual))[0].places == usual[0]
+    assert first_sequence(stand_in(stopped + usual, inferred=False))[0].places == stopped[0]
+    assert first_sequence(stand_in(stopped))[0].places == stopped[0]  # all of them stop there: then it is a place
 
 
 def test_what_cannot_be_planned_is_refused(logged: Dataset, tmp_path: Path) -> None:

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from report_pages import DistanceModel, Page, estimate
 
+from cyclekit.config.sequences import PLAN
 from cyclekit.estimate.check import compare
+from cyclekit.estimate.result import TaskShare
 from cyclekit.estimate.what_to_log import RecordingPlan
 from cyclekit.report import compose_report
 
@@ -106,6 +108,16 @@ def test_the_page_says_what_to_log_next(dataset, tmp_path):
     compose_report(dataset, None, tmp_path / "r.json", estimates=[asked], kind="json")
     told = json.loads((tmp_path / "r.json").read_text("utf-8"))["to_log"]
     assert told["missing"] == ["left->right"]
+
+
+def test_plans_for_both_ask_for_the_tasks_of_the_robot(dataset, tmp_path):
+    """Not for all that were logged."""
+    plan = (PLAN, "robot: left", "robot: right", "operator: desk")
+    tasks = tuple(TaskShare(name, 9.0, 9.0, 0.0, 0.0, 0.0) for name in ("conveyor->left", "left->right"))
+    asked = dataclasses.replace(estimate("both"), places=plan, tasks=tasks)
+    compose_report(dataset, None, tmp_path / "r.json", estimates=[asked], kind="json")
+    told = json.loads((tmp_path / "r.json").read_text("utf-8"))["to_log"]
+    assert (told["missing"], set(told["rare"]) - {"conveyor->left"}) == (["left->right"], set())
 
 
 def test_a_page_on_enough_logs_lacks_nothing(dataset, tmp_path, monkeypatch):

@@ -27,6 +27,8 @@ from cyclekit.learning.evaluation.evaluate import Evaluation
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.learning.task_times.saved import TaskTimesModel
+from cyclekit.learning.unseen.model import UnseenOperator
+from cyclekit.learning.unseen.saved import holds_unseen, load_unseen
 from cyclekit.report import ReportFacts, Template, Tried, compose_report, load_tried, need_browser, write_pdf
 from cyclekit.report.task_lists import report_tasks
 from cyclekit.storage.scratch import Scratch
@@ -105,7 +107,7 @@ def write_report(
     dataset: Dataset | Place,
     out: Place,
     *,
-    model: TrainedModel | TaskTimesModel | Place | None = None,
+    model: TrainedModel | TaskTimesModel | UnseenOperator | Place | None = None,
     sequences: Sequences | None = None,
     what_if: Sequence[Place | Change | Tried] = (),
     jobs: Jobs | Place | None = None,
@@ -128,7 +130,8 @@ def write_report(
     Args:
         dataset: The logs: a dataset, its folder or its URL.
         out: The file; an existing one is replaced when the new one is complete.
-        model: Trained model; without it the page covers only the logs. A model of task times gives another page.
+        model: Trained model, also of an unseen operator; without it the page covers only the logs. A model of task
+            times gives another page.
         sequences: The sequences to estimate, or the sequence file.
         what_if: Changes of the sequences, or files of changes (`CHANGES.toml`). Or earlier results: `FILE.json` of
             `what_if`, `LABEL=FILE.json` of `estimate_cycles`.
@@ -183,7 +186,7 @@ def write_report(
         if printed is not None:
             write_pdf(file, printed)
         return replace(facts, pdf=printed)
-    trained = None if model is None else trained_of(model)  # type: ignore[arg-type]  # task times returned above
+    trained = None if model is None else _opened(model)  # type: ignore[arg-type]  # task times returned above
     if trained is not None:
         asked = _Asked(trained, data, validate, extrapolate, other_cell, tell)
         asked.takt_s = takt_s
@@ -197,6 +200,12 @@ def write_report(
         tell(1.0, "printing")
         write_pdf(file, printed)
     return replace(facts, pdf=printed)
+
+
+def _opened(given: TrainedModel | UnseenOperator | Place) -> TrainedModel | UnseenOperator:
+    if isinstance(given, str | Path) and holds_unseen(given):
+        return load_unseen(given)
+    return given if isinstance(given, UnseenOperator) else trained_of(given)
 
 
 def _of_tasks(
@@ -232,7 +241,13 @@ class _Asked:
     """Common inputs of the parts of one page."""
 
     def __init__(
-        self, model: TrainedModel, data: Dataset, validate: bool, extrapolate: bool, other_cell: bool, tell: Progress
+        self,
+        model: TrainedModel | UnseenOperator,
+        data: Dataset,
+        validate: bool,
+        extrapolate: bool,
+        other_cell: bool,
+        tell: Progress,
     ) -> None:
         refuse_other_cell(model.card, data, other_cell=other_cell)
         self.model, self.data, self.extrapolate, self.tell = model, data, extrapolate, tell
@@ -263,9 +278,9 @@ class _Asked:
                 raise ConfigError("changes are tried on sequences, and none are given", cure="Give sequences or jobs.")
             tried += [Tried.of(each, self.takt_s) for each in self._changed(wanted, changes, check)]
         missing: list[str] = []
-        if evaluation is None:
+        if evaluation is None and isinstance(self.model, TrainedModel):
             try:
-                evaluation = self._evaluated()
+                evaluation = self._evaluated(self.model)
             except CyclekitError as error:  # the evaluation was not requested
                 missing.append(f"The model could not be evaluated: {error.seen}.")
         return {
@@ -297,9 +312,9 @@ class _Asked:
             **self.given,
         ).require_all()  # fmt: skip
 
-    def _evaluated(self) -> Evaluation:
+    def _evaluated(self, model: TrainedModel) -> Evaluation:
         foreign, tell = self.given["other_cell"], _part(self.tell, 0.3, 0.35)
-        return evaluate_model(self.model, self.data, boosting=False, other_cell=foreign, progress=tell)
+        return evaluate_model(model, self.data, boosting=False, other_cell=foreign, progress=tell)
 
 
 def _tried(what_if: Sequence[Place | Change | Tried]) -> tuple[list[Change], list[Tried]]:

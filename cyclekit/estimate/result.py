@@ -27,7 +27,9 @@ PARTS = 50
 """Number of equal parts of the cycle in which the operator's activity is reported."""
 AWAY, ELSEWHERE = "away", "elsewhere"
 """Names of two activities: the operator is absent; he is present, but his task is unknown."""
-OF_STATES = ("signals ", "no signal of people", "hidden state ")
+HIDDEN = "hidden state "
+"""Prefix of activities that the robot's speed alone shows."""
+OF_STATES = ("signals ", "no signal of people", HIDDEN)
 """Prefixes of activities if the operator is known by states: such an activity is no place."""
 MAJORITY = 0.5
 """Minimum share that is called most of something; the largest of several shares may be far less."""

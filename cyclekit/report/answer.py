@@ -40,7 +40,7 @@ def _is_shorter(best: CycleEstimate, other: CycleEstimate) -> bool:
 def section(page: PageInputs) -> dict[str, Any]:
     """Return what the template needs for section 1."""
     texts, ranked, takt_s, found, best = page.texts, page.ranked, page.takt_s, page.verdict, page.best
-    missing = [] if page.model is not None else [texts("answer.no_model")]
+    missing = [] if page.model is not None or page.unseen else [texts("answer.no_model")]
     said = {"headline": verdict.in_words(texts, found), "lead": [verdict.basis(texts, found)]} if found else {}
     if best is None:
         missing.insert(0, texts("answer.no_estimates"))

@@ -31,7 +31,7 @@ def section(page: PageInputs) -> dict[str, Any]:
     texts, ranked, tried, planned = page.texts, page.ranked, page.what_if, page.planned
     before = {each.name: each for each in ranked}
     said = (
-        _bound(texts, ranked, page.seen),
+        _bound(page),
         _best(texts, tried, ranked, before),
         _plan_saves(texts, planned),
         *(_order(texts, alike) for alike in by_work(ranked).values()),
@@ -45,16 +45,21 @@ def section(page: PageInputs) -> dict[str, Any]:
     return {"sentences": sentences, "charts": charts_of("helps", page), "tables": [table for table in made if table]}
 
 
-def _bound(texts: ReportTexts, ranked: Sequence[CycleEstimate], seen: Overview) -> str:
-    """The lower bound for any change of the safety function: the cycle without slow-down."""
-    if ranked:
-        best = ranked[0]
-        values = {"mean": seconds(best.expected_s), "lost": seconds(best.safety_loss_s)}
-        return texts("helps.bound", name=best.name, without=seconds(best.expected_s - best.safety_loss_s), **values)
+def _bound(page: PageInputs) -> str:
+    """The lower bound for any change of the safety function: the cycle without slow-down, and without known waits."""
+    texts, seen = page.texts, page.seen
+    if page.ranked:
+        best = page.ranked[0]
+        lost_s, wait_s = best.safety_loss_s, best.wait_s if page.coupled else 0.0
+        values = {"name": best.name, "mean": seconds(best.expected_s), "lost": seconds(lost_s), "wait": seconds(wait_s)}
+        without = seconds(best.expected_s - best.idle_s * (wait_s > 0.0) - lost_s - wait_s)
+        return texts("helps.bound_waits" if wait_s > 0.0 else "helps.bound", without=without, **values)
     if seen.lost_s is None or not len(seen.duration_s):
         return ""
-    without = seconds(float(seen.duration_s.mean()) - seen.lost_s)
-    return texts("helps.bound_logged", without=without, lost=seconds(seen.lost_s))
+    wait_s = sum(waited for row, waited in page.waits if row.gate.agent == "robot")
+    without = seconds(float(seen.duration_s.mean()) - seen.lost_s - wait_s)
+    key = "helps.bound_logged_waits" if wait_s > 0.0 else "helps.bound_logged"
+    return texts(key, without=without, lost=seconds(seen.lost_s), wait=seconds(wait_s))
 
 
 def _order(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> str:
@@ -153,6 +158,8 @@ def _plan(texts: ReportTexts, planned: OrderPlan | None) -> ReportTable | None:
     rests = texts("helps.plan_rests", searched=every, tried=count(planned.tried), executions=count(planned.executions))
     heads = [texts("helps.figure"), texts("helps.seconds")]
     said = texts("helps.plan_order", order=order)
+    if planned.operator:
+        said = texts("helps.plan_orders", order=order, operator=" → ".join(planned.operator))
     return ReportTable(title, heads, rows, frozenset({1}), silent=True, title=title, text=said, after=rests)
 
 

@@ -49,6 +49,7 @@ class PageInputs:
         check: The backtest on logged executions.
         takt_s: The takt time, s.
         baseline: Name of the sequence that the others are compared with.
+        unseen: Whether the estimates are of a model of an operator whom no log shows; `model` is None then.
     """
 
     texts: ReportTexts
@@ -61,6 +62,7 @@ class PageInputs:
     check: Check | None = None
     takt_s: float | None = None
     baseline: str | None = None
+    unseen: bool = False
 
     @cached_property
     def samples(self) -> pl.DataFrame:

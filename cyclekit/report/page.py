@@ -13,6 +13,7 @@ from importlib.metadata import version as installed
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.estimate.same_work import by_work
+from cyclekit.learning.unseen.model import UnseenOperator
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.report import answer, helps, trust, where, why
 from cyclekit.report.document import MARK, as_csv, as_json, as_markdown
@@ -78,7 +79,7 @@ class ReportFacts(Result):
 @one_thread()
 def compose_report(
     dataset: Dataset,
-    model: Predicts | None,
+    model: Predicts | UnseenOperator | None,
     out: Path,
     *,
     estimates: Sequence[CycleEstimate] = (),
@@ -99,7 +100,8 @@ def compose_report(
 
     Args:
         dataset: The logs.
-        model: Trained model whose safety function and metrics are shown; None for logs alone.
+        model: Trained model whose safety function and metrics are shown; that of an unseen operator has none to show;
+            None for logs alone.
         out: File to write; an existing one is replaced when the new one is complete.
         estimates: Sequences to rank; without any the page describes the logged executions.
         evaluation: Held-out metrics with baselines; without it the model's own card is shown.
@@ -126,7 +128,9 @@ def compose_report(
     ranked = [each for work in by_work(quickest).values() for each in work]
     name = cell_name or dataset.card.name or dataset.path.name
     texts = replace(look.texts, place=dataset.label)
-    page = PageInputs(texts, dataset, model, ranked, what_if, planned, evaluation, check, takt_s, baseline)
+    unseen = isinstance(model, UnseenOperator)
+    shown = None if isinstance(model, UnseenOperator) else model
+    page = PageInputs(texts, dataset, shown, ranked, what_if, planned, evaluation, check, takt_s, baseline, unseen)
     if kind == "csv":
         write_text(out, as_csv(page))
         return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing), len(ranked))

@@ -47,7 +47,7 @@ def section(page: PageInputs) -> dict[str, Any]:
     tables += _data_tables(texts, origin)
     return {
         "facts": _facts(texts, dataset, page.seen, origin),
-        "model": _model(texts, model, page.judged),
+        "model": _unseen_model(texts) if page.unseen else _model(texts, model, page.judged),
         "charts": charts_of("trust", page),
         "sentences": said,
         "tables": tables,
@@ -68,6 +68,10 @@ def _facts(texts: ReportTexts, dataset: Dataset, seen: Overview, origin: Provena
         (texts("trust.levels"), ", ".join(whole_percent(level) for level in dataset.levels) or "–"),
     ]
     return facts + [(name, value) for name, value in origin.versions]
+
+
+def _unseen_model(texts: ReportTexts) -> ReportTable:
+    return ReportTable(title=texts("trust.model"), text=texts("trust.model_unseen"))
 
 
 def _model(texts: ReportTexts, model: Predicts | None, judged: Mapping[str, Any]) -> ReportTable:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.estimate.result import HIDDEN
 from cyclekit.report.figures import charts_of
 from cyclekit.report.figures.time_chart import MAX_SEQUENCES
 from cyclekit.report.numbers import fixed
@@ -39,6 +40,8 @@ def _activity(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> ReportTabl
     for each in shown:
         for activity, loss in each.safety_by_activity_s.items():
             total[activity] = total.get(activity, 0.0) + loss
+    if all(activity.startswith(HIDDEN) for activity in total):  # no task of the operator is known
+        return None
     heads = [texts("where.activity_head"), *(f"{each.name}, s" for each in shown)]
     rows = [
         [texts.task(activity), *(fixed(each.safety_by_activity_s.get(activity), 1) for each in shown)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from cyclekit.api.report import write_report
 from cyclekit.api.train import train_model
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard
@@ -21,9 +23,12 @@ from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.whatif.answer import what_if
 from cyclekit.estimate.whatif.change import Change
+from cyclekit.learning.unseen.saved import save_unseen
 from cyclekit_sim import fresh_cycles, random_orders
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from simulated_cells import Cells, SimulatedCell
 
     from cyclekit.learning.unseen.model import UnseenOperator
@@ -52,6 +57,27 @@ def _places(scene: str = "shared-fixture") -> tuple[str, ...]:
 
 def _operators() -> list[tuple[str, ...]]:
     return [each["operator"] for each in random_orders("shared-fixture", 4, FRESH)]
+
+
+def test_the_report_takes_the_model_of_an_unseen_operator(
+    cell: SimulatedCell, model: UnseenOperator, tmp_path: Path
+) -> None:
+    save_unseen(tmp_path / "model", model)
+    asked = {"sequences": [TaskSequence("new", _places())], "validate": False, "kind": "json"}
+    write_report(cell.dataset, tmp_path / "r.json", model=tmp_path / "model", **asked)  # type: ignore[arg-type]
+    found = json.loads((tmp_path / "r.json").read_text("utf-8"))
+    (entry,) = estimate(model, cell.dataset, asked["sequences"], validate=False)  # type: ignore[arg-type]
+    assert found["sequences"][0]["expected_s"] == pytest.approx(entry.expected_s)
+    (wait,) = found["waits"]
+    tasks = cell.dataset.tasks()
+    assert wait["waited_s"] * len(cell.dataset.executions) == pytest.approx(tasks["lost_wait_s"].sum(), rel=0.01)
+    facts = write_report(cell.dataset, tmp_path / "r.md", model=model, **asked | {"kind": "md"})  # type: ignore[arg-type]
+    words = facts.path.read_text("utf-8").replace("\N{NO-BREAK SPACE}", " ")
+    assert "No log shows people. The model has learned from the robot's log alone" in words
+    assert "No model was given" not in words
+    assert "Safety loss by operator task" not in words  # the states of the speed are no tasks of the operator
+    bound = f"“new” takes {entry.expected_s:.1f} s, of which {entry.safety_loss_s:.1f} s are slow-down and"
+    assert f"{bound} {entry.wait_s:.1f} s waits of the robot." in words
 
 
 @pytest.mark.slow

@@ -106,6 +106,8 @@ def test_a_page_says_why_it_cannot_be_played_with(logged, monkeypatch):
         (rule, made_up(operator=("shelf",)), texts("play.nothing")),
     ):
         assert play_part(PageInputs(texts, logged, model, [shown])) == PlayPart(None, (why,))
+    unseen = PageInputs(texts, logged, None, [short], unseen=True)
+    assert play_part(unseen) == PlayPart(None, (texts("play.unseen"),))
     plan = made_up("plan for both", plan=("x",), asked=(PlannedTask("robot", "home->conveyor"),))
     with monkeypatch.context() as patched:
         patched.setattr(part, "MAX_BYTES", len(play_part(PageInputs(texts, logged, rule, [short])).data))

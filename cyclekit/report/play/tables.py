@@ -57,7 +57,7 @@ def playable(page: PageInputs) -> SafetyModel | str:
     """Return the model that a page can be played with, or the name of the text that says why it cannot."""
     model = page.answers
     if not isinstance(model, SafetyModel):
-        return "no_model"
+        return "unseen" if page.unseen else "no_model"
     if model.problem != "now":
         return "not_now"
     return model

@@ -6,7 +6,7 @@ An arrow leads from what is waited for to the place where an agent waits; the wi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclekit.plots import colours
 from cyclekit.plots.gantt import fitting
@@ -103,8 +103,8 @@ def _draw_box(axes: Axes, whose: tuple[bool, str, str], middle_in: float, width_
     box = FancyBboxPatch(corner, box_in, _BOX_IN, boxstyle=look, facecolor="white", edgecolor=colour, linewidth=1.4)
     axes.add_patch(box).set_zorder(3)
     text = fitting((name,), box_in - 0.1, _TEXT_PT, cut=True)
-    centre: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 4}
-    axes.text(left_in + box_in / 2, middle_in, text, color=INK, fontsize=_TEXT_PT, **centre)
+    at = left_in + box_in / 2, middle_in
+    axes.text(*at, text, color=INK, fontsize=_TEXT_PT, ha="center", va="center", zorder=4)
 
 
 def _draw_arrow(axes: Axes, arrow: WaitArrow, from_in: float, to_in: float, width_in: float, tip: Tip) -> None:

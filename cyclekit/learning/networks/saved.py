@@ -285,7 +285,8 @@ def load_model(place: Path | str) -> TrainedModel:
             raise ModelError(msg, cure=f"Use it for plans of robot and operator: {plans}") from cause
         if isinstance(cause, UnseenInstead):
             asked = command_line("estimate", place, "SEQUENCES.toml", "--dataset", "DATASET")
-            raise ModelError(msg, cure=f"Leave it out here; use it for estimate, plan, whatif and report: {asked}") from cause
+            use = f"Leave it out here; use it for estimate, plan, whatif and report: {asked}"
+            raise ModelError(msg, cure=use) from cause
         again = command_line("train", "DATASET", "--out", place)
         raise ModelError(msg, cure=f"Train it again: {again}") from cause
     except (FileNotFoundError, NotADirectoryError) as cause:

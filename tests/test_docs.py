@@ -41,6 +41,9 @@ def command_lines(document: Path) -> list[str]:
 
 
 LINES = [(document.relative_to(ROOT).as_posix(), line) for document in DOCUMENTS for line in command_lines(document)]
+LINES += [
+    (f"cyclekit {name} --help", str(command.epilog).splitlines()[2].strip()) for name, command in COMMANDS.items()
+]
 
 
 def test_the_documents_show_command_lines() -> None:
@@ -149,3 +152,10 @@ def test_a_python_example_compiles_and_imports_names_that_are_there(document: st
         if isinstance(node, ast.ImportFrom) and node.module:
             module = import_module(node.module)
             assert [alias.name for alias in node.names if not hasattr(module, alias.name)] == []
+
+
+def test_the_list_of_commands_holds_whole_sentences_in_80_columns() -> None:
+    with typer.Context(FRAME, terminal_width=80, max_content_width=80) as context:
+        listed = FRAME.get_help(context).partition("Commands:")[2]
+    assert all(name in listed for name in COMMANDS)
+    assert "..." not in listed

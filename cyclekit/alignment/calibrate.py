@@ -94,13 +94,18 @@ def calibrate(points: Path | str, *, up: Literal["y", "z"] = "z") -> Calibration
 
 def frame_line(frame: Frame) -> str:
     """Return a frame as a line of cell.toml: position to 0.1 mm, yaw to 0.0001 deg or rotation to 8 decimals."""
-    xyz = ", ".join(f"{value:.4f}" for value in frame.xyz_m)
+    xyz = ", ".join(f"{_rounded(value):.4f}" for value in frame.xyz_m)
     rotation = np.array(frame.rotation)
     if abs(rotation[2, 2] - 1) < 1e-9:
         yaw = np.degrees(np.arctan2(rotation[1, 0], rotation[0, 0]))
-        return f"frame = {{ xyz_m = [{xyz}], yaw_deg = {yaw:.4f} }}"
+        return f"frame = {{ xyz_m = [{xyz}], yaw_deg = {_rounded(yaw):.4f} }}"
     rows = ", ".join("[" + ", ".join(f"{value:.8f}" for value in row) + "]" for row in frame.rotation)
     return f"frame = {{ xyz_m = [{xyz}], rotation = [{rows}] }}"
+
+
+def _rounded(value: float) -> float:
+    """Return a value as `frame_line` shows it; never -0."""
+    return round(float(value), 4) + 0.0
 
 
 def _read(path: Path) -> pl.DataFrame:

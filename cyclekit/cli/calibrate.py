@@ -22,11 +22,11 @@ def calibrate(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find the pose of the tracker from points that robot and tracker touched.
+    """Find the pose of the tracker from points.
 
-    The table has the columns log_x_m, log_y_m, log_z_m (tracker) and base_x_m,
-    base_y_m, base_z_m (robot base); _mm for millimetres. Prints the line for
-    cell.toml, and the error of each point.
+    Robot and tracker have touched the same points. The table has the columns log_x_m, log_y_m, log_z_m (tracker) and
+    base_x_m, base_y_m, base_z_m (robot base); _mm for millimetres. Prints the line for cell.toml, and the error of each
+    point.
     """
     from cyclekit.api.calibrate import calibrate_tracker
 

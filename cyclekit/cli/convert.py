@@ -10,7 +10,7 @@ import typer
 from cyclekit.cli.options import Json, Quiet
 from cyclekit.cli.terminal import Terminal
 
-EXAMPLE = "cyclekit convert logs/robot.csv --out robot.parquet --rate 10"
+EXAMPLE = "cyclekit convert logs/session_000/robot.csv --out robot.parquet --rate 10"
 
 
 def convert(
@@ -28,9 +28,9 @@ def convert(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write one table of a log as Parquet or CSV: SI units, the log's own clock and frame.
+    """Write one table of a log as Parquet or CSV.
 
-    For use in other tools; to make a dataset, use `ingest`.
+    In SI units, in the log's own clock and frame. For use in other tools; to make a dataset, use `ingest`.
     """
     from cyclekit.api.convert import convert_log
 

@@ -67,11 +67,11 @@ def estimate(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the cycle time of task sequences, ranked among those that do the same work.
+    """Estimate the cycle time of task sequences.
 
-    Per sequence: the mean, the range of single cycles, where the time goes, and the basis of the number. A sequence
-    that cannot be answered from these logs is listed with the reason, and the others are answered; if none can be
-    answered, the command fails.
+    Per sequence: the mean, the range of single cycles, where the time goes, and the basis of the number; ranked among
+    those that do the same work. A sequence that cannot be answered from these logs is listed with the reason, and the
+    others are answered; if none can be answered, the command fails.
     """
     from cyclekit.api.estimate import estimate_cycles
     from cyclekit.api.given import refuse_baseline, sequences_of

@@ -19,7 +19,10 @@ def export(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a model as an ONNX file, checked against cyclekit's own prediction if onnxruntime is installed."""
+    """Write a model as an ONNX file.
+
+    The file is checked against cyclekit's own prediction if onnxruntime is installed.
+    """
     from cyclekit.api.export import export_model
 
     terminal = Terminal(json=json, quiet=quiet)

@@ -25,7 +25,7 @@ def levels(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find the levels of the speed scaling: how many, at which values.
+    """Find the levels of the speed scaling.
 
     Each execution is searched separately, never across a gap. Levels set in the cell file are only counted.
     """

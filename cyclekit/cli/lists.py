@@ -113,7 +113,7 @@ def lost_table(found: LostTime | None) -> str:
     total = sum(found.seconds.values())
     stops = sum(found.stops_per_hour.values())
     rows.append(["all lost time", f"{total:.1f}", f"{100 * total / found.duration_s:.1f}", f"{stops:.1f}"])
-    shown = table(["time lost to ", "s", "% of executions", "standstills per hour"], rows)
+    shown = table(["time lost to ", "s", "% of time", "standstills per hour"], rows)
     return f"{shown}\nstandstills: between places; changes of the speed scaling per hour: {found.changes_per_hour:.1f}"
 
 

@@ -251,6 +251,8 @@ def why_unknown(path: Path) -> UnknownFormat:
     """Return the error for a file that no adapter recognises, with the most likely reason."""
     if path.is_dir():
         return UnknownFormat(path, "the folder cannot be listed", cure="Check its permissions.")
+    if not path.exists() and not path.is_symlink():
+        return UnknownFormat(path, "no such file or folder", cure="Check the path.")
     if not path.is_file():
         return UnknownFormat(path, "neither a file nor a folder: a pipe, a socket, a device or a broken link")
     if not path.stat().st_size:  # also for system files (/proc), which may take long to read

@@ -49,3 +49,12 @@ def test_millimetres_taken_for_metres_are_found_and_the_cure_is_named(tmp_path: 
 
 def test_an_axis_that_does_not_exist_is_a_wrong_command_line(tmp_path: Path, cyclekit: Shell):
     assert cyclekit("calibrate", tmp_path / "points.csv", "--up", "x").code == 2
+
+
+def test_no_coordinate_is_shown_as_minus_zero(tmp_path: Path, cyclekit: Shell):
+    file = tmp_path / "points.csv"
+    same = "".join(
+        f"p{n},{xyz},{xyz}\n" for n, xyz in enumerate(("0,0,0", "1,0,0.1", "0,1,0.2", "1,1,0.9", "-1,0.3,0"))
+    )
+    file.write_text(HEAD + same, encoding="utf-8")
+    assert "-0.0000" not in cyclekit("calibrate", file).out

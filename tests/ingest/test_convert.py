@@ -128,3 +128,8 @@ def test_what_cannot_be_followed_is_refused_and_the_old_file_stays(tmp_path: Pat
         convert(log, tmp_path / "out.xlsx")
     assert out.read_bytes() == before
     assert sorted(file.name for file in tmp_path.iterdir()) == ["out.parquet", "run.csv"]
+
+
+def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path: Path):
+    with pytest.raises(LogError, match="no such file or folder"):
+        convert(tmp_path / "no.csv", tmp_path / "x.csv")

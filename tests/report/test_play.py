@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays_of
 from known_cells import logged
-from played import ORDERS, staircase, zoned
+from played import ORDERS, network, staircase, zoned
 from report_pages import DistanceModel
 from report_pages import estimate as made_up
 
@@ -45,7 +45,7 @@ def unpacked(text):
 
 
 def metres(steps, unit):
-    units = np.cumsum(steps, axis=-2, dtype=np.int16)
+    units = np.cumsum(steps, axis=-2, dtype=np.int32)
     return np.where(units == UNKNOWN, np.nan, units / unit)
 
 
@@ -117,7 +117,10 @@ def test_a_page_says_why_it_cannot_be_played_with(logged, monkeypatch):
         assert "This concerns: plan for both." in found.missing[0]
         patched.undo()
         patched.setattr(scaling_grid, "FEW_ENTRIES", 10)
-        assert "too many for a table" in play_part(PageInputs(texts, logged, DistanceModel(), [short])).missing[0]
+        assert "too many for a table" in play_part(PageInputs(texts, logged, network(), [short])).missing[0]
+        assert (
+            "neither a rule nor a network" in play_part(PageInputs(texts, logged, DistanceModel(), [short])).missing[0]
+        )
     monkeypatch.setattr(part, "MAX_BYTES", 1000)
     assert "MB" in play_part(PageInputs(texts, logged, rule, [short])).missing[0]
 

@@ -9,7 +9,7 @@ import browser
 import pytest
 from known_cells import logged
 from msgspec import structs
-from played import ORDERS, SHORT, STAIRS, WITHOUT_RULE, ZONED, Gate, Network, Steps, staircase, zoned
+from played import ORDERS, SHORT, STAIRS, WITHOUT_RULE, ZONED, Gate, classifier, network, staircase, zoned
 
 from cyclekit.config.sequences import TaskSequence, load_sequences
 from cyclekit.dataset.cards import DynamicsCard
@@ -30,20 +30,15 @@ SLOW_NETWORK = structs.replace(SLOW, hysteresis_m=0.2)
 CELLS = {
     "staircase": (staircase(), DynamicsCard(), STAIRS),
     "zones": (zoned(), SLOW, ZONED),
-    "network": (Network(), SLOW_NETWORK, {"ramp": STAIRS["ramp"]}),
-    "classifier": (Steps(), DynamicsCard(), {"ramp": STAIRS["ramp"]}),
-    "classifier with hysteresis": (Steps(), SLOW_NETWORK, {"ramp": STAIRS["ramp"]}),
+    "network": (network(), SLOW_NETWORK, {"ramp": STAIRS["ramp"]}),
+    "classifier": (classifier(), DynamicsCard(), {"ramp": STAIRS["ramp"]}),
+    "classifier with hysteresis": (classifier(), SLOW_NETWORK, {"ramp": STAIRS["ramp"]}),
     "signals in tables": (Gate(), SLOW, WITHOUT_RULE),
 }
 
 
-WITHIN = {
-    "network": (1e-2, 4e-3),
-    "classifier": (1e-2, 2e-3),
-    "classifier with hysteresis": (3e-2, 2e-2, 5e-3),
-    "signals in tables": (4e-2, 2e-2),
-}
-"""Largest errors of single cycles, of quantiles and of means: a step more or less at an edge, and the ramp after it."""
+WITHIN = {"signals in tables": (4e-2, 2e-2)}
+"""Largest error of single cycles and quantiles, if not 0.2 %: a step more or less at an edge, and the ramp after it."""
 
 
 @pytest.fixture(scope="module", params=list(CELLS))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from importlib.resources import files
 from itertools import pairwise
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 from known_cells import logged
 from msgspec import structs
-from played import STAIRS, Network, staircase
+from played import STAIRS, network, staircase
 
 from cyclekit import TaskSequence, estimate_cycles, train_task_times, what_if, write_report
 from cyclekit.config.sequences import PlannedTask, load_sequences
@@ -91,7 +92,7 @@ CHANGES = {
 }
 CELLS = {
     "staircase": (staircase, DynamicsCard(), list(CHANGES)),
-    "network": (Network, DynamicsCard(latency_s=0.2, ramp_up_per_s=0.5, hysteresis_m=0.2), ["faster", "ramp"]),
+    "network": (network, DynamicsCard(latency_s=0.2, ramp_up_per_s=0.5, hysteresis_m=0.2), ["faster", "ramp"]),
 }
 
 
@@ -101,10 +102,7 @@ def cell(request, logged, tmp_path_factory):
     make, dynamics, changes = CELLS[request.param]
     model, data = make(), Dataset.open(logged.path)
     card = TrainingCard(coupling=CARD)
-    if request.param == "network":
-        model.card = card
-    else:
-        model = type(model)(model.rule, card)
+    model = replace(model, card=card)
     data.card = structs.replace(data.card, dynamics=dynamics)
     asked = {"other_cell": True, "extrapolate": True}
     given = {each.name: each for each in estimate(model, data, ORDERS, takt_s=TAKT_S, **asked)}

@@ -11,10 +11,15 @@ from ruled import box, near, ruled
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.estimate.whatif.change import Change, LimitChange
+from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.learning.networks.weights import Weights
 from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Singles
 
 SHORT = ("left_2", "right_3", "left_4")
 LONG = ("right_1", "left_1", "right_2", "left_2", "left_5", "right_5")
@@ -43,33 +48,25 @@ def zoned() -> RuleSafety:
     )
 
 
-class Network:
-    """Has of a network what a rollout asks: speed rises with the distance."""
-
-    problem, network = "now", "regressor"
-
-    def __init__(self) -> None:
-        self.card = TrainingCard()
-
-    def predict(self, positions: np.ndarray) -> np.ndarray:
-        apart_m = np.linalg.norm(positions[:, :3].astype(float) - positions[:, 3:], axis=1)
-        return np.clip((apart_m - 0.9) / 1.6, 0.1, 1.0)
+def network() -> TrainedModel:
+    """Return a regressor by which speed rises with the distance: 10 % up to 1.06 m, 100 % from 2.5 m on."""
+    slope, begin_m = 1.0 / 1.6, 0.9
+    rising = of_distance([slope, slope], [-begin_m * slope - 0.1, -begin_m * slope - 1.0])
+    last = (np.array([[1.0], [-1.0]], np.float32), np.array([0.1], np.float32))
+    return TrainedModel("now", "regressor", 0.0, (), Weights((rising, last), distance=9.0))
 
 
-class Steps(Network):
-    """Has of a classifier what a rollout asks: the paper's staircase, each step a few centimetres wide."""
+def classifier() -> TrainedModel:
+    """Return a classifier with the paper's staircase, each step a few centimetres wide."""
+    levels, thresholds_m, width_m = (0.0, 0.25, 0.5, 0.75, 1.0), [0.0, 1.2, 1.5, 1.9, 2.4], 0.01
+    logits = of_distance(np.arange(5) / width_m, -np.cumsum(thresholds_m) / width_m)
+    return TrainedModel("now", "classifier", 0.0, levels, Weights((logits,), softmax_after=0, distance=9.0))
 
-    network, levels = "classifier", (0.0, 0.25, 0.5, 0.75, 1.0)
-    thresholds_m, width_m = np.array([1.2, 1.5, 1.9, 2.4]), 0.01
 
-    def probabilities(self, positions: np.ndarray) -> np.ndarray:
-        apart_m = np.linalg.norm(positions[:, :3].astype(float) - positions[:, 3:], axis=1)
-        beyond = 1.0 / (1.0 + np.exp(np.clip((self.thresholds_m - apart_m[:, None]) / self.width_m, -50.0, 50.0)))
-        ends = np.ones((len(beyond), 1))
-        return -np.diff(np.hstack([ends, beyond, 0.0 * ends]), axis=1)
-
-    def predict(self, positions: np.ndarray) -> np.ndarray:
-        return self.probabilities(positions) @ np.array(self.levels)
+def of_distance(weight: ArrayLike, bias: ArrayLike) -> tuple[Singles, Singles]:
+    """Return a first layer that uses the distance alone, the last of seven inputs."""
+    found = np.array(weight, np.float32)
+    return np.vstack([np.zeros((6, found.size), np.float32), found]), np.array(bias, np.float32)
 
 
 class Gate:

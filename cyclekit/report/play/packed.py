@@ -14,25 +14,25 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-UNKNOWN, MAX_COORDINATE = -(2**15), 2**15 - 1
+UNKNOWN, MAX_COORDINATE = -(2**31), 2**31 - 1
 """Code of an unknown coordinate; largest coordinate."""
-FINEST = 10_000.0
+FINEST = 1_000_000.0
 """Maximum resolution, units per metre."""
 
 
 def units_per_metre(*xyz_m: NDArray[np.floating[Any]]) -> float:
-    """Return the resolution of coordinates in 16 bits, units per metre; the same for all."""
+    """Return the resolution of coordinates in 32 bits, units per metre; the same for all."""
     farthest = max(float(np.nanmax(np.abs(some), initial=1.0)) for some in xyz_m)
     return min(FINEST, float(np.floor(MAX_COORDINATE / farthest)))
 
 
-def in_units(xyz_m: NDArray[np.floating[Any]], per_metre: float) -> NDArray[np.int16]:
+def in_units(xyz_m: NDArray[np.floating[Any]], per_metre: float) -> NDArray[np.int32]:
     """Return coordinates in units; unknown ones are UNKNOWN."""
     found = np.round(xyz_m * per_metre)
-    return np.where(np.isnan(found), UNKNOWN, found).astype(np.int16)
+    return np.where(np.isnan(found), UNKNOWN, found).astype(np.int32)
 
 
-def in_steps(values: NDArray[np.int16]) -> NDArray[np.int16]:
+def in_steps(values: NDArray[np.int32]) -> NDArray[np.int32]:
     """Return the differences along axis -2 instead of the values: they are small, so they compress well."""
     return np.diff(values, axis=-2, prepend=np.zeros_like(values[..., :1, :]))  # it wraps, and so does the script
 

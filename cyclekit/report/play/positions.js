@@ -1,6 +1,6 @@
 // ---- where robot and operator are, and the safety function: `RuleSafety.predict` with the limits that were moved
 
-const UNKNOWN = -32768;
+const UNKNOWN = -2147483648;
 const NOBODY = 65535;
 
 const TO_TCP = "distance TCP to operator";

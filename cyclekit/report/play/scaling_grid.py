@@ -1,23 +1,21 @@
-"""The scaling of a network on a grid that the script interpolates: points of the motions by operator positions.
+"""A network for the script: its weights, and a table of the positions where it is certain.
 
-A classifier's scaling is nearly a step, which no coarse grid can locate. So the table holds the log-odds of its levels,
-which are smooth across the step, and the script turns interpolated log-odds into the scaling.
+The script evaluates the network near the edges of its levels, where single cycles are decided: no table that fits into
+a page is fine enough there. Elsewhere the table saves the evaluation.
 """
 
 from __future__ import annotations
 
-import zlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.dataset.unknown_height import in_plane
+from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.safety import SURE, Classifier, Follower, OnStates, around, scaling_of
-from cyclekit.estimate.walk import FINE_STEP_S
+from cyclekit.estimate.safety import SURE, scaling_of
 from cyclekit.learning.networks.kinds import is_classifier
-from cyclekit.learning.networks.trees import Trees
-from cyclekit.learning.rules.safety import RuleSafety
+from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.learning.networks.weights import Weights
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,14 +23,16 @@ if TYPE_CHECKING:
     from cyclekit.estimate.safety import Dynamics, SafetyModel
     from cyclekit.schema import Floats, Ints
 
-FEW_ENTRIES, FEW_BYTES = 7_000_000, 1_300_000
-"""Maximum number of entries of a grid, and of its bytes when compressed: else the next coarser one is taken."""
-EDGES_M, HEIGHT_M = (0.04, 0.05, 0.07, 0.1, 0.14), 0.24
+FEW_ENTRIES = 2_500_000
+"""Maximum number of entries of the table, each an evaluation of the network: else the next coarser one is taken."""
+EDGES_M, HEIGHT_M = (0.04, 0.05, 0.07, 0.1, 0.14, 0.2), 0.24
 """Distances between nodes on the floor that are tried, and distance between heights of nodes."""
-CERTAIN = 16.0
-"""Maximum size of the log-odds in the table: larger ones are cut off."""
-STEPS = 100
-"""Number of steps into which the range of the table's values is divided."""
+ASK = 255
+"""Entry of the table where the network is to be evaluated."""
+CERTAIN = 0.999
+"""Minimum probability of a level that the table holds in place of the network's answer."""
+ENDS = 0.0, 1.0
+"""Values of a network without levels that the table holds: where it is cut off, it is the same all around."""
 PARTS = 8
 """Number of positions between two samples of an operator at which his cell is looked up."""
 JUMP_M = 1.0
@@ -41,65 +41,76 @@ FLAT = -1000
 """Height of the nodes for operators of unknown height, in place of a multiple of HEIGHT_M."""
 
 
-def smooth(model: SafetyModel) -> bool:
-    """Return whether a model's scaling can be interpolated: a network's can; rules and trees have steps."""
-    if isinstance(model, (OnStates, RuleSafety)):
-        return False
-    return not isinstance(getattr(model, "weights", None), Trees)
-
-
 def scaling_grid(
     model: SafetyModel, dynamics: Dynamics, paths: list[Floats], people_m: Floats, arrays: dict[str, NDArray[Any]]
 ) -> dict[str, object]:
-    """Put the table, its nodes and its values into `arrays`; return facts of the rule.
+    """Put the network, the table and its nodes into `arrays`; return facts of the rule.
 
     Args:
         model: The network.
-        dynamics: How s follows it: with hysteresis there are two tables.
-        paths: Points of each task (points, 3).
+        dynamics: How s follows it.
+        paths: Points of each task at the rows of the table (points, 3).
         people_m: Positions of the operators, one after the other in time, shape (N, 3).
         arrays: Of the page.
 
     Raises:
-        EstimateError: The table would be too large.
+        EstimateError: It is no network of feed-forward layers, or the table would be too large.
     """
-    book = _book(model)
+    if not isinstance(model, TrainedModel) or not isinstance(model.weights, Weights) or model.weights.recurrent:
+        raise EstimateError("the model is neither a rule nor a network of the present positions")
     for edge_m in EDGES_M:
         nodes = grid_nodes(people_m, edge_m)
-        if sum(len(path) for path in paths) * len(nodes) * max(len(book) - 1, 1) > FEW_ENTRIES:
-            continue
-        found = _tables(model, dynamics, paths, _positions(nodes, edge_m, people_m))
-        size = sum(len(zlib.compress(table.tobytes(), 1)) for table in found.values())
-        if size <= FEW_BYTES:
+        if sum(len(path) for path in paths) * len(nodes) <= FEW_ENTRIES:
             break
     else:
         raise EstimateError("the operator's positions and the robot's motions are too many for a table of the scaling")
-    arrays |= found
-    arrays["nodes"] = nodes.astype(np.int16)
+    table = _table(model, paths, _positions(nodes, edge_m, people_m))
+    arrays |= {"scaling": table, "nodes": nodes.astype(np.int16), "weights": _flat(model.weights)}
     without = model.card.scaling_without_operator
     heights = nodes[:, 2][nodes[:, 2] != FLAT]
     return {
-        "grid": {"edge_m": edge_m, "height_m": HEIGHT_M, "layers": len(np.unique(heights)), "steps": STEPS},
-        "book": book,
-        "certain": CERTAIN,
+        "grid": {"edge_m": edge_m, "height_m": HEIGHT_M, "layers": len(np.unique(heights)), "ask": ASK},
+        "rows": [len(path) for path in paths],
+        "network": {
+            "widths": [model.weights.layers[0][0].shape[0], *(bias.size for _, bias in model.weights.layers)],
+            "softmax_after": model.weights.softmax_after,
+            "known": len(model.weights.known),
+            "distance": model.weights.distance is not None,
+        },
+        "classifies": is_classifier(model.network),
+        "book": list(model.levels) if is_classifier(model.network) else list(ENDS),
+        "sure": SURE,
         "lags": bool(dynamics.hysteresis_m),
+        "margin_m": dynamics.hysteresis_m or 0.0,
         "alone": 1.0 if without is None else without,
-        "fastest": max(book, default=1.0),
+        "fastest": max(model.levels, default=1.0),
         "moves": [],
         "fixed": "fixed_table",
     }
 
 
-def _tables(model: SafetyModel, dynamics: Dynamics, paths: list[Floats], where: Floats) -> dict[str, NDArray[np.uint8]]:
-    """Return each table (tables of log-odds or one of s, points, nodes), as steps from point to point."""
-    found: dict[str, list[NDArray[np.uint8]]] = {}
+def _flat(weights: Weights) -> NDArray[np.float32]:
+    """Return weight (inputs, outputs) and bias of each layer, one after the other."""
+    return np.concatenate([part.ravel() for layer in weights.layers for part in layer]).astype(np.float32)
+
+
+def _table(model: TrainedModel, paths: list[Floats], where: Floats) -> NDArray[np.uint8]:
+    """Return the table (points, nodes): the number of a value of the book, ASK where none is certain."""
+    found = []
     for path in paths:
         robot_m, human_m = np.repeat(path, len(where), axis=0), np.tile(where, (len(path), 1))
-        for name, values in _values(model, dynamics, robot_m, human_m).items():
-            steps = np.round(values * STEPS).astype(np.uint8)
-            found.setdefault(name, []).append(steps.reshape(len(path), len(where), -1).transpose(2, 0, 1))
-    joined = {name: np.concatenate(parts, axis=1) for name, parts in found.items()}
-    return {name: np.array([stepwise(table) for table in tables]) for name, tables in joined.items()}
+        found.append(_entries(model, robot_m, human_m).reshape(len(path), len(where)))
+    return stepwise(np.concatenate(found))
+
+
+def _entries(model: TrainedModel, robot_m: Floats, human_m: Floats) -> NDArray[np.uint8]:
+    if is_classifier(model.network):
+        chance = model.probabilities(inputs_in_plane(np.column_stack([robot_m, human_m]).astype(np.float32)))
+        number, sure = chance.argmax(axis=1), chance.max(axis=1) >= CERTAIN
+    else:
+        scaling = scaling_of(model, robot_m, human_m)
+        number, sure = np.round(scaling), np.isin(scaling, ENDS)
+    return np.where(sure, number, ASK).astype(np.uint8)
 
 
 def grid_nodes(people_m: Floats, edge_m: float) -> Ints:
@@ -138,45 +149,6 @@ def _positions(nodes: Ints, edge_m: float, people_m: Floats) -> Floats:
         found[known, 2] = np.nanmean(people_m[:, 2])
     found[~known, 2] = np.nan
     return found
-
-
-def _book(model: SafetyModel) -> list[float]:
-    """Return the levels of a classifier, ascending; of other networks nothing."""
-    return list(model.levels) if isinstance(model, Classifier) and is_classifier(model.network) else []
-
-
-def _values(model: SafetyModel, dynamics: Dynamics, robot_m: Floats, human_m: Floats) -> dict[str, Floats]:
-    """Return what the tables hold for pairs of positions, 0 to 1: s (N, 1); of a classifier log-odds (N, P - 1).
-
-    With hysteresis, `scaling` is the value down to which s must fall, and `rising` that up to which it may rise.
-    """
-    if not isinstance(model, Classifier) or not is_classifier(model.network):
-        if not dynamics.hysteresis_m:
-            return {"scaling": scaling_of(model, robot_m, human_m)[:, None]}
-        rising, falling = Follower(model, dynamics, FINE_STEP_S).bounds(robot_m, human_m)
-        return {"scaling": np.maximum(falling, rising)[:, None], "rising": rising[:, None]}
-    human_m = in_plane(robot_m, human_m)
-    log_odds, sure = _log_odds(model, robot_m, human_m)
-    if not dynamics.hysteresis_m:
-        return {"scaling": log_odds}
-    falling, rising, near = log_odds.copy(), log_odds.copy(), np.flatnonzero(~sure)
-    for moved_m in around(robot_m[near], human_m[near], dynamics.hysteresis_m / 2):
-        moved, _ = _log_odds(model, robot_m[near], moved_m)
-        falling[near], rising[near] = np.maximum(falling[near], moved), np.minimum(rising[near], moved)
-    return {"scaling": falling, "rising": rising}
-
-
-def _log_odds(model: Classifier, robot_m: Floats, human_m: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the log-odds that s is above each level but the last (N, P - 1), and whether one level is sure (N,).
-
-    The log-odds are cut off at CERTAIN, and scaled so that 0 is certainly not and 1 certainly.
-    """
-    found = model.probabilities(np.column_stack([robot_m, human_m]).astype(np.float32))
-    least = np.finfo(np.float64).tiny
-    above = np.cumsum(found[:, ::-1], axis=1)[:, ::-1][:, 1:]
-    below = np.cumsum(found, axis=1)[:, :-1]
-    log_odds = np.log(np.maximum(above, least)) - np.log(np.maximum(below, least))
-    return (np.clip(log_odds / CERTAIN, -1.0, 1.0) + 1.0) / 2.0, found.max(axis=1) >= SURE
 
 
 def stepwise(table: NDArray[np.uint8]) -> NDArray[np.uint8]:

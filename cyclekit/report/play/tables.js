@@ -11,7 +11,7 @@ const NOTHING = 1e-9;
 // ---- the tables
 
 const TYPES = {
-  uint8: Uint8Array, uint16: Uint16Array, int16: Int16Array, float32: Float32Array,
+  uint8: Uint8Array, uint16: Uint16Array, int16: Int16Array, int32: Int32Array, float32: Float32Array,
 };
 // of the sequences that are played now: all those of one kind share them
 let facts = told.parts[0].facts;

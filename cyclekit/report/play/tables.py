@@ -26,7 +26,7 @@ from cyclekit.learning.rules.distances import TO_LINK
 from cyclekit.learning.rules.quantities import RulePlace, quantities
 from cyclekit.learning.rules.safety import RuleSafety, distances_of
 from cyclekit.report.play.packed import in_steps, in_units, units_per_metre
-from cyclekit.report.play.scaling_grid import scaling_grid, smooth
+from cyclekit.report.play.scaling_grid import scaling_grid
 from cyclekit.report.play.scaling_table import scaling_table, thinned
 
 if TYPE_CHECKING:
@@ -124,13 +124,15 @@ def scaling_source(
     """
     if isinstance(model, RuleSafety) and TO_LINK not in distances_of(model.rule):
         return _positions(dataset, legs, tracks, arrays) | {"rule": _rule(model)}, legs
-    legs = legs if isinstance(model, OnStates) else thinned(legs)
     dynamics = Dynamics.of(dataset.card.dynamics, model)
-    paths = [leg.xyz_m for leg in legs.values()]
-    if smooth(model):
-        positions = _positions(dataset, legs, tracks, arrays, spots=False)
-        return positions | {"rule": scaling_grid(model, dynamics, paths, tracks.xyz_m.reshape(-1, 3), arrays)}, legs
-    return {"rule": scaling_table(model, dynamics, dataset, paths, tracks, arrays)}, legs
+    if isinstance(model, (OnStates, RuleSafety)):
+        legs = legs if isinstance(model, OnStates) else thinned(legs)
+        return {
+            "rule": scaling_table(model, dynamics, dataset, [leg.xyz_m for leg in legs.values()], tracks, arrays)
+        }, legs
+    positions = _positions(dataset, legs, tracks, arrays, spots=False)
+    rows = [leg.xyz_m for leg in thinned(legs).values()]
+    return positions | {"rule": scaling_grid(model, dynamics, rows, tracks.xyz_m.reshape(-1, 3), arrays)}, legs
 
 
 def _positions(

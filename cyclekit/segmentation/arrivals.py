@@ -9,6 +9,8 @@ it arrived, is handled too. Only if the stop is closer than the noise, the resul
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -53,6 +55,7 @@ class PlaceStandstill(NamedTuple):
         arrived_earliest_s, arrived_s: Bounds of the arrival; they differ if the safety system stopped the robot there.
         departed_earliest_s, left_s: Bounds of the departure, likewise.
         changes: Time of the last change of each logged signal that changed during the standstill.
+        pauses: Times from and to which the program was paused or stopped, ascending.
     """
 
     arrived_earliest_s: float
@@ -60,6 +63,7 @@ class PlaceStandstill(NamedTuple):
     departed_earliest_s: float
     left_s: float
     changes: tuple[tuple[str, float], ...] = ()
+    pauses: tuple[tuple[float, float], ...] = ()
 
     @property
     def halted(self) -> bool:
@@ -79,10 +83,21 @@ class PlaceStandstill(NamedTuple):
             ready_s: End of the process, if a signal gives it.
         """
         if self.left_s > self.departed_earliest_s:
-            over_s = self.arrived_earliest_s + usual_s if ready_s is None else ready_s
+            over_s = self.after(self.arrived_earliest_s, usual_s) if ready_s is None else ready_s
             return self.arrived_earliest_s, min(max(over_s, self.departed_earliest_s), self.left_s)
         over_s = self.left_s if ready_s is None else min(ready_s, self.left_s)
-        return min(max(over_s - usual_s, self.arrived_earliest_s), self.arrived_s), self.left_s
+        begun_s = over_s - usual_s
+        for first_s, last_s in reversed(self.pauses):
+            begun_s -= max(0.0, min(last_s, over_s) - first_s) if begun_s < last_s else 0.0
+        return min(max(begun_s, self.arrived_earliest_s), self.arrived_s), self.left_s
+
+    def after(self, start_s: float, lasts_s: float) -> float:
+        """Return the end of a part of the process that began at `start_s` and takes `lasts_s` without pauses, s."""
+        end_s = start_s + lasts_s
+        for first_s, last_s in self.pauses:
+            if start_s < last_s and first_s < end_s:
+                end_s += last_s - max(first_s, start_s)
+        return end_s
 
 
 PlaceStandstills = dict[tuple[int, int, int], PlaceStandstill]
@@ -116,13 +131,31 @@ def standstill_at(run: Run, visit: Visit, place_m: Vector) -> PlaceStandstill:
     head = run.window(before, min(last, first + _LONG_ROWS // 2))
     tail = run.window(max(first, last - _LONG_ROWS // 2), min(after + 1, run.rows - 1))
     vague_s = INFERRED_S if run.is_inferred else VAGUE_S
+    pauses = pauses_within(run, before, after)
+    if not run.is_inferred:  # a paused robot is not allowed to move; inferred, a pause hides any stop beside it
+        head, tail = _halted_in(pauses, head), _halted_in(pauses, tail)
     back = RobotRun(-head.t_s[::-1], head.xyz_m[::-1], head.speed_m_s[::-1], head.scaling[::-1])
     arrived, stopped = _left(back, head.rows - 1 - (first - before), place_m, vague_s)
     free, left = _left(tail, last - max(first, last - _LONG_ROWS // 2), place_m, vague_s)
     stopped, left = -stopped, max(left, -stopped)
     changes = ((name, _last(when, stopped, left)) for name, when in run.changes.items())
     told = tuple((name, at_s) for name, at_s in changes if at_s is not None)
-    return PlaceStandstill(stopped, min(-arrived, left), max(free, stopped), left, told)
+    return PlaceStandstill(stopped, min(-arrived, left), max(free, stopped), left, told, pauses)
+
+
+def pauses_within(run: Run, first: int, last: int) -> tuple[tuple[float, float], ...]:
+    """Return the times from and to which the program was paused or stopped in rows `first` to `last`, ascending, s."""
+    begin = bisect_left(run.halts, first, key=lambda halt: halt.last)
+    end = bisect_right(run.halts, last, key=lambda halt: halt.first)
+    return tuple((run.time_at(halt.first), run.time_at(halt.last) + run.period_s) for halt in run.halts[begin:end])
+
+
+def _halted_in(pauses: Sequence[tuple[float, float]], part: RobotRun) -> RobotRun:
+    """Return rows with a scaling of 0 in pauses."""
+    scaling = part.scaling.copy()
+    for first_s, last_s in pauses:
+        scaling[(part.t_s >= first_s) & (part.t_s < last_s - 1e-9)] = 0.0
+    return replace(part, scaling=scaling)
 
 
 def _last(when: Vector, first_s: float, last_s: float) -> float | None:

@@ -49,14 +49,15 @@ class Dwell(NamedTuple):
         """Return the time at which the robot was ready to leave; None without a signal."""
         if self.end_signal is None or (changed := dict(standstill.changes).get(self.end_signal.signal)) is None:
             return None
-        return changed + self.end_signal.after_s
+        return standstill.after(changed, self.end_signal.after_s)
 
     def excess_from_s(self, standstill: PlaceStandstill) -> float | None:
         """Return the time from which a standstill exceeds its process; None if it does not."""
         ready = self.ready_s(standstill)
         if ready is not None and self.end_signal is not None:
             return ready if standstill.left_s - ready > self.end_signal.max_s - self.end_signal.after_s else None
-        return standstill.arrived_s + self.usual_s if standstill.lasts_s > self.max_s else None
+        longest_s = standstill.after(standstill.arrived_earliest_s, self.max_s)
+        return standstill.after(standstill.arrived_s, self.usual_s) if standstill.left_s > longest_s else None
 
 
 def usual_dwells(executions: Sequence[Execution], standstills: PlaceStandstills) -> dict[str, Dwell]:

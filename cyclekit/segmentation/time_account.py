@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.segmentation.arrivals import BLOCKED, PlaceStandstills, fill_nearest
+from cyclekit.segmentation.arrivals import BLOCKED, PlaceStandstills, fill_nearest, pauses_within
 from cyclekit.segmentation.dwell import Dwell
 from cyclekit.segmentation.motion import moving_slider
 
@@ -100,7 +100,7 @@ def time_account(
 
 def paused_time(run: Run, start_s: float, end_s: float) -> float:
     """Return the time within `start_s` to `end_s` in which the program was paused or stopped, s."""
-    spans = ((run.time_at(halt.first), run.time_at(halt.last) + run.period_s) for halt in run.halts)
+    spans = pauses_within(run, *run.row_at(np.array([start_s, end_s])).tolist())
     return sum(max(0.0, min(last, end_s) - max(first, start_s)) for first, last in spans)
 
 

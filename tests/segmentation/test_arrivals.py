@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cyclekit.segmentation.arrivals import PlaceStandstill, standstill_at
 from cyclekit.segmentation.executions import Visit
-from cyclekit.segmentation.motion import RobotRun
+from cyclekit.segmentation.motion import PAUSED, ProgramStop, RobotRun
 
 JERK, TOP_S = 20.0, 0.4  # m/s^3; then it goes on at the speed that it has
 NOISE_M = 8e-6
@@ -80,6 +82,24 @@ def test_in_a_halt_it_arrived_so_long_before_it_left_as_the_process_takes():
     assert standstill.times(1.5) == (5.5, 7.0)
     assert standstill.times(0.1) == (6.0, 7.0)
     assert standstill.times(9.0) == (2.0, 7.0)
+
+
+def test_a_robot_stopped_and_then_paused_as_it_leaves_left_at_the_stop():
+    log, visit = run(lambda t: 0.0 if 4.8 < t < 9.0 else 1.0, known=lambda t: not 6.0 < t < 9.0)
+    pause = ProgramStop(*log.row_at(np.array([6.0, 9.0])).tolist(), PAUSED)
+    standstill = standstill_at(replace(log, halts=(pause,)), visit, np.array([1.0, 0.0, 0.0]))
+    assert (standstill.departed_earliest_s, standstill.left_s) == pytest.approx((4.8, 9.0), abs=0.03)
+    assert standstill.pauses == (pytest.approx((6.0, 9.0), abs=0.02),)
+    assert standstill.times(1.9) == pytest.approx((ARRIVES, ARRIVES + 1.9), abs=0.03)
+
+
+def test_a_pause_prolongs_the_process_that_it_interrupts():
+    standstill = PlaceStandstill(2.0, 2.0, 3.0, 12.0, pauses=((2.4, 6.4), (11.0, 12.0)))
+    assert standstill.after(2.0, 0.3) == pytest.approx(2.3)
+    assert standstill.after(2.0, 0.5) == pytest.approx(6.5)
+    assert standstill.times(0.5) == pytest.approx((2.0, 6.5))
+    stopped = PlaceStandstill(2.0, 9.0, 10.0, 10.0, pauses=((9.2, 9.8),))
+    assert stopped.times(1.5) == pytest.approx((7.9, 10.0))
 
 
 @pytest.mark.parametrize("rate", [50, 125, 500])

@@ -153,3 +153,12 @@ def test_a_stand_is_overdue_since_the_process_was_over_however_long_it_waited_be
         assert (dwell.excess_from_s(standstill._replace(changes=())) is not None) == (waits_s + held_s > 0.05)
     arrived, departed = standstill.times(usual_s, dwell.ready_s(standstill))
     assert (arrived, departed) == (standstill.arrived_s, standstill.left_s)
+
+
+@pytest.mark.parametrize("signals", [(), (("grip", 10.2),)])
+def test_a_standstill_is_not_overdue_while_its_process_is_paused(signals):
+    dwell = Dwell(0.5, 0.55, EndSignal("grip", 0.3, 0.35))
+    standstill = PlaceStandstill(10.0, 10.0, 14.5, 14.5, signals, ((10.4, 14.4),))
+    assert dwell.excess_from_s(standstill) is None
+    assert dwell.excess_from_s(standstill._replace(left_s=15.0)) == pytest.approx(14.5)
+    assert dwell.excess_from_s(standstill._replace(pauses=())) == pytest.approx(10.5)

@@ -91,7 +91,7 @@ def sessions_of(
         rngs = [np.random.default_rng([seed, k, number]) for k in range(count)]
         programs = [lay_out(known_order(rng, nominal), nominal, dataset) for rng in rngs]
         stands = [
-            np.array([[rng.choice(task.standstill_s) for task in program.tasks]])
+            np.array([[max(rng.choice(task.standstill_s), 1e-3) for task in program.tasks]])
             for rng, program in zip(rngs, programs, strict=True)
         ]
         first = np.rint(now_s / STEP_S).astype(int)

@@ -180,7 +180,7 @@ def _commands_within(
         next_one = np.searchsorted(levels, np.minimum.accumulate(values) + near, side="right") - 1
     next_one = next_one.clip(0, top)
     if ramp.before is not None:  # the scaling may still be near the level that it left
-        first = ramp.before + (1 if ramp.rises else -1)
+        first = min(ramp.before + 1, top) if ramp.rises else max(ramp.before - 1, 0)
         next_one = np.maximum(next_one, first) if ramp.rises else np.minimum(next_one, first)
     if ramp.after is not None:
         next_one = np.minimum(next_one, ramp.after) if ramp.rises else np.maximum(next_one, ramp.after)

@@ -244,5 +244,6 @@ def begin_of(ramp: Transition, t_s: Vector, scaling: Vector, levels: Vector, rat
     rows = slice(ramp.first, ramp.last + 1)
     gone = np.abs(scaling[rows] - levels[ramp.before])
     next_one = ramp.before + (1 if ramp.rises else -1)  # the command may have paused at this level
-    soon = gone < max(abs(levels[next_one] - levels[ramp.before]) - ON_LEVEL, float(gone[0]) + 1e-9)
+    step = abs(levels[next_one] - levels[ramp.before]) if 0 <= next_one < len(levels) else 0.0  # beyond all levels
+    soon = gone < max(step - ON_LEVEL, float(gone[0]) + 1e-9)
     return float(np.median(t_s[rows][soon] - gone[soon] / rate))

@@ -117,3 +117,11 @@ def test_while_a_level_may_only_be_held_the_command_is_unknown() -> None:
     known = found.level >= 0
     assert (found.level[known] == steps[known]).all()
     assert np.flatnonzero(~known).tolist() == [*range(110, 120), *range(140, 150)]
+
+
+def test_a_scaling_beyond_the_highest_level_is_at_most_that_level() -> None:
+    t_s = np.arange(0.0, 12.0, 0.1)
+    scaling = np.interp(t_s, [0.0, 4.0, 4.3, 6.0, 6.3, 9.0], [0.8, 0.8, 1.0, 1.0, 0.8, 0.8])
+    found = commanded_levels(t_s, scaling, (0.0, 0.4, 0.8), response(None, 1.0, 1.0))
+    assert found.level.max() == 2
+    assert found.level[:35].tolist() == [2] * 35

@@ -32,6 +32,10 @@ ANSWER_S, ANSWERS, RARE = 0.5, 0.9, 0.3
 """An input answers an output (a gripper reports that it is closed) if at least this share (second value) of its changes
 follow a change of the output within this time, s (first), and these times cover at most this share of the log
 (third)."""
+WITHIN, MIN_VISITS = 0.95, 10
+"""Minimum share of the visits to a place in which a signal is cleared and then set; fewer visits tell nothing."""
+COPY_S = 0.15
+"""Maximum time, s, between a change of the robot's input or output and that of its copy in a PLC's log."""
 _STATES = (("set", "1"), ("cleared", "0"))
 
 
@@ -102,11 +106,16 @@ def courses_of(
     sessions = {card.session for card in cards.values()}
     by_session = {session: _signals(recordings, session, read) for session in sessions}
     logged = {one.id: bits(one) for one in recordings if one.session in sessions and one.rows.get("robot")}
+    copied = copies(recordings, by_session, logged, (OUTPUT,) if people else (OUTPUT, INPUT))
+    by_session = {
+        session: {key: at for key, at in some.items() if key[0] not in copied} for session, some in by_session.items()
+    }
     answers = _answers(list(logged.values()))
     inputs = {session: _inputs(recordings, session, logged, answers) for session in sessions}
     states = {} if people else {session: _states(recordings, session, logged) for session in sessions}
     known = {name for some in (*inputs.values(), *by_session.values()) for name, state in some if state == "set"}
-    found = []
+    found: list[ExecutionVisits] = []
+    logged_states: dict[str, Mapping[tuple[str, str], Vector]] = {}
     for (name,), rows in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
         card = cards[str(name)]
         robot = _of_robot(rows.filter(pl.col("agent") == "robot"))
@@ -119,37 +128,70 @@ def courses_of(
         if not people:
             every = {key: at for key, at in every.items() if key[0] not in fields}
             changes = {key: at for key, at in changes.items() if key in every}
-            changes = _with_states(changes, every | states[card.session], card.start_s, known - set(fields))
+            logged_states[card.execution] = every | states[card.session]
         events = {Event("signal", *key): at for key, at in changes.items()}
         visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
         found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events))
     if not people:
-        return found
+        waited = known - set(fields) - _within_visits(found, logged_states)
+        begins = {card.execution: card.start_s for card in executions}
+        return [_with_states(one, logged_states[one.name], begins[one.name], waited) for one in found]
     doubtful = {key for some in inputs.values() for key in some} - {key for some in by_session.values() for key in some}
     return _with_givers(found, {Event("signal", *key) for key in doubtful})
 
 
 def _with_states(
-    changes: Mapping[tuple[str, str], Vector],
-    every: Mapping[tuple[str, str], Vector],
-    start_s: float,
-    known: Collection[str],
-) -> dict[tuple[str, str], Vector]:
-    """Return the changes in an execution; a part or a release that is there when it begins has come before.
+    course: ExecutionVisits, every: Mapping[tuple[str, str], Vector], start_s: float, known: Collection[str]
+) -> ExecutionVisits:
+    """Return an execution; a part or a release that is there when it begins has come before.
 
     Args:
-        changes: Changes in the execution.
+        course: The execution.
         every: Changes in its session, also those that answer an output.
         start_s: Start of the execution, s.
-        known: Signals that are set in some execution.
+        known: Signals that are set in some execution, and not within visits.
     """
-    found = dict(changes)
+    events = dict(course.events)
     for name in known:
         on, off = (every.get((name, state), np.empty(0)) for state in ("set", "cleared"))
         last = [float(at[at < start_s].max(initial=-np.inf)) for at in (on, off)]
         if last[0] > last[1]:
-            found[name, "set"] = np.concatenate([[last[0]], changes.get((name, "set"), np.empty(0))])
-    return found
+            key = Event("signal", name, "set")
+            events[key] = np.concatenate([[last[0]], events.get(key, np.empty(0))])
+    return replace(course, events=events)
+
+
+def _within_visits(
+    courses: Sequence[ExecutionVisits], logged: Mapping[str, Mapping[tuple[str, str], Vector]]
+) -> set[str]:
+    """Return the signals that are cleared, then set, in nearly all of the robot's visits to some place.
+
+    A machine closes its door when it was given a part, and opens it when it is done: the robot waits for that, not for
+    a door that is open when the execution begins.
+
+    Args:
+        courses: The executions.
+        logged: Changes in the session of each execution, by its name, also those that answer an output.
+    """
+    names = {key.place for course in courses for key in course.events if key.agent == "signal" and key.event == "set"}
+    places = {visit.place for course in courses for visit in course.visits["robot"]}
+    return {name for name in names if any(_is_within(courses, logged, name, place) for place in places)}
+
+
+def _is_within(
+    courses: Sequence[ExecutionVisits],
+    logged: Mapping[str, Mapping[tuple[str, str], Vector]],
+    name: str,
+    place: str,
+) -> bool:
+    within = []
+    for course in courses:
+        off, on = (logged[course.name].get((name, state), np.empty(0)) for state in ("cleared", "set"))
+        for visit in course.visits["robot"][1:-1]:
+            if visit.place == place:
+                cleared = off[(off >= visit.arrived_s) & (off <= visit.left_s)]
+                within.append(len(cleared) > 0 and bool(((on > cleared[0]) & (on <= visit.left_s)).any()))
+    return len(within) >= MIN_VISITS and float(np.mean(within)) >= WITHIN
 
 
 def _of_robot(rows: pl.DataFrame) -> list[PlaceVisit]:
@@ -194,6 +236,56 @@ def _signals(recordings: Sequence[RecordingCard], session: str, read: Read) -> d
             rises, falls = _edges(both[name][1]) if name in both else (np.ones(len(at), bool), np.zeros(len(at), bool))
             found |= {(name, "set"): at[rises], (name, "cleared"): at[falls]}
     return found
+
+
+def copies(
+    recordings: Sequence[RecordingCard],
+    by_session: Mapping[str, Mapping[tuple[str, str], Vector]],
+    logged: Logged,
+    kinds: tuple[str, ...],
+) -> set[str]:
+    """Return the signals of other logs that repeat an input or output of the robot: nearly all changes coincide.
+
+    A PLC logs what the robot sets, too. As it scans slowly and has its own clock, its change may seem to come first.
+
+    Args:
+        recordings: Recordings of the sessions.
+        by_session: When each signal was set and cleared, by session, session seconds.
+        logged: Inputs and outputs of the recordings, in their own clocks.
+        kinds: Beginnings of the names of the inputs and outputs that count.
+    """
+    pairs: dict[tuple[str, str], list[tuple[Vector, Vector]]] = {}
+    for record in recordings:
+        for bit, changes in logged.get(record.id, {}).items():
+            own = changes.t_s[1:] * record.clock.rate + record.clock.offset_s
+            others = by_session.get(record.session, {})
+            for name in {name for name, _ in others if not name.startswith((INPUT, OUTPUT))}:
+                states = (at for (other, _), at in others.items() if other == name)
+                both = np.sort(np.concatenate([np.empty(0), *states]))
+                inside = both[(both >= own[0] - 1.0) & (both <= own[-1] + 1.0)] if len(own) else both[:0]
+                if bit.startswith(kinds):
+                    pairs.setdefault((name, bit), []).append((own, inside))
+    return {name for (name, _), each in pairs.items() if _coincide(each)}
+
+
+def _coincide(pairs: Sequence[tuple[Vector, Vector]]) -> bool:
+    """Return whether nearly all times of two lists are near one of the other, in several logs, and not by chance."""
+    near: list[Vector] = []
+    covered_s = lasted_s = 0.0
+    for one, other in pairs:
+        near += [_apart(one, other), _apart(other, one)]
+        covered_s += 2.0 * COPY_S * max(len(one), len(other))
+        lasted_s += float(np.ptp(np.concatenate([one, other]))) if len(one) and len(other) else 0.0
+    every = np.concatenate(near)
+    return len(every) > 0 and covered_s <= RARE * lasted_s and bool(np.mean(every <= COPY_S) >= ANSWERS)
+
+
+def _apart(times: Vector, others: Vector) -> Vector:
+    """Return the distance of each time, shape (N,), to the nearest of others, s."""
+    if not len(others):
+        return np.full(len(times), np.inf)
+    after = np.clip(np.searchsorted(others, times), 1, max(len(others) - 1, 1))
+    return np.asarray(np.minimum(np.abs(times - others[after - 1]), np.abs(times - others[after % len(others)])))
 
 
 def _edges(on: Bools) -> tuple[Bools, Bools]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import structs
 from ruled import box, near, ruled
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard
+from cyclekit.dataset.cards.rule import PoseCard
 from cyclekit.estimate.whatif.change import Change, LimitChange
 from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.learning.networks.weights import Weights
@@ -46,6 +49,18 @@ def zoned() -> RuleSafety:
         (0.3, box(-1.33, 1.42, -1.58, 1.51), box(-1.43, 1.52, -1.68, 1.61)),
         (0.6, near(2.2), near(2.5)),
     )
+
+
+def linked() -> RuleSafety:
+    """Return thresholds on the nearest link of an arm whose elbow is above the middle of base and TCP."""
+    name = "distance nearest link to operator"
+    found = ruled((0.25, near(0.9, name), near(1.1, name)), (0.6, near(1.4, name), None))
+    tcp_m = np.round(np.random.default_rng(1).uniform([-0.4, -0.7, 0.0], [0.7, 0.7, 0.5], (60, 3)), 4)
+    poses = tuple(
+        PoseCard(tcp_m=(x, y, z), joints_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.4), (x / 2, y / 2, 0.6)))
+        for x, y, z in tcp_m.tolist()
+    )
+    return replace(found, rule=structs.replace(found.rule, poses=poses))
 
 
 def network() -> TrainedModel:
@@ -119,6 +134,10 @@ ZONED = {
             frequency=0.8,
         ),
     ),
+}
+LINKED = {
+    "threshold": ({"moved": [0.1, 0]}, Change("t", limits=(LimitChange(0.25, threshold_m=1.0),))),
+    **{name: STAIRS[name] for name in ("ramp", "seldom")},
 }
 WITHOUT_RULE = {name: STAIRS[name] for name in ("ramp", "seldom")}
 """What the script is asked with, and the same change in the library, by name."""

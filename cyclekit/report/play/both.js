@@ -90,11 +90,8 @@ const walkBoth = (robot, operator, sources, events, asked, until_s) => { // one 
     const { low, high, leg: task } = robot[leg].leg.path;
     const gone = part === MOVES ? Math.min(at + ahead_s * scaling, end) / Math.max(end, NOTHING) : 1;
     const row = low + Math.floor(gone * (high - low) + 0.5);
-    const phase = task.rows === task.points ? row : (row * (task.points - 1)) / Math.max(task.rows - 1, 1);
-    const point = Math.floor(phase + 1e-6);
-    const far = Math.max(phase - point, 0);
     person(number * step_s + ahead_s, human);
-    field.at(task.first + point, task.first + (far > 0 ? point + 1 : point), far, human.from, human.from + 1, human.weight);
+    field.at(task.first + row, task.first + row, 0, human.from, human.from + 1, human.weight);
     if (number % looksAfter !== 0) return;
     found.looked += 1;
     if (field.known()) found.known += 1;

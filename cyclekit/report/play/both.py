@@ -96,9 +96,9 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
         "paces": PACES,
         "most_parts": MAX_PARTS,
     }
-    source, tasks = scaling_source(model, dataset, legs, tracks, arrays)
+    source = scaling_source(model, dataset, legs, tracks, arrays)
     gates = Gates(card)
-    facts |= source | {"legs": _legs(legs, tasks, gates), "check": _corrected(shown[0].check, cell.executions, arrays)}
+    facts |= source | {"legs": _legs(legs, gates), "check": _corrected(shown[0].check, cell.executions, arrays)}
     return facts, arrays
 
 
@@ -181,21 +181,19 @@ def _gates(card: CouplingCard) -> list[dict[str, Any]]:
     return found
 
 
-def _legs(legs: Mapping[str, NominalTask], thinned: Mapping[str, NominalTask], gates: Gates) -> dict[str, Any]:
-    """Return each task with its place in the points; `rows` is the number of points in the library."""
+def _legs(legs: Mapping[str, NominalTask], gates: Gates) -> dict[str, Any]:
+    """Return each task with its place in the points."""
     found, first = {}, 0
     for name, leg in legs.items():
-        points = len(thinned[name].xyz_m)
         own = gates.own_s("robot", name.partition("->")[2])
         found[name] = {
             "nominal_s": leg.nominal_s,
             "first": first,
-            "points": points,
-            "rows": len(leg.xyz_m),
+            "points": len(leg.xyz_m),
             "stands_s": np.round(leg.standstill_s, 4).tolist() if own is None else [],
             "logged": len(leg.standstill_s),
         }
-        first += points
+        first += len(leg.xyz_m)
     return found
 
 

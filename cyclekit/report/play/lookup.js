@@ -1,34 +1,24 @@
-// ---- a model that is no rule of positions: `scaling_table`, points of the motions by cells of the operator
+// ---- a model on states of the operator: `scaling_table`, points of the motions by states
 
 const lookupField = () => {
-  const { cells: width, absent, holds, lags, fastest } = facts.rule;
+  const { cells: width, fastest } = facts.rule;
   const cells = tables.people_cells;
-  for (const table of [tables.scaling, tables.rising, tables.support]) { // steps become values again; both wrap
-    for (let at = width; table && at < table.length; at += 1) table[at] += table[at - width];
-  }
-  let near, far, share, now, after, weight; // two points and how far between; two cells and how far between
-  const of = (table, point, cell) => tables.values[table[point * width + cell]];
-  const between = (table, point) => {
-    const first = of(table, point, now);
-    return weight > 0 && after !== now ? first + (of(table, point, after) - first) * weight : first;
-  };
+  const steps = new Map(Array.from(tables.steps, (entry, n) => [entry, tables.step_parts[n]]));
+  let near, far, share, now;
   return {
     spots: cells,
-    nobody: absent,
+    nobody: null,
     count: width,
-    free: (point, cell) => of(tables.scaling, point, cell) >= facts.away.part * fastest,
+    free: (point, cell) => tables.scaling[point * width + cell] >= facts.away.part * fastest,
     moved: () => {},
-    at: (point, next, part, from, to, part_of_step) => {
-      [near, far, share, weight] = [point, next, part, part_of_step];
-      if (holds) [near, share] = [part < 0.5 ? point : next, 0]; // levels: there is nothing between two
-      now = cells[from];
-      after = holds || now === absent || cells[to] === absent ? now : cells[to];
+    at: (point, next, part, from) => { [near, far, share, now] = [point, next, part, cells[from]]; },
+    scaling: () => {
+      const [first, second] = [tables.scaling[near * width + now], tables.scaling[far * width + now]];
+      if (first === second || share <= 0) return first;
+      const step = steps.get(near * width + now);
+      if (step !== undefined) return share < step ? first : second;
+      return first + (second - first) * share;
     },
-    scaling: (rising) => {
-      const table = rising && lags ? tables.rising : tables.scaling;
-      const first = between(table, near);
-      return share > 0 ? first + (between(table, far) - first) * share : first;
-    },
-    known: () => tables.support[(share < 0.5 ? near : far) * width + (weight < 0.5 ? now : after)],
+    known: () => tables.support[(share < 0.5 ? near : far) * width + now],
   };
 };

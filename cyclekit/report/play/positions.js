@@ -5,6 +5,7 @@ const NOBODY = 65535;
 
 const TO_TCP = "distance TCP to operator";
 const TO_TCP_FLAT = "distance TCP to operator on the floor";
+const TO_LINK = "distance nearest link to operator";
 const within = (rectangle, out, x, y) => {
   const cos = Math.cos(rectangle.angle_rad || 0);
   const sin = Math.sin(rectangle.angle_rad || 0);
@@ -16,7 +17,50 @@ const within = (rectangle, out, x, y) => {
 };
 const STAYS = [0, 0];
 
+const linkOf = () => { // rules.links.ArmPoses and rules.distances.to_links
+  const { poses, joints } = tables;
+  const count = poses.length / 3;
+  const width = joints.length / count;
+  const most = Math.min(4, count);
+  const [near, away] = [new Int32Array(most), new Float64Array(most)];
+  const points = new Float64Array(width + 3);
+  return (r, h) => {
+    away.fill(Infinity);
+    for (let n = 0; n < count; n += 1) {
+      const [x, y, z] = [poses[3 * n] - r[0], poses[3 * n + 1] - r[1], poses[3 * n + 2] - r[2]];
+      const apart_2 = x * x + y * y + z * z;
+      if (apart_2 >= away[most - 1]) continue;
+      let k = most - 1;
+      for (; k > 0 && away[k - 1] > apart_2; k -= 1) [away[k], near[k]] = [away[k - 1], near[k - 1]];
+      [away[k], near[k]] = [apart_2, n];
+    }
+    points.fill(0);
+    let whole = 0;
+    for (let k = 0; k < most; k += 1) whole += 1 / (Math.sqrt(away[k]) + 1e-3);
+    for (let k = 0; k < most; k += 1) {
+      const weight = 1 / (Math.sqrt(away[k]) + 1e-3) / whole;
+      for (let i = 0; i < width; i += 1) points[i] += weight * joints[near[k] * width + i];
+    }
+    points.set(r, width);
+    let least = Infinity;
+    for (let i = 0; i < width; i += 3) {
+      let [along, long] = [0, 0];
+      for (let axis = i; axis < i + 3; axis += 1) {
+        const way = points[axis + 3] - points[axis];
+        along += (h[axis - i] - points[axis]) * way;
+        long += way * way;
+      }
+      const part = Math.min(Math.max(along / Math.max(long, 1e-12), 0), 1);
+      const at = [0, 1, 2].map((axis) => h[axis] - points[i + axis] - part * (points[i + 3 + axis] - points[i + axis]));
+      least = Math.min(least, Math.hypot(...at));
+    }
+    return least;
+  };
+};
+let toLink;
+
 const apart = (name, r, h) => { // r: TCP, h: operator, his height that of the TCP where it is unknown
+  if (name === TO_LINK) return toLink(r, h);
   if (name === TO_TCP) return Math.hypot(r[0] - h[0], r[1] - h[1], r[2] - h[2]);
   return name === TO_TCP_FLAT ? Math.hypot(r[0] - h[0], r[1] - h[1]) : Math.hypot(h[0], h[1]);
 };
@@ -88,6 +132,7 @@ const positionsField = () => { // a field: `at` a point of a task and between tw
   summed(tables.paths, 0, tables.paths.length / 3);
   const people = peopleOf();
   const paths = metres(tables.paths);
+  if (tables.poses) toLink = linkOf();
   const r = [0, 0, 0];
   const h = [0, 0, 0];
   let safety, robot, human;

@@ -20,6 +20,7 @@ from cyclekit.learning.networks.weights import Weights
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.safety import Dynamics, SafetyModel
     from cyclekit.schema import Floats, Ints
 
@@ -27,6 +28,8 @@ FEW_ENTRIES = 2_500_000
 """Maximum number of entries of the table, each an evaluation of the network: else the next coarser one is taken."""
 EDGES_M, HEIGHT_M = (0.04, 0.05, 0.07, 0.1, 0.14, 0.2), 0.24
 """Distances between nodes on the floor that are tried, and distance between heights of nodes."""
+PATH_S = 0.1
+"""Nominal time between the points of a motion at which the table has rows."""
 ASK = 255
 """Entry of the table where the network is to be evaluated."""
 CERTAIN = 0.999
@@ -87,6 +90,13 @@ def scaling_grid(
         "moves": [],
         "fixed": "fixed_table",
     }
+
+
+def thinned(leg: NominalTask) -> Floats:
+    """Return points of a motion PATH_S apart, shape (points, 3): rows of the table."""
+    points = max(2, round(leg.nominal_s / PATH_S) + 1)
+    phase = np.linspace(0.0, len(leg.xyz_m) - 1, points)
+    return np.column_stack([np.interp(phase, np.arange(len(leg.xyz_m)), axis) for axis in leg.xyz_m.T])
 
 
 def _flat(weights: Weights) -> NDArray[np.float32]:

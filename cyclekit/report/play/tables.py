@@ -26,8 +26,8 @@ from cyclekit.learning.rules.distances import TO_LINK
 from cyclekit.learning.rules.quantities import RulePlace, quantities
 from cyclekit.learning.rules.safety import RuleSafety, distances_of
 from cyclekit.report.play.packed import in_steps, in_units, units_per_metre
-from cyclekit.report.play.scaling_grid import scaling_grid
-from cyclekit.report.play.scaling_table import scaling_table, thinned
+from cyclekit.report.play.scaling_grid import scaling_grid, thinned
+from cyclekit.report.play.scaling_table import scaling_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.inputs import PageInputs
+    from cyclekit.schema import Floats
 
     Arrays = dict[str, NDArray[Any]]
     Tables = tuple[dict[str, Any], Arrays]
@@ -85,12 +86,11 @@ def tables_of(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimat
     nominal_s = max(each.nominal_s + each.dwell_s + each.wait_s for each in shown)
     tracks = operator_tracks(dataset, horizon_s=LONGER * nominal_s, phases=check.phases if check else None, model=model)
     arrays: Arrays = {}
-    source, points = scaling_source(model, dataset, legs, tracks, arrays)
-    facts = settings_of(page, model, dataset, tracks) | source
+    facts = settings_of(page, model, dataset, tracks) | scaling_source(model, dataset, legs, tracks, arrays)
     facts["kind"] = "robot"
     facts["sequences"] = [{"name": each.name, "robot": list(each.places)} for each in shown]
-    facts["legs"] = _legs(points, arrays, len(tracks.executions), [each.places for each in shown])
-    facts["check"] = _corrected(check, dataset, tracks, points, arrays)
+    facts["legs"] = _legs(legs, arrays, len(tracks.executions), [each.places for each in shown])
+    facts["check"] = _corrected(check, dataset, tracks, legs, arrays)
     return facts, arrays
 
 
@@ -116,35 +116,30 @@ def settings_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: 
 
 def scaling_source(
     model: SafetyModel, dataset: Dataset, legs: Mapping[str, NominalTask], tracks: OperatorTracks, arrays: Arrays
-) -> tuple[dict[str, Any], Mapping[str, NominalTask]]:
-    """Put the rule or the table of the scaling into `arrays`; return its facts, and the tasks as the page has them.
+) -> dict[str, Any]:
+    """Put the rule, the network or the table of the scaling into `arrays`; return its facts.
 
     Raises:
         EstimateError: The tables would be too large.
     """
-    if isinstance(model, RuleSafety) and TO_LINK not in distances_of(model.rule):
-        return _positions(dataset, legs, tracks, arrays) | {"rule": _rule(model)}, legs
-    dynamics = Dynamics.of(dataset.card.dynamics, model)
-    if isinstance(model, (OnStates, RuleSafety)):
-        legs = legs if isinstance(model, OnStates) else thinned(legs)
-        return {
-            "rule": scaling_table(model, dynamics, dataset, [leg.xyz_m for leg in legs.values()], tracks, arrays)
-        }, legs
-    positions = _positions(dataset, legs, tracks, arrays, spots=False)
-    rows = [leg.xyz_m for leg in thinned(legs).values()]
-    return positions | {"rule": scaling_grid(model, dynamics, rows, tracks.xyz_m.reshape(-1, 3), arrays)}, legs
+    dynamics, paths = Dynamics.of(dataset.card.dynamics, model), [leg.xyz_m for leg in legs.values()]
+    if isinstance(model, OnStates):
+        return {"rule": scaling_table(model, paths, tracks, arrays)}
+    if isinstance(model, RuleSafety):
+        if TO_LINK in distances_of(model.rule):
+            arrays["poses"] = np.array([pose.tcp_m for pose in model.rule.poses], np.float32)
+            arrays["joints"] = np.array([pose.joints_m for pose in model.rule.poses], np.float32)
+        return _positions(dataset, paths, tracks, arrays) | {"rule": _rule(model)}
+    positions = _positions(dataset, paths, tracks, arrays, spots=False)
+    rows = [thinned(leg) for leg in legs.values()]
+    return positions | {"rule": scaling_grid(model, dynamics, rows, tracks.xyz_m.reshape(-1, 3), arrays)}
 
 
 def _positions(
-    dataset: Dataset,
-    legs: Mapping[str, NominalTask],
-    tracks: OperatorTracks,
-    arrays: Arrays,
-    *,
-    spots: bool = True,
+    dataset: Dataset, legs: list[Floats], tracks: OperatorTracks, arrays: Arrays, *, spots: bool = True
 ) -> dict[str, Any]:
     """Put positions of robot and operator into `arrays`, and which pairs were logged; return their facts."""
-    paths = np.concatenate([leg.xyz_m for leg in legs.values()])
+    paths = np.concatenate(legs)
     unit = units_per_metre(tracks.xyz_m, paths)
     arrays["tracks"], arrays["paths"] = (in_steps(in_units(xyz_m, unit)) for xyz_m in (tracks.xyz_m, paths))
     return {"per_metre": unit, "support": _support(dataset, paths, tracks, arrays, spots=spots)}

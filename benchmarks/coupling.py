@@ -2,7 +2,8 @@
 
 Each scene is logged with its signals, by positions alone, and as a task list; then with waits in half of the joint
 tasks, and as if nobody waited for anybody; and by the robot's log alone with buttons and sensors as its inputs, where
-the order of the robot is asked for beside operators in any order of theirs.
+the order of the robot is asked for beside operators in any order of theirs. No signal tells of the machine in
+`machine-tending`.
 Orders of both agents that no execution followed are held against fresh executions. Beside the estimate stand the sums
 of logged durations of the robot's tasks (history) and the estimate of a model that knows no conditions.
 
@@ -214,11 +215,7 @@ def compared(card: CouplingCard | None, scene: str, kind: str) -> tuple[int, int
     cell = wired(COUPLED[scene]) if kind in ALONE else COUPLED[scene]
     there = {_true(each, known) for each in conditions(cell)} if KINDS[kind].coupling else set()
     if kind in ALONE:
-        there = {
-            (each["agent"], each["place"], "signal", each["signal"], each["needs"]["back"])  # type: ignore[index]
-            for each in conditions(cell)
-            if each["agent"] == "robot" and KINDS[kind].coupling
-        }
+        there = {_alone(each) for each in conditions(cell) if each["agent"] == "robot" and KINDS[kind].coupling}
     got = set()
     for gate in card.gates if card else ():
         for need in gate.conditions:
@@ -239,6 +236,14 @@ def _true(condition: dict[str, object], signals: bool) -> tuple[object, ...]:
     if needs["agent"] == "source":
         return (*whose, "signal", condition["signal"] if signals else f"part at {needs['place']}", needs["back"])
     return (*whose, needs["agent"], needs["place"], needs["back"])
+
+
+def _alone(condition: dict[str, object]) -> tuple[object, ...]:
+    """Return a condition of the robot as its log shows it: by a signal, or by its own last departure."""
+    needs = condition["needs"]
+    assert isinstance(needs, dict)
+    event = ("signal", condition["signal"]) if condition["signal"] else (needs["agent"], needs["place"])
+    return (condition["agent"], condition["place"], *event, needs["back"])
 
 
 def small_jobs(scene: str) -> Jobs:

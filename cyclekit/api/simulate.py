@@ -45,7 +45,7 @@ def simulate_logs(
 
     Args:
         scene: The cell: box-picking, pick-and-package, laser-zones, scanner-visits; scanner-fields, light-curtain;
-            shared-fixture, handover, fed-line.
+            shared-fixture, handover, fed-line, four-fixtures, machine-tending.
         out: Folder for the logs.
         executions: Number of executions.
         seed: Seed of all random draws.

@@ -6,7 +6,7 @@ determines when a gate opens.
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cyclekit_sim.arm import Array
 from cyclekit_sim.choices import draw_goal, draw_walk
-from cyclekit_sim.coupled_scenes import JOINT_TIMES, LINGER_S, REST, Coupled, Gate, Moment
+from cyclekit_sim.coupled_scenes import JOINT_TIMES, LINGER_S, REST, Coupled, Gate, Moment, Need
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.motion import MotionTable, plan_moves
 from cyclekit_sim.program import DWELL, HOME, IDLE, MOVE, WAIT, Column, Execution, Program, program_of
@@ -207,22 +207,41 @@ def link(
 
 
 def random_order(cell: Coupled, rng: np.random.Generator) -> Order:
-    """Return an order of both agents: three joint tasks and all other tasks of each, shuffled."""
-    jobs = {"robot": cell.robot_jobs, "operator": cell.operator_jobs}
-    ends = {"robot": HOME, "operator": REST}
-    return {
-        agent: (
-            ends[agent],
-            *(place for name in _shuffled(jobs[agent], rng) for place in jobs[agent][name]),
-            ends[agent],
-        )
-        for agent in jobs
-    }
+    """Return an order of both agents: three joint tasks and all other tasks of each, shuffled; never a deadlock."""
+    chosen = rng.integers(cell.joint, size=JOINT_TIMES) if cell.joint > 1 else np.zeros(JOINT_TIMES, dtype=np.int64)
+    while True:
+        found = {
+            agent: (end, *(place for name in _shuffled(jobs, cell.joint, chosen, rng) for place in jobs[name]), end)
+            for agent, jobs, end in (("robot", cell.robot_jobs, HOME), ("operator", cell.operator_jobs, REST))
+        }
+        if cell.joint == 1 or _ends(cell, found):
+            return found
 
 
-def _shuffled(jobs: Mapping[str, tuple[str, ...]], rng: np.random.Generator) -> list[str]:
-    joint, *others = jobs
-    return [str(name) for name in rng.permutation(np.array([joint] * JOINT_TIMES + others))]
+def _shuffled(
+    jobs: Mapping[str, tuple[str, ...]], joint: int, chosen: NDArray[np.int64], rng: np.random.Generator
+) -> list[str]:
+    names = list(jobs)
+    return [str(name) for name in rng.permutation(np.array([names[n] for n in chosen] + names[joint:]))]
+
+
+def _ends(cell: Coupled, order: Order) -> bool:
+    """Return whether both agents reach the end of their orders, each visit beginning when those it needs are over."""
+    needs: dict[tuple[str, str], Need] = {(gate.agent, gate.place): gate.need for gate in cell.gates}
+    at, over = dict.fromkeys(order, 0), Counter[tuple[str, str]]()
+    moved = True
+    while moved:
+        moved = False
+        for agent, places in order.items():
+            while at[agent] < len(places):
+                here = (agent, places[at[agent]])
+                need = needs.get(here)
+                if need is not None and over[need.agent, need.place] <= over[here] - need.back:
+                    break
+                over[here] += 1
+                at[agent] += 1
+                moved = True
+    return all(at[agent] == len(places) for agent, places in order.items())
 
 
 def check_order(cell: Coupled, order: Order) -> None:

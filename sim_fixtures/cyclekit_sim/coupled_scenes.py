@@ -1,7 +1,8 @@
 """Cells with waits of robot and operator: conditions of both, and their tasks in one execution.
 
 In every execution each agent does three joint tasks and four separate ones, in any order; the k-th joint task of one
-belongs to the k-th of the other. Geometry and times are ours, tuned for cycles of 45 to 60 s.
+belongs to the k-th of the other, in a cell of several fixtures the k-th at each fixture. Geometry and times are ours,
+tuned for cycles of 45 to 60 s.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ class Need:
     """Condition of a gate: for its k-th passage the (k - back)-th such event; none if that is negative.
 
     Attributes:
-        agent: Agent of the event; `source` = the conveyor.
+        agent: Agent of the event, which may be the waiting one; `source` = the conveyor.
         place: Place of the event.
         moment: The agent arrives there, has done the work there, or leaves.
         back: See above.
@@ -73,10 +74,11 @@ class Coupled:
         scene: Places, stations, furniture and safety function.
         short_of: Place -> where the robot stops on its way to it.
         robot_s: Process times by robot place, s.
-        robot_jobs, operator_jobs: Task -> places; joint tasks come first and are done three times each.
+        robot_jobs, operator_jobs: Task -> places; joint tasks come first.
         gates: Wait conditions.
         signals: (agent, place, moment) -> name of the signal that shows it.
         feed: Supply of parts, if any.
+        joint: Number of joint tasks of each agent; three are done, each any of these.
     """
 
     scene: Scene
@@ -87,6 +89,7 @@ class Coupled:
     gates: tuple[Gate, ...]
     signals: Mapping[tuple[str, str, Moment], str]
     feed: Feed | None = None
+    joint: int = 1
 
     @property
     def bits(self) -> dict[str, int]:
@@ -151,6 +154,60 @@ def _shared_fixture() -> Coupled:
     )
 
 
+_FIXTURES: dict[str, tuple[Place, Place, tuple[float, float]]] = {
+    "fixture_1": ((0.60, 0.10, 0.10), (0.50, 0.02, 0.25), (1.15, 0.20)),
+    "fixture_2": ((0.58, 0.28, 0.10), (0.48, 0.17, 0.25), (1.15, 0.75)),
+    "fixture_3": ((0.45, 0.42, 0.10), (0.38, 0.30, 0.25), (0.75, 1.15)),
+    "fixture_4": ((0.25, 0.52, 0.10), (0.20, 0.40, 0.25), (0.20, 1.25)),
+}
+"""Fixture -> the robot's place, where it stops short of it, and the operator's station."""
+
+
+def _four_fixtures() -> Coupled:
+    gates = []
+    for name in _FIXTURES:
+        brought = Need("robot", name, "leaves", 0, OPERATOR_LAG_S)
+        released = Need("operator", name, "done", 1, ROBOT_LAG_S)
+        gates += [Gate("operator", "approach", name, brought), Gate("robot", "approach", name, released)]
+    stations = {name: (xy, (4.5, 6.5)) for name, (_, _, xy) in _FIXTURES.items()}
+    return Coupled(
+        scene=_scene(
+            "four-fixtures",
+            {"feeder": (0.60, -0.10, 0.10)} | {name: place for name, (place, _, _) in _FIXTURES.items()},
+            {"bench": ((1.70, 1.05), (0.4, 0.9))} | stations,
+            (0.45, 0.75, 1.1, 1.6),
+        ),
+        short_of={name: short for name, (_, short, _) in _FIXTURES.items()},
+        robot_s={**_RACKS_S, "feeder": 0.6, **dict.fromkeys(_FIXTURES, 1.2)},
+        robot_jobs={**{f"bring {name}": ("feeder", name) for name in _FIXTURES}, **_SORTING},
+        operator_jobs={
+            **{f"mount {name}": ("bench", name) for name in _FIXTURES},
+            **{name: (name,) for name in _OWN_STATIONS},
+        },
+        gates=tuple(gates),
+        signals={("operator", name, "done"): f"release {name[-1]}" for name in _FIXTURES},
+        joint=len(_FIXTURES),
+    )
+
+
+def _machine_tending() -> Coupled:
+    places: dict[str, Place] = {
+        "feeder": (0.60, -0.10, 0.10),
+        "machine": (0.60, 0.20, 0.10),
+        "outfeed": (0.45, 0.45, 0.10),
+    }
+    finished = Need("robot", "machine", "leaves", 1, (12.6, 13.4))
+    return Coupled(
+        scene=_scene("machine-tending", places, {"bench": ((1.30, 0.95), (2.0, 4.0))}, (0.45, 0.75, 1.1, 1.6)),
+        short_of={},
+        robot_s={**_RACKS_S, "feeder": 0.6, "machine": 2.0, "outfeed": 0.5},
+        robot_jobs={"tend": ("feeder", "machine", "outfeed"), **_SORTING},
+        operator_jobs={"check": ("bench",), **{name: (name,) for name in _OWN_STATIONS}},
+        gates=(Gate("robot", "work", "machine", finished),),
+        signals={},
+    )
+
+
 def _handover() -> Coupled:
     places: dict[str, Place] = {"bin": (0.55, -0.30, 0.10), "handover": (0.62, 0.18, 0.30)}
     stations = {"handover": ((1.15, 0.55), (1.0, 2.0)), "bench": ((1.70, 1.05), (2.5, 4.5))}
@@ -183,7 +240,10 @@ def _fed_line() -> Coupled:
     )
 
 
-COUPLED: dict[str, Coupled] = {cell.scene.name: cell for cell in (_shared_fixture(), _handover(), _fed_line())}
+COUPLED: dict[str, Coupled] = {
+    cell.scene.name: cell
+    for cell in (_shared_fixture(), _handover(), _fed_line(), _four_fixtures(), _machine_tending())
+}
 
 
 def wired(cell: Coupled) -> Coupled:

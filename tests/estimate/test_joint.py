@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,7 @@ from cyclekit.estimate.joint.legs import Gates, operator_agenda
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, Plan, RolledBoth, longest_s
 from cyclekit.estimate.joint.shares import planned_shares
-from cyclekit.estimate.joint.visits import Segments
+from cyclekit.estimate.joint.visits import OperatorVisit, Segments, parted_stays
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.rollout import estimate
@@ -162,6 +163,35 @@ def test_a_first_stay_too_short_to_be_seen_is_part_of_the_cycle(cells: Cells) ->
     whole, walks = (sum(found.durations_s(found.walk(start, to)).sum() for to in first) for start in ("", "rest"))
     assert stays_s.sum() + walks == pytest.approx(whole, abs=16 * 0.11)
     assert stays_s.sum() > 16 * 0.5
+
+
+@pytest.mark.slow
+def test_one_long_stay_of_several_tasks_counts_as_several_visits(cells: Cells) -> None:
+    """In this scene he checks three parts at his bench, sometimes one right after the other."""
+    cell = cells("fed-line", 40, seed=31)
+    found = Segments(cell.dataset)
+    true = [row.split(",").count("bench") for row in cell.executions["operator_sequence"]]
+    seen = cell.dataset.every_task().filter(agent="operator", goal_place="bench").height
+    assert set(true) == {3}
+    assert seen < 0.9 * 3 * 40
+    visits = [sum(visit.place == "bench" for visit in found.orders[name]) for name in found.orders]
+    assert np.mean(np.array(visits) == 3) > 0.9
+    assert max(visits) == 3
+    for order in found.orders.values():
+        assert all(before.leaves_s <= after.arrives_s for before, after in pairwise(order))
+
+
+def test_a_stay_is_parted_into_no_more_tasks_than_it_has_time_for() -> None:
+    visits = [OperatorVisit("bench", 0.0, 6.2), OperatorVisit("shelf", 8.0, 20.0), OperatorVisit("bench", 22.0, 25.0)]
+    parted = parted_stays(visits, "bench", 4, 2.0)
+    assert [(visit.place, round(visit.arrives_s, 2)) for visit in parted] == [
+        ("bench", 0.0),
+        ("bench", 2.07),
+        ("bench", 4.13),
+        ("shelf", 8.0),
+        ("bench", 22.0),
+    ]
+    assert parted_stays(visits, "bench", 2, 2.0) == tuple(visits)
 
 
 def test_the_operator_waits_where_he_is_until_the_robot_has_left(logged: Dataset) -> None:

@@ -44,7 +44,7 @@ class Segments:
     """Numbered segments: the operator's positions on logged walks and stays.
 
     Attributes:
-        orders: The visits in each execution, by its name.
+        orders: The visits in each execution, one for each task, by its name.
     """
 
     def __init__(self, dataset: Dataset) -> None:
@@ -56,13 +56,14 @@ class Segments:
         self._stays: dict[str, list[int]] = defaultdict(list)
         self._begins: list[Floats] = []
         self._first_stays: dict[str, list[float]] = defaultdict(list)
-        self.orders: dict[str, tuple[OperatorVisit, ...]] = {}
+        self._visits: dict[str, tuple[OperatorVisit, ...]] = {}
         complete = {one.execution for one in dataset.card.executions if one.complete and not one.reference}
         tracks = logged_tracks(dataset)
         mine = dataset.every_task().filter((pl.col("agent") == "operator") & pl.col("agent_name").is_null())
         for (name,), visits in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
             if name in complete and str(name) in tracks and tracks[str(name)].seen:
                 self._cut(str(name), tracks[str(name)], visits)
+        self.orders = self._tasks()
         self._pace = self._paces()
 
     def walk(self, start: str, goal: str) -> Ints:
@@ -100,18 +101,38 @@ class Segments:
         Two consecutive tasks at one place appear as one long stay. Executions with the most stays there have no such
         stays: if their stays are significantly shorter, only these are used.
         """
+        stays, single = self._single(place)
+        return np.sort(stays if single is None else single)
+
+    def _single(self, place: str) -> tuple[Vector, Vector | None]:
+        """Return all stays at a place, and those of executions with the most of them, if significantly shorter, s."""
         stays: list[tuple[int, float]] = []
-        for order in self.orders.values():
-            times = sum(visit.place == place for visit in order)
-            mine = [visit for visit in order[:-1] if visit.place == place and visit.arrives_s > 0.0]
+        for visits in self._visits.values():
+            times = sum(visit.place == place for visit in visits)
+            mine = [visit for visit in visits[:-1] if visit.place == place and visit.arrives_s > 0.0]
             stays += [(times, visit.leaves_s - visit.arrives_s) for visit in mine]
-        most = max((times for times, _ in stays), default=0)
+        most, every = max((times for times, _ in stays), default=0), np.array([s for _, s in stays])
         single, others = (np.array([s for n, s in stays if (n == most) is alone]) for alone in (True, False))
         if min(len(single), len(others)) >= MIN_WALKS:
             chance = np.hypot(single.std(ddof=1) / len(single) ** 0.5, others.std(ddof=1) / len(others) ** 0.5)
             if others.mean() - single.mean() > SURE * chance:
-                return np.sort(single)
-        return np.sort([s for _, s in stays])
+                return every, single
+        return every, None
+
+    def _tasks(self) -> dict[str, tuple[OperatorVisit, ...]]:
+        """Return the visits in each execution, with stays of several consecutive tasks at one place as so many visits.
+
+        No execution then has more visits to the place than the most that were logged, and none is shorter than all.
+        """
+        found = dict(self._visits)
+        for place in {visit.place for visits in found.values() for visit in visits}:
+            single = self._single(place)[1]
+            if single is None:
+                continue
+            most = max(sum(visit.place == place for visit in visits) for visits in found.values())
+            for name, visits in found.items():
+                found[name] = parted_stays(visits, place, most, float(single.min()))
+        return found
 
     def first_stays_s(self, place: str) -> Vector:
         """Return durations of stays at a place at the start of an execution, ascending, shape (N,), s."""
@@ -129,7 +150,7 @@ class Segments:
             return
         self._begins.append(where[0])
         at_s = [(place, a * self._step_s, b * self._step_s) for place, a, b in spans]
-        self.orders[name] = tuple(OperatorVisit(place, a if a > AT_START_S else 0.0, b) for place, a, b in at_s)
+        self._visits[name] = tuple(OperatorVisit(place, a if a > AT_START_S else 0.0, b) for place, a, b in at_s)
         for place, first, left in spans:
             self._stays[place].append(self._add(where[first : left + 1]))
         there = at_s[0][1] <= AT_START_S
@@ -189,3 +210,19 @@ class Segments:
             rows = max(1, round(took_s / self._step_s)) if start != goal else 0
             found.append(self._add(begin + (end - begin) * np.linspace(0.0, 1.0, rows + 1)[:, None]))
         return found
+
+
+def parted_stays(visits: Sequence[OperatorVisit], place: str, most: int, least_s: float) -> tuple[OperatorVisit, ...]:
+    """Return visits with the longest at a place parted until there are `most`, each of at least `least_s`."""
+    took_s = [visit.leaves_s - visit.arrives_s if visit.place == place else 0.0 for visit in visits]
+    parts = [1] * len(visits)
+    for _ in range(most - sum(visit.place == place for visit in visits)):
+        longest = max(range(len(visits)), key=lambda n: took_s[n] / (parts[n] + 1))
+        if took_s[longest] / (parts[longest] + 1) < least_s:
+            break
+        parts[longest] += 1
+    found = []
+    for visit, count in zip(visits, parts, strict=True):
+        at = np.linspace(visit.arrives_s, visit.leaves_s, count + 1).tolist()
+        found += [OperatorVisit(visit.place, *times) for times in pairwise(at)]
+    return tuple(found)

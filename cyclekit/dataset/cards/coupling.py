@@ -59,6 +59,7 @@ class ConditionCard(Card, frozen=True, kw_only=True):
         lag_s: Time from the event to departure, if nothing else decides.
         held: Share of the logged passages that came after the event.
         decided: Number of logged passages decided by the event: everything else had occurred before.
+        alike: The same number at all places of one kind, if their conditions and lags were learned together; 0: alone.
         signal: Signal from which the event was read, set by the agent at the place; None = from positions.
     """
 
@@ -72,6 +73,7 @@ class ConditionCard(Card, frozen=True, kw_only=True):
     lag_s: Quantiles
     held: Fraction = 1.0
     decided: Count = 0
+    alike: Count = 0
     signal: str | None = None
 
 

@@ -173,9 +173,10 @@ def _of_agent(agent: str, tasks: Sequence[PlannedTask], precedence: Mapping[int,
 
 def _waited_for(cell: JointCell) -> set[str]:
     """Return the robot's places at which one agent waits for the other."""
-    gates = [gate for gate in (cell.coupling.gates if cell.coupling else ()) if gate.conditions]
-    found = {gate.place for gate in gates if gate.agent == "robot"}
-    return found | {one.place for gate in gates for one in gate.conditions if one.agent == "robot"}
+    pairs = [(gate, one) for gate in (cell.coupling.gates if cell.coupling else ()) for one in gate.conditions]
+    others = [(gate, one) for gate, one in pairs if gate.agent != one.agent]  # a robot may wait for its own machine
+    found = {gate.place for gate, _ in others if gate.agent == "robot"}
+    return found | {one.place for _, one in others if one.agent == "robot"}
 
 
 def legs_of_tasks(agenda: Agenda) -> list[list[int]]:

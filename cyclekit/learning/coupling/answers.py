@@ -104,7 +104,8 @@ def _changes(courses: Sequence[ExecutionVisits], event: Event) -> Departures | N
         return None
     course, occurrence = np.array([row[:2] for row in rows], np.int64).T
     own_s, left_s = np.array([row[2:] for row in rows]).T
-    return Departures(Gate("operator", "leave", event.place), np.arange(len(rows)), course, occurrence, own_s, left_s)
+    gate = Gate("operator", "leave", event.place)
+    return Departures(gate, np.arange(len(rows)), course, occurrence, own_s, left_s, np.full(len(rows), np.nan))
 
 
 def _pairs(course: ExecutionVisits, event: Event) -> list[tuple[float, float]]:

@@ -6,7 +6,6 @@ exceeds what multiple testing and the same events in random order can produce.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,10 +14,11 @@ from cyclekit.dataset.cards.coupling import Turns
 from cyclekit.errors import UnknownName
 from cyclekit.learning.coupling.departures import SEEN, Condition, Departures, departures_of
 from cyclekit.learning.coupling.lags import deciding_causes
+from cyclekit.learning.coupling.machines import after_own, is_steady
 from cyclekit.learning.coupling.visits import Event
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Sequence
 
     from cyclekit.config import Wait
     from cyclekit.dataset.cards.coupling import Agent
@@ -79,19 +79,25 @@ def find_conditions(
         chosen = gate_of(gates, wait)
         if not wait.never:
             condition = _given_condition(times, chosen, wait)
-            _attach(gates, chosen, condition, since_event(times, chosen, condition))
+            attach(gates, chosen, condition, since_event(times, chosen, condition))
     allowed = [
-        [one for one in _candidates(times, gate, agent) if one.event not in barred and not _forbidden(given, gate, one)]
+        [
+            one
+            for one in candidates_of(times, gate, agent)
+            if one.event not in barred and not is_forbidden(given, gate, one)
+        ]
         for gate in gates
     ]
-    open_to = [_best(times, gate, some) for gate, some in zip(gates, allowed, strict=True)]
+    open_to = [best_condition(times, gate, some) for gate, some in zip(gates, allowed, strict=True)]
     while any(open_to):
         number = max((n for n, found in enumerate(open_to) if found), key=lambda n: open_to[n][2])  # type: ignore[index]
         number = _natural(gates, open_to, number)
         condition, since, _ = open_to[number]  # type: ignore[misc]  # not None: it has the largest gain
-        for other in _attach(gates, gates[number], condition, since):
+        for other in attach(gates, gates[number], condition, since):
             open_to[other] = (
-                _best(times, gates[other], allowed[other]) if len(gates[other].found) < MAX_CONDITIONS else None
+                best_condition(times, gates[other], allowed[other])
+                if len(gates[other].found) < MAX_CONDITIONS
+                else None
             )
     return gates
 
@@ -104,7 +110,7 @@ def find_answer(gate: Departures, times: Times) -> Condition | None:
         times: Of all events.
     """
     robots = {event: at for event, at in times.items() if event.agent == "robot"}
-    candidates = _candidates(robots, gate, "operator")
+    candidates = candidates_of(robots, gate, "operator")
     least = least_gain(min(len(gate.left_s), SEEN)) + np.log(max(len(candidates), 1))
     before = float(gate.causes().log_likelihood.sum())
     found = _best_of(robots, gate, candidates, before, least, follows=False)  # no signal brings the robot
@@ -114,13 +120,14 @@ def find_answer(gate: Departures, times: Times) -> Condition | None:
     return found[0]
 
 
-def _candidates(times: Times, gate: Departures, agent: Agent) -> list[Condition]:
+def candidates_of(times: Times, gate: Departures, agent: Agent) -> list[Condition]:
     """Return the possible conditions of a gate; if one side is twice as frequent, also those of every second one."""
     found = []
     departures = np.zeros(len(next(iter(times.values()), ())), np.int64)
     np.maximum.at(departures, gate.course, gate.occurrence + 1)
     for event, at in times.items():
         if event.agent == agent:
+            found += after_own(event, gate)
             continue
         some, events = departures > 0, np.isfinite(at).sum(axis=1)
         pairs = [Turns()]
@@ -132,7 +139,7 @@ def _candidates(times: Times, gate: Departures, agent: Agent) -> list[Condition]
     return found
 
 
-def _attach(gates: Sequence[Departures], to: Departures, condition: Condition, since: Vector) -> list[int]:
+def attach(gates: Sequence[Departures], to: Departures, condition: Condition, since: Vector) -> list[int]:
     """Add a condition to all gates that share departures with its gate; return the numbers of these gates."""
     by_row = dict(zip(to.rows.tolist(), since.tolist(), strict=True))
     concerned = []
@@ -164,7 +171,8 @@ def _given_condition(times: Times, gate: Departures, wait: Wait) -> Condition:
     if not found:
         known = sorted({event_text(event) for event in times if event.agent != wait.agent})
         raise UnknownName(f"cell.toml [[waits]] of the {wait.agent}", "event", str(wait.until), known)
-    numbers = (0, 1) if wait.back is None else (wait.back,)
+    own = found[0].agent == gate.gate.agent and found[0].place == gate.gate.place  # it waits for an earlier visit
+    numbers = ((1,) if own else (0, 1)) if wait.back is None else (wait.back,)
     conditions = [Condition(found[0], back) for back in numbers]
 
     def likelihood(condition: Condition) -> float:
@@ -187,17 +195,20 @@ def _means(wait: Wait, event: Event) -> bool:
     return wait.until is None or wait.until == event_text(event)
 
 
-def _forbidden(given: Sequence[Wait], gate: Departures, condition: Condition) -> bool:
+def is_forbidden(given: Sequence[Wait], gate: Departures, condition: Condition) -> bool:
+    """Return whether the cell file says that a gate does not wait for an event."""
+
     def concerns(wait: Wait) -> bool:
         return wait.never and wait.place(gate.gate.at) == gate.gate.place and _means(wait, condition.event)
 
     return any(concerns(wait) for wait in given)
 
 
-_Found = tuple[Condition, "Vector", float]
+Found = tuple[Condition, "Vector", float]
+"""A condition, the time from its event to each departure, s, and its gain in log-likelihood."""
 
 
-def _natural(gates: Sequence[Departures], open_to: Sequence[_Found | None], number: int) -> int:
+def _natural(gates: Sequence[Departures], open_to: Sequence[Found | None], number: int) -> int:
     """Return the gate to which a condition is assigned, among gates with the same departures that it also explains.
 
     A wait until someone leaves belongs to an approach gate; a wait for an arrival or a signal belongs to a leave gate.
@@ -213,7 +224,7 @@ def _natural(gates: Sequence[Departures], open_to: Sequence[_Found | None], numb
     return number
 
 
-def _best(times: Times, gate: Departures, candidates: Sequence[Condition]) -> _Found | None:
+def best_condition(times: Times, gate: Departures, candidates: Sequence[Condition]) -> Found | None:
     """Return the best condition that passes all tests, the time from its event to each departure in s, and its gain."""
     if len(gate.left_s) < MIN_DECIDED:
         return None
@@ -222,7 +233,9 @@ def _best(times: Times, gate: Departures, candidates: Sequence[Condition]) -> _F
     free = [one for one in candidates if one.event[:2] not in taken]
     least = least_gain(min(len(gate.left_s), SEEN)) + np.log(max(len(candidates), 1))
     always = _best_of(times, gate, free, before, least)
-    rival = 0.0 if always is None else (1.0 + GAIN_TOLERANCE_SHARE) * always[2] / gate.step  # prefer one that all need
+    rival = (
+        0.0 if always is None else (1.0 + GAIN_TOLERANCE_SHARE) * always[2] / gate.weight
+    )  # prefer one that all need
     partly = [one._replace(partly=True) for one in free]
     return _best_of(times, gate, partly, before, max(rival, MIN_PART * least)) or always
 
@@ -235,23 +248,24 @@ def _best_of(
     least: float,
     *,
     follows: bool = True,
-) -> _Found | None:
+) -> Found | None:
     """Return the best of some conditions that raise the log-likelihood from `before` by at least so much.
 
     With `follows` none of them may follow own work.
     """
-    tried: list[_Found] = []
+    tried: list[Found] = []
     for condition in candidates:
         since = since_event(times, gate, condition)
         if not _holds(gate, condition, since):
             continue
         since = _later(condition, since)
         causes = gate.causes(since)
-        decided = causes.share[-1].sum() * gate.step >= MIN_DECIDED
+        decided = causes.share[-1].sum() * gate.weight >= MIN_DECIDED
         if (
             decided
-            and not (follows and _follows(causes, since[:: gate.step]))
-            and not _ahead(gate, condition, causes, since[:: gate.step])
+            and not (follows and _follows(causes, since[gate.seen]))
+            and not _ahead(gate, condition, causes, since[gate.seen])
+            and (condition.event.agent != gate.gate.agent or is_steady(gate, causes, since[gate.seen]))
         ):
             tried.append((condition, since, float(causes.log_likelihood.sum()) - before))
     tried.sort(key=lambda each: -each[2])
@@ -260,7 +274,7 @@ def _best_of(
         return None
     as_good = [each for each in good if each[2] >= good[0][2] - max(GAIN_TOLERANCE, GAIN_TOLERANCE_SHARE * good[0][2])]
     found = min(as_good, key=lambda each: _before(*each[:2]))
-    return found[0], found[1], found[2] * gate.step
+    return found[0], found[1], found[2] * gate.weight
 
 
 def least_gain(departures: int) -> float:
@@ -321,6 +335,8 @@ def _holds(gate: Departures, condition: Condition, since: Vector) -> bool:
     known = np.isfinite(since)
     if np.count_nonzero(known) < MIN_DECIDED:
         return False
+    if condition.event.agent == gate.gate.agent:  # came before it was here: `is_steady` tells
+        return not condition.partly
     late = since < gate.left_s - gate.own_s  # the event came after the agent was free to go
     held = known & (since >= -early_s(condition))
     share = np.count_nonzero(held) / np.count_nonzero(known)
@@ -361,31 +377,3 @@ def _by_chance(gate: Departures, times: Times, condition: Condition) -> float:
         other = _later(condition, other) if condition.partly else np.where(other >= -EARLY_S, other, np.nan)
         found.append(float(gate.causes(other).log_likelihood.sum()))
     return max(found)
-
-
-def in_circles(robot: Sequence[Departures], operator: Sequence[Departures]) -> Iterator[tuple[Agent, Event]]:
-    """Yield conditions by which both agents wait for each other's next step; of each pair the one with less gain."""
-    for mine in robot:
-        for his in operator:
-            for a in mine.found:
-                for b in his.found:
-                    if _meets(mine, a, his, b):
-                        drop_mine = _gain(mine, a) < _gain(his, b)
-                        yield ("robot", a.event) if drop_mine else ("operator", b.event)
-
-
-def _meets(mine: Departures, a: Condition, his: Departures, b: Condition) -> bool:
-    """Return whether most of `his` departures wait for one of `mine` that waits for an event of the same departure."""
-    needed = his.left_s - his.since_s[his.gate, b]
-    at = {key: row for row, key in enumerate(zip(mine.course.tolist(), mine.left_s.round(6).tolist(), strict=True))}
-    rows = [at.get(key, -1) for key in zip(his.course.tolist(), needed.round(6).tolist(), strict=True)]
-    met = np.array(rows) >= 0
-    began = (mine.left_s - mine.since_s[mine.gate, a])[rows]
-    within = met & (began <= his.left_s + EARLY_LEAVING_S) & (began >= his.own_s)
-    return bool(within.sum() > 0.5 * np.isfinite(needed).sum() > 0)
-
-
-def _gain(gate: Departures, condition: Condition) -> float:
-    """Return the gain in log-likelihood of a gate's departures from one condition."""
-    without = replace(gate, since_s={key: at for key, at in gate.since_s.items() if key != (gate.gate, condition)})
-    return float((gate.causes().log_likelihood - without.causes().log_likelihood).sum()) * gate.step

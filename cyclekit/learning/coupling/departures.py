@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards.coupling import Agent
     from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit
-    from cyclekit.schema import Ints, Vector
+    from cyclekit.schema import Bools, Ints, Vector
 
 SEEN = 120
 """Maximum number of departures by which conditions are compared."""
@@ -49,8 +49,10 @@ class Departures:
         rows: Number of each one among all departures of the agent, shape (N,).
         course, occurrence: Number of the execution, and of the departure within it from 0, shape (N,).
         own_s, left_s: When the agent was free to go or arrived, and when it went on, shape (N,).
+        came_s: When it arrived at the next place, shape (N,).
         since_s: Time from the event of each condition to the departure, shape (N,), s; NaN = no event needed, -inf =
             the event came later.
+        alike: Departures from all places of the kind that need a condition, where these were learned together.
     """
 
     gate: Gate
@@ -59,7 +61,9 @@ class Departures:
     occurrence: Ints
     own_s: Vector
     left_s: Vector
+    came_s: Vector
     since_s: dict[tuple[Gate, Condition], Vector] = field(default_factory=dict)
+    alike: dict[Condition, Alike] = field(default_factory=dict)
 
     @property
     def found(self) -> list[Condition]:
@@ -67,19 +71,45 @@ class Departures:
         return [condition for gate, condition in self.since_s if gate == self.gate]
 
     @property
-    def step(self) -> int:
-        """Stride of the departures by which conditions are compared."""
-        return -(-len(self.left_s) // SEEN)
+    def seen(self) -> Ints:
+        """Numbers of the departures by which conditions are compared: evenly spread, but of all occurrences."""
+        count = len(self.left_s)
+        if count <= SEEN:
+            return np.arange(count)
+        within = np.random.default_rng(0).random(SEEN)
+        return np.asarray((np.arange(SEEN) + within) * count / SEEN, dtype=np.int64)
+
+    @property
+    def weight(self) -> float:
+        """How many departures each of these stands for."""
+        return max(1.0, len(self.left_s) / SEEN)
 
     def causes(self, more: Vector | None = None) -> Causes:
         """Return which cause decided each departure (at most SEEN): own work first, then conditions as in `since_s`."""
         columns = [self.left_s - self.own_s, *self.since_s.values(), *([] if more is None else [more])]
-        return deciding_causes(np.array([column[:: self.step] for column in columns]))
+        seen = self.seen
+        return deciding_causes(np.array([column[seen] for column in columns]))
+
+
+class Alike(NamedTuple):
+    """Departures from all places of one kind that need a condition.
+
+    Attributes:
+        joined: The departures, as those of one gate.
+        condition: The condition, as one of that gate.
+        seen_s: Time from the event as a plan knows it to each departure, shape (N,), s.
+        mine: Which departures are of this gate, shape (N,).
+    """
+
+    joined: Departures
+    condition: Condition
+    seen_s: Vector
+    mine: Bools
 
 
 def departures_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Departures]:
     """Return the departures of every possible gate of an agent, with own work comparable between places."""
-    rows: dict[Gate, list[tuple[int, int, int, float, float]]] = {}
+    rows: dict[Gate, list[tuple[int, int, int, float, float, float]]] = {}
     number = 0
     for index, course in enumerate(courses):
         counts: dict[Gate, int] = {}
@@ -90,7 +120,8 @@ def departures_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Depa
                 counts[gate] = occurrence + 1
                 began = agent == "robot" and not gate.short and left_s <= own_s  # at this place from the start
                 if np.isfinite(own_s) and np.isfinite(left_s) and not began:
-                    rows.setdefault(gate, []).append((number, index, occurrence, own_s, left_s))
+                    came_s = np.nan if after is None else after.arrived_s
+                    rows.setdefault(gate, []).append((number, index, occurrence, own_s, left_s, came_s))
             number += 1
     found = [_departures(gate, some) for gate, some in rows.items()]
     return _comparable(found)
@@ -104,10 +135,9 @@ def _passed(agent: Agent, before: PlaceVisit | None, after: PlaceVisit | None) -
         yield Gate(agent, "approach", after.place), before.arrived_s, before.left_s
 
 
-def _departures(gate: Gate, some: list[tuple[int, int, int, float, float]]) -> Departures:
+def _departures(gate: Gate, some: list[tuple[int, int, int, float, float, float]]) -> Departures:
     rows, course, occurrence = np.array([each[:3] for each in some], np.int64).T
-    own_s, left_s = np.array([each[3:] for each in some]).T
-    return Departures(gate, rows, course, occurrence, own_s, left_s)
+    return Departures(gate, rows, course, occurrence, *np.array([each[3:] for each in some]).T)
 
 
 def _comparable(found: list[Departures]) -> list[Departures]:

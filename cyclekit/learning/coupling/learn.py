@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -10,14 +10,14 @@ from msgspec.structs import replace
 
 from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard, SourceCard
 from cyclekit.errors import DatasetError
+from cyclekit.learning.coupling.alike import find_with_alike, number_of
 from cyclekit.learning.coupling.answers import is_own_tool
+from cyclekit.learning.coupling.circles import in_circles
 from cyclekit.learning.coupling.conditions import (
     KEPT,
     MIN_DECIDED,
     decided_by,
     early_s,
-    find_conditions,
-    in_circles,
     since_event,
     times_of,
 )
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Wait
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.schema import Floats, Vector
+    from cyclekit.schema import Bools, Floats, Vector
 
 MIN_EXECUTIONS, MAX_EXECUTIONS = 5, 400
 """Minimum and maximum number of executions to learn from; if there are more, an evenly spaced subset is used."""
@@ -79,27 +79,27 @@ def learn_executions(
     if not found.coupled and not any(course.visits["operator"] for course in courses):
         return None
     phases = _phases(tasks)
-    gates = (replace(gate, phase=phases[gate.place]) if _short(gate, phases) else gate for gate in found.gates)
+    gates = (replace(gate, phase=_phase(gate, phases)) if _approaches(gate) else gate for gate in found.gates)
     return replace(found, gates=tuple(gates))
 
 
 def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()) -> CouplingCard:
     """Return the wait conditions learned from executions, without the `phase` of the robot's approach gates."""
-    departures = {agent: find_conditions(courses, agent, given) for agent in AGENTS}
+    departures = {agent: find_with_alike(courses, agent, given) for agent in AGENTS}
     unseen = _unseen(courses, departures["robot"], given)
     if unseen:
         courses = with_parts(courses, unseen)
-        departures["robot"] = find_conditions(courses, "robot", given)
+        departures["robot"] = find_with_alike(courses, "robot", given)
     barred: dict[Agent, set[Event]] = {agent: set() for agent in AGENTS}
     while (tools := _tools(courses, departures["robot"]) - barred["robot"]) and not given:
         barred["robot"] |= tools
-        departures["robot"] = find_conditions(courses, "robot", given, barred["robot"])
+        departures["robot"] = find_with_alike(courses, "robot", given, barred["robot"])
     while circle := next(in_circles(departures["robot"], departures["operator"]), None):
         agent, event = circle
         if event in barred[agent]:  # given in the cell file
             break
         barred[agent].add(event)
-        departures[agent] = find_conditions(courses, agent, given, barred[agent])
+        departures[agent] = find_with_alike(courses, agent, given, barred[agent])
     found, together = [], needed_together(*departures.values())
     for mine in departures.values():
         usual_s = _usual_work_s(mine)
@@ -148,7 +148,9 @@ def _gate(
         return None
     by_file = any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in given)
     own_s, cards = _parts(courses, found, usual_s, together)
-    cards = [card for card in cards if by_file or card.decided >= MIN_DECIDED]  # redundant given the others
+    cards = [
+        card for card in cards if by_file or max(card.decided, card.alike) >= MIN_DECIDED
+    ]  # redundant given the others
     if gate.at == "approach" and not cards:
         return None
     return GateCard(
@@ -184,15 +186,15 @@ def _parts(
         other_s = min(usual_s, shortest_s) if np.isfinite(usual_s) else 0.5 * shortest_s
         own_s = (round(low if middle - low <= TIE_S else other_s, 4),)
     cards = []
-    for row, (gate, condition) in enumerate(found.since_s, 1):
+    for gate, condition in found.since_s:
         if gate != found.gate:
             continue
-        seen = since[row] if condition.event.signal is None else _from_leaving(courses, found, condition)[::step]
-        seen = np.where(np.isneginf(since[row]), -np.inf, seen)
-        every = found.since_s[gate, condition]
+        every, alike = found.since_s[gate, condition], found.alike.get(condition)
+        seen_s = every if condition.event.signal is None else _from_leaving(courses, found, condition)
+        lag = _lag(alike.joined, alike.condition, alike.seen_s) if alike else _lag(found, condition, seen_s)
+        mine = lag.decided[alike.mine] if alike else lag.decided
         there, event = ~np.isnan(every), condition.event
-        mass = reverse_kaplan_meier(seen, (decided == row) * 1.0, ~np.isnan(seen))
-        alone, shared = min(1.0, round(float(mass.sum()), 4)), together.get((gate, condition))
+        shared = together.get((gate, condition))
         cards.append(
             ConditionCard(
                 agent=event.agent,  # type: ignore[arg-type]  # of these three
@@ -200,15 +202,37 @@ def _parts(
                 event=event.event,  # type: ignore[arg-type]  # of these four
                 back=condition.back,
                 turns=condition.turns,
-                needed=shared.needed if shared else alone if condition.partly else 1.0,
+                needed=shared.needed if shared else lag.needed if condition.partly else 1.0,
                 together=shared.number if shared else 0,
-                lag_s=quantiles(seen, mass, shortest=not condition.partly),
-                held=float((every[there] >= -early_s(condition)).mean()),
-                decided=int((decided == row).sum()) * step,
+                lag_s=lag.quantiles_s,
+                held=float((every[there] >= -early_s(condition)).mean()) if there.any() else 1.0,
+                decided=int(mine.sum()),
+                alike=int(lag.decided.sum()) if alike else 0,
                 signal=event.signal,
             )
         )
     return own_s, cards
+
+
+class _Lag(NamedTuple):
+    """The lag of a condition by its quantiles, s, the share of departures that need it, and which it decided (N,)."""
+
+    quantiles_s: tuple[float, ...]
+    needed: float
+    decided: Bools
+
+
+def _lag(found: Departures, condition: Condition, seen_s: Vector) -> _Lag:
+    """Return the lag of one condition of a gate, from the time since the event as a plan knows it."""
+    step = -(-len(found.left_s) // KEPT)
+    since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
+    row = 1 + list(found.since_s).index((found.gate, condition))
+    decided = decided_by(since) == row
+    seen = np.where(np.isneginf(since[row]), -np.inf, seen_s[::step])
+    mass = reverse_kaplan_meier(seen, decided * 1.0, ~np.isnan(seen))
+    values = quantiles(seen, mass, shortest=not condition.partly)
+    every = np.repeat(decided, step)[: len(found.left_s)]
+    return _Lag(values, min(1.0, round(float(mass.sum()), 4)), every)
 
 
 def _from_leaving(courses: Sequence[ExecutionVisits], found: Departures, condition: Condition) -> Vector:
@@ -222,8 +246,17 @@ def _distribution(since_s: Vector, decided: Floats) -> tuple[float, ...]:
     return quantiles(some, reverse_kaplan_meier(some, decided * 1.0, known))
 
 
-def _short(gate: GateCard, phases: Mapping[str, float]) -> bool:
-    return gate.agent == "robot" and gate.at == "approach" and gate.place in phases
+def _approaches(gate: GateCard) -> bool:
+    return gate.agent == "robot" and gate.at == "approach"
+
+
+def _phase(gate: GateCard, phases: Mapping[str, float]) -> float:
+    """Return where the robot waits on its way to a place; if it never did, but at places alike, as there."""
+    kind = number_of(gate.place)
+    if gate.place in phases or kind is None or not any(one.alike for one in gate.conditions):
+        return phases.get(gate.place, 0.0)
+    alike = [phase for place, phase in phases.items() if (named := number_of(place)) and named[0] == kind[0]]
+    return float(np.median(alike)) if alike else 0.0
 
 
 def _phases(tasks: pl.DataFrame) -> dict[str, float]:

@@ -26,7 +26,7 @@ class WaitRow:
         who: Who waits where: `robot before fixture`.
         until: Until what: `operator leaves fixture (release set)`, and in which passages.
         lag_s: 5 %, 50 % and 95 % quantile of the time from the event until the agent goes on, s.
-        had_to_wait: In how many of the logged passages this event came last.
+        had_to_wait: In how many of the logged passages this event came last, also at all places of the kind together.
     """
 
     gate: GateCard
@@ -49,7 +49,7 @@ def wait_rows(found: CouplingCard | None, shown: Callable[[str], str] = str) -> 
         for one in gate.conditions:
             who = f"{gate.agent} {_AT[gate.at]} {shown(gate.place)}" + (" (told)" if gate.told else "")
             low_s, middle_s, high_s = (_quantile(one.lag_s, level) for level in (0.05, 0.5, 0.95))
-            had_to_wait = f"{one.decided} of {gate.passages}"
+            had_to_wait = f"{one.decided} of {gate.passages}" + (f" ({one.alike} at all alike)" if one.alike else "")
             until = condition_text(one, shown) + _passages(one)
             rows.append(WaitRow(gate, one, who, until, (low_s, middle_s, high_s), had_to_wait))
     return rows

@@ -124,3 +124,16 @@ def test_arrows_lead_to_who_waits_and_no_label_covers_another(width_in: float) -
     boxes = [one.get_window_extent() for one in axes.texts if one.get_text()]
     assert not any(a.overlaps(b) for n, a in enumerate(boxes) for b in boxes[:n])
     assert all(box.x0 >= 0 and box.x1 <= figure.bbox.x1 for box in boxes)
+
+
+def test_a_robot_that_waits_for_its_machine_has_an_arrow_from_it(
+    coupled: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = ConditionCard(agent="robot", place="right", event="leaves", lag_s=(15.0,), back=1, decided=12, alike=30)
+    card = CouplingCard(gates=(GateCard(agent="robot", at="leave", place="right", conditions=(own,), passages=20),))
+    assert "12 of 20 (30 at all alike)" in coupling_table(card)
+    draw_only("waits", monkeypatch)
+    asked = Dataset(coupled.path, structs.replace(coupled.card, coupling=card))
+    text = compose_report(asked, None, tmp_path / "r.html", play=False).path.read_text("utf-8")
+    assert "operator, signal or machine" in text
+    assert "robot at right until robot leaves right, 1 visit earlier" in text.replace("\N{NO-BREAK SPACE}", " ")

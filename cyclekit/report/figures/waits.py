@@ -30,6 +30,7 @@ _WORDS = {
     "robot": "robot",
     "operator": "operator",
     "signal": "operator or signal",
+    "machine": "operator, signal or machine",
     "told": "{who} until {until}: {seconds} s waited per execution",
     "who": "Who waits",
     "until": "Until",
@@ -55,8 +56,9 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
     alt = texts("waits.picture", longest=_told(texts, *max(waits, key=lambda each: each[1])))
     most_s = max(seconds for _, seconds in waits)
     arrows = [_arrow(texts, row, seconds, most_s) for row, seconds in waits]
-    signals = any(row.condition.agent == "signal" for row, _ in waits)
-    heads = texts("waits.robot"), texts("waits.signal" if signals else "waits.operator")
+    of = {"machine" if row.condition.agent == row.gate.agent else row.condition.agent for row, _ in waits}
+    right = next((name for name in ("machine", "signal") if name in of), "operator")
+    heads = texts("waits.robot"), texts(f"waits.{right}")
 
     def drawn(width_in: float) -> Drawn:
         from matplotlib.figure import Figure as Drawn
@@ -77,9 +79,10 @@ def _told(texts: ReportTexts, row: WaitRow, seconds: float) -> str:
 def _arrow(texts: ReportTexts, row: WaitRow, seconds: float, most_s: float) -> WaitArrow:
     gate, one = row.gate, row.condition
     of_place = one.place if one.agent == "signal" else texts.place(one.place)
+    of_agent = "signal" if one.agent == gate.agent else one.agent  # its own last departure: a machine works there
     text, weight = f"{fixed(seconds, 1)} s", seconds / most_s if most_s > 0.0 else 0.0
     told = _told(texts, row, seconds)
-    return WaitArrow(gate.agent, texts.place(gate.place), one.agent, of_place, text, weight, told)
+    return WaitArrow(gate.agent, texts.place(gate.place), of_agent, of_place, text, weight, told)
 
 
 def _table(page: PageInputs, lines: Sequence[str]) -> ReportTable:

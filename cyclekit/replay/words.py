@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,8 @@ SHORTEST_S = 0.25
 MAX_PERIODS = 2
 """A sample counts until the next one, but at most for this number of sampling periods."""
 
+SHOWN = 4
+"""Maximum number of slow-downs, and of waits, in the panel."""
 FULL = 0.98
 
 
@@ -112,17 +114,23 @@ def miss_lines(run: ReplayedExecution) -> list[LogLine]:
 
 
 def summary(run: ReplayedExecution) -> str:
-    """Return the panel's text, Markdown: a summary in three lines, the costliest slow-downs, and missing data."""
-    found = slowdowns(run)
+    """Return the panel's text, Markdown: a summary, the costliest slow-downs and waits, and missing data."""
+    found, waits = slowdowns(run), _waits(run)
     lost_s = float(run.tasks["safety_loss_s"].sum() or 0.0) or sum(each.lost_s for each in found)
     known = bool(np.isfinite(run.scaling).any())
-    head = [f"## {run.duration_s:.1f} s" + (f", of which {lost_s:.1f} s lost to safety slow-down" if known else "")]
+    parts = [f"{lost_s:.1f} s lost to safety slow-down"] if known else []
+    parts += [f"{sum(wait.seconds for wait in waits):.1f} s wait"] if waits else []
+    head = [f"## {run.duration_s:.1f} s" + (f", of which {' and '.join(parts)}" if parts else "")]
     if known and not found:
         head.append("Safety never slowed a motion of the robot.")
-    if found:
-        worst = sorted(found, key=lambda each: -each.lost_s)[:4]
+    if found or waits:
+        slow = [_Cost(each.lost_s, each.start_s, _why(run, each)) for each in found]
+        worst = [each for some in (slow, waits) for each in sorted(some, key=lambda one: -one.seconds)[:SHOWN]]
         head.append("**Where the time went**")
-        head += [f"- **{each.lost_s:.1f} s** at {_clock(each.start_s)}: {markdown(_why(run, each))}" for each in worst]
+        head += [
+            f"- **{each.seconds:.1f} s** at {_clock(each.start_s)}: {markdown(each.text)}"
+            for each in sorted(worst, key=lambda one: -one.seconds)
+        ]
     head.extend(f"- *{markdown(note)}*" for note in run.notes)
     if run.gaps:
         head.append(f"- *{len(run.gaps)} gap(s) in the log, left empty here.*")
@@ -141,6 +149,29 @@ def lanes(labels: Sequence[str | None], t_s: NDArray[np.float64]) -> list[tuple[
     if changes:
         changes.append((float(t_s[-1]), None))
     return changes
+
+
+class _Cost(NamedTuple):
+    """What took time: seconds, when it began, and why."""
+
+    seconds: float
+    start_s: float
+    text: str
+
+
+def _waits(run: ReplayedExecution) -> list[_Cost]:
+    """Return the robot's waits at a place, or before it."""
+    found = []
+    for row in run.tasks.iter_rows(named=True):
+        wait_s = row["wait_s"] or 0.0
+        if wait_s < SHORTEST_S:
+            continue
+        before = row["reached_s"] is not None and row["end_s"] - row["arrival_s"] < wait_s
+        start_s = row["reached_s"] - run.start_s if before else row["end_s"] - wait_s
+        until = f" until {row['waited_for']}" if row["waited_for"] else ""
+        text = f"robot waits {'before' if before else 'at'} {run.shown(row['goal_place'])}{until}"
+        found.append(_Cost(wait_s, start_s, text))
+    return found
 
 
 def _why(run: ReplayedExecution, slow: Slowdown) -> str:

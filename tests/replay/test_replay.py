@@ -183,6 +183,26 @@ def test_the_words_say_when_the_robot_was_slowed_and_how_much_that_cost(dataset)
     assert all(each.nearest_m < THRESHOLDS_M[-1] for each in found if np.isfinite(each.nearest_m))
 
 
+def test_the_words_say_for_how_long_the_robot_waited_and_for_what(dataset):
+    run = load_execution(dataset, "1")
+    assert "wait" not in summary(run)
+    first, second, *_ = run.tasks["index"].to_list()
+    at = pl.col("index")
+    ended = pl.when(at == first).then(pl.lit("operator leaves desk")).when(at == second).then(pl.lit("part set"))
+    waited = run.tasks.with_columns(
+        wait_s=pl.when(at == first).then(2.0).when(at == second).then(0.5).otherwise(0.0),
+        waited_for=ended,
+        reached_s=pl.when(at == first).then(run.start_s + pl.col("start_s") + 1.0),
+        arrival_s=pl.when(at == first).then(pl.col("end_s") - 0.5).otherwise("arrival_s"),
+    )
+    words = summary(replace(run, tasks=waited))
+    assert " and 2.5 s wait\n" in words
+    start_s, end_s = waited["start_s"][0], waited["end_s"][1]
+    goals = waited["goal_place"].to_list()
+    assert f"**2.0 s** at {start_s + 1.0:.1f} s: robot waits before {goals[0]} until operator leaves desk" in words
+    assert f"**0.5 s** at {end_s - 0.5:.1f} s: robot waits at {goals[1]} until part set" in words
+
+
 @pytest.mark.parametrize(
     ("absent", "note"),
     [

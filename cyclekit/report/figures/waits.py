@@ -45,7 +45,7 @@ _WORDS = {
     "below 0 it is just before the event. "
     "Obeyed: share of the logged passages that came after the event. Had to wait: passages in which this event came "
     "last, and so decided when to go on.",
-    "source": "{text}.",
+    "source": "When it comes: {text}.",
 }
 
 

@@ -223,7 +223,7 @@ def takt_table(found: Sequence[CycleEstimate]) -> str:
 def validation(check: Check) -> str:
     """Return the result of the validation on logged executions."""
     lines = [
-        f"{check.executions} logged executions rolled out with their own operator tracks: bias {check.own_bias:+.2%} "
+        f"{check.executions} logged executions rolled out with {check.with_own}: bias {check.own_bias:+.2%} "
         f"(95% CI +-{check.own_within:.2%}), {check.held_out} of them unseen by the network",
     ]
     if abs(check.factor - 1) >= 5e-5:
@@ -231,7 +231,7 @@ def validation(check: Check) -> str:
     if check.coverage is not None:
         low, high = check.levels
         lines.append(
-            f"with all other operator tracks: {percent(check.coverage)} lie between the {100 * low:g}% and "
+            f"with {check.with_others}: {percent(check.coverage)} lie between the {100 * low:g}% and "
             f"{100 * high:g}% quantiles, which should hold {percent(high - low)}"
         )
     return "Backtest on logged executions\n" + bullet(lines)

@@ -147,6 +147,16 @@ class Check:
     def _reacts(self) -> bool:
         return abs(self.reacts_z) > REACTS_Z
 
+    @property
+    def with_own(self) -> str:
+        """What the executions were rolled out with to find the bias."""
+        return "their own operator tracks"
+
+    @property
+    def with_others(self) -> str:
+        """What they were rolled out with to find the coverage."""
+        return "all other operator tracks"
+
     def biased(self, beyond: float) -> bool:
         """Return whether the bias with the own operator tracks exceeds a share of the duration and is significant."""
         return abs(self.own_bias) > max(beyond, SURE * self.own_error)
@@ -173,7 +183,7 @@ class Check:
         if self.executions < FEW_EXECUTIONS:
             found.append(f"{self.executions} logged executions are too few for reliable quantiles")
         if self.biased(OWN_BIAS):
-            found.append(f"backtest with their own operator tracks: bias {self.own_bias:+.1%}")
+            found.append(f"backtest with {self.with_own}: bias {self.own_bias:+.1%}")
         if self._reacts:
             found.append(
                 f"backtest with the other operator tracks: bias {self.crossed_bias:+.1%}; the operator "

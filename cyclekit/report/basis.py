@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.what_to_log import ENOUGH, WITHIN
 from cyclekit.report.numbers import count, fixed, percent
 from cyclekit.report.tables import ReportTable
@@ -25,15 +26,16 @@ def tables(texts: ReportTexts, ranked: Sequence[CycleEstimate], check: Check | N
 
 
 def _rollout(texts: ReportTexts, check: Check) -> ReportTable:
-    wanted = percent(check.levels[1] - check.levels[0])
+    wanted, both = percent(check.levels[1] - check.levels[0]), isinstance(check, JointCheck)
     unseen = {"rollout_coverage_unseen": check.coverage_held_out} if check.coverage_held_out is not None else {}
     covered = {} if check.coverage is None else {"rollout_coverage": check.coverage, **unseen}
+    bias = "trust.rollout_bias_both" if both else "trust.rollout_bias"
     rows = [
         [texts("trust.rollout_count"), count(check.executions)],
         [texts("trust.rollout_unseen"), count(check.held_out)],
-        [texts("trust.rollout_bias"), f"{signed(check.own_bias)} (± {fixed(100 * check.own_within, 2)} %)"],
+        [texts(bias), f"{signed(check.own_bias)} (± {fixed(100 * check.own_within, 2)} %)"],
         [texts("trust.rollout_corrected"), signed(check.factor - 1)],
-        [texts("trust.rollout_crossed"), signed(check.crossed_bias)],
+        *([] if both else [[texts("trust.rollout_crossed"), signed(check.crossed_bias)]]),
         *([texts(f"trust.{key}", wanted=wanted), percent(part)] for key, part in covered.items()),
     ]
     heads, title = [texts("trust.metric"), texts("trust.value")], texts("trust.rollout")

@@ -145,21 +145,27 @@ def _plan(texts: ReportTexts, planned: OrderPlan | None) -> ReportTable | None:
     if planned is None:
         return None
     saved, low, high = planned.saves_s
+    both = bool(planned.operator)
     places = decimals_for((high - low) / 2)
     against = texts("helps.against_logged" if planned.against == "logged orders" else "helps.against_random")
     every = texts("helps.every_order" if planned.searched == "all orders" else "helps.some_orders")
     rows = [
         [texts("helps.plan_expected"), fixed(planned.expected_s, places)],
-        [texts("helps.plan_against", against=against), fixed(planned.against_s, places)],
+        [
+            texts("helps.plan_against_both" if both else "helps.plan_against", against=against),
+            fixed(planned.against_s, places),
+        ],
         [texts("helps.plan_saved"), f"{fixed(saved, places)} ({fixed(low, places)} to {fixed(high, places)})"],
-        [texts("helps.plan_unseen"), fixed(planned.saves_unseen_s, places)],
+        *([] if both else [[texts("helps.plan_unseen"), fixed(planned.saves_unseen_s, places)]]),
     ]
-    title, order = texts("helps.plan"), " → ".join(planned.order)
-    rests = texts("helps.plan_rests", searched=every, tried=count(planned.tried), executions=count(planned.executions))
+    jobs = any("->" in visit for visit in planned.order)
+    title, order = texts("helps.plan"), (", " if jobs else " → ").join(map(texts.task, planned.order))
+    of = {"tried": count(planned.tried), "executions": count(planned.executions)}
+    rests = texts("helps.plan_rests_both" if both else "helps.plan_rests", searched=every, **of)
     heads = [texts("helps.figure"), texts("helps.seconds")]
     said = texts("helps.plan_order", order=order)
     if planned.operator:
-        said = texts("helps.plan_orders", order=order, operator=" → ".join(planned.operator))
+        said = texts("helps.plan_orders", order=order, operator=" → ".join(map(texts.place, planned.operator)))
     return ReportTable(title, heads, rows, frozenset({1}), silent=True, title=title, text=said, after=rests)
 
 

@@ -19,6 +19,11 @@ from cyclekit.report.texts import load_texts
 
 pytestmark = pytest.mark.usefixtures("words_only")
 
+BOTH = OrderPlan(
+    order=("left->right", "left"), places=("conveyor", "left", "right", "left"), expected_s=28.1,
+    against="random orders", against_s=31.3, saves_s=(3.2, 2.6, 3.8), saves_unseen_s=3.2, searched="search", tried=16,
+    executions=40, operator=("desk", "shelf"),
+)  # fmt: skip
 PLANNED = OrderPlan(
     order=("right", "left"), places=("conveyor", "right", "conveyor", "left"), expected_s=28.1, against="logged orders",
     against_s=31.3, saves_s=(3.2, 2.6, 3.8), saves_unseen_s=2.9, searched="all orders", tried=2, executions=40,
@@ -140,3 +145,11 @@ def test_where_no_task_of_the_operator_is_known_there_is_no_table_of_them(datase
     assert _moments(texts, samples, seen) is not None
     unknown = samples.with_columns(human_task=pl.lit(None, pl.String))
     assert _moments(texts, unknown, seen) is None
+
+
+def test_the_order_found_for_both_names_both_orders(dataset, tmp_path):
+    text = shown(dataset, tmp_path / "r.html", planned=BOTH)
+    assert "Order of the robot: left → right, left. Order of the operator: desk → shelf." in text
+    assert "16 orders compared in simulated cycles of robot and operator, learned from 40 logged executions." in text
+    assert "with the same operator tracks" not in text  # these draws do not depend on the order
+    assert "Saving on executions that were not used" not in text

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from report_pages import DistanceModel, Page, estimate
 
+from cyclekit.cli.estimate import validation
 from cyclekit.config.sequences import PLAN
 from cyclekit.estimate.check import compare
+from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.result import TaskShare
 from cyclekit.estimate.what_to_log import RecordingPlan
 from cyclekit.report import compose_report
@@ -39,6 +41,14 @@ def test_how_often_the_intervals_held_is_told_as_measured(dataset, tmp_path):
     assert "Of these, unseen by the model 10" in text
     assert "was not measured for this report" not in text
     assert "the error of the model in the backtest on logged executions" in text
+
+
+def test_a_check_of_both_agents_names_their_orders_and_no_operator_tracks(dataset, tmp_path):
+    check = JointCheck(**vars(checked()))
+    text = text_of(dataset, tmp_path / "r.html", check=check)
+    assert "Bias with each execution's own orders of robot and operator" in text
+    assert "Bias with the operator tracks of all other executions" not in text
+    assert "with their own orders of robot and operator: bias" in " ".join(validation(check).split())
 
 
 def test_without_a_check_no_coverage_is_claimed(dataset, tmp_path):

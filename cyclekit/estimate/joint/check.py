@@ -42,6 +42,16 @@ class JointCheck(Check):
     unexplained_s: float = 0.0
 
     @property
+    def with_own(self) -> str:
+        """What the executions were rolled out with to find the bias."""
+        return "their own orders of robot and operator"
+
+    @property
+    def with_others(self) -> str:
+        """What they were rolled out with to find the coverage."""
+        return "the same orders in simulated cycles"
+
+    @property
     def doubted_bias(self) -> float:
         """Bias without a known cause, as a share of the duration: it is corrected, but may differ for other orders."""
         return abs(self.own_bias) if self.biased(OWN_BIAS) else 0.0

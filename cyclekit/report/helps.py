@@ -149,12 +149,10 @@ def _plan(texts: ReportTexts, planned: OrderPlan | None) -> ReportTable | None:
     places = decimals_for((high - low) / 2)
     against = texts("helps.against_logged" if planned.against == "logged orders" else "helps.against_random")
     every = texts("helps.every_order" if planned.searched == "all orders" else "helps.some_orders")
+    beside = texts("helps.plan_against_both" if both else "helps.plan_against", against=against)
     rows = [
         [texts("helps.plan_expected"), fixed(planned.expected_s, places)],
-        [
-            texts("helps.plan_against_both" if both else "helps.plan_against", against=against),
-            fixed(planned.against_s, places),
-        ],
+        [beside, fixed(planned.against_s, places)],
         [texts("helps.plan_saved"), f"{fixed(saved, places)} ({fixed(low, places)} to {fixed(high, places)})"],
         *([] if both else [[texts("helps.plan_unseen"), fixed(planned.saves_unseen_s, places)]]),
     ]

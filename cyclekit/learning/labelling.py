@@ -13,7 +13,7 @@ import polars as pl
 
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.errors import DatasetError, command_line
-from cyclekit.scaling.commanded import UNKNOWN, Response, commanded_levels
+from cyclekit.scaling.commanded import SHORT_S, UNKNOWN, Response, commanded_levels
 from cyclekit.scaling.levels import Staircase, find_staircase
 
 if TYPE_CHECKING:
@@ -98,6 +98,7 @@ def commanded_in_time(
     *,
     sure_s: float = 0.0,
     or_faster: bool = False,
+    people: Ints | None = None,
 ) -> Ints:
     """Return the index of the commanded level at every row, shape (N,); -1 = unknown.
 
@@ -108,18 +109,52 @@ def commanded_in_time(
         response: The response to remove.
         sure_s: The level is also unknown this close to a change, s.
         or_faster: Return -1 - k if a rising ramp hides the level and it is at least k.
+        people: State of the people in every row, shape (N,): while it stays the same, a ramp hides no level, see
+            `_led_to`.
     """
     scaling, run = scaling_in_time(frame, dataset.rate_hz)
     ends = np.flatnonzero(np.diff(run)) + 1
     stretches_of = zip(np.split(frame["t_s"].to_numpy(), ends), np.split(scaling, ends), strict=True)
+    states = np.split(np.zeros(frame.height, np.int64) if people is None else people, ends)
     found = []
-    for t_s, s in stretches_of:
+    for (t_s, s), state in zip(stretches_of, states, strict=True):
         at_s = np.concatenate([t_s - sure_s, t_s + sure_s])
         commanded = commanded_levels(t_s, s, levels, response, at_s)
         hidden = or_faster & (commanded.level < 0) & (commanded.at_least > 0)
         early, late = np.split(np.where(hidden, -1 - commanded.at_least, commanded.level), 2)
-        found.append(np.where(early == late, early, UNKNOWN))
+        level = np.where(early == late, early, UNKNOWN)
+        if people is not None:
+            lowest = commanded.at_least.reshape(2, -1).min(axis=0)
+            level = _led_to(level, lowest, commanded.at_most.reshape(2, -1).max(axis=0), state, t_s)
+        found.append(level)
     return np.concatenate(found).astype(np.int64)
+
+
+def _led_to(level: Ints, lowest: Ints, highest: Ints, people: Ints, t_s: Floats) -> Ints:
+    """Return levels with those that a ramp hides, where people stay in one state: the level to which the ramp leads.
+
+    Then only the robot changed the level, by its way into or out of a region. Without these rows, the edge of a region
+    would be found too far in: a robot that stops in it is seen there only after its ramp has passed the other levels.
+
+    Args:
+        level: Level of each row of one stretch, shape (N,); negative = hidden.
+        lowest: Its lower bound, shape (N,).
+        highest: Its upper bound, shape (N,).
+        people: State of the people, shape (N,).
+        t_s: Time, shape (N,), s.
+    """
+    known, hidden = np.flatnonzero(level >= 0), np.flatnonzero(level < 0)
+    after = np.searchsorted(known, hidden)
+    between = (after > 0) & (after < len(known))
+    hidden, before, after = hidden[between], known[after[between] - 1], known[after[between]]
+    changes = np.cumsum(np.diff(people, prepend=people[:1]) != 0)
+    alone = (changes[before] == changes[after]) & (t_s[after] - t_s[before] <= SHORT_S)
+    left = (level[before] < lowest[hidden]) | (level[before] > highest[hidden])
+    there = (lowest[hidden] <= level[after]) & (level[after] <= highest[hidden])
+    sure = alone & left & there
+    found = level.copy()
+    found[hidden[sure]] = level[after[sure]]
+    return found
 
 
 def as_learned(card: TrainingCard, dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float]) -> pl.DataFrame:

@@ -12,7 +12,7 @@ from staircases import LEVELS, commanded, followed
 
 from cyclekit.dataset.cards import DynamicsCard
 from cyclekit.estimate.safety import Dynamics, Follower
-from cyclekit.learning.labelling import with_commands
+from cyclekit.learning.labelling import commanded_in_time, with_commands
 
 RATE_HZ = 10.0
 
@@ -59,3 +59,16 @@ def test_a_rollout_rises_only_when_the_hold_time_is_over():
     steps = [far] * 3 + [near] * 3 + [far] * 12
     found = np.array([follower.advance(robot, human)[0] for human in steps])
     assert found.tolist() == [1.0] * 5 + [0.0] * 8 + [1.0] * 5  # falls 0.2 s late, rises 0.2 + 0.5 s late
+
+
+def test_a_ramp_that_people_did_not_cause_shows_the_level_to_which_it_leads():
+    """It passes a level on its way down; without people who move, only the robot's place changed the level."""
+    scaling = np.array([0.5] * 6 + [0.35, 0.2, 0.05] + [0.0] * 6)
+    response, levels = DynamicsCard(ramp_down_per_s=1.5, ramp_up_per_s=1.5), (0.0, 0.25, 0.5, 1.0)
+    same = np.ones(15, np.int64)
+    came = np.where(np.arange(15) < 7, 1, 3)
+    for people, expected in ((None, [-1, -1]), (same, [0, 0]), (came, [-1, -1])):
+        found = commanded_in_time(logged(response), samples(scaling), levels, response, sure_s=0.03, people=people)
+        assert found[1:5].tolist() == [2] * 4
+        assert found[6:8].tolist() == expected
+        assert found[8:14].tolist() == [0] * 6

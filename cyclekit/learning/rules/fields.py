@@ -50,10 +50,12 @@ def rows_by_signals(dataset: Dataset, executions: Sequence[str], levels: Sequenc
         levels: Levels of the speed scaling, ascending.
     """
     frame, _ = without_slider(dataset, dataset.samples(list(executions)))
-    level = commanded_in_time(dataset, frame, levels, dataset.card.dynamics, sure_s=SURE_S)
+    bits = frame["human_signals"].fill_null(0).to_numpy()
+    level = commanded_in_time(
+        dataset, frame, levels, dataset.card.dynamics, sure_s=SURE_S, people=bits.astype(np.int64)
+    )
     robot_m = frame.select("robot_x_m", "robot_y_m", "robot_z_m").fill_null(float("nan")).to_numpy()
     level[frame["human_signals"].is_null().to_numpy() | np.isnan(robot_m[:, 0])] = -1
-    bits = frame["human_signals"].fill_null(0).to_numpy()
     order = {name: number for number, name in enumerate(executions)}
     number = frame["execution"].replace_strict(order).cast(int).to_numpy()
     named = dataset.card.operator_signals

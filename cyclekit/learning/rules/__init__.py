@@ -4,6 +4,7 @@ rows        positions and commanded level of each sample (`positions`, `distance
 families    the kinds of rules, one module each: presence, distance, rectangle, polygon, region of the robot, signal
 ladder      selects the kind that explains the commanded level on held-out executions
 fitting     fits one kind: one region per level, two with hysteresis (`cuts`, `crossings`, `intervals`)
+brackets    places edges that few operators crossed; `polygon_mean` places the sides of polygons
 regions     tests where a region holds; `quantities` lists its thresholds and edges
 law         fits the continuous law in place of levels (`law_rows`); `law_evidence` decides whether it applies
 safety      predicts the scaling by a rule in place of the network

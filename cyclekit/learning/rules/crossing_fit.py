@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from cyclekit.dataset.cards.rule import MetresCard
-from cyclekit.learning.rules.crossings import LevelChanges, crossings_of
+from cyclekit.learning.rules.crossings import CLEAR_M, LevelChanges, crossings_of
 from cyclekit.learning.rules.hysteresis import SUREST_M, Z95
 from cyclekit.learning.rules.quantities import outwards, put
 
@@ -79,17 +79,25 @@ def by_crossings(
         rows: Rows to which it was fitted.
         steps: Index of each level.
     """
-    lag = {limit.scaling: limit.until is not None for limit in limits}
-    changes: dict[RulePlace, LevelChanges] = {}
-    for place, (down, up) in crossings_of(limits, rows, steps, dated=True).items():
-        both = LevelChanges(*(np.concatenate(pair) for pair in zip(down, up, strict=True)))
-        mine = _likely((up if place.until else down) if lag[place.level] else both)
-        if len(mine.value_m) >= MIN_CHANGES:
-            changes[place] = mine
+    changes = enough_changes(limits, rows, steps)
     if not changes:
         return limits, frozenset()
     found = with_one_margin(located(changes))
     return put(limits, found.cards()), frozenset(changes)
+
+
+def enough_changes(
+    limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, int], clear_m: float = CLEAR_M
+) -> dict[RulePlace, LevelChanges]:
+    """Return the changes of the level at each threshold and edge that has at least MIN_CHANGES; as `crossings_of`."""
+    lag = {limit.scaling: limit.until is not None for limit in limits}
+    changes: dict[RulePlace, LevelChanges] = {}
+    for place, (down, up) in crossings_of(limits, rows, steps, dated=True, clear_m=clear_m).items():
+        both = LevelChanges(*(np.concatenate(pair) for pair in zip(down, up, strict=True)))
+        mine = _likely((up if place.until else down) if lag[place.level] else both)
+        if len(mine.value_m) >= MIN_CHANGES:
+            changes[place] = mine
+    return changes
 
 
 def _likely(each: LevelChanges) -> LevelChanges:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from cyclekit.learning.rules.positions import Positions
 from cyclekit.learning.rules.quantities import quantities
 from cyclekit.learning.rules.regions import turned
 
@@ -60,7 +61,12 @@ class LevelChanges(NamedTuple):
 
 
 def crossings_of(
-    limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, int], *, dated: bool = False
+    limits: tuple[LimitCard, ...],
+    rows: RuleRows,
+    steps: Mapping[float, int],
+    *,
+    dated: bool = False,
+    clear_m: float = CLEAR_M,
 ) -> dict[RulePlace, tuple[LevelChanges, LevelChanges]]:
     """Return for each threshold and edge the changes by which the level fell, and by which it rose.
 
@@ -69,19 +75,24 @@ def crossings_of(
         rows: Rows to which it was fitted.
         steps: Index of each level.
         dated: Only changes whose time is known.
+        clear_m: As in `tells`.
     """
     known = rows.sample - rows.sample[rows.before] <= APART if dated else True
+    halfway = _halfway(rows)
     regions = {(limit.scaling, until): limit.until if until else limit.within for limit in limits for until in (0, 1)}
     found: dict[RulePlace, tuple[LevelChanges, LevelChanges]] = {}
     for place in quantities(limits):
         region, step = regions[place.level, int(place.until)], steps[place.level]
         if region is None:
             continue
-        along = _along(region, place, rows.apart_m, rows.floor_m, rows.positions.tcp_m)
-        every = _measured(along, rows, 0.0 if place.kind == "robot" else rows.noise_m)
+        every = _measured(along(region, place, rows.positions), rows, 0.0 if place.kind == "robot" else rows.noise_m)
         was, now = rows.level[rows.before], rows.level
-        on = known & (rows.before >= 0) & _tells(region, place, rows) & np.isfinite(every.value_m + every.pace_m)
-        down, up = (on & (was == a) & (now == b) for a, b in ((step + 1, step), (step, step + 1)))
+        on = known & (rows.before >= 0) & tells(region, place, halfway, NEAR_M, clear_m)
+        on &= np.isfinite(every.value_m + every.pace_m)
+        faster_was, faster_now = (
+            level == step + 1 if place.kind == "nearer" else level > step for level in (was, now)
+        )  # a step over several levels crosses several thresholds, but one edge
+        down, up = on & faster_was & (now == step), on & (was == step) & faster_now
         found[place] = (every.where(down), every.where(up))
     return found
 
@@ -97,7 +108,7 @@ def lags(limits: tuple[LimitCard, ...], rows: RuleRows, steps: Mapping[float, in
     return bool(shown) and 2 * sum(shown) > len(shown)
 
 
-def _measured(along: Vector, rows: RuleRows, noise_m: float) -> LevelChanges:
+def _measured(value_m: Vector, rows: RuleRows, noise_m: float) -> LevelChanges:
     """Return the operator's value at a change of the level, if there is one between each row (N,) and the row before.
 
     The mean of both rows is biased if the operator passes at an angle, because a distance then falls and rises again.
@@ -107,45 +118,51 @@ def _measured(along: Vector, rows: RuleRows, noise_m: float) -> LevelChanges:
     has = np.flatnonzero(before >= 0)
     after[before[has]] = has
     earlier = np.where(before >= 0, before[before], -1)
-    along = np.where(np.isfinite(along), along, np.nan)
-    value, pace = (along + along[before]) / 2, along - along[before]
-    bent = (7 * (along + along[before]) - along[earlier] - along[after]) / 12
-    long = (along[after] - along[earlier]) / 3
+    at = np.where(np.isfinite(value_m), value_m, np.nan)
+    value, pace = (at + at[before]) / 2, at - at[before]
+    bent = (7 * (at + at[before]) - at[earlier] - at[after]) / 12
+    long = (at[after] - at[earlier]) / 3
     four = (earlier >= 0) & (after >= 0) & np.isfinite(bent)
     value, pace = np.where(four, bent, value), np.where(four, long, pace)
     spread = np.sqrt(0.7 * noise_m**2 + pace**2 / 12 + EXACT_M**2)
     return LevelChanges(value, pace, spread, rows.execution)
 
 
-def _along(
-    region: RegionCard,
-    place: RulePlace,
-    apart_m: Mapping[str, Vector],
-    floor_m: NDArray[np.float64],
-    tcp_m: NDArray[np.float64],
-) -> Vector:
-    """Return the coordinate or distance that a threshold or edge bounds, shape (N,)."""
+def along(region: RegionCard, place: RulePlace, positions: Positions) -> Vector:
+    """Return the coordinate or distance that a threshold or edge bounds, shape (N,), m."""
     if place.kind == "nearer":
-        return apart_m[region.nearer[place.item].distance]
+        return positions.apart_m[region.nearer[place.item].distance]
     if place.kind == "polygon":
-        return turned(floor_m, region.polygons[place.item].sides[place.edge].angle_rad)[0]
+        return turned(positions.floor_m, region.polygons[place.item].sides[place.edge].angle_rad)[0]
     if place.kind == "robot" and region.robot is not None:
-        return turned(tcp_m, region.robot.angle_rad)[place.edge // 2]
-    return turned(floor_m, region.rectangles[place.item].angle_rad)[place.edge // 2]
+        return turned(positions.tcp_m, region.robot.angle_rad)[place.edge // 2]
+    return turned(positions.floor_m, region.rectangles[place.item].angle_rad)[place.edge // 2]
 
 
-def _tells(region: RegionCard, place: RulePlace, rows: RuleRows) -> Bools:
-    """Return which rows locate this threshold or edge, by the positions half-way from the row before, shape (N,)."""
+def _halfway(rows: RuleRows) -> Positions:
+    """Return the positions half-way from the row before, shape (N,)."""
     floor, tcp = ((at + at[rows.before]) / 2 for at in (rows.floor_m, rows.positions.tcp_m))
-    apart = {name: (each + each[rows.before]) / 2 for name, each in rows.apart_m.items()}
-    value = _along(region, place, apart, floor, tcp)
+    return Positions({name: (each + each[rows.before]) / 2 for name, each in rows.apart_m.items()}, floor, tcp)
+
+
+def tells(region: RegionCard, place: RulePlace, positions: Positions, near_m: float, clear_m: float) -> Bools:
+    """Return at which positions the level depends on this threshold or edge alone, shape (N,).
+
+    Args:
+        region: The region of the threshold or edge.
+        place: The threshold or edge.
+        positions: N positions.
+        near_m: Maximum distance from the threshold or edge.
+        clear_m: Minimum clearance from its ends and from other regions.
+    """
+    floor, tcp, value = positions.floor_m, positions.tcp_m, along(region, place, positions)
     if place.kind == "nearer":
-        on = np.abs(value - region.nearer[place.item].metres.value) < NEAR_M
+        on = np.abs(value - region.nearer[place.item].metres.value) < near_m
         for rectangle in region.rectangles:
-            on &= _outside_m(rectangle, floor) > CLEAR_M
+            on &= _outside_m(rectangle, floor) > clear_m
         return on
     if place.kind == "polygon":
-        return _at_side(region.polygons[place.item].sides, place.edge, floor)
+        return _at_side(region.polygons[place.item].sides, place.edge, floor, near_m, clear_m)
     of_robot = region.robot if place.kind == "robot" else None
     rectangle = of_robot or region.rectangles[place.item]
     other = turned(tcp if of_robot else floor, rectangle.angle_rad)[1 - place.edge // 2]
@@ -153,25 +170,27 @@ def _tells(region: RegionCard, place: RulePlace, rows: RuleRows) -> Bools:
     ends = (rectangle.across, rectangle.along)[place.edge // 2]
     if edge is None:
         return np.zeros(len(value), np.bool_)
-    on = np.abs(value - edge.value) < NEAR_M
-    on &= ends[0] is None or other > ends[0].value + CLEAR_M
-    on &= ends[1] is None or other < ends[1].value - CLEAR_M
+    on = np.abs(value - edge.value) < near_m
+    on &= ends[0] is None or other > ends[0].value + clear_m
+    on &= ends[1] is None or other < ends[1].value - clear_m
     for near in region.nearer:
-        on &= apart[near.distance] > near.metres.value + CLEAR_M
+        on &= positions.apart_m[near.distance] > near.metres.value + clear_m
     if place.kind == "robot":
         for each in region.rectangles:
-            on &= _outside_m(each, floor) < -CLEAR_M
+            on &= _outside_m(each, floor) < -clear_m
     elif region.robot is not None:
-        on &= _outside_m(region.robot, tcp) < -CLEAR_M
+        on &= _outside_m(region.robot, tcp) < -clear_m
     return on
 
 
-def _at_side(sides: Sequence[SideCard], number: int, floor_m: NDArray[np.float64]) -> Bools:
+def _at_side(
+    sides: Sequence[SideCard], number: int, floor_m: NDArray[np.float64], near_m: float, clear_m: float
+) -> Bools:
     """Return which points are near a side and clear of the others, shape (N,)."""
     along = [turned(floor_m, side.angle_rad)[0] for side in sides]
-    on = np.abs(along[number] - sides[number].metres.value) < NEAR_M
+    on = np.abs(along[number] - sides[number].metres.value) < near_m
     for at, (value, side) in enumerate(zip(along, sides, strict=True)):
-        on &= (at == number) | (value < side.metres.value - CLEAR_M)
+        on &= (at == number) | (value < side.metres.value - clear_m)
     return on
 
 

@@ -10,13 +10,12 @@ from msgspec import structs
 
 from cyclekit.learning.rules.fitting import fit_limits, near_edges
 from cyclekit.learning.rules.hysteresis import Z95
-from cyclekit.learning.rules.polygons import seen_from
 from cyclekit.learning.rules.quantities import changed, quantities
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from cyclekit.dataset.cards.rule import LimitCard, MetresCard, RegionCard
+    from cyclekit.dataset.cards.rule import LimitCard, MetresCard
     from cyclekit.learning.rules.families.family import Family
     from cyclekit.learning.rules.quantities import RulePlace
     from cyclekit.learning.rules.rows import RuleRows
@@ -61,7 +60,7 @@ def with_intervals(
     for _ in range(RESAMPLES):
         times = np.bincount(rng.choice(present, len(present)), minlength=count)[rows.execution].astype(np.float64)
         drawn = fit_limits(rows, levels, family, lag=lag, weight=times * near, start=limits)
-        for place, metres in quantities(_aligned(drawn, limits)).items():
+        for place, metres in quantities(drawn).items():
             low[place].append(metres.value if metres.low is None else metres.low)
             high[place].append(metres.value if metres.high is None else metres.high)
 
@@ -75,21 +74,3 @@ def with_intervals(
         return structs.replace(metres, low=min(below, metres.value) - off_m, high=max(above, metres.value) + off_m)
 
     return changed(limits, bounded)
-
-
-def _aligned(drawn: tuple[LimitCard, ...], limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
-    """Return limits whose polygons have the sides of the rule's polygons, for comparison side by side."""
-    mine = {limit.scaling: limit for limit in limits}
-    return tuple(
-        structs.replace(
-            limit,
-            within=_seen(limit.within, mine[limit.scaling].within),
-            until=_seen(limit.until, until) if limit.until and (until := mine[limit.scaling].until) else limit.until,
-        )
-        for limit in drawn
-    )
-
-
-def _seen(region: RegionCard, own: RegionCard) -> RegionCard:
-    pairs = zip(region.polygons, own.polygons, strict=False)
-    return structs.replace(region, polygons=tuple(seen_from(other, polygon) for other, polygon in pairs))

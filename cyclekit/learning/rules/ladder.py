@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.cards.rule import RuleCard
-from cyclekit.learning.rules.crossing_fit import by_crossings
+from cyclekit.learning.rules.brackets import CLEAR_M, bracketed
+from cyclekit.learning.rules.crossing_fit import by_crossings, enough_changes
 from cyclekit.learning.rules.crossings import LAG_M, lags
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.families.signal import SIGNALS
 from cyclekit.learning.rules.fitting import few_of, fit_limits, refined
 from cyclekit.learning.rules.hysteresis import with_edges_to_leave, with_even_margins, with_one_hysteresis
 from cyclekit.learning.rules.intervals import with_intervals
+from cyclekit.learning.rules.polygon_mean import mean_polygons
 from cyclekit.learning.rules.quantities import quantities, with_bounds, without_doubtful
 from cyclekit.learning.rules.regions import followed
 
@@ -305,11 +307,17 @@ def _whole(fit: _Fit, rows: RuleRows, levels: Sequence[float], *, noisy: bool, s
     limits = _evened(refined(fit.limits, rows, levels, family, lag=fit.lag), rows, levels)
     if not limits:
         return None
-    known: Collection[RulePlace] = ()
+    steps = {level: step for step, level in enumerate(levels)}
+    known: frozenset[RulePlace] = frozenset()
     noise_m = rows.noise_m if noisy else 0.0
     if noisy:
-        limits, known = by_crossings(limits, rows, {level: step for step, level in enumerate(levels)})
-    limits = with_intervals(limits, rows, levels, family, known=known, noise_m=noise_m, seed=seed)
+        limits, known = by_crossings(limits, rows, steps)
+    limits, sides = mean_polygons(limits, rows, steps, seed=seed)
+    often = known if noisy else enough_changes(limits, rows, steps, CLEAR_M).keys()
+    seldom = quantities(limits).keys() - often - sides
+    limits, placed = bracketed(limits, rows, steps, seldom)
+    known |= sides
+    limits = with_intervals(limits, rows, levels, family, known=known | placed, noise_m=noise_m, seed=seed)
     return without_doubtful(with_one_hysteresis(limits, known))
 
 

@@ -9,11 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from msgspec import structs
 
-from cyclekit.dataset.cards.rule import MetresCard, PolygonCard, SideCard
+from cyclekit.dataset.cards.rule import PolygonCard, SideCard
 from cyclekit.learning.rules.cuts import Cut, best_cut
-from cyclekit.learning.rules.regions import polygon_corners
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,26 +83,6 @@ def best_polygon(rows: LimitRows, start: PolygonCard | None = None) -> PolygonCa
         sides = [_Side(side.angle_rad, Cut(side.metres.value, side.metres.value)) for side in start.sides]
     sides = _moved(floor, sides, _FINE_DEG if start is None else _FINE_DEG[1:])
     return _card(sides)
-
-
-def seen_from(other: PolygonCard, polygon: PolygonCard) -> PolygonCard:
-    """Return a polygon with the side angles of `polygon` and the position of `other`, measured at mid-side.
-
-    The distance of a slightly rotated side along its own normal does not show how far it has moved.
-    """
-    corners = polygon_corners(polygon)
-    sides = []
-    for number, side in enumerate(polygon.sides):
-        normal = np.array([np.cos(side.angle_rad), np.sin(side.angle_rad)])
-        middle = normal * side.metres.value
-        if corners is not None:  # corner n is between sides n and n + 1
-            middle = (np.array(corners[number - 1]) + np.array(corners[number])) / 2
-        angles = np.array([one.angle_rad for one in other.sides])
-        mine = other.sides[int(np.cos(angles - side.angle_rad).argmax())]
-        out = side.metres.value - float(middle @ [np.cos(mine.angle_rad), np.sin(mine.angle_rad)])
-        ends = {name: None if (at := getattr(mine.metres, name)) is None else at + out for name in ("low", "high")}
-        sides.append(structs.replace(side, metres=MetresCard(value=mine.metres.value + out, **ends)))
-    return PolygonCard(sides=tuple(sides))
 
 
 def _drawn(floor: _Floor) -> list[_Side]:

@@ -21,6 +21,7 @@ from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.cause_samples import TwoStateSignal, joined, rows_of
 from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
 from cyclekit.derive.first_pass import first_pass
+from cyclekit.derive.found_slider import sliders_of, without_slider_loss
 from cyclekit.derive.last_pass import LastPassInput, last_pass
 from cyclekit.derive.notes import empty_tracker_notes, input_notes, signal_notes, unseen_notes
 from cyclekit.derive.operator_tasks import operator_tasks
@@ -136,6 +137,7 @@ class _FoundInAllSessions(NamedTuple):
 
     human_places: Mapping[str, Place]
     staircase: Staircase
+    sliders: Mapping[str, float]
     levels: tuple[float, ...]
     operator_absence: list[Absence]
     presence: PresenceSignals
@@ -156,7 +158,7 @@ def _find_in_all_sessions(
     """Find the levels, the operator's places and, unless given, the evidence for causes of lost time."""
     runs = {work.session.name: list(work.runs.values()) for work in to_sample}
     human_places = operator_places([mine for one in sampled if one.samples for mine in one.operator_standstills], cell)
-    staircase = _staircase(sampled, files, cell, folder)
+    staircase, sliders = _staircase(sampled, files, cell, folder)
     labels = np.split(staircase.label, np.cumsum([one.samples for one in sampled])[:-1]) if sampled else []
     levels = tuple(round(float(level), 6) for level in staircase.levels)
     operator_absence = absences([one.silences for one in sampled])
@@ -174,7 +176,9 @@ def _find_in_all_sessions(
         for one, label, absence, switch in zip(sampled, labels, operator_absence, presence.switches, strict=True)
     ]
     evidence = evidence or _evidence(last_inputs, sampled, files, levels, folder, presence.names)
-    return _FoundInAllSessions(human_places, staircase, levels, operator_absence, presence, last_inputs, evidence)
+    return _FoundInAllSessions(
+        human_places, staircase, sliders, levels, operator_absence, presence, last_inputs, evidence
+    )
 
 
 def _stops(
@@ -220,7 +224,7 @@ def _derived(
 ) -> Derived:
     """Complete the samples."""
     some = [one for one in sampled if one.samples]
-    human_places, staircase, levels, operator_absence, presence, last_inputs, evidence = found
+    human_places, staircase, sliders, levels, operator_absence, presence, last_inputs, evidence = found
     most_changes = max(20, MAX_CHANGES // max(len(some), 1))
     rest = partial(
         last_pass,
@@ -235,11 +239,12 @@ def _derived(
     response = presence.response(read_response([one.changes for one in finished]))
     if response.latency_s is None and response.changes and any(map(is_tracked, some)):
         response = replace(response, latency_s=reaction_time(some, levels, response, folder))
+    tasks = partial(_tasks, sampled, [one.lost_s for one in finished], human_places)
     return Derived(
         recordings=[recording for one in sampled for recording in one.recordings],
         samples=sum(one.samples for one in some),
-        tasks=_tasks(sampled, [one.lost_s for one in finished], human_places),
-        tasks_to_next=_tasks(sampled, [one.lost_s for one in finished], human_places, to_next=True),
+        tasks=without_slider_loss(tasks(), sliders),
+        tasks_to_next=without_slider_loss(tasks(to_next=True), sliders),
         executions=[card for one in sampled for card in one.cards],
         places=robot.places,
         human_places=human_places,
@@ -348,14 +353,18 @@ def _evidence(
 
 def _staircase(
     sampled: Sequence[SecondPassResult], files: Sequence[Sequence[int]], cell: Cell, folder: Path
-) -> Staircase:
-    """Find the levels of the scaling in all executions, or use those that the cell file fixes."""
+) -> tuple[Staircase, dict[str, float]]:
+    """Find the levels of the scaling in all executions, or use those that the cell file fixes; sliders of executions.
+
+    A slider that the log holds is not part of the scaling.
+    """
     if not any(one.samples for one in sampled):
-        return find_staircase(np.empty(0))
+        return find_staircase(np.empty(0)), {}
     frame = pl.concat(in_order((numbers, _scaling_of([sampled[n] for n in numbers], folder)) for numbers in files))
     run = stretches(frame, cell.rate_hz)
     scaling = frame["scaling"].fill_null(np.nan).to_numpy()
-    return find_staircase(scaling, run=run, levels=cell.levels or None, rate_hz=cell.rate_hz)
+    found = find_staircase(scaling, run=run, levels=cell.levels or None, rate_hz=cell.rate_hz)
+    return found, sliders_of(frame["execution"].to_list(), found.slider)
 
 
 def _scaling_of(sampled: Sequence[SecondPassResult], folder: Path) -> list[pl.DataFrame]:

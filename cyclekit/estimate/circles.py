@@ -32,12 +32,14 @@ class TrackStarts(NamedTuple):
         where: x_h (and g_h), shape (entries, length, 3 or 6).
         activity: Shape (entries, length).
         owner: Number of the log in which each track starts, shape (entries,); in the order of the circles.
+        begin: Sample of that log with which each track starts, shape (entries,).
         logged: Samples until the end of that log, or of the last log that really followed it, shape (entries,).
     """
 
     where: Points
     activity: Ints
     owner: Ints
+    begin: Ints
     logged: Ints
 
 
@@ -74,7 +76,7 @@ def start_tracks(
     log = np.searchsorted(first, at, side="right") - 1
     since, turn = at - begin[of[log]], count[of[log]]
     rows = begin[of[log], None] + (since[:, None] + np.arange(length)) % turn[:, None]
-    return TrackStarts(where[rows], activity[rows], order[log], ends[log] - at)
+    return TrackStarts(where[rows], activity[rows], order[log], at - first[log], ends[log] - at)
 
 
 def _followers(logs: Sequence[Stretch], step_s: float, really: Mapping[int, int]) -> dict[int, int]:

@@ -47,6 +47,7 @@ def _kept(tracks: OperatorTracks, kept: list[int]) -> OperatorTracks:
         executions=tuple(tracks.executions[k] for k in kept),
         goal_m=None if tracks.goal_m is None else tracks.goal_m[kept],
         state=None if tracks.state is None else tracks.state[kept],
+        scaling=None if tracks.scaling is None else tracks.scaling[kept],
     )
 
 

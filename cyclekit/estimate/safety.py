@@ -257,9 +257,12 @@ def scaling_in_step(
 
 
 class Follower:
-    """s of N cycles over time, with one call per step of `step_s`."""
+    """s of N cycles over time, with one call per step of `step_s`; it starts at `scaling` (N,) or, if lower, commanded.
 
-    def __init__(self, model: SafetyModel, dynamics: Dynamics, step_s: float) -> None:
+    NaN or None: it starts as commanded.
+    """
+
+    def __init__(self, model: SafetyModel, dynamics: Dynamics, step_s: float, scaling: Vector | None = None) -> None:
         self._model, self._dynamics, self._step_s = model, dynamics, step_s
         # isinstance checks per step would take as long as the network for a few rows
         self._rule = model if isinstance(model, RuleSafety) else None
@@ -270,7 +273,8 @@ class Follower:
         self._target = np.empty(0)
         self._seen: deque[Vector] = deque()
         self._held: Vector | None = None
-        self._s: Vector | None = None
+        self._start, self._s = scaling, np.empty(0)
+        self._began = False
 
     def advance(self, robot_m: Floats, human_m: Floats) -> Vector:
         """Return s (N,) of this step for positions (N, 3) at the middle of the step."""
@@ -278,23 +282,28 @@ class Follower:
         return self.go_on()
 
     def go_on(self) -> Vector:
-        """Return s (N,) of one more step for the positions of the last call of `advance`."""
+        """Return the mean s (N,) of one more step for the positions of the last call of `advance`."""
         self._recent.append(self._target)
         self._seen.append(np.min(self._recent, axis=0) if len(self._recent) > 1 else self._target)
         wanted = self._seen.popleft() if len(self._seen) > self._delay else self._seen[0]
-        if self._s is not None:
-            down, up = self._dynamics.ramp_down_per_s, self._dynamics.ramp_up_per_s
-            lowest = -np.inf if not down else self._s - down * self._step_s
-            highest = np.inf if not up else self._s + up * self._step_s
-            wanted = np.clip(wanted, lowest, highest)
-        self._s = wanted
-        return wanted
+        if not self._began:
+            self._s = wanted if self._start is None else np.fmin(self._start, wanted)
+            self._began = True
+        before = self._s
+        down, up = self._dynamics.ramp_down_per_s, self._dynamics.ramp_up_per_s
+        lowest = -np.inf if not down else before - down * self._step_s
+        highest = np.inf if not up else before + up * self._step_s
+        self._s = np.clip(wanted, lowest, highest)
+        rate = np.where(self._s < before, down or np.inf, up or np.inf)
+        ramp_s = np.abs(self._s - before) / rate
+        return np.asarray(self._s + (before - self._s) * ramp_s / (2.0 * self._step_s))
 
     def keep(self, going: Bools) -> None:
         """Drop all other rows."""
         self._seen, self._target = deque(wanted[going] for wanted in self._seen), self._target[going]
         self._recent = deque((wanted[going] for wanted in self._recent), self._recent.maxlen)
-        self._s, self._held = (None if part is None else part[going] for part in (self._s, self._held))
+        self._s = self._s[going]
+        self._held = None if self._held is None else self._held[going]
 
     def _wanted(self, robot_m: Floats, human_m: Floats) -> Vector:
         """Return the scaling of the safety function with its hysteresis."""

@@ -24,7 +24,8 @@ from cyclekit.errors import DatasetError, EstimateError
 from cyclekit.estimate.circles import TrackStarts, start_tracks
 from cyclekit.estimate.continuation import Continuation, Stretch
 from cyclekit.estimate.courses import continue_courses
-from cyclekit.estimate.safety import OnStates
+from cyclekit.estimate.pauses import RUN_ON_S, runs_on, starting_scaling
+from cyclekit.estimate.safety import Dynamics, OnStates
 from cyclekit.people.tracks import OCCLUDED_S
 
 if TYPE_CHECKING:
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.safety import SafetyModel
 
-RUN_ON_S = 5.0
-"""Maximum pause, s, before the next execution of a session for the operator's track to run on into it."""
 ENTRIES, MIN_ENTRIES = 8, 4
 """Number of tracks per execution along circles of logs: usual, and minimum."""
 MANY = 320
@@ -70,6 +69,7 @@ class OperatorTracks:
         phase_free: Result of `phase_is_free` for these logs.
         runs_on: Whether most executions, with the operator, are followed by the next one without a pause.
         state: Input of the safety function in place of x_h, shape (K, T, D), D not 3; None: its input is x_h.
+        scaling: Scaling at the start, shape (K,); NaN or None: as commanded.
     """
 
     xyz_m: NDArray[np.float64]
@@ -82,6 +82,7 @@ class OperatorTracks:
     phase_free: bool = False
     runs_on: bool = False
     state: NDArray[np.float64] | None = None
+    scaling: NDArray[np.float64] | None = None
 
     @property
     def at_any_instant(self) -> bool:
@@ -162,12 +163,12 @@ def operator_tracks(
         instants = _instants([len(track.where) for track in mine.values()]) if anywhere and on_states else [0]
         parts.insert(0, _continued(tracks, begins, after, step, length, instants, states=on_states, free=free))
     starts = parts[0] if len(parts) == 1 else TrackStarts(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-    where, activity, owner, logged = starts
+    where, activity, owner, begin, logged = starts
     executions = tuple(begins[k] for k in owner.tolist())
+    scaling = starting_scaling(dataset, executions, begin, Dynamics.of(dataset.card.dynamics, model).ramp_up_per_s)
     goal_m, state = (where[..., 3:] if wanted else None for wanted in (goals, on_states))
-    return OperatorTracks(
-        where[..., :3], activity, tuple(names), logged, executions, step, goal_m, free, _runs_on(dataset), state
-    )
+    rest = tuple(names), logged, executions, step, goal_m, free, runs_on(dataset), state, scaling
+    return OperatorTracks(where[..., :3], activity, *rest)
 
 
 def _on_circles(tracks: dict[str, LoggedTrack], after: dict[str, list[str]], step: float, length: int) -> TrackStarts:
@@ -210,8 +211,8 @@ def _continued(
     else:
         owners = [followed.get(ran_on[k][1], -1) for k, _ in entries]
         where, activity = Continuation(pool, step, phase_free=free).extend(streams, owners, length)
-    logged = np.array([len(stream.where) for stream in streams])
-    return TrackStarts(where, activity, np.array([k for k, _ in entries]), logged)
+    owner, begin = (np.array(part) for part in zip(*entries, strict=True))
+    return TrackStarts(where, activity, owner, begin, np.array([len(stream.where) for stream in streams]))
 
 
 def _instants(lengths: Sequence[int]) -> list[int]:
@@ -222,12 +223,6 @@ def _instants(lengths: Sequence[int]) -> list[int]:
     """
     within = int(np.quantile(lengths, SHORTEST, method="lower"))
     return [within * phase // PHASES for phase in range(PHASES)]
-
-
-def _runs_on(dataset: Dataset) -> bool:
-    order = dataset.executions.sort("session", "start_s")
-    pause = order.select(pause=pl.col("start_s") - pl.col("end_s").shift().over("session"))["pause"]
-    return bool((pause <= RUN_ON_S).sum() >= 0.8 * max(len(pause) - order["session"].n_unique(), 1))
 
 
 def phase_is_free(tracks: Mapping[str, LoggedTrack]) -> bool:

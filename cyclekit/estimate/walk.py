@@ -163,7 +163,8 @@ def simulate(
     count, samples, kinds = len(which), tracks.activity.shape[1], len(tracks.activities) + 1
     duration, activity_s = np.full(count, np.inf), np.zeros(count * kinds)
     known, looked, spliced, own_loss = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
-    follower = None if jumps else Follower(model, dynamics, step_s)
+    start = None if tracks.scaling is None else tracks.scaling[track]
+    follower = None if jumps else Follower(model, dynamics, step_s, start)
     fast = fine or is_fast(model)
     looks_after, asks_after = round(SUPPORT_EVERY_S / step_s), 1 if fast else round(TIME_STEP_S / step_s)
     rows, mine, scaling = np.arange(count), track, np.ones(count)  # of the cycles that have not ended

@@ -12,10 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cyclekit.dataset.cards import DynamicsCard
 from cyclekit.estimate import tracks
 from cyclekit.estimate.continuation import Stretch
 from cyclekit.estimate.courses import continue_courses
 from cyclekit.estimate.safety import OnStates
+
+CARD = SimpleNamespace(executions=(), dynamics=DynamicsCard())
 
 
 def course(*spells: tuple[int, int]) -> Stretch:
@@ -71,7 +74,7 @@ def test_courses_of_states_are_entered_at_several_instants(monkeypatch: pytest.M
     starts = [100.0 * number for number in range(len(names))]
     executions = pl.DataFrame({"execution": names, "session": 0, "start_s": starts, "complete": True})
     executions = executions.with_columns(end_s=pl.col("start_s") + 4.9)
-    dataset = SimpleNamespace(rate_hz=10.0, executions=executions, card=SimpleNamespace(executions=()), path="cell")
+    dataset = SimpleNamespace(rate_hz=10.0, executions=executions, card=CARD, path="cell")
     model = Mock(spec=OnStates)
     assert isinstance(model, OnStates)
     found = tracks.operator_tracks(dataset, horizon_s=8.0, model=model)  # type: ignore[arg-type]
@@ -95,7 +98,7 @@ def test_in_a_pause_between_executions_people_are_in_the_last_or_the_next_state_
     monkeypatch.setattr(tracks, "_in_states", lambda dataset, model: ([str(number) for number in range(6)], logged))
     executions = pl.DataFrame({"execution": list(logs), "session": 0, "start_s": [0.0, 8.0], "end_s": [4.9, 12.9],
                                "complete": True})  # fmt: skip
-    dataset = SimpleNamespace(rate_hz=10.0, executions=executions, card=SimpleNamespace(executions=()), path="cell")
+    dataset = SimpleNamespace(rate_hz=10.0, executions=executions, card=CARD, path="cell")
     found = tracks.operator_tracks(dataset, horizon_s=12.0, model=Mock(spec=OnStates))  # type: ignore[arg-type]
     assert found.state is not None
     np.testing.assert_array_equal(found.state[0, :65, 0], 0)

@@ -42,8 +42,16 @@ def test_s_follows_late_and_on_ramps():
     assert followed(Dynamics(), steps) == [1, 1, 0.2, 0.2, 0.2, 0.2, 1, 1]
     assert followed(Dynamics(latency_s=0.2), steps) == [1, 1, 1, 1, 0.2, 0.2, 0.2, 0.2]
     assert followed(Dynamics(ramp_down_per_s=4.0, ramp_up_per_s=2.0), steps) == pytest.approx(
-        [1, 1, 0.6, 0.2, 0.2, 0.2, 0.4, 0.6]
+        [1, 1, 0.8, 0.4, 0.2, 0.2, 0.3, 0.5]
     )
+
+
+def test_a_cycle_starts_at_the_scaling_that_was_kept_but_never_above_what_is_commanded():
+    dynamics = Dynamics(ramp_down_per_s=4.0, ramp_up_per_s=2.0)
+    follower = Follower(Sides(), dynamics, 0.1, np.array([0.4, np.nan, 0.4]))
+    people = np.array([[3.0, 0.0, 0.0], [3.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    steps = [follower.advance(np.zeros((3, 3)), people) for _ in range(2)]
+    np.testing.assert_allclose(steps, [[0.5, 1.0, 0.2], [0.7, 1.0, 0.2]])
 
 
 def test_s_rises_farther_out_than_it_falls():

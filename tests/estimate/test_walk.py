@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -117,6 +118,24 @@ def test_many_rows_at_once_are_each_walked_as_one_would_by_hand(
         assert found.looked[row] == len(wanted["looks"])
         assert found.known[row] == sum(near(r, h) for r, h in wanted["looks"])
     assert 0 < found.known.sum() < found.looked.sum()
+
+
+class Free(Smooth):
+    """Full speed everywhere."""
+
+    card = TrainingCard()
+
+    def predict(self, X: np.ndarray) -> np.ndarray:
+        return np.ones(len(X))
+
+
+def test_a_cycle_that_starts_slow_takes_longer_where_recovery_is_slow(asked: tuple[list[Program], OperatorTracks]):
+    programs, tracks = asked
+    stands, track, slow = [draw_standstills(programs[1], TRACKS, 3)], np.arange(TRACKS), Dynamics(ramp_up_per_s=0.5)
+    tracks = replace(tracks, scaling=np.array([np.nan, 1.0, 0.5, 0.5, 0.1]))
+    found = simulate(Free(), programs[1:], np.zeros(TRACKS, np.int64), track, stands, tracks, dynamics=slow)
+    lost_s = found.safety_s.sum(axis=1)
+    assert lost_s == pytest.approx([0.0, 0.0, 0.25, 0.25, 0.81], abs=1e-6)  # half of the square over the recovery
 
 
 def test_rows_with_dynamics_do_not_mind_who_else_is_walked(asked: tuple[list[Program], OperatorTracks]):

@@ -104,6 +104,7 @@ def settings_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: 
             "count": len(tracks.executions),
             "step_s": tracks.step_s,
             "logged": tracks.logged.tolist(),
+            "scaling": None if tracks.scaling is None else [None if s != s else s for s in tracks.scaling.tolist()],
             "circles": tracks.at_any_instant,
         },
         "dynamics": vars(dynamics),

@@ -1,6 +1,6 @@
 // ---- the walk: `estimate.walk`, one track after the other
 
-const followerOf = (dynamics, step_s) => { // Follower: s of one cycle over time
+const followerOf = (dynamics, step_s, start) => { // Follower: s of one cycle over time
   const { latency_s: latency, hold_s: holds, ramp_down_per_s: down, ramp_up_per_s: up } = dynamics;
   const delay = halfToEven((latency || 0) / step_s);
   const hold = 1 + halfToEven((holds || 0) / step_s);
@@ -26,12 +26,13 @@ const followerOf = (dynamics, step_s) => { // Follower: s of one cycle over time
       queue.push(wanted);
       wanted = queue.length > delay ? queue.shift() : queue[0];
     }
-    if (s !== undefined) {
-      if (down && wanted < s - down * step_s) wanted = s - down * step_s;
-      if (up && wanted > s + up * step_s) wanted = s + up * step_s;
-    }
+    if (s === undefined) s = typeof start === "number" ? Math.min(start, wanted) : wanted;
+    if (down && wanted < s - down * step_s) wanted = s - down * step_s;
+    if (up && wanted > s + up * step_s) wanted = s + up * step_s;
+    const rate = (wanted < s ? down : up) || Infinity;
+    const mean = wanted + ((s - wanted) * Math.abs(wanted - s)) / rate / (2 * step_s);
     s = wanted;
-    return s;
+    return mean;
   };
 };
 
@@ -66,7 +67,7 @@ const walk = (legs, dynamics, crowd, samples) => {
     let moving = true;
     let at = 0; // of the motion, nominal; of the stand, elapsed
     let scaling = 1;
-    const follow = follows ? followerOf(dynamics, step_s) : null;
+    const follow = follows ? followerOf(dynamics, step_s, facts.tracks.scaling && facts.tracks.scaling[k]) : null;
     let asked; // at which sample
     let spliced = 0;
     let ownLoss = 0;

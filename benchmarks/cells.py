@@ -7,7 +7,7 @@ random streams than the logs.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -19,6 +19,7 @@ from cyclekit.learning.networks.saved import TrainedModel, load_model, save_mode
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.training import train
 from cyclekit_sim import SimulationOptions, random_sequence, simulate
+from cyclekit_sim.choices import LOGGED
 from cyclekit_sim.plan import prepare, run_alone
 from cyclekit_sim.simulate import set_up
 from cyclekit_sim.truth import task_rows
@@ -120,22 +121,26 @@ def fresh(
     *,
     kind: str = "",
     paired: bool = False,
+    logged_seed: int | None = None,
     options: SimulationOptions = PLAIN,
 ) -> pl.DataFrame:
     """Return fresh executions of a sequence, one row per task; simulated once per folder `work`.
 
-    `paired`: the same operators for every sequence, so that few executions suffice to compare sequences.
+    `paired`: the same operators for every sequence, so that few executions suffice to compare sequences. `logged_seed`:
+    the operators of the logs of this seed, in a scene that is not recorded in one piece.
 
     Returns:
         Columns execution, index (of the task), s (duration).
     """
     name = hashlib.sha256(" ".join([scene, kind, str(executions), *places]).encode()).hexdigest()[:16]
-    file = work / "fresh" / f"{name}{'-paired' if paired else ''}.parquet"
+    of_logs = "" if logged_seed is None else f"-logged-{logged_seed}"
+    file = work / "fresh" / f"{name}{'-paired' if paired else ''}{of_logs}.parquet"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
         seed = JUDGED_SEED + (0 if paired else int(name[:6], 16))
         cell, options = set_up(scene, options)  # with the response and the fields of the scene, as in the logs
-        run = prepare(cell, seed, options, executions=executions, places=places)
+        run = prepare(cell, seed if logged_seed is None else logged_seed, options, executions=executions, places=places)
+        run = run if logged_seed is None else replace(run, domain=LOGGED)
         rows = pl.DataFrame([row for trace in run_alone(run, run.executions) for row in task_rows(trace, 0.0)])
         rows.select("execution", "index", s=pl.col("end_s") - pl.col("start_s")).write_parquet(file)
     return pl.read_parquet(file)

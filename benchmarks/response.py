@@ -11,7 +11,9 @@ time are read at the log's rate, reduced to `--rates` rows per second, or with `
 
 With `--cycles` the expected cycle times of sequences that were never logged are compared with fresh executions: by the
 network, by `auto` (the rule of the same training, if there is one), and by history. `chance` is the mean error of the
-mean of as many cycles as were logged. `--rule-alone` trains no network; `--recovery 0` has no response.
+mean of as many cycles as were logged. `luck`: the simulator runs the sequences with the operators of the logs. Its
+error and coverage are those of a perfect method with these operators; `beyond luck` is the mean difference from it.
+`--rule-alone` trains no network; `--recovery 0` has no response.
 """
 
 from __future__ import annotations
@@ -167,9 +169,9 @@ def cycles(asked: argparse.Namespace, work: Path) -> None:
     """Print the errors of expected cycle times."""
     print(
         "| cell | executions | seed | recovery | reaction time, s | model | answers | mean error, % | bias, % "
-        "| worst, % | 90 % coverage, % | chance, % |"
+        "| worst, % | 90 % coverage, % | luck: bias, % | beyond luck, % | luck: coverage, % | chance, % |"
     )
-    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|")
     for scene, recovery, latency_s, seed in product(asked.scenes, asked.recovery, asked.latency, asked.seeds):
         given = options(recovery, latency_s) if recovery else SimulationOptions()
         kind = f"{recovery}-{latency_s}" if recovery else "plain"
@@ -179,23 +181,38 @@ def cycles(asked: argparse.Namespace, work: Path) -> None:
             one.places: durations_of(fresh(work, scene, one.places, asked.fresh, kind=kind, options=given))
             for one in wanted
         }
+        same = {
+            one.places: durations_of(
+                fresh(work, scene, one.places, asked.executions, kind=kind, options=given, logged_seed=seed)
+            )
+            for one in wanted
+        }
+        luck = {places: 100 * (each.mean() / took[places].mean() - 1) for places, each in same.items()}
+        held = [
+            holds_share(took[places], *np.quantile(each, (0.05, 0.95), method="weibull"))
+            for places, each in same.items()
+        ]
         part = np.mean([each.std(ddof=1) / each.mean() for each in took.values()])
         chance = 100 * MEAN_OF_SIZE * part / asked.executions**0.5
         for name, model in {**models, "history": next(iter(models.values()))}.items():
             found = estimate(model, dataset, wanted, estimator="history" if name == "history" else None)
             errors = [100 * (one.expected_s / took[one.places].mean() - 1) for one in found]
-            inside = [
-                np.mean((took[one.places] >= one.quantiles_s[0.05]) & (took[one.places] <= one.quantiles_s[0.95]))
-                for one in found
-            ]
+            beyond = [error - luck[one.places] for error, one in zip(errors, found, strict=True)]
+            inside = [holds_share(took[one.places], one.quantiles_s[0.05], one.quantiles_s[0.95]) for one in found]
             answers = model.rule.family if isinstance(model, RuleSafety) else "network"
             answers = "history" if name == "history" else answers
             print(
                 f"| {scene} | {asked.executions} | {seed} | {recovery or 'none'} | {latency_s} | {name} | "
                 f"{answers} | {np.abs(errors).mean():.2f} | {np.mean(errors):+.2f} | "
-                f"{max(errors, key=abs):+.2f} | {100 * np.mean(inside):.0f} | {chance:.2f} |",
+                f"{max(errors, key=abs):+.2f} | {100 * np.mean(inside):.1f} | {np.mean(list(luck.values())):+.2f} | "
+                f"{np.abs(beyond).mean():.2f} | {100 * np.mean(held):.1f} | {chance:.2f} |",
                 flush=True,
             )
+
+
+def holds_share(took_s: np.ndarray, low_s: float, high_s: float) -> float:
+    """Return the share of durations (N,), s, in an interval."""
+    return float(np.mean((took_s >= low_s) & (took_s <= high_s)))
 
 
 def numbers(text: str) -> list[float]:

@@ -18,17 +18,14 @@ import polars as pl
 
 from cyclekit.alignment.clocks import (
     ASSUMED,
-    REACH_S,
     ClockFit,
     ClockStart,
-    coarse_fit,
     fit_clock,
     fit_events,
     fit_motion,
     fit_pairs,
     follow,
 )
-from cyclekit.alignment.frames import to_base
 from cyclekit.dataset.cards import LogCard, Note, RecordingCard, note
 from cyclekit.dataset.signals import event_times
 from cyclekit.errors import ConfigError, UnknownName
@@ -65,8 +62,6 @@ def place_in_time(
     sources: Mapping[str, Source | None],
     read: Read,
     stored: Stored,
-    *,
-    coarse_step_s: float | None = None,
 ) -> tuple[RecordingCard, ...]:
     """Return the recordings of a session with their clocks: method, offset, rate and quality.
 
@@ -75,8 +70,6 @@ def place_in_time(
         sources: Section of the cell file for each recording, by id.
         read: Returns a native table of a recording (id, table), None if it has none.
         stored: Opens the robot table of a recording (id, columns) for reading by row ranges.
-        coarse_step_s: If nothing else relates a clock, align it on the operator being near while the robot slows, in
-            whole steps of this length; None = do not.
 
     Raises:
         ConfigError: The logs do not allow the method that the cell file requests.
@@ -90,7 +83,7 @@ def place_in_time(
             borrowers[log.id] = log
             continue
         try:
-            fits[log.id] = _fit(log, master, source, sources[master.id], tables, coarse_step_s)
+            fits[log.id] = _fit(log, master, source, sources[master.id], tables)
         except ConfigError as error:
             raise ConfigError(f"{log.shown}: {error.seen}", nearest=error.nearest, cure=error.cure) from error
     for log in borrowers.values():
@@ -112,7 +105,6 @@ def _fit(
     source: Source | None,
     master_source: Source | None,
     tables: _Tables,
-    coarse_step_s: float | None,
 ) -> ClockFit:
     log = ClockStart(entry.clock.kind, entry.first_s)
     main = ClockStart(master.clock.kind, master.first_s)
@@ -140,10 +132,7 @@ def _fit(
         plain = _warned("clock-restarted", plain)
     elif any(_is_lost(one, tables.read) for one in (entry, master)):
         plain = _warned("clock-stamps-apart", plain)
-    if coarse_step_s is None or "people" not in entry.tables:
-        return plain
-    found = _coarse(entry, master, source, tables, coarse_step_s)
-    return found or replace(plain, warnings=(note("clock-not-coarse", reach_s=REACH_S), *plain.warnings))
+    return plain
 
 
 def _warned(code: str, fit: ClockFit) -> ClockFit:
@@ -286,30 +275,3 @@ def _by_start(log: ClockStart, main: ClockStart, start: str, robot: Source | Non
         raise ConfigError("start is given, but the robot log holds no time of day", cure=cure)
     apart = datetime.fromisoformat(start).timestamp() - began_s
     return ClockFit("start-text", apart - log.first_s, warnings=(note("clock-by-start"),), residual_s=START_GOOD_TO_S)
-
-
-def _coarse(entry: LogCard, master: LogCard, source: Source | None, tables: _Tables, step_s: float) -> ClockFit | None:
-    people = tables.read(entry.id, "people")
-    if people is None or people.height == 0 or "robot" not in master.tables:
-        return None
-    robot = _thinned(tables.stored(master.id, ["t_s", *_TCP, "scaling"]))
-    if len(robot[0]) == 0:
-        return None
-    count = int((entry.last_s - entry.first_s) / step_s) + 1
-    at = np.asarray(entry.first_s + np.arange(count) * step_s, np.float64)
-    tracks = []
-    for (_,), rows in people.sort("t_s").group_by(["person"], maintain_order=True):
-        xyz = to_base(rows.select("x_m", "y_m", "z_m").to_numpy(), source.frame if source else None, up=entry.up)
-        tracks.append(_nearest_rows(rows["t_s"].to_numpy(), xyz, at, step_s))
-    grid = np.arange(int((master.last_s - master.first_s) / step_s) + 1) * step_s
-    sampled = _nearest_rows(*robot, np.asarray(master.first_s + grid, np.float64), step_s)
-    found = coarse_fit(tracks, sampled[:, :3], sampled[:, 3], step_s=step_s)
-    return replace(found, offset_s=found.offset_s - entry.first_s) if found else None
-
-
-def _nearest_rows(t_s: Vector, values: Points, at: Vector, step_s: float) -> Points:
-    """Return the last row at or before each time; NaN if it is older than `step_s` + 0.25 s."""
-    row = np.clip(np.searchsorted(t_s, at + 1e-9, side="right") - 1, 0, len(t_s) - 1)
-    out = np.array(values[row], float)
-    out[np.abs(at - t_s[row]) > step_s + 0.25] = np.nan
-    return out

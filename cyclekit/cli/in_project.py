@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 from typer.core import TyperCommand
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cyclekit.config.project import Project
 
 PROJECT_FILE = "cyclekit.toml"
@@ -47,8 +49,10 @@ class InProject(TyperCommand):
         keys = PATHS.get(self.name or "", {})
         if not keys or not Path(PROJECT_FILE).is_file():
             return super().parse_args(ctx, args)
-        found = _LeftOut()
+        if set(args) & set(self.get_help_option_names(ctx)):
+            return super().parse_args(ctx, args)  # the help shows defaults, which would be those of the project
         typed, _, _ = self.make_parser(ctx).parse_args(list(args))
+        found = _LeftOut(typed.get("logs") or ())
         if self.params[0].name == "model" and str(typed.get("model")).endswith(".toml"):
             args = [str(found.value("model", "model")), *args]
         needed = {each.name for each in self.params if each.required}
@@ -68,21 +72,28 @@ class InProject(TyperCommand):
 class _LeftOut:
     """Values of the project file, which is read at the first request, and a record of those taken."""
 
-    def __init__(self) -> None:
+    def __init__(self, logs: Sequence[str]) -> None:
         self.taken: dict[str, str] = {}
+        self._logs = tuple(map(Path, logs))
         self._project: Project | None = None
 
-    def value(self, name: str, key: str, anchors: set[str] | None = None) -> Any:  # noqa: ANN401 - a text, or several
-        """Return the value of a parameter; None if the project has none, or if none of `anchors` was taken."""
-        if anchors is not None and not anchors & set(self.taken):
-            return None
-        if name == "baseline" and "sequences" not in self.taken:  # a baseline is one of the project's sequences
-            return None
+    @property
+    def project(self) -> Project:
+        """The project file."""
         if self._project is None:
             from cyclekit.config.project import load_project
 
             self._project = load_project(Path(PROJECT_FILE))
-        project = self._project
+        return self._project
+
+    def value(self, name: str, key: str, anchors: set[str] | None = None) -> Any:  # noqa: ANN401 - a text, or several
+        """Return the value of a parameter; None if the project has none, or if none of `anchors` was taken."""
+        typed = bool(self._logs) and self._logs == tuple(map(Path, self.project.logs))
+        if anchors is not None and not anchors & (set(self.taken) | ({"logs"} if typed else set())):
+            return None
+        if name == "baseline" and "sequences" not in self.taken:  # a baseline is one of the project's sequences
+            return None
+        project = self.project
         if key == "sequences_there":
             return project.sequences if Path(project.sequences).exists() else None
         if key == "made":

@@ -39,7 +39,7 @@ def ingest(
     ] = False,
     align_clocks: Annotated[
         Literal["coarse"] | None,
-        typer.Option(help="Last resort for unrelated clocks; hides the reaction delay (docs/clocks.md)."),
+        typer.Option(help="Align unrelated clocks by the slow-downs, also in doubt (docs/clocks.md)."),
     ] = None,
     follow_links: FollowLinks = False,
     json: Json = False,

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cyclekit.dataset.cards import LogCard, RecordingCard, note
+from cyclekit.dataset.log_names import match_names
 from cyclekit.errors import ConfigError
 from cyclekit.storage.safe_path import valid_name
 
@@ -76,8 +77,10 @@ def group_sessions(
     """Group logs on one time axis: all of them if there is one robot log, else folder by folder.
 
     If some folders hold only robot logs and others only other logs (`robot/a.csv`, `tracker/a.csv`), logs of the same
-    name are grouped if the match is unique; else those of the same time, if their clocks count since 1970 and no two
-    robots run at once. A log shared by several robot logs belongs to the session of each that overlaps it in time.
+    name are grouped if the match is unique; in one folder, logs whose names have the same words besides those that say
+    the kind (`shift_1_robot.csv`, `shift_1_take.csv`); else those of the same time, if their clocks count since 1970
+    and no two robots run at once. A log shared by several robot logs belongs to the session of each that overlaps it
+    in time.
 
     Args:
         logs: The logs that were read.
@@ -93,7 +96,7 @@ def group_sessions(
         for log in logs:
             folders.setdefault(_folder(log), []).append(log)
         alone = [group for folder, here in folders.items() for group in _in_folder(folder, *_divided(here), shares)]
-        groups = _by_time(_by_name(alone), shares)
+        groups = _by_time(_by_words(_by_name(alone)), shares)
     sessions: list[LogGroup] = []
     taken: set[str] = set()
     digits = len(str(len(groups)))
@@ -186,8 +189,7 @@ def _clear(robots: Sequence[LogCard], others: Sequence[LogCard]) -> bool:
 
 def _keys(log: LogCard) -> list[_Key]:
     """Return keys of a log: its name and folders, with each folder omitted in turn."""
-    path = Path(log.shown)
-    return _keys_of(path.parent.name if len(log.sources) > 1 else path.stem, _folder(log))
+    return _keys_of(_name(log), _folder(log))
 
 
 def _keys_of(name: str, folder: str) -> list[_Key]:
@@ -215,18 +217,52 @@ def _in_folder(
         beside = [[log for log in others if _meet(robot, log)] for robot in robots]
         alone = [log for log in others if not any(log in logs for logs in beside)]
         return [[robot, *logs] for robot, logs in zip(robots, beside, strict=True)] + _at_one_time(alone)
+    if robots and others and (named := _with_words(robots, others)):
+        return named
     if robots and others:
         every = [log.shown for log in robots + others]
         msg = (
             f"{folder or 'the logs'}: {len(robots)} robot logs and {len(others)} others, unclear which belong together"
         )
         cure = (
-            f"Put each session into its own folder ({', '.join(every[:4])}, …). Logs whose times count since 1970 "
+            f"Put each session into its own folder ({', '.join(every[:4])}, …), or name its logs alike "
+            "(shift_1_robot.csv, shift_1_tracker.csv). Logs whose times count since 1970 "
             "are matched by time, if no two robots run at once; dates without a time zone need time_zone in the map of "
             "their source in the cell file. A log of events is also matched by sync in its source."
         )
         raise ConfigError(msg, cure=cure)
     return [[log] for log in robots] + _at_one_time(others)
+
+
+def _by_words(groups: list[list[LogCard]]) -> list[list[LogCard]]:
+    """Add unmatched logs of people to the robot logs whose paths have the same words, if all of them match."""
+    lone = [group[0] for group in groups if len(group) == 1]
+    robots, others = _divided(lone)
+    people = [log for log in others if "people" in log.tables]
+    named = _with_words([log for log in robots if "people" not in log.tables], people)
+    met = {log.id for group in named for log in group}
+    return named + [group for group in groups if not met & {log.id for log in group}]
+
+
+def _with_words(robots: list[LogCard], others: list[LogCard]) -> list[list[LogCard]]:
+    """Return each robot log with the logs whose paths have the same words; nothing if words or times do not fit."""
+    matches = match_names([_words(log) for log in robots], [_words(log) for log in others]) if robots and others else []
+    groups = [[robot] for robot in robots]
+    for log, number in zip(others, matches or [], strict=False):
+        kinds = {table for beside in groups[number] for table in beside.tables}
+        if not _meet(robots[number], log) or kinds & set(log.tables):
+            return []
+        groups[number].append(log)
+    return groups if matches else []
+
+
+def _words(log: LogCard) -> str:
+    return f"{_folder(log)}/{_name(log)}"
+
+
+def _name(log: LogCard) -> str:
+    path = Path(log.shown)
+    return path.parent.name if len(log.sources) > 1 else path.stem
 
 
 def _meet(robot: LogCard, log: LogCard) -> bool:

@@ -44,7 +44,7 @@ class FirstPassResult:
 
 
 def first_pass(
-    group: LogGroup, *, sources: Mapping[str, Source | None], read: Read, stored: Stored, cell: Cell, coarse: bool
+    group: LogGroup, *, sources: Mapping[str, Source | None], read: Read, stored: Stored, cell: Cell
 ) -> FirstPassResult:
     """Run the first pass over one session.
 
@@ -54,14 +54,12 @@ def first_pass(
         read: Returns a native table of a recording (id, table), None if it has none.
         stored: Opens the robot table of a recording (id, columns) for reading by row ranges.
         cell: Execution rule, rates.
-        coarse: If nothing else relates the clocks, align them on the operator being near while the robot slows.
 
     Raises:
         ConfigError: Executions begin by a register or output that was not logged, or the logs do not allow the given
             way to find a clock or frame.
     """
-    step_s = 1.0 / cell.rate_hz if coarse else None
-    recordings = place_in_time(group, sources, read, stored, coarse_step_s=step_s)
+    recordings = place_in_time(group, sources, read, stored)
     starts, ends = zip(*(recording.span_s for recording in recordings), strict=True)
     span_s = (min(starts), max(ends))
     session = Session(group.name, recordings, group.reference, span_s=span_s, nobody_logged=group.nobody_logged)

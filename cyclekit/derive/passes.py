@@ -31,6 +31,7 @@ from cyclekit.derive.robot import numbered, robot_of, with_standstills
 from cyclekit.derive.sample_file import in_order, shared_files
 from cyclekit.derive.second_pass import SecondPassResult, second_pass
 from cyclekit.derive.session_signals import find_presence_signals, is_tracked, mixed_sources, some_executions
+from cyclekit.derive.slow_down_clocks import with_slow_down_clocks
 from cyclekit.derive.stops_at_places import StopAtPlace, stops_at_places
 from cyclekit.derive.tracker_frame import frame_notes
 from cyclekit.parallel.engine import LOCAL, Engine
@@ -102,8 +103,8 @@ def derive(
         folder: Folder for the files of samples.
         progress: Called with fraction and text.
         engine: Runs the passes over the sessions; `read` and `stored` must work in its workers.
-        coarse: If nothing else relates a clock to the robot's, align on the operator being near while the robot
-            slows; this hides the reaction time.
+        coarse: Align clocks that nothing else relates to the robot's by the slow-downs, also where they are not
+            certain.
 
     Raises:
         UnknownName: The home of the cell file is not among the places found.
@@ -113,10 +114,11 @@ def derive(
     """
     folder.mkdir(parents=True, exist_ok=True)
     passes = Passes(engine if is_much(groups) else LOCAL, progress)
-    first = partial(first_pass, sources=sources, read=read, stored=stored, cell=cell, coarse=coarse)
+    first = partial(first_pass, sources=sources, read=read, stored=stored, cell=cell)
     first_results = passes.over(first, groups, 0.0, 0.2, "motion")
     sessions = numbered(first_results)
     robot = robot_of(first_results, sessions, cell, passes.engine, lambda done, told: progress(0.2 + 0.3 * done, told))
+    sessions = with_slow_down_clocks(passes, sessions, robot, sources, read, asked=coarse)
     to_sample, dwells = with_standstills(passes, sessions, robot)
     sample = partial(second_pass, places=robot.places, sources=sources, read=read, cell=cell, folder=folder)
     files = shared_files(sessions, cell.rate_hz)

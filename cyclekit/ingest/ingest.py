@@ -89,7 +89,7 @@ def ingest(
         pseudonymise: Store neither tracker names nor wall-clock time (docs/privacy.md).
         keep_skeletons: Store all joints of all persons, if a tracker has them; no estimate needs them.
         checksums: Store the BLAKE3 checksum of each log, which later shows whether a file is the one that was read.
-        align_clocks: "coarse": last resort for unrelated clocks; hides the reaction time (docs/clocks.md).
+        align_clocks: "coarse": align unrelated clocks by the slow-downs, also in doubt (docs/clocks.md).
         follow_links: Read targets of links that lead out of a folder of logs; otherwise they are listed in `not_read`.
         progress: Called with the fraction done and a description.
 

@@ -37,6 +37,8 @@ COMMONER = 2.0
 """Minimum ratio of a scaling's frequency after stops to that after usual standstills, for it to indicate a stop."""
 CLEAR = 5.0
 """Minimum remaining distance of a robot stopped short of a place, in standard deviations of the noise."""
+MIN_IN_MOTION = 0.3
+"""Minimum ratio of stops in mid-motion to stops at places."""
 LEAVING_S = 2.0
 """Maximum time after a departure, s, in which the scaling must be known."""
 SPARSE = 10
@@ -157,8 +159,9 @@ def halts_at_places(
                 others.append(float(known[0]))
             elif len(known) and begin <= left:
                 overdue.append(_Left(execution.run, begin, left, float(known[0])))
-    for one in overdue:
-        if after_stops.indicates_stop(one.scaling, others):
+    stopped = [one for one in overdue if after_stops.indicates_stop(one.scaling, others)]
+    if len(after_stops.scaling) >= MIN_IN_MOTION * len(stopped):
+        for one in stopped:
             halts[one.run].append(halted(one.begin, one.left))
     return halts
 

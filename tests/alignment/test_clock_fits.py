@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import cyclekit
-from cyclekit.alignment.clocks import Method, coarse_fit, fit_events, fit_motion, fit_pairs, follow, lower_envelope
+from cyclekit.alignment.clocks import Method, fit_events, fit_motion, fit_pairs, follow, lower_envelope
 from cyclekit.dataset.cards import texts
 from cyclekit.errors import ConfigError, ShapeError
 
@@ -256,24 +256,6 @@ def test_no_message_arrives_before_the_envelope(stamps: list[tuple[float, float]
 def test_stamps_that_do_not_fit_together_are_refused(host: np.ndarray):
     with pytest.raises(ShapeError):
         lower_envelope(np.zeros(2), host)
-
-
-def test_coarse_alignment_moves_by_whole_samples_and_says_what_it_hides():
-    places = np.random.default_rng(1).uniform(-3.0, 3.0, (60, 3))
-    walk = np.column_stack([np.interp(np.arange(3000), np.arange(60) * 51, places[:, k]) for k in range(3)])
-    tcp = np.zeros((3000, 3))
-    near = np.linalg.norm(walk, axis=1)
-    scaling = np.where(near < np.median(near), 0.0, 1.0)
-    fit = coarse_fit([walk[57:]], tcp, np.roll(scaling, 3), step_s=0.1)  # the robot reacts three samples late
-    assert fit is not None
-    assert fit.offset_s == pytest.approx(6.0, abs=0.11)  # 5.7 s and the delay: they cannot be told apart
-    assert fit.offset_s / 0.1 == pytest.approx(round(fit.offset_s / 0.1), abs=1e-9)
-    assert "reaction delay" in "; ".join(texts(fit.warnings))
-
-
-def test_coarse_alignment_finds_nothing_where_the_robot_never_slows():
-    walk = np.random.default_rng(2).normal(size=(500, 3))
-    assert coarse_fit([walk], np.zeros((500, 3)), np.ones(500), step_s=0.1) is None
 
 
 def test_no_method_is_compared_with_a_name_that_no_fit_has():

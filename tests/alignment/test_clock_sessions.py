@@ -222,27 +222,44 @@ def test_two_logs_that_borrow_each_other_s_clock_are_refused(few: Path, tmp_path
         ingested(few, tmp_path / "d", cell_with(few, {"same_clock_as": "session_*/events.csv"}))
 
 
-def test_coarse_alignment_is_only_made_when_asked_for_and_goes_by_whole_samples(logs: Path, tmp_path: Path):
-    dataset, operator = ingested(logs, tmp_path / "d", cell_with(logs, {}), align_clocks="coarse")
+def test_a_tracker_of_unknown_clock_is_aligned_by_the_slow_downs(logs: Path, tmp_path: Path):
+    dataset, operator = ingested(logs, tmp_path / "d", cell_with(logs, {}))
     clock = operator.clock
     assert clock.method == "coarse"
-    assert clock.offset_s * 10 == pytest.approx(round(clock.offset_s * 10), abs=1e-6)
-    assert worst_s(clock, length_s(dataset)) < 0.16  # a sample and a half; this safety function has no delay to hide
+    assert worst_s(clock, length_s(dataset)) < 0.06  # this safety function has no delay to hide
     assert any("reaction delay" in text for text in operator.said)
-    again = ingested(logs, tmp_path / "d", cell_with(logs, {}))[1]
-    assert again.clock.method == "assumed-common-start"
-    assert not any("reaction delay" in text for text in again.said)
+    buttons = next(one for one in dataset.recordings if one.shown.endswith("events.csv"))
+    assert buttons.clock.same_as == operator.id
+    assert buttons.clock.offset_s == clock.offset_s
+
+
+@pytest.fixture
+def too_few_changes(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("cyclekit.alignment.clocks.slow_downs.MIN_CHANGES", 1000)
+
+
+@pytest.mark.usefixtures("too_few_changes")
+def test_slow_downs_that_do_not_tell_the_clock_leave_a_common_start(few: Path, tmp_path: Path):
+    plain = ingested(few, tmp_path / "d", cell_with(few, {}))[1]
+    assert plain.clock.method == "assumed-common-start"
+    assert any("a common start is assumed" in text for text in plain.said)
+    assert not any("not aligned on the operator" in text for text in plain.said)
 
 
 def test_coarse_alignment_that_finds_nothing_says_so(few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("cyclekit.alignment.recording_clocks.coarse_fit", lambda *_, **__: None)
-    plain = ingested(few, tmp_path / "d", cell_with(few, {}))[1]
-    assert not any("not aligned on the operator" in text for text in plain.said)
+    monkeypatch.setattr("cyclekit.derive.slow_down_clocks.rough_lag", lambda *_, **__: None)
     operator = ingested(few, tmp_path / "d", cell_with(few, {}), align_clocks="coarse")[1]
-    assert plain.clock.method == operator.clock.method == "assumed-common-start"
+    assert operator.clock.method == "assumed-common-start"
     (said,) = [text for text in operator.said if "not aligned on the operator" in text]
     assert "no offset within 120 s shows that" in said
     assert "clock_offset_s" in said
+
+
+@pytest.mark.usefixtures("too_few_changes")
+def test_coarse_alignment_on_request_takes_a_lag_that_is_not_certain(few: Path, tmp_path: Path):
+    operator = ingested(few, tmp_path / "d", cell_with(few, {}), align_clocks="coarse")[1]
+    assert operator.clock.method == "coarse"
+    assert operator.clock.residual_s == 0.5
 
 
 def test_coarse_alignment_touches_no_clock_that_is_known(few: Path, tmp_path: Path):
@@ -265,7 +282,7 @@ def test_a_clock_found_once_is_kept_with_what_was_read_and_its_warnings_are_not_
     cell = cell_with(few, {})
     ingested(few, tmp_path / "d", cell)
     _, operator = ingested(few, tmp_path / "d", replace(cell, bridge_s=0.4))
-    assert len([text for text in operator.said if "a common start is assumed" in text]) == 1
+    assert len([text for text in operator.said if "reaction delay" in text]) == 1
 
 
 def test_pseudonymised_clocks_tell_no_time_and_still_find_the_flange_that_is_named(logs: Path, tmp_path: Path):

@@ -169,6 +169,22 @@ def test_commands_find_in_the_project_what_was_left_out_and_what_is_typed_wins(
     assert "path = " in cyclekit("inspect").err  # the logs
 
 
+def test_help_in_a_project_shows_no_defaults_of_it(begun: Path, cyclekit: Shell) -> None:
+    assert begun.joinpath("cyclekit.toml").exists()
+    for typed in (["ingest", "--help"], ["estimate", "-h"], ["gate", "--takt", "1s", "--help"]):
+        shown = cyclekit(*typed)
+        assert shown.code == 0
+        assert "[required]" in shown.out
+        assert "functools" not in shown.out
+
+
+def test_the_logs_of_the_project_come_with_its_cell_file(begun: Path, logs: Path, cyclekit: Shell) -> None:
+    shutil.copytree(logs, begun / "other")
+    typed = cyclekit("ingest", logs, "--out", "new")
+    assert "from cyclekit.toml: cell = " in typed.err
+    assert "cell = " not in cyclekit("ingest", "other", "--out", "newer").err
+
+
 def test_without_a_project_an_argument_left_out_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell
 ) -> None:

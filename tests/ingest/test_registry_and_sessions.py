@@ -236,6 +236,26 @@ def test_two_robots_at_once_leave_it_unclear_whose_people_these_are():
     assert shared(*one, seen, told=far) == [["r.a.csv"], ["r.b.csv"], ["t.c.csv"]]
 
 
+@pytest.mark.parametrize(("robot", "people"), [("{}_robot", "{}_take"), ("r/{}_robot", "t/TAKE {}"), ("UR_{}", "{}")])
+def test_logs_belong_together_by_the_words_of_their_names(robot: str, people: str):
+    shifts = ["shift_01_anna", "shift_02_ben", "shift_03_anna"]
+    robots = [log_card(f"{robot.format(shift)}.csv", "robot") for shift in shifts]
+    tracked = [log_card(f"{people.format(shift.replace('_0', '-'))}.csv", "people") for shift in shifts[:2]]
+    assert names(*robots, *tracked) == [[robots[0].id, tracked[0].id], [robots[1].id, tracked[1].id], [robots[2].id]]
+    assert names(*robots, *reversed(tracked)) == names(*robots, *tracked)
+
+
+def test_words_that_fit_two_robots_or_none_or_another_time_match_nothing():
+    for robots, people in ((("a_1_r", "b_1_r"), ("1_t", "2_t")), (("1_r", "2_r"), ("1_t", "3_t"))):
+        logs = [log_card(f"{name}.csv", "robot") for name in robots] + [log_card(f"{n}.csv", "people") for n in people]
+        with pytest.raises(ConfigError, match="unclear which belong") as refusal:
+            names(*logs)
+        assert "shift_1_robot.csv" in str(refusal.value.cure)
+    late = [at("1_t.csv", "people", 500, 600), at("2_t.csv", "people", 700, 800)]
+    with pytest.raises(ConfigError, match="unclear which belong"):
+        names(at("1_r.csv", "robot", 0, 100), at("2_r.csv", "robot", 200, 300), *late)
+
+
 def test_two_robots_and_a_tracker_in_one_folder_are_refused():
     with pytest.raises(ConfigError, match="2 robot logs and 1 others"):
         names(log_card("1.csv", "robot"), log_card("2.csv", "robot"), log_card("3.csv", "people"))

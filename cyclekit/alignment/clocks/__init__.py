@@ -7,12 +7,12 @@ contains the fits, on arrays; `recording_clocks` chooses the one for each log.
 
 from __future__ import annotations
 
-from cyclekit.alignment.clocks.coarse import REACH_S, coarse_fit
 from cyclekit.alignment.clocks.fit import ASSUMED, ClockFit, ClockStart, Method, fit_clock, follow, lower_envelope
 from cyclekit.alignment.clocks.motion import fit_motion
 from cyclekit.alignment.clocks.pairs import fit_events, fit_pairs
+from cyclekit.alignment.clocks.slow_downs import REACH_S, Lag, LagEvidence, fit_lags, rough_lag, speed_changes
 
 __all__ = [
-    "ASSUMED", "REACH_S", "ClockFit", "ClockStart", "Method", "coarse_fit", "fit_clock", "fit_events", "fit_motion",
-    "fit_pairs", "follow", "lower_envelope",
+    "ASSUMED", "REACH_S", "ClockFit", "ClockStart", "Lag", "LagEvidence", "Method", "fit_clock", "fit_events",
+    "fit_lags", "fit_motion", "fit_pairs", "follow", "lower_envelope", "rough_lag", "speed_changes",
 ]  # fmt: skip

@@ -40,7 +40,7 @@ MIN_CHANGES, MIN_CHANGES_OF_KIND = 12, 8
 """Minimum number of changes of speed: of a session, and of a kind over all sessions."""
 MAX_RATIO = 0.85
 """Maximum mean deviation of the distances at changes, relative to its median over all lags."""
-SHARP_M, ROUGH_S = 0.12, 0.2
+SHARP_M, ROUGH_S = 0.12, 0.5
 """Mean deviation above which other things than the distance decide, m; the uncertainty of the lag then, s."""
 CAP_M = 0.3
 """Maximum deviation of one distance, m: some changes have other causes."""

@@ -74,7 +74,7 @@ class _LeftOut:
 
     def __init__(self, logs: Sequence[str]) -> None:
         self.taken: dict[str, str] = {}
-        self._logs = tuple(map(Path, logs))
+        self._logs = tuple(Path(log).resolve() for log in logs)
         self._project: Project | None = None
 
     @property
@@ -88,7 +88,7 @@ class _LeftOut:
 
     def value(self, name: str, key: str, anchors: set[str] | None = None) -> Any:  # noqa: ANN401 - a text, or several
         """Return the value of a parameter; None if the project has none, or if none of `anchors` was taken."""
-        typed = bool(self._logs) and self._logs == tuple(map(Path, self.project.logs))
+        typed = bool(self._logs) and self._logs == tuple(Path(log).resolve() for log in self.project.logs)
         if anchors is not None and not anchors & (set(self.taken) | ({"logs"} if typed else set())):
             return None
         if name == "baseline" and "sequences" not in self.taken:  # a baseline is one of the project's sequences

@@ -180,8 +180,11 @@ def test_help_in_a_project_shows_no_defaults_of_it(begun: Path, cyclekit: Shell)
 
 def test_the_logs_of_the_project_come_with_its_cell_file(begun: Path, logs: Path, cyclekit: Shell) -> None:
     shutil.copytree(logs, begun / "other")
+    shutil.copyfile(logs / "cell.toml", begun / "mine.toml")
+    file = begun / "cyclekit.toml"
+    file.write_text(re.sub(r"(?m)^(# )?cell = .*$", 'cell = "mine.toml"', file.read_text("utf-8")), "utf-8")
     typed = cyclekit("ingest", logs, "--out", "new")
-    assert "from cyclekit.toml: cell = " in typed.err
+    assert "from cyclekit.toml: cell = mine.toml" in typed.err
     assert "cell = " not in cyclekit("ingest", "other", "--out", "newer").err
 
 

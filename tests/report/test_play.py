@@ -27,7 +27,8 @@ from cyclekit.estimate.walk import roll_all
 from cyclekit.report import compose_report
 from cyclekit.report.inputs import PageInputs
 from cyclekit.report.play import PlayPart, part, play_part, scaling_grid
-from cyclekit.report.play.packed import UNKNOWN, in_steps, in_units, packed, units_per_metre
+from cyclekit.report.play import packed as packing
+from cyclekit.report.play.packed import FINEST, UNKNOWN, in_steps, in_units, packed, units_per_metre
 from cyclekit.report.texts import load_texts
 
 __all__ = ["logged"]
@@ -53,6 +54,16 @@ def metres(steps, unit):
 def test_coordinates_come_back_as_fine_as_their_unit(xyz_m):
     unit = units_per_metre(xyz_m)
     assert metres(in_steps(in_units(xyz_m, unit)), unit) == pytest.approx(xyz_m, abs=0.5001 / unit, nan_ok=True)
+
+
+def test_many_coordinates_are_rounded_more_coarsely(monkeypatch):
+    xyz_m = np.random.default_rng(0).normal(size=(4, 500, 3)).cumsum(axis=1) / 1000
+    assert units_per_metre(xyz_m) == FINEST[0]
+    fits = len(zlib.compress(in_steps(in_units(xyz_m, FINEST[1])).tobytes(), 1))
+    monkeypatch.setattr(packing, "FEW_BYTES", fits)
+    assert units_per_metre(xyz_m) == FINEST[1]
+    monkeypatch.setattr(packing, "FEW_BYTES", 0)
+    assert units_per_metre(xyz_m) == FINEST[-1]
 
 
 def test_no_name_ends_the_script_that_holds_it():

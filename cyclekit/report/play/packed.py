@@ -16,14 +16,20 @@ if TYPE_CHECKING:
 
 UNKNOWN, MAX_COORDINATE = -(2**31), 2**31 - 1
 """Code of an unknown coordinate; largest coordinate."""
-FINEST = 1_000_000.0
-"""Maximum resolution, units per metre."""
+FINEST = 1_000_000.0, 100_000.0, 10_000.0
+"""Resolutions that are tried, units per metre."""
+FEW_BYTES = 900_000
+"""Maximum number of bytes of the coordinates when compressed, for which a resolution is taken that is not the last."""
 
 
 def units_per_metre(*xyz_m: NDArray[np.floating[Any]]) -> float:
-    """Return the resolution of coordinates in 32 bits, units per metre; the same for all."""
+    """Return the resolution of coordinates in 32 bits, units per metre; the same for all, and as fine as fits."""
     farthest = max(float(np.nanmax(np.abs(some), initial=1.0)) for some in xyz_m)
-    return min(FINEST, float(np.floor(MAX_COORDINATE / farthest)))
+    for finest in FINEST:
+        unit = min(finest, float(np.floor(MAX_COORDINATE / farthest)))
+        if sum(len(zlib.compress(in_steps(in_units(some, unit)).tobytes(), 1)) for some in xyz_m) <= FEW_BYTES:
+            break
+    return unit
 
 
 def in_units(xyz_m: NDArray[np.floating[Any]], per_metre: float) -> NDArray[np.int32]:

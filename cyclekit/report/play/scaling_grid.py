@@ -32,8 +32,9 @@ PATH_S = 0.1
 """Nominal time between the points of a motion at which the table has rows."""
 ASK = 255
 """Entry of the table where the network is to be evaluated."""
-CERTAIN = 0.999
-"""Minimum probability of a level that the table holds in place of the network's answer."""
+DOUBT = 1e-9
+"""Maximum probability of all other levels for a level that the table holds in place of the network's answer: so small
+that between two nodes and two points of a motion the level stays the likeliest."""
 ENDS = 0.0, 1.0
 """Values of a network without levels that the table holds: where it is cut off, it is the same all around."""
 PARTS = 8
@@ -116,7 +117,9 @@ def _table(model: TrainedModel, paths: list[Floats], where: Floats) -> NDArray[n
 def _entries(model: TrainedModel, robot_m: Floats, human_m: Floats) -> NDArray[np.uint8]:
     if is_classifier(model.network):
         chance = model.probabilities(inputs_in_plane(np.column_stack([robot_m, human_m]).astype(np.float32)))
-        number, sure = chance.argmax(axis=1), chance.max(axis=1) >= CERTAIN
+        number = chance.argmax(axis=1)
+        np.put_along_axis(chance, number[:, None], 0.0, axis=1)
+        sure = chance.sum(axis=1) <= DOUBT
     else:
         scaling = scaling_of(model, robot_m, human_m)
         number, sure = np.round(scaling), np.isin(scaling, ENDS)

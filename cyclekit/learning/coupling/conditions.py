@@ -40,6 +40,8 @@ GAIN, GAIN_PER_DEPARTURE = 8.0, 0.05
 GAIN_TOLERANCE, GAIN_TOLERANCE_SHARE = 3.0, 0.1
 """Maximum difference in gain, absolute and relative, at which two conditions count as equally good; then the one whose
 event is nearest to the departures is chosen."""
+SIMILAR_GAIN = 0.8
+"""Minimum gain of a condition at its usual gate, relative to that at the gate where it was found."""
 SAME = 0.7
 """Minimum overlap (share of departures) at which two gates count as one."""
 FOLLOWS = 0.8
@@ -212,14 +214,18 @@ def _natural(gates: Sequence[Departures], open_to: Sequence[Found | None], numbe
     """Return the gate to which a condition is assigned, among gates with the same departures that it also explains.
 
     A wait until someone leaves belongs to an approach gate; a wait for an arrival or a signal belongs to a leave gate.
+    A gate at which all departures need it goes before one at which only some do: an agent who also goes elsewhere from
+    a place does not wait there.
     """
-    event = open_to[number][0].event  # type: ignore[index]  # not None: chosen by the caller
-    at = "approach" if event.event == "leaves" else "leave"
+    chosen, _, gain = open_to[number]  # type: ignore[misc]  # not None: chosen by the caller
+    at = "approach" if chosen.event.event == "leaves" else "leave"
     mine = gates[number]
     for other, (gate, found) in enumerate(zip(gates, open_to, strict=True)):
         both = len(np.intersect1d(gate.rows, mine.rows)) if gate.gate.short == mine.gate.short else 0
         same = both >= SAME * max(len(gate.rows), len(mine.rows))
-        if same and gate.gate.at == at and found is not None and found[0].event[:2] == event[:2]:
+        if not same or found is None or found[0].event[:2] != chosen.event[:2] or found[2] < SIMILAR_GAIN * gain:
+            continue
+        if found[0].partly < chosen.partly or (gate.gate.at == at and found[0].partly == chosen.partly):
             return other
     return number
 

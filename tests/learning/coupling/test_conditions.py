@@ -166,6 +166,31 @@ def test_who_leaves_just_after_the_robot_that_waited_for_him_does_not_wait_for_i
     assert ("operator", "robot", "leaves", "handover") not in found
 
 
+def _with_trips(rng: np.random.Generator, course: ExecutionVisits) -> ExecutionVisits:
+    """Return the execution with trips to the shelf during some stays at the bench, and a robot that leaves late."""
+    operator = []
+    for visit in course.visits["operator"]:
+        begin = visit.arrived_s
+        if visit.place == "bench" and visit.left_s - begin > 6.0 and rng.random() < 0.6:
+            gone, back = begin + rng.uniform(0.5, 1.0), begin + rng.uniform(5.0, 6.0)
+            operator += [PlaceVisit("bench", begin, gone), PlaceVisit("shelf", gone + 1.5, back - 1.5)]
+            begin = back
+        operator.append(visit._replace(arrived_s=begin))
+    late = (one._replace(left_s=one.left_s + 2.8) if one.place == "fixture" else one for one in course.visits["robot"])
+    visits: dict[Agent, list[PlaceVisit]] = {"robot": list(late), "operator": operator}
+    return ExecutionVisits(course.name, visits, events_of(visits))
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_who_also_goes_elsewhere_waits_before_the_place_where_he_meets_the_robot(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    card = learn_courses([_with_trips(rng, _coupled(rng, str(number))) for number in range(40)])
+    found = [
+        (gate.at, gate.place, one.needed) for gate in card.gates if gate.agent == "operator" for one in gate.conditions
+    ]
+    assert found == [("approach", "fixture", 1.0)]
+
+
 def test_who_goes_just_before_the_robot_does_not_wait_for_it() -> None:
     """Of every second part the robot waits until the operator has it, and goes just after him."""
     rng = np.random.default_rng(12)

@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
 NUMBERED = re.compile(r"\d+(?=\D*$)|(?<=[ _.-])[A-Za-z]$")
 """The last number of a name, or a single last letter after a separator."""
+FOUND = frozenset({"place_#", "spot_#"})
+"""Names of places that were found in the logs: their numbers are arbitrary, so they tell no kind."""
 SUPPORTS, REFUTES = 1.0, -1.0
 """Gain in log-likelihood of the departures at one place, above which they support a condition, below which they refute
 it."""
@@ -83,9 +85,13 @@ def find_with_alike(
 
 
 def number_of(name: str) -> tuple[str, str] | None:
-    """Return a name with # in place of its number, and the number: `fixture_2` -> `fixture_#`, `2`; None without."""
+    """Return a name with # in place of its number, and the number: `fixture_2` -> `fixture_#`, `2`; None without.
+
+    Names that were not given, `place_2` and `spot_2`, have none.
+    """
     found = NUMBERED.search(name)
-    return (f"{name[: found.start()]}#{name[found.end() :]}", found[0]) if found else None
+    kind = f"{name[: found.start()]}#{name[found.end() :]}" if found else ""
+    return (kind, found[0]) if found and kind not in FOUND else None
 
 
 def _kinds(gates: Sequence[Departures], times: Times, barred: Collection[Event]) -> Iterator[_Kind]:

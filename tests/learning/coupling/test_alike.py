@@ -69,6 +69,18 @@ def test_few_executions_show_what_is_waited_for_at_each_of_four_fixtures(seed: i
     assert len({one.lag_s for (agent, _), one in found.items() if agent == "operator"}) == 1
 
 
+def test_numbers_of_places_that_nobody_named_tell_no_kind() -> None:
+    rng = np.random.default_rng(1)
+    courses = []
+    for number in range(12):
+        visits: dict[Agent, list[PlaceVisit]] = {
+            agent: [one._replace(place=one.place.replace("fixture", called)) for one in some]
+            for (agent, some), called in zip(_mounted(rng, "").visits.items(), ("place", "spot"), strict=True)
+        }
+        courses.append(ExecutionVisits(str(number), visits, events_of(visits)))
+    assert not any(one.alike for gate in learn_courses(courses).gates for one in gate.conditions)
+
+
 def test_a_fixture_where_nobody_waits_is_left_out() -> None:
     found = _found(_learned(4, 40, free=(2,)))
     assert set(found) == _needs("robot", (1, 3, 4)) | _needs("operator", (1, 3, 4))

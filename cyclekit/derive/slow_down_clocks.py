@@ -43,6 +43,8 @@ STEP_S = 0.1
 """Step of the rough search, s."""
 MAX_CHANGES = 300
 """Maximum number of changes of speed of a session."""
+MAX_PEOPLE = 8
+"""Maximum number of people at once: a crowd tells nothing."""
 BRIDGE_S = 0.3
 """Maximum gap in a track that is bridged, s."""
 
@@ -100,8 +102,9 @@ def _evidence(one: _Unaligned, *, sources: Mapping[str, Source | None], read: Re
     grid_s = np.arange(t_s[0], t_s[-1], STEP_S)
     rows = np.clip(np.searchsorted(t_s, grid_s, side="right") - 1, 0, len(t_s) - 1)
     fresh = grid_s - t_s[rows] <= STEP_S
-    logged_s = np.arange(t_s[0], one.log.span_s[1], STEP_S)
-    people = [at_times(track, logged_s, bridge_s=BRIDGE_S) for track in tracks]
+    people = people_at_once(tracks, np.arange(t_s[0], one.log.span_s[1], STEP_S))
+    if len(people) > MAX_PEOPLE:
+        return none
     rough = rough_lag(people, tcp_m[rows], np.where(fresh, scaling[rows], np.nan), step_s=STEP_S)
     if rough is None:
         return none
@@ -114,15 +117,31 @@ def _evidence(one: _Unaligned, *, sources: Mapping[str, Source | None], read: Re
     return LagEvidence(rough, lags_s, _apart(tracks, here_m, at_s, lags_s), changes.kind[some])
 
 
+def people_at_once(tracks: Sequence[PersonTrack], at_s: Vector) -> list[Points]:
+    """Return where people are at each time, (N, 3) each, m: as many as are there at once; the same one may change."""
+    found: list[Points] = []
+    until: list[int] = []
+    for track in sorted((one for one in tracks if len(one.t_s)), key=lambda track: float(track.t_s[0])):
+        ends_s = track.t_s[[0, -1]] + np.array([-BRIDGE_S, BRIDGE_S])
+        first, last = np.searchsorted(at_s, ends_s).tolist()
+        number = next((n for n, end in enumerate(until) if end <= first), len(found))
+        if number == len(found):
+            found.append(np.full((len(at_s), 3), np.nan))
+            until.append(0)
+        found[number][first:last] = at_times(track, at_s[first:last], bridge_s=BRIDGE_S)
+        until[number] = last
+        if len(found) > MAX_PEOPLE:
+            break
+    return found
+
+
 def _motion(runs: Sequence[Run]) -> tuple[Vector, Points, Vector]:
     """Return time (T,), TCP (T, 3) and scaling (T,) of rows about FINE_S apart."""
     times: list[Vector] = [np.empty(0)]
     tcp: list[Points] = [np.empty((0, 3))]
     scaling: list[Vector] = [np.empty(0)]
-    for part in (part for run in runs for _, part in pieces(run)):
-        some = slice(
-            None, None, max(1, round(FINE_S / float(np.median(np.diff(part.t_s))))) if len(part.t_s) > 1 else 1
-        )
+    for period_s, part in ((run.period_s, part) for run in runs for _, part in pieces(run)):
+        some = slice(None, None, max(1, round(FINE_S / period_s)))
         times.append(part.t_s[some])
         tcp.append(part.xyz_m[some])
         scaling.append(np.asarray(part.scaling[some], float))

@@ -9,6 +9,8 @@ import pytest
 
 from cyclekit.alignment.clocks import LagEvidence, fit_lags, rough_lag, speed_changes
 from cyclekit.alignment.clocks.slow_downs import AROUND_S, FINE_S
+from cyclekit.derive.slow_down_clocks import MAX_PEOPLE, people_at_once
+from cyclekit.people.tracks import PersonTrack
 
 STEP_S = 0.02
 
@@ -136,3 +138,14 @@ def test_slow_downs_that_the_distance_does_not_explain_leave_the_rough_lag():
     (same,) = fit_lags([few])
     assert same == found
     assert fit_lags([replace(few, rough=None)]) == [None]
+
+
+def test_people_who_come_after_each_other_share_a_course_and_a_crowd_tells_nothing():
+    times = np.arange(0.0, 60.0, 0.1)
+    tracks = [PersonTrack(str(n), times[60 * n : 60 * n + 50], np.full((50, 3), float(n))) for n in range(9)]
+    (course,) = people_at_once(tracks, times)
+    assert course[30].tolist() == [0.0, 0.0, 0.0]
+    assert course[90].tolist() == [1.0, 1.0, 1.0]
+    assert np.isnan(course[55]).all()
+    crowd = [PersonTrack(str(n), times, np.full((600, 3), float(n))) for n in range(20)]
+    assert len(people_at_once(crowd, times)) == MAX_PEOPLE + 1

@@ -101,9 +101,9 @@ def _dynamics(ask: Question) -> Dynamics:
 def _looked_up(ask: Question, turn: _Round) -> Iterator[Rolled]:
     """Estimate many sequences from the table of arrivals, and simulate the best of them."""
     programs, tracks = turn.programs, turn.tracks
-    tasks = {task.task: task for program in programs for task in program.tasks}
+    tasks = {task.key: task for program in programs for task in program.tasks}
     table = transit_table(ask.model, tasks, tracks)
-    found = [table.rolled([task.task for task in program.tasks], seed=ask.seed) for program in programs]
+    found = [table.rolled([task.key for task in program.tasks], seed=ask.seed) for program in programs]
     best = np.argsort([float(cycles.duration_s.mean()) for cycles in found])[:MANY].tolist()
     some = replace(turn, sequences=[turn.sequences[i] for i in best], programs=[programs[i] for i in best])
     walked = _walked(ask, some)

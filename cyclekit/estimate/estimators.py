@@ -15,7 +15,7 @@ import polars as pl
 
 from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.program import Program, draw_standstills
+from cyclekit.estimate.program import Program, draw_standstills, standstills_of
 from cyclekit.estimate.safety import BLOCK
 from cyclekit.estimate.walk import Rolled
 
@@ -137,7 +137,8 @@ def by_history(dataset: Dataset, program: Program, seed: int = 0) -> Rolled:
         drawn = rng.permutation(np.arange(count) % rows.height)
         moved = (rows["arrival_s"] - rows["start_s"]).to_numpy()
         safety[:, leg] = moved[drawn] - task.nominal_s
-        standstills[:, leg] = (rows["end_s"] - rows["arrival_s"]).to_numpy()[drawn]
+        logged_s = (rows["end_s"] - rows["arrival_s"]).to_numpy()[drawn]
+        standstills[:, leg] = logged_s if task.group is None else standstills_of(task, count, seed, leg)
     duration = program_motion(program) + safety.sum(axis=1) + standstills.sum(axis=1)
     return Rolled(duration, standstills, safety, np.zeros(0), 1.0, 0.0)
 

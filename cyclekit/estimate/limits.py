@@ -5,6 +5,8 @@ A model with a large bias on the logs themselves predicts no other sequence; usu
 
 from __future__ import annotations
 
+from collections import defaultdict
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +19,7 @@ from cyclekit.estimate.check import Check, check_rollout
 from cyclekit.estimate.entry import MIN_SUPPORT
 from cyclekit.estimate.nominal import slider_losses
 from cyclekit.estimate.safety import OnStates
+from cyclekit.estimate.work_dwells import MIN_EXECUTIONS, said_of_places
 from cyclekit.learning.signal_inputs import left_out
 from cyclekit.learning.windows import nobody_there
 
@@ -26,10 +29,12 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.joint.roll import RolledBoth
+    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.question import Question
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.estimate.walk import Rolled
+    from cyclekit.estimate.work_dwells import Group
 
 
 CONTINUED = 0.5
@@ -75,6 +80,39 @@ def extrapolation_of(entry: CycleEstimate) -> list[str]:
         f"{marked}{1 - entry.support:.0%} of the cycle runs through positions that were never logged; the error "
         "there is unknown, and not in the interval of the mean"
     ]
+
+
+def with_work(entry: CycleEstimate, tasks: Sequence[NominalTask]) -> tuple[CycleEstimate, list[str], list[str]]:
+    """Return the estimate of these tasks, doubts and limits, where standstills depend on the work of the cycle.
+
+    If too few executions of its work were logged, the standstills are those of all works: then the intervals are
+    widened to the mean standstills of the works with the shortest and with the longest ones.
+    """
+    chosen = {task.task: task.by_work for task in tasks if task.group is not None}
+    limits = [f"{said}; an order takes those of its own work" for said in said_of_places(chosen)]
+    pooled = [task for task in tasks if task.by_work and task.group is None]
+    if not pooled:
+        return entry, [], limits
+    off: dict[Group, float] = defaultdict(float)
+    for task in pooled:
+        for group, stands in task.by_work.items():
+            off[group] += stands.mean_s - task.dwell_s - task.wait_s
+    less, more = min(0.0, *off.values()), max(0.0, *off.values())
+    widened = replace(
+        entry,
+        expected_low_s=entry.expected_low_s + less,
+        expected_high_s=entry.expected_high_s + more,
+        quantiles_s={
+            level: value + (less if level < 0.5 else more if level > 0.5 else 0.0)
+            for level, value in entry.quantiles_s.items()
+        },
+    )
+    doubts = [
+        f"{said}; fewer than {MIN_EXECUTIONS} executions of this order's work were logged, so it takes those of all, "
+        "and the intervals cover the others: log executions of this work"
+        for said in said_of_places({task.task: task.by_work for task in pooled})
+    ]
+    return widened, doubts, limits
 
 
 def few_tracks(entry: CycleEstimate) -> str:

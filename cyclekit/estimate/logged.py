@@ -125,8 +125,9 @@ def with_other_tracks(
     own = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
     dynamics = Dynamics.of(dataset.card.dynamics, model)
     if at_once(model, dynamics):
-        asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
-        others = transit_table(model, asked, tracks).durations([sequence.tasks for sequence in sequences], seed=seed)
+        legs = [lay_out(sequence, nominal, dataset).tasks for sequence in sequences]
+        asked = {leg.key: leg for mine in legs for leg in mine}
+        others = transit_table(model, asked, tracks).durations([[leg.key for leg in mine] for mine in legs], seed=seed)
         others[np.arange(len(sequences)), own] = np.nan
         return others
     count = len(tracks.executions)

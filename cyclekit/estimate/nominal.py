@@ -6,16 +6,17 @@ least safety loss, resampled over that integral, is the programmed motion. `roll
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
+from cyclekit.estimate.work_dwells import Group, Standstills, groups_of, key_of, standstills_by_work
 from cyclekit.segmentation.arrivals import fill_nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping, Sequence
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Floats, Vector
@@ -34,6 +35,8 @@ class NominalTask:
         nominal_s: Duration of the motion at scaling 1: the median over its repetitions.
         dwell_s, wait_s: Mean process time and mean wait at the goal.
         standstill_s: Logged standstill times at the goal (dwell + wait), ascending, shape (N,) of N repetitions.
+        by_work: Standstills per group of executions, if they depend on the work; else empty.
+        group: The group whose standstills these are; None = all executions.
     """
 
     task: str
@@ -42,6 +45,21 @@ class NominalTask:
     dwell_s: float
     wait_s: float
     standstill_s: Vector
+    by_work: Mapping[Group, Standstills] = field(default_factory=dict)
+    group: Group | None = None
+
+    @property
+    def key(self) -> str:
+        """Name of the task with these standstills: the task's own, unless they are of one group."""
+        return self.task if self.group is None else f"{self.task} {key_of(self.group)}"
+
+    def of_work(self, places: Sequence[str]) -> NominalTask:
+        """Return the task with the standstills of executions of the same work as a cycle through `places`, if known."""
+        for group in groups_of(places):
+            if (mine := self.by_work.get(group)) is not None:
+                dwell_s, wait_s, standstill_s = mine.dwell_s, mine.wait_s, mine.standstill_s
+                return replace(self, dwell_s=dwell_s, wait_s=wait_s, standstill_s=standstill_s, group=group)
+        return self
 
 
 def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> dict[str, NominalTask]:
@@ -62,7 +80,7 @@ def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> di
     )
     slowed = pl.col("safety_loss_s") + _slider_loss(tasks)
     best = tasks.sort(slowed, "execution", "index").group_by("task", maintain_order=True).first()
-    found = {}
+    found, by_work = {}, standstills_by_work(dataset)
     chosen = best.join(means, on="task", suffix="_all").sort("execution", "start_s")
     for (execution,), rows in chosen.group_by(["execution"], maintain_order=True):
         track = _execution_track(dataset, str(execution))
@@ -75,6 +93,7 @@ def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> di
                 dwell_s=row["dwell_s_all"],
                 wait_s=row["wait_s_all"],
                 standstill_s=np.array(row["standstill_s"]),
+                by_work=by_work.get(row["task"], {}),
             )
     return found
 

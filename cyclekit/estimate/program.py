@@ -74,7 +74,7 @@ def lay_out(sequence: TaskSequence, nominal: Mapping[str, NominalTask], dataset:
         seen = f"{sequence.shown}: task {missing[0]!r} was never logged with a known speed scaling"
         cure = f"Use tasks that were: {_tasks_from(missing[0], nominal)}."
         raise EstimateError(seen, cure=cure)
-    tasks = tuple(nominal[task] for task in sequence.tasks)
+    tasks = tuple(nominal[task].of_work(sequence.places) for task in sequence.tasks)
     parts = [part for task in tasks for part in (task.nominal_s, task.dwell_s + task.wait_s)]
     return Program(tasks, np.cumsum(parts))
 
@@ -97,7 +97,7 @@ def draw_standstills(
     known = {} if known is None else known
     drawn, times = [], Counter[str]()
     for task in program.tasks:
-        key = task.task, times[task.task]
+        key = task.key, times[task.task]
         if key not in known:
             known[key] = standstills_of(task, count, seed, key[1])
         drawn.append(known[key])

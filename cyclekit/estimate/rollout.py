@@ -19,7 +19,15 @@ from cyclekit.estimate.entry import entry_of
 from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.joint.answer import estimate_both, waits_are_known
 from cyclekit.estimate.joint.check import JointCheck
-from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs, no_answer, refuse_biased, validated
+from cyclekit.estimate.limits import (
+    doubts_of,
+    limits_of_cycles,
+    limits_of_logs,
+    no_answer,
+    refuse_biased,
+    validated,
+    with_work,
+)
 from cyclekit.estimate.means import history_of, means_of
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
@@ -142,10 +150,14 @@ def estimate(
         weights = _weights(ask, rolled[0], tracks)
         history = history_of(ask, tracks) if operator is None else None
         for sequence, cycles in zip(mine, rolled, strict=True):
-            mean = means_of(ask, sequence, cycles, weights, history)
+            tasks = programs[sequence].tasks
+            pooled = None if any(task.by_work for task in tasks) else history  # of all works
+            mean = means_of(ask, sequence, cycles, weights, pooled)
             entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights, mean)
-            doubts = (*unseen, *doubts_of(cycles, entry, check), *unknown)
-            found.append(replace(entry, doubts=doubts, warnings=(*doubts, *limits_of_cycles(cycles, entry), *limits)))
+            entry, of_other_work, of_work = with_work(entry, tasks)
+            doubts = (*unseen, *of_other_work, *doubts_of(cycles, entry, check), *unknown)
+            mine_alone = (*of_work, *limits_of_cycles(cycles, entry))
+            found.append(replace(entry, doubts=doubts, warnings=(*doubts, *mine_alone, *limits)))
             means.append(mean.resampled_s)
             looked_up.append(not cycles.simulated)
     tell(1.0, "done")

@@ -18,6 +18,7 @@ from cyclekit.dataset import lost_time
 from cyclekit.dataset.cards import plain, texts
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import LogError
+from cyclekit.estimate.work_dwells import said_of_places, standstills_by_work
 from cyclekit.ingest.discover import cell_for, find_all, options_of
 from cyclekit.ingest.read.tool_point import with_tool_point
 from cyclekit.ingest.registry import adapter_named
@@ -222,7 +223,11 @@ def _set_aside(records: Sequence[RecordingCard]) -> dict[str, int]:
 
 def _warnings(dataset: Dataset) -> list[str]:
     of_recordings = [f"{record.id}: {text}" for record in dataset.recordings for text in record.said]
-    return texts(dataset.card.warnings) + of_recordings
+    of_work = [
+        f"{said}; an estimate takes those of the order's own work"
+        for said in said_of_places(standstills_by_work(dataset))
+    ]
+    return texts(dataset.card.warnings) + of_recordings + of_work
 
 
 def _without_warnings(card: ClockCard) -> dict[str, object]:

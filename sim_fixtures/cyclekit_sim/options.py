@@ -18,6 +18,17 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class Product:
+    """A product with its own program: places in visiting order, home first and last, and what it needs at some, s.
+
+    `process_s` is a standstill in addition to picking or placing, at every visit of that place.
+    """
+
+    places: tuple[str, ...]
+    process_s: dict[str, float]
+
+
+@dataclass(frozen=True)
 class SimulationOptions:
     """Format and imperfections of the logs, and dynamics of the cell.
 
@@ -58,6 +69,7 @@ class SimulationOptions:
         coupling: Share of joint tasks in which robot and operator wait, in cells with waits (CSV).
         signals: False omits buttons and sensors from the logs of such cells.
         task_list: The logs of such a cell are only starts and ends of tasks.
+        products: Products of which the executions are, in turn; without any, each execution draws its places.
     """
 
     logs: Literal["csv", "mcap"] = "csv"
@@ -93,6 +105,7 @@ class SimulationOptions:
     coupling: float = 1.0
     signals: bool = True
     task_list: bool = False
+    products: tuple[Product, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse impossible values, all in one error."""

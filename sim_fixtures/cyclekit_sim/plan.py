@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -70,8 +70,12 @@ def prepare(
     drawn = []
     for index in range(executions):
         rng = stream(seed, scene, ROBOT, index, domain=domain)
-        visited = tuple(places or draw_places(scene, rng))
-        drawn.append(draw_execution(scene, index, visited, rng, options.causes))
+        product = options.products[index % len(options.products)] if options.products else None
+        visited = tuple(places or (product.places if product else draw_places(scene, rng)))
+        execution = draw_execution(scene, index, visited, rng, options.causes)
+        more = product.process_s if product else {}
+        waits = tuple(wait + more.get(goal, 0.0) for wait, goal in zip(execution.wait_s, visited[1:], strict=True))
+        drawn.append(replace(execution, wait_s=waits))
     pairs = {pair for e in drawn for pair in zip(e.places[:-1], e.places[1:], strict=True)}
     recording = read_recording(options.operator_log, options) if options.operator_log else None
     return Work(scene, seed, options, plan_moves(scene.places, pairs), tuple(drawn), domain, recording)

@@ -251,6 +251,8 @@ def _facts(work: Work | CoupledWork) -> str:
         del options["people"]
     if work.options.plc_trace is None:
         del options["plc_trace"]
+    if not work.options.products:
+        del options["products"]
     options["operator_log"] = work.options.operator_log.name if work.options.operator_log else None
     more: dict[str, object]
     if isinstance(work, CoupledWork):

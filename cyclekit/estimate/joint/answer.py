@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.config.sequences import PLAN
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.entry import MIN_SUPPORT
 from cyclekit.estimate.joint.check import JointCheck, judge_joint
@@ -20,6 +22,7 @@ from cyclekit.estimate.limits import (
     limits_of_logs,
     no_answer,
     refuse_biased,
+    with_work,
 )
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.question import Altered, Question
@@ -95,11 +98,21 @@ def estimate_both(
     unseen = cell.model.doubts if isinstance(cell.model, OnStates) else ()
     entries = []
     for entry, _ in found:
-        doubts = (*unseen, *entry.doubts, *extrapolation_of(entry), *(judged.doubts if judged else ()), *unknown)
+        entry, of_other_work, of_work = with_work(entry, _process_tasks(entry.places, nominal, cell))
+        doubts = (*unseen, *of_other_work, *entry.doubts, *extrapolation_of(entry), *(judged.doubts if judged else ()))
+        doubts += unknown
         few = [few_tracks(entry)] if entry.executions < FEW_EXECUTIONS else []
-        entries.append(replace(entry, doubts=doubts, warnings=(*doubts, *few, *limits)))
+        entries.append(replace(entry, doubts=doubts, warnings=(*doubts, *of_work, *few, *limits)))
     tell(1.0, "done")
     return ranked(entries, [means for _, means in found], [False] * len(found))
+
+
+def _process_tasks(places: Sequence[str], nominal: Mapping[str, NominalTask], cell: JointCell) -> list[NominalTask]:
+    """Return the robot's tasks of an order of places at whose goals it waits for nobody."""
+    if places[:1] == (PLAN,):
+        return []
+    tasks = [nominal[f"{start}->{goal}"].of_work(places) for start, goal in pairwise(places)]
+    return [task for task in tasks if cell.gates.own_s("robot", task.task.partition("->")[2]) is None]
 
 
 class JointAnswers:

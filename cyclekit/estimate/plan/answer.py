@@ -149,7 +149,8 @@ def plan(
     model = on_states_of(model, dataset)
     tasks, unlogged = _tasks(jobs, dataset)
     jobs = replace(jobs, unlogged=frozenset(unlogged))
-    first_order(jobs, lambda _, options: options)  # refuse before tracks are simulated
+    some = jobs.places(first_order(jobs, lambda _, options: options))  # refuse before tracks are simulated
+    tasks = {name: task.of_work(some) for name, task in tasks.items()}
     if jobs.operator or waits_are_known(model):
         asked = {"validate": validate, "other_cell": other_cell}
         return _of_both(model, dataset, jobs, seed=seed, check=check, progress=progress, **asked)

@@ -1,0 +1,172 @@
+"""Products with different process times at the same places: an order takes the standstills of its own work."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+import pytest
+from known_cells import TrueStaircase
+from made_once import made_once, simulated
+from scipy.stats import kruskal
+
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.plan import Jobs, plan
+from cyclekit.estimate.rollout import estimate, lay_out
+from cyclekit.estimate.same_work import work_of
+from cyclekit.estimate.work_dwells import by_chance, said_of_places, standstills_by_work
+from cyclekit.ingest.ingest import ingest
+from cyclekit.inspect.describe import describe
+from cyclekit_sim import simulate_sequence
+from cyclekit_sim.options import Product, SimulationOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+P = Product(("home", "conveyor", "left_1", "conveyor", "right_1", "home"), {"conveyor": 4.0})
+Q = Product(("home", "conveyor", "right_1", "home"), {"conveyor": 9.0})
+PICK_S = 0.6
+
+
+@pytest.fixture(scope="module")
+def products(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Fourteen executions of the box-picking cell, of two products in turn."""
+    logs = simulated(tmp_path_factory, "box-picking", 14, seed=6, products=(P, Q))
+    made = made_once(tmp_path_factory, "two_products", lambda place: ingest([logs], place / "dataset"))
+    return Dataset.open(made / "dataset")
+
+
+def stands_s(products: Dataset, places: tuple[str, ...]) -> float:
+    program = lay_out(TaskSequence("asked", places), nominal_tasks(products), products)
+    return float(sum(np.median(task.standstill_s) for task in program.tasks if task.task.endswith("->conveyor")))
+
+
+def test_an_order_takes_the_standstills_of_its_own_work(products: Dataset):
+    assert stands_s(products, P.places) == pytest.approx(2 * (4.0 + PICK_S), abs=0.1)
+    assert stands_s(products, Q.places) == pytest.approx(9.0 + PICK_S, abs=0.1)
+
+
+@pytest.mark.parametrize("estimator", ["rollout", "history", "nominal"])
+def test_every_estimator_uses_them_and_says_so(products: Dataset, estimator: str):
+    asked = [TaskSequence("P", P.places), TaskSequence("Q", Q.places)]
+    for found in estimate(TrueStaircase(), products, asked, estimator=estimator):
+        product = {"P": P, "Q": Q}[found.name]
+        visits = product.places.count("conveyor")
+        own_s = visits * (product.process_s["conveyor"] + PICK_S) + 0.5 * (len(product.places) - 2 - visits)
+        assert found.dwell_s + found.wait_s == pytest.approx(own_s, abs=0.3)
+        assert any(
+            "standstill at conveyor depends on the work: 4.6 s in" in text and "9.6 s in" in text
+            for text in found.warnings
+        )
+        assert found.combined is None  # history holds both products
+
+
+def test_an_order_of_other_work_names_the_times_and_its_intervals_cover_both(products: Dataset):
+    longer = ("home", "conveyor", "left_1", "conveyor", "left_1", "conveyor", "right_1", "home")
+    (found,) = estimate(TrueStaircase(), products, [TaskSequence("more", longer)], validate=False)
+    assert any("standstill at conveyor depends on the work" in text for text in found.doubts)
+    for product in (P, Q):
+        off = 3 * (product.process_s["conveyor"] + PICK_S) - stands_all(products, longer)
+        assert found.expected_low_s <= found.expected_s + off <= found.expected_high_s
+    assert found.quantiles_s[0.05] < found.expected_low_s < found.expected_high_s < found.quantiles_s[0.95]
+
+
+def stands_all(products: Dataset, places: tuple[str, ...]) -> float:
+    tasks = lay_out(TaskSequence("asked", places), nominal_tasks(products), products).tasks
+    return sum(task.dwell_s + task.wait_s for task in tasks if task.task.endswith("->conveyor"))
+
+
+def test_the_order_to_be_found_takes_them_too(products: Dataset, monkeypatch: pytest.MonkeyPatch):
+    class Seen(Exception):
+        pass
+
+    def look(_: Any, tasks: Any, *args: Any, **more: Any) -> None:
+        assert tasks["home->conveyor"].dwell_s + tasks["home->conveyor"].wait_s == pytest.approx(4.6, abs=0.1)
+        raise Seen
+
+    monkeypatch.setattr("cyclekit.estimate.plan.answer.transit_table", look)
+    with pytest.raises(Seen):
+        plan(TrueStaircase(), products, Jobs(("left_1", "right_1"), "home", "home", "conveyor"), validate=False)
+
+
+def test_inspect_names_the_place_and_the_times(products: Dataset):
+    (said,) = [text for text in describe(products.path).warnings if "depends on the work" in text]
+    assert said.startswith("standstill at conveyor depends on the work: 4.6 s in 5 visits")
+
+
+def test_a_cell_of_one_work_stays_as_it_is(logged: Dataset):
+    assert standstills_by_work(logged) == {}
+    assert all(task.key == task.task for task in nominal_tasks(logged).values())
+
+
+def rows(cycles: Sequence[tuple[Sequence[str], dict[str, float]]]) -> Any:
+    """Return what is asked of a dataset, with one execution per cycle: its places, and the dwell at some."""
+    table, cards = [], []
+    for number, (places, dwell_s) in enumerate(cycles):
+        cards.append(SimpleNamespace(execution=str(number), places=tuple(places), complete=True))
+        for start, goal in pairwise(places):
+            stand = dwell_s.get(goal, 1.0) + 0.01 * (number % 3)
+            table.append((str(number), f"{start}->{goal}", goal, 1.0, stand, 0.0))
+    names = ["execution", "task", "goal_place", "nominal_s", "dwell_s", "wait_s"]
+    frame = pl.DataFrame(table, names, orient="row")
+    return SimpleNamespace(tasks=lambda: frame, card=SimpleNamespace(executions=cards))
+
+
+def test_executions_of_the_same_places_are_told_apart_by_their_order():
+    there, back = "abcdbca", "abdcbca"
+    found = standstills_by_work(rows([(there, {"b": 2.0}), (back, {"b": 5.0})] * 8))
+    assert set(found["a->b"]) == {tuple(there), tuple(back)}
+    assert found["a->b"][tuple(back)].mean_s == pytest.approx(5.01, abs=0.02)
+
+
+def test_works_that_differ_in_the_number_of_visits_only_share_their_places():
+    often = [("a" + "bc" * n + "a", {"b": 2.0}) for n in range(1, 9)]
+    found = standstills_by_work(rows(often + [(f"{one[:-1]}da", {"b": 5.0}) for one, _ in often]))
+    groups = {frozenset("abc"), frozenset("abcd")}
+    assert {task: set(stands) for task, stands in found.items()} == {"a->b": groups, "c->b": groups}
+    assert found["a->b"][frozenset("abc")].mean_s == pytest.approx(2.01, abs=0.02)
+    assert said_of_places(found) == [
+        "standstill at b depends on the work: 2.0 s in cycles through a, b, c, 5.0 s in cycles through a, b, c, d"
+    ]
+
+
+def test_a_task_that_is_rare_in_a_work_takes_what_that_work_has_at_the_place():
+    cycles = [("abca", {"b": 2.0})] * 8 + [("abcda", {"b": 5.0})] * 8 + [("adcba", {"b": 5.0})]
+    found = standstills_by_work(rows(cycles))
+    assert found["c->b"][work_of("abcda")].mean_s == pytest.approx(5.01, abs=0.02)
+    assert found["c->b"][work_of("abca")].mean_s == pytest.approx(2.01, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ([("abca", {"b": 2.0})] * 8, [("abcda", {"b": 5.0})] * 4),  # too few of the second
+        ([("abca", {"b": 2.0})] * 8, [("abcda", {"b": 2.15})] * 8),  # too little to matter
+        ([("abca", {"b": 5.0})] * 8, [("abcda", {"b": 5.4})] * 8),  # 8 %
+        ([("abda", {"b": 2.0})] * 8, [("acbea", {"b": 5.0})] * 8),  # by the way that leads there, not by the work
+        ([("abca", {"b": x}) for x in (2, 5) * 4], [("abcda", {"b": x}) for x in (5, 2) * 4]),  # the same in both
+    ],
+)
+def test_nothing_is_told_apart_that_the_logs_do_not_show(first: Any, second: Any):
+    assert standstills_by_work(rows([*first, *second])) == {}
+
+
+def test_the_probability_is_that_of_the_rank_test():
+    rng = np.random.default_rng(0)
+    for shift in (0.0, 0.5, 1.0):
+        groups = [np.round(rng.normal(number * shift, 1.0, 9), 1) for number in range(3)]
+        ours = by_chance(np.concatenate(groups), np.repeat(np.arange(3), 9))
+        assert ours == pytest.approx(kruskal(*groups).pvalue, rel=1e-9)
+    assert by_chance(np.ones(9), np.arange(9) % 3) == 1.0
+
+
+def test_the_simulated_product_needs_its_time_at_its_places():
+    plain = simulate_sequence("box-picking", Q.places, executions=2, seed=1)
+    ours = simulate_sequence("box-picking", Q.places, executions=2, seed=1, options=SimulationOptions(products=(Q,)))
+    stood = (ours["dwell_s"] + ours["wait_s"]) - (plain["dwell_s"] + plain["wait_s"])
+    assert stood.to_list() == pytest.approx([9.0, 9.0])

@@ -69,13 +69,13 @@ def stops_at_places(
     stops, overdue, visits = list[StopAtPlace](), list[_Overdue](), dict[str, int]()
     for session, rows in sessions:
         near = _Near(rows, usual_scaling(rows, evidence))
-        for run, place, standstill, first_s in _standstills_of(session):
+        for run, place, standstill, first_s, dwell in _standstills_of(session, dwells):
             visits[place] = visits.get(place, 0) + 1
             if paused_time(session.runs[run], first_s, standstill.left_s) > 0.0:
                 continue  # its process may have been paused
-            found = _by_people(run, standstill, first_s, dwells[place], near)
+            found = _by_people(run, standstill, first_s, dwell, near)
             stops += found
-            if not found and (late := _overdue(run, standstill, dwells[place], near)) is not None:
+            if not found and (late := _overdue(run, standstill, dwell, near)) is not None:
                 overdue.append(_Overdue(place, late))
     for place in {one.place for one in overdue}:
         seldom = [one.stop for one in overdue if one.place == place]
@@ -84,14 +84,17 @@ def stops_at_places(
     return stops
 
 
-def _standstills_of(session: SessionToSample) -> Iterator[tuple[int, str, PlaceStandstill, float]]:
-    """Yield run, place and standstill between two motions, and the last time of visible motion before it, s."""
+def _standstills_of(
+    session: SessionToSample, dwells: Mapping[str, Dwell]
+) -> Iterator[tuple[int, str, PlaceStandstill, float, Dwell]]:
+    """Yield run, place, standstill between two motions, last time of visible motion before it, s, and the dwell."""
     for execution in session.executions:
         run = session.runs[execution.run]
         for visit in execution.visits[1:-1] if run.is_inferred else ():
             standstill = session.standstills[execution.run, visit.first, visit.last]
             if not standstill.halted:  # otherwise it is a known stop
-                yield execution.run, visit.place, standstill, run.time_at(visit.first)
+                dwell = dwells[visit.place].of(execution)
+                yield execution.run, visit.place, standstill, run.time_at(visit.first), dwell
 
 
 class _Near:

@@ -1,9 +1,9 @@
 """Standstills that depend on the work of the execution: products with different process times at the same place.
 
 A cell may run several programs over the same places, each with its own process times. The standstills of all executions
-together then fit none of them. So each place is tested: do they differ between executions of different work (Kruskal
-and Wallis, Journal of the American Statistical Association 47, 1952), and by enough to matter? Where they do, an order
-takes the standstills of executions of its own work; elsewhere nothing changes.
+together then fit none of them. So each place is tested: do they differ between executions of different work by more
+than chance (`rank_test`), and by enough to matter? Where they do, an order takes the standstills of executions of its
+own work; elsewhere nothing changes.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
-from scipy.special import chdtrc
 
 from cyclekit.estimate.same_work import Work, work_of
+from cyclekit.segmentation.rank_test import by_chance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.schema import Ints, Vector
+    from cyclekit.schema import Vector
 
 Group = Work | frozenset[str] | tuple[str, ...]
 """What executions are grouped by: their work; their different places, if more have these in common; or their order of
@@ -137,20 +137,6 @@ def _differing(rows: pl.DataFrame) -> list[str]:
         if by_chance(mine["off"].to_numpy(), mine["group"].to_numpy()) * len(places) < CHANCE:
             found.append(str(mine["goal_place"][0]))
     return found
-
-
-def by_chance(values: Vector, group: Ints) -> float:
-    """Return the probability of ranks as different between groups if all were alike (Kruskal-Wallis with ties)."""
-    _, tied, times = np.unique(np.round(values, 3), return_inverse=True, return_counts=True)
-    rank = (np.cumsum(times) - (times - 1) / 2.0)[tied]
-    count = len(values)
-    _, of, sizes = np.unique(group, return_inverse=True, return_counts=True)
-    sums = np.bincount(of, rank)
-    ties = 1.0 - float((times**3 - times).sum()) / (count**3 - count)
-    if ties <= 0.0:
-        return 1.0
-    h = (12.0 / (count * (count + 1)) * float((sums**2 / sizes).sum()) - 3.0 * (count + 1)) / ties
-    return float(chdtrc(len(sizes) - 1, max(h, 0.0)))
 
 
 def _standstills(rows: pl.DataFrame) -> Standstills:

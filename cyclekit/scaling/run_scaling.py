@@ -137,7 +137,7 @@ def halts_at_places(
         for visit in execution.visits[1:]:
             standstill = standstills[execution.run, visit.first, visit.last]
             final = visit is execution.visits[-1]
-            dwell = Dwell(0.0, 0.0) if final else usual[visit.place]
+            dwell = Dwell(0.0, 0.0) if final else usual[visit.place].of(execution)
             arrival_s = standstill.times(dwell.usual_s, dwell.ready_s(standstill))[0]
             end = int(run.row_at(np.array([arrival_s]))[0])
             if _halted_short(run, visit.first, end, standstill.left_s):

@@ -13,9 +13,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from cyclekit.segmentation.rank_test import by_chance
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.schema import Vector
     from cyclekit.segmentation.arrivals import PlaceStandstill, PlaceStandstills
     from cyclekit.segmentation.executions import Execution
 
@@ -29,6 +32,13 @@ STEADY_S = 0.05
 OFTEN = 0.5
 """Minimum share of the standstills at a place in which the signal changes."""
 
+MIN_EXECUTIONS, CHANCE = 5, 0.01
+"""Minimum number of executions of the same work with a process time of their own; maximum probability of a difference
+by chance at any place."""
+APART_S, APART = 0.2, 0.1
+"""Minimum difference of process times between works, s and as a share; and maximum spread of the standstills of a work
+whose standstills are the process: waits scatter more."""
+
 
 class EndSignal(NamedTuple):
     """Signal that marks the process at a place; usual and maximum time from its last change to the end, s."""
@@ -39,11 +49,19 @@ class EndSignal(NamedTuple):
 
 
 class Dwell(NamedTuple):
-    """The process at a place: usual duration, s; maximum duration, s, beyond which the rest is a wait; its signal."""
+    """The process at a place: usual duration, s; maximum duration, s, beyond which the rest is a wait; its signal.
+
+    `of_work`: the process in executions of other work, by their places, sorted, if its duration depends on that.
+    """
 
     usual_s: float
     max_s: float
     end_signal: EndSignal | None = None
+    of_work: Mapping[tuple[str, ...], Dwell] | None = None
+
+    def of(self, execution: Execution) -> Dwell:
+        """Return the process in an execution."""
+        return (self.of_work or {}).get(_work(execution), self)
 
     def ready_s(self, standstill: PlaceStandstill) -> float | None:
         """Return the time at which the robot was ready to leave; None without a signal."""
@@ -67,18 +85,50 @@ def usual_dwells(executions: Sequence[Execution], standstills: PlaceStandstills)
     and last standstill of an execution are excluded, as the robot waits for the next cycle there.
     """
     seen: dict[str, list[PlaceStandstill]] = {}
+    by_work: dict[str, dict[tuple[str, ...], list[list[float]]]] = {}
     for execution in executions:
+        mine: dict[str, list[float]] = {}
         for visit in execution.visits[1:-1]:
-            seen.setdefault(visit.place, []).append(standstills[execution.run, visit.first, visit.last])
+            standstill = standstills[execution.run, visit.first, visit.last]
+            seen.setdefault(visit.place, []).append(standstill)
+            if not standstill.halted:
+                mine.setdefault(visit.place, []).append(standstill.lasts_s)
+        for place, lasts_s in mine.items():
+            by_work.setdefault(place, {}).setdefault(_work(execution), []).append(lasts_s)
     dwells = {}
-    for place, mine in seen.items():
-        unhindered = [standstill.lasts_s for standstill in mine if not standstill.halted]
-        low, most = _usual(unhindered or [min(standstill.lasts_s for standstill in mine)])
-        dwells[place] = Dwell(low, min(most, 1.5 * low + 0.2), _end_signal(mine))
+    for place, there in seen.items():
+        unhindered = [standstill.lasts_s for standstill in there if not standstill.halted]
+        low, most = _usual(unhindered or [min(standstill.lasts_s for standstill in there)])
+        dwell = Dwell(low, min(most, 1.5 * low + 0.2), _end_signal(there))
+        dwells[place] = dwell._replace(of_work=_of_works(by_work.get(place, {}), dwell, CHANCE / len(seen)))
     return dwells
 
 
-def _usual(lasts_s: Sequence[float]) -> tuple[float, float]:
+def _work(execution: Execution) -> tuple[str, ...]:
+    return tuple(sorted(visit.place for visit in execution.visits))
+
+
+def _of_works(
+    by_work: Mapping[tuple[str, ...], list[list[float]]], dwell: Dwell, chance: float
+) -> Mapping[tuple[str, ...], Dwell] | None:
+    """Return the process of each work whose standstills, one list per execution, are steady; None if they are alike."""
+    steady = {}
+    for work, lasts_s in by_work.items():
+        low, middle = np.quantile(np.concatenate(lasts_s), (0.1, 0.5)).tolist()
+        if len(lasts_s) >= MIN_EXECUTIONS and middle - low <= APART_S + APART * low:
+            steady[work] = lasts_s
+    lows = {work: _usual(np.concatenate(lasts_s)) for work, lasts_s in steady.items()}
+    usual_s = [low for low, _ in lows.values()]
+    if len(lows) < 2 or max(usual_s) - min(usual_s) <= APART_S + APART * min(usual_s):
+        return None
+    each = [(float(np.median(one)), number) for number, mine in enumerate(steady.values()) for one in mine]
+    values, group = (np.array(column) for column in zip(*each, strict=True))
+    if by_chance(values, group) >= chance:
+        return None
+    return {work: Dwell(low, min(most, 1.5 * low + 0.2), dwell.end_signal) for work, (low, most) in lows.items()}
+
+
+def _usual(lasts_s: Sequence[float] | Vector) -> tuple[float, float]:
     """Return the usual value of durations that may be prolonged, and the maximum without prolongation, s."""
     low, middle = np.quantile(lasts_s, (0.1, 0.3)).tolist()
     return low, low + VARIES * (middle - low) + BLUR_S

@@ -65,7 +65,7 @@ def time_account(
     for number, (before, visit) in enumerate(pairwise(visits), 1):
         final, standstill = visit is visits[-1], mine[number]
         lasts_s = 0.0 if final else standstill.lasts_s
-        process = dwells.get(visit.place, Dwell(lasts_s, lasts_s))
+        process = dwells.get(visit.place, Dwell(lasts_s, lasts_s)).of(execution)
         usual, most = process.usual_s, process.max_s
         arrival, left = standstill.times(0.0) if final else standstill.times(usual, process.ready_s(standstill))
         if process.excess_from_s(standstill._replace(left_s=standstill.departed_earliest_s)) is not None:

@@ -19,14 +19,16 @@ from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.rollout import estimate, lay_out
 from cyclekit.estimate.same_work import work_of
-from cyclekit.estimate.work_dwells import by_chance, said_of_places, standstills_by_work
+from cyclekit.estimate.work_dwells import said_of_places, standstills_by_work
 from cyclekit.ingest.ingest import ingest
 from cyclekit.inspect.describe import describe
-from cyclekit_sim import simulate_sequence
+from cyclekit.segmentation.rank_test import by_chance
+from cyclekit_sim import simulate, simulate_sequence
 from cyclekit_sim.options import Product, SimulationOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
 P = Product(("home", "conveyor", "left_1", "conveyor", "right_1", "home"), {"conveyor": 4.0})
 Q = Product(("home", "conveyor", "right_1", "home"), {"conveyor": 9.0})
@@ -170,3 +172,21 @@ def test_the_simulated_product_needs_its_time_at_its_places():
     ours = simulate_sequence("box-picking", Q.places, executions=2, seed=1, options=SimulationOptions(products=(Q,)))
     stood = (ours["dwell_s"] + ours["wait_s"]) - (plain["dwell_s"] + plain["wait_s"])
     assert stood.to_list() == pytest.approx([9.0, 9.0])
+
+
+@pytest.mark.parametrize("inferred", [False, True])
+def test_the_longer_process_is_no_wait_and_no_safety_loss(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, products: Dataset, inferred: bool
+):
+    found = products
+    truth = simulated(tmp_path_factory, "box-picking", 14, seed=6, products=(P, Q)) / "truth" / "tasks.parquet"
+    if inferred:
+        options = SimulationOptions(products=(P, Q), log_override=False, log_outputs=False)
+        logs = simulate("box-picking", tmp_path / "logs", executions=14, seed=6, options=options)
+        found = Dataset.open(ingest([logs], tmp_path / "dataset").dataset)
+    parts = pl.col("safety_loss_s", "dwell_s", "wait_s").sum()
+    lost_s, dwell_s, wait_s = found.tasks().select(parts).row(0)
+    true_lost_s, *true_stood_s = pl.read_parquet(truth).select(parts).row(0)
+    assert wait_s < 0.5
+    assert dwell_s == pytest.approx(sum(true_stood_s), rel=0.02)
+    assert lost_s == pytest.approx(true_lost_s, rel=0.05)

@@ -162,3 +162,35 @@ def test_a_standstill_is_not_overdue_while_its_process_is_paused(signals):
     assert dwell.excess_from_s(standstill) is None
     assert dwell.excess_from_s(standstill._replace(left_s=15.0)) == pytest.approx(14.5)
     assert dwell.excess_from_s(standstill._replace(pauses=())) == pytest.approx(10.5)
+
+
+def of_works(works: dict[str, list[float]]) -> Dwell:
+    """Return the dwell at `t`, between two places, from one execution per standstill of each work."""
+    executions, found = [], {}
+    for places, lasts_s in works.items():
+        for number, last_s in enumerate(lasts_s, len(executions)):
+            visits = tuple(Visit(place, at, at) for at, place in enumerate(places))
+            executions.append(Execution(number, visits, complete=True))
+            for at, place in enumerate(places):
+                stood_s = last_s if place == "t" else 1.0
+                found[number, at, at] = PlaceStandstill(0.0, 0.0, stood_s, stood_s)
+    return usual_dwells(executions, found)["t"]
+
+
+def test_each_work_has_its_process_where_the_standstills_of_both_are_steady():
+    dwell = of_works({"atba": [4.0, 4.1, 4.05] * 3, "atca": [9.0, 9.1, 9.05] * 3})
+    own = {work: one.usual_s for work, one in (dwell.of_work or {}).items()}
+    assert own == {tuple("aabt"): pytest.approx(4.0), tuple("aact"): pytest.approx(9.0)}
+    assert dwell.of(Execution(0, tuple(Visit(place, 0, 0) for place in "actba"), complete=True)) is dwell
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        [4.0, 9.0, 13.0, 5.0, 7.0, 11.0, 4.5, 8.0, 6.0],  # waits: they scatter
+        [9.0, 9.1, 9.05],  # too few
+        [4.1, 4.2, 4.15] * 3,  # too little
+    ],
+)
+def test_a_wait_of_one_work_is_no_process(other: list[float]):
+    assert of_works({"atba": [4.0, 4.1, 4.05] * 3, "atca": other}).of_work is None

@@ -305,7 +305,7 @@ def test_two_robots_and_their_trackers_in_one_folder_are_refused_with_the_cure(
 ):
     for number in range(2):
         robot_log(tmp_path / "logs" / f"robot_{number}.csv", ROUND_TRIP)
-        motive_log(tmp_path / "logs" / f"operator_{number}.csv", WALK)
+        motive_log(tmp_path / "logs" / f"operator_{'ab'[number]}.csv", WALK)
     with pytest.raises(ConfigError, match="unclear which belong together") as caught:
         ingest([tmp_path / "logs"], tmp_path / "dataset")
     assert "its own folder" in str(caught.value.cure)

@@ -315,6 +315,15 @@ def test_a_reference_at_another_rate_serves_as_well():
     assert np.abs(found[np.isfinite(found)] - 0.5).mean() < 0.01
 
 
+def test_a_log_without_joint_angles_among_others_with_them_is_unknown():
+    runs = [run(lambda _, at=rate: at, seed=seed)[0] for seed, rate in enumerate((1.0, 1.0, 1.0, 0.5))]
+    with_joints = [replace(one, q_rad=np.column_stack([one.xyz_m, one.xyz_m])) for one in runs]
+    found = inferred([*with_joints, run(lambda _: 1.0, seed=9)[0]])
+    known = found[3].scaling[np.isfinite(found[3].scaling)]
+    assert np.abs(known - 0.5).mean() < 0.02
+    assert not np.isfinite(found[4].scaling).any()
+
+
 def test_what_the_slider_took_is_not_taken_for_safety():
     one, _ = run(lambda _: 0.5, seed=1)
     slid = RobotRun(one.t_s, one.xyz_m, one.speed_m_s, one.scaling, slider=np.full(one.rows, 0.5))

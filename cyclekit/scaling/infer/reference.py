@@ -8,6 +8,7 @@ acceleration with k² (time scaling; Hollerbach 1984), while a program that move
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -98,12 +99,15 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
     """Return the reference of a motion; None without repetitions.
 
     Args:
-        repetitions: Repetitions of one motion between two places; those that take another path are ignored.
+        repetitions: Repetitions of one motion between two places; those that take another path are ignored, and those
+            of logs without joint angles where most have them, or the other way round.
         alone: Whether they were recorded with nobody in the cell.
     """
-    fastest = sorted(repetitions, key=lambda r: float(r.t_s[-1] - r.t_s[0]))[:AMONG]
-    if not fastest:
+    if not repetitions:
         return None
+    ((width, _),) = Counter(each.points.shape[1] for each in repetitions).most_common(1)
+    alike = (each for each in repetitions if each.points.shape[1] == width)
+    fastest = sorted(alike, key=lambda r: float(r.t_s[-1] - r.t_s[0]))[:AMONG]
     path = path_of(fastest[0].t_s, fastest[0].points)
     rates, deviations, stops, ways = [], [], [], []
     for repetition in fastest:

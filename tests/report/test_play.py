@@ -117,6 +117,11 @@ def test_a_page_says_why_it_cannot_be_played_with(logged, monkeypatch):
         (rule, made_up(operator=("shelf",)), texts("play.nothing")),
     ):
         assert play_part(PageInputs(texts, logged, model, [shown])) == PlayPart(None, (why,))
+    with monkeypatch.context() as patched:
+        patched.setattr(
+            part, "standstills_by_work", lambda dataset: {"home->conveyor": {}} if dataset is logged else {}
+        )
+        assert play_part(PageInputs(texts, logged, rule, [short])) == PlayPart(None, (texts("play.products"),))
     unseen = PageInputs(texts, logged, None, [short], unseen=True)
     assert play_part(unseen) == PlayPart(None, (texts("play.unseen"),))
     plan = made_up("plan for both", plan=("x",), asked=(PlannedTask("robot", "home->conveyor"),))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from cyclekit.errors import CyclekitError
 from cyclekit.estimate.joint.answer import waits_are_known
+from cyclekit.estimate.work_dwells import standstills_by_work
 from cyclekit.report.play.both import played_together, tables_of_both
 from cyclekit.report.play.lists import tables_of_lists
 from cyclekit.report.play.packed import packed
@@ -69,6 +70,8 @@ def play_part(page: PageInputs) -> PlayPart:
     if isinstance(model, str):
         return PlayPart(None, (page.texts(f"play.{model}"),))
     waits = waits_are_known(model)
+    if not waits and standstills_by_work(page.dataset):
+        return PlayPart(None, (page.texts("play.products"),))
     alone, together = [] if waits else played_alone(page), played_together(page, waits=waits)
     made = []
     if alone:

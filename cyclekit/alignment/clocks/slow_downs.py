@@ -32,8 +32,9 @@ FAR_M = 4.0
 MAX_ROWS = 2000
 """Maximum number of samples in the rough search, of those with slow-down and of the others."""
 MIN_SHARE = 0.6
-TOO_WEAK = 0.2
-AMBIGUOUS = 0.9
+"""Minimum share of the samples that both logs cover at a lag, and of the changes with a known distance."""
+TOO_WEAK, AMBIGUOUS = 0.2, 0.9
+"""Correlation below which there is no lag, and relative height of the second-best one from which a note is added."""
 CLEAR_PEAK, CLEAR_SECOND = 0.4, 0.75
 """Minimum correlation at a rough lag that is clear, and maximum of the second-best lag relative to it."""
 MIN_CHANGES, MIN_CHANGES_OF_KIND = 12, 8

@@ -1,6 +1,7 @@
 """Whether durations differ between groups, by their ranks.
 
-Kruskal and Wallis, Journal of the American Statistical Association 47, 1952.
+Kruskal and Wallis, Journal of the American Statistical Association 47, 1952. `scipy.stats.kruskal` gives the same, but
+its import takes half a second, in every command.
 """
 
 from __future__ import annotations

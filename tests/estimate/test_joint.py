@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -21,18 +19,13 @@ from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, Source
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError, UnknownName
 from cyclekit.estimate.joint.check import JointCheck
-from cyclekit.estimate.joint.legs import Gates, operator_agenda
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, Plan, RolledBoth, longest_s
 from cyclekit.estimate.joint.shares import planned_shares
-from cyclekit.estimate.joint.visits import OperatorVisit, Segments, parted_stays
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.whatif.change import Change
-
-if TYPE_CHECKING:
-    from simulated_cells import Cells
 
 ROBOT = ("home->conveyor", "conveyor->left_2", "left_2->conveyor", "conveyor->left_5", "left_5->conveyor")
 OWN_S = 1.0
@@ -141,57 +134,6 @@ def test_a_signal_that_neither_agent_gives_is_not_left_out_in_silence(logged: Da
         card = msgspec.structs.replace(gates(gate), sources=sources)
         (found,) = estimate(Coupled(card), logged, [both(("inbound", "out_left_1", "rest"))], **asked)
         assert any(doubt.startswith(said) for doubt in found.doubts) is told
-
-
-def test_who_begins_at_a_place_leaves_it_as_late_as_he_did_in_the_logs() -> None:
-    agenda = operator_agenda(
-        ("rest", "inbound", "rest"), Gates(None), {"inbound": np.ones(1)}, {"rest": np.full(1, 0.7)}
-    )
-    assert [float(leg.own_s[0]) for leg in agenda.legs[1:]] == [0.7, 1.0, 0.0]  # at the end nothing is left to do
-    known = operator_agenda(("rest",), Gates(None), {"rest": np.ones(1)}, {"rest": np.full(1, 0.7)})
-    assert float(known.legs[1].own_s[0]) == 1.0  # of a place where he works the whole work is asked for
-
-
-@pytest.mark.slow
-def test_a_first_stay_too_short_to_be_seen_is_part_of_the_cycle(cells: Cells) -> None:
-    """In this scene he stands at his rest place for 0.2 to 0.8 s when an execution begins; a stay lasts longer."""
-    cell = cells("shared-fixture", 16, seed=31, signals=True)
-    found = Segments(cell.dataset)
-    stays_s = found.first_stays_s("rest")
-    assert len(stays_s) == 16
-    first = {order[order[0].place == "rest"].place for order in found.orders.values()}
-    whole, walks = (sum(found.durations_s(found.walk(start, to)).sum() for to in first) for start in ("", "rest"))
-    assert stays_s.sum() + walks == pytest.approx(whole, abs=16 * 0.11)
-    assert stays_s.sum() > 16 * 0.5
-
-
-@pytest.mark.slow
-def test_one_long_stay_of_several_tasks_counts_as_several_visits(cells: Cells) -> None:
-    """In this scene he checks three parts at his bench, sometimes one right after the other."""
-    cell = cells("fed-line", 40, seed=31)
-    found = Segments(cell.dataset)
-    true = [row.split(",").count("bench") for row in cell.executions["operator_sequence"]]
-    seen = cell.dataset.every_task().filter(agent="operator", goal_place="bench").height
-    assert set(true) == {3}
-    assert seen < 0.9 * 3 * 40
-    visits = [sum(visit.place == "bench" for visit in found.orders[name]) for name in found.orders]
-    assert np.mean(np.array(visits) == 3) > 0.9
-    assert max(visits) == 3
-    for order in found.orders.values():
-        assert all(before.leaves_s <= after.arrives_s for before, after in pairwise(order))
-
-
-def test_a_stay_is_parted_into_no_more_tasks_than_it_has_time_for() -> None:
-    visits = [OperatorVisit("bench", 0.0, 6.2), OperatorVisit("shelf", 8.0, 20.0), OperatorVisit("bench", 22.0, 25.0)]
-    parted = parted_stays(visits, "bench", 4, 2.0)
-    assert [(visit.place, round(visit.arrives_s, 2)) for visit in parted] == [
-        ("bench", 0.0),
-        ("bench", 2.07),
-        ("bench", 4.13),
-        ("shelf", 8.0),
-        ("bench", 22.0),
-    ]
-    assert parted_stays(visits, "bench", 2, 2.0) == tuple(visits)
 
 
 def test_the_operator_waits_where_he_is_until_the_robot_has_left(logged: Dataset) -> None:

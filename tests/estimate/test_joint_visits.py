@@ -1,0 +1,66 @@
+"""The operator's visits in joint rollouts: first stays, long stays of several tasks."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from cyclekit.estimate.joint.legs import Gates, operator_agenda
+from cyclekit.estimate.joint.visits import OperatorVisit, Segments, parted_stays
+
+if TYPE_CHECKING:
+    from simulated_cells import Cells
+
+
+def test_who_begins_at_a_place_leaves_it_as_late_as_he_did_in_the_logs() -> None:
+    agenda = operator_agenda(
+        ("rest", "inbound", "rest"), Gates(None), {"inbound": np.ones(1)}, {"rest": np.full(1, 0.7)}
+    )
+    assert [float(leg.own_s[0]) for leg in agenda.legs[1:]] == [0.7, 1.0, 0.0]  # at the end nothing is left to do
+    known = operator_agenda(("rest",), Gates(None), {"rest": np.ones(1)}, {"rest": np.full(1, 0.7)})
+    assert float(known.legs[1].own_s[0]) == 1.0  # of a place where he works the whole work is asked for
+
+
+@pytest.mark.slow
+def test_a_first_stay_too_short_to_be_seen_is_part_of_the_cycle(cells: Cells) -> None:
+    """In this scene he stands at his rest place for 0.2 to 0.8 s when an execution begins; a stay lasts longer."""
+    cell = cells("shared-fixture", 16, seed=31, signals=True)
+    found = Segments(cell.dataset)
+    stays_s = found.first_stays_s("rest")
+    assert len(stays_s) == 16
+    first = {order[order[0].place == "rest"].place for order in found.orders.values()}
+    whole, walks = (sum(found.durations_s(found.walk(start, to)).sum() for to in first) for start in ("", "rest"))
+    assert stays_s.sum() + walks == pytest.approx(whole, abs=16 * 0.11)
+    assert stays_s.sum() > 16 * 0.5
+
+
+@pytest.mark.slow
+def test_one_long_stay_of_several_tasks_counts_as_several_visits(cells: Cells) -> None:
+    """In this scene he checks three parts at his bench, sometimes one right after the other."""
+    cell = cells("fed-line", 40, seed=31)
+    found = Segments(cell.dataset)
+    true = [row.split(",").count("bench") for row in cell.executions["operator_sequence"]]
+    seen = cell.dataset.every_task().filter(agent="operator", goal_place="bench").height
+    assert set(true) == {3}
+    assert seen < 0.9 * 3 * 40
+    visits = [sum(visit.place == "bench" for visit in found.orders[name]) for name in found.orders]
+    assert np.mean(np.array(visits) == 3) > 0.9
+    assert max(visits) == 3
+    for order in found.orders.values():
+        assert all(before.leaves_s <= after.arrives_s for before, after in pairwise(order))
+
+
+def test_a_stay_is_parted_into_no_more_tasks_than_it_has_time_for() -> None:
+    visits = [OperatorVisit("bench", 0.0, 6.2), OperatorVisit("shelf", 8.0, 20.0), OperatorVisit("bench", 22.0, 25.0)]
+    parted = parted_stays(visits, "bench", 4, 2.0)
+    assert [(visit.place, round(visit.arrives_s, 2)) for visit in parted] == [
+        ("bench", 0.0),
+        ("bench", 2.07),
+        ("bench", 4.13),
+        ("shelf", 8.0),
+        ("bench", 22.0),
+    ]
+    assert parted_stays(visits, "bench", 2, 2.0) == tuple(visits)

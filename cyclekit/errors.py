@@ -133,6 +133,10 @@ class DatasetError(CyclekitError):
     """The folder is not a dataset, or lacks required data."""
 
 
+class NoLevels(DatasetError):
+    """A network that predicts levels is to be trained on a scaling that has none."""
+
+
 class ModelError(CyclekitError):
     """The folder is not a model, or the model does not fit."""
 

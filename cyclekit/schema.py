@@ -7,6 +7,7 @@ zero.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,7 +18,7 @@ import polars as pl
 from cyclekit.errors import ShapeError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -304,3 +305,17 @@ def joint_order(name: str) -> tuple[bool, int]:
     """Return the sort key of joint columns: angles before speeds, each by number."""
     speed = name.startswith("qd")
     return speed, int(name.removeprefix("qd" if speed else "q").partition("_")[0])
+
+
+_UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+
+
+def joints_from_base(names: Sequence[str]) -> list[int]:
+    """Return the indices of the joints in order from the base, by their names; in the given order if unclear."""
+    ur = [[i for i, name in enumerate(names) if part in name] for part in _UR_JOINTS]
+    if len(names) == len(_UR_JOINTS) and all(len(found) == 1 for found in ur):
+        return [found[0] for found in ur]
+    numbers = [re.findall(r"\d+", name)[-1:] for name in names]
+    if all(numbers) and len({int(n[0]) for n in numbers}) == len(names):
+        return sorted(range(len(names)), key=lambda i: int(numbers[i][0]))
+    return list(range(len(names)))

@@ -7,14 +7,12 @@ computed tool point follows the logged one; if none does, none is drawn. Used by
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -24,6 +22,8 @@ AGREES_M = 0.05
 LONGEST_TOOL_M = 0.35
 _MOVED_M = 0.1
 _HALF_PI = np.pi / 2
+_TURNED = np.array([-1.0, -1.0, 1.0])
+"""A turn by 180 degrees about z, as factors of the coordinates."""
 
 
 class ArmLink(NamedTuple):
@@ -90,18 +90,6 @@ MODELS = {
 Specification and Robot Limits" (there in Craig's convention, with the flange at 0.107 m). The iiwa: Kuka
 Sunrise Toolbox, `constDhDataOf14R820.m` (in Craig's convention, from KUKA's manual of the media flange); the axes of
 the iiwa 7 in the documentation of Exp[licit] are the same."""
-_UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-
-
-def joint_order(names: Sequence[str]) -> list[int]:
-    """Return the indices of the joints in order from the base, by their names; in the given order if unclear."""
-    ur = [[i for i, name in enumerate(names) if part in name] for part in _UR_JOINTS]
-    if len(names) == len(_UR_JOINTS) and all(len(found) == 1 for found in ur):
-        return [found[0] for found in ur]
-    numbers = [re.findall(r"\d+", name)[-1:] for name in names]
-    if all(numbers) and len({int(n[0]) for n in numbers}) == len(names):
-        return sorted(range(len(names)), key=lambda i: int(numbers[i][0]))
-    return list(range(len(names)))
 
 
 @dataclass(frozen=True)
@@ -112,11 +100,18 @@ class FittedArm:
         arm: The arm.
         tool_m: Tool point in the flange frame, shape (3,), m.
         error_m: 95 % quantile of the distance between computed and logged tool points, m.
+        turned: Whether the log's base frame is the arm's turned by 180 degrees about z: `base_link` of Universal
+            Robots' ROS description, whose `base` is the frame of the parameters.
     """
 
     arm: Arm
     tool_m: NDArray[np.float64]
     error_m: float
+    turned: bool = False
+
+    def points(self, joints_rad: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return points and flange rotation as `joint_points` does, in the log's base frame."""
+        return _in_base(self.arm, joints_rad, turned=self.turned)
 
 
 def joint_points(arm: Arm, joints_rad: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -153,7 +148,8 @@ def _link_turn(cos: NDArray[np.float64], sin: NDArray[np.float64], alpha: float)
 def recognise_arm(joints_rad: NDArray[np.float64], tcp_m: NDArray[np.float64]) -> FittedArm | None:
     """Find the arm whose tool point follows the logged one.
 
-    Tools tried: none (tool point at the flange) and, if the arm moved enough, one fixed offset.
+    Tools tried: none (tool point at the flange) and, if the arm moved enough, one fixed offset. Each also with the base
+    turned by 180 degrees.
 
     Args:
         joints_rad: Joint angles, shape (T, 6).
@@ -166,12 +162,20 @@ def recognise_arm(joints_rad: NDArray[np.float64], tcp_m: NDArray[np.float64]) -
     joints_rad, tcp_m = joints_rad[known], tcp_m[known]
     if not len(tcp_m):
         return None
-    fitted = [fit for arm in ARMS for fit in _fits(arm, joints_rad, tcp_m)]
+    either = (False, True)
+    fitted = [fit for arm in ARMS for turned in either for fit in _fits(arm, joints_rad, tcp_m, turned=turned)]
     return min(fitted, key=lambda fit: fit.error_m, default=None)
 
 
-def _fits(arm: Arm, joints_rad: NDArray[np.float64], tcp_m: NDArray[np.float64]) -> list[FittedArm]:
+def _in_base(
+    arm: Arm, joints_rad: NDArray[np.float64], *, turned: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     points, turn = joint_points(arm, joints_rad)
+    return (points * _TURNED, turn * _TURNED[:, None]) if turned else (points, turn)
+
+
+def _fits(arm: Arm, joints_rad: NDArray[np.float64], tcp_m: NDArray[np.float64], *, turned: bool) -> list[FittedArm]:
+    points, turn = _in_base(arm, joints_rad, turned=turned)
     miss = tcp_m - points[:, -1]
     tool = np.einsum("tji,tj->ti", turn, miss).mean(axis=0)
     moved = bool(np.ptp(tcp_m, axis=0).max() > _MOVED_M)
@@ -183,5 +187,5 @@ def _fits(arm: Arm, joints_rad: NDArray[np.float64], tcp_m: NDArray[np.float64])
         left = np.linalg.norm(miss - np.einsum("tij,j->ti", turn, offset), axis=1)
         error_m = float(np.quantile(left, 0.95))
         if error_m <= AGREES_M:
-            found.append(FittedArm(arm, offset, error_m))
+            found.append(FittedArm(arm, offset, error_m, turned))
     return found

@@ -15,7 +15,7 @@ import numpy as np
 
 from cyclekit.dataset.cards import Note, SplitCard, note, texts
 from cyclekit.dataset.time_grid import samples_in
-from cyclekit.errors import DatasetError, command_line
+from cyclekit.errors import DatasetError, NoLevels, command_line
 from cyclekit.learning.labelling import (
     follows_late,
     need_scaling,
@@ -70,6 +70,7 @@ def divided(dataset: Dataset, spec: ModelSpec, folder: Path) -> DividedRows:
 
     Raises:
         DatasetError: There are too few rows, or nothing to learn; the message gives the reason.
+        NoLevels: The network needs levels, and the scaling has none.
     """
     most_rows = memory_rows()
     small = rows_of(dataset) <= most_rows
@@ -173,7 +174,8 @@ def _check_learnable(dataset: Dataset, found: DividedRows, spec: ModelSpec) -> N
     if count < samples_in(MIN_S / 2, dataset.rate_hz):
         what = "samples on a level with an operator seen" if spec.kind.is_classifier else "usable samples"
         msg = f"{dataset.path}: the training executions have only {count} {what}"
-        raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
+        error = NoLevels if spec.kind.is_classifier else DatasetError
+        raise error(msg, cure="Log more executions, or let another --seed choose which are held out.")
     for rows, purpose in ((found.check, "for validation"), (found.held_out, "for the test")):
         if not len(rows):
             msg = f"{dataset.path}: the executions {purpose} have no usable sample"
@@ -201,5 +203,5 @@ def _staircase(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Stairc
         raise DatasetError(msg, cure="Log executions in which the operator is near enough to slow the robot.")
     if spec.kind.needs_levels and (staircase.levels.size < 2 or not staircase.is_staircase):
         msg = f"{dataset.path}: a {spec.network} needs at least two levels, but {'; '.join(texts(staircase.warnings))}"
-        raise DatasetError(msg, cure="Train a network that needs none: --network regressor")
+        raise NoLevels(msg, cure="Train a network that needs none: --network regressor")
     return staircase

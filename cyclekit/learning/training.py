@@ -16,7 +16,7 @@ from cyclekit.dataset.cards import LevelShare, MetricsCard, Note, RowsCard, Stan
 from cyclekit.dataset.dataset import Dataset, People
 from cyclekit.dataset.guard import check_output
 from cyclekit.dataset.unknown_height import height_notes
-from cyclekit.errors import ModelError
+from cyclekit.errors import ModelError, NoLevels
 from cyclekit.extras import need
 from cyclekit.learning.coupling.learn import learn_coupling
 from cyclekit.learning.divided_rows import DividedRows, divided, is_commanded
@@ -70,8 +70,8 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
         dataset: Dataset with a speed scaling, logged or inferred, and positions of robot and operator.
         spec: What to train.
         rules: Also search a rule that explains the commanded level; if one is found, it replaces the network. Not for a
-            network that forecasts, or that learns the logged scaling on request. For the continuous law, the network is
-            a regressor.
+            network that forecasts, or that learns the logged scaling on request. For the continuous law, and for any
+            other scaling without levels, the network is a regressor.
         progress: Called after every epoch with the share done and the validation error.
 
     Returns:
@@ -86,12 +86,18 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
     need_torch(spec)
     rules = rules and spec.problem == "now" and spec.target != "logged"
     if rules and spec.kind.needs_levels and law_of(dataset, seed=spec.seed) is not None:
-        spec = replace(spec, network="regressor", hidden=NETWORKS["regressor"].hidden, target="logged")
+        spec = _without_levels(spec)
     if by_signals(dataset) and spec.features == "auto":  # without positions there is no distance
         spec = replace(spec, features="positions")
     spec = spec.at_rate(dataset.rate_hz).with_features()
     with Scratch() as scratch:
-        found = divided(dataset, spec, scratch.path)
+        try:
+            found = divided(dataset, spec, scratch.path)
+        except NoLevels:
+            if not rules:
+                raise
+            spec = _without_levels(spec)
+            found = divided(dataset, spec, scratch.path)
         spec = replace(spec, target="commanded" if is_commanded(dataset, spec, found.staircase) else "logged")
         fitted = _fit(spec)(spec, found.learn, found.check, found.levels, progress, known=found.known)
         made = (spec.problem, spec.network, spec.horizon_s, found.levels, fitted.weights)
@@ -102,13 +108,26 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
         card = _card(dataset, found, fitted, measure(model, found.held_out), rival_notes)
         card = structs.replace(card, coupling=learn_coupling(dataset))
     model = replace(model, card=card)
-    return with_rule(model, dataset, seed=spec.seed) if rules and len(model.levels) > 1 else model
+    stairs = found.staircase.is_staircase and len(model.levels) > 1
+    return with_rule(model, dataset, seed=spec.seed, stairs=stairs) if rules else model
 
 
-def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> TrainedModel:
+def _without_levels(spec: ModelSpec) -> ModelSpec:
+    """Return the settings with a network that needs no levels."""
+    return replace(spec, network="regressor", hidden=NETWORKS["regressor"].hidden, target="logged")
+
+
+def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0, stairs: bool = True) -> TrainedModel:
     """Return the model with the simplest rule that explains the commanded level, or with a warning if there is none.
 
     The rule is fitted to the training executions of the network and evaluated on the held-out ones.
+
+    Args:
+        model: Network of problem `now`.
+        dataset: Dataset of its training.
+        seed: Seed of random draws.
+        stairs: Whether the scaling has levels. If not, only the continuous law is tried: a rule on values that are no
+            levels would be right wherever nobody is near, and so in nearly all samples.
 
     Raises:
         ModelError: The model does not predict the present scaling.
@@ -116,13 +135,15 @@ def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> Traine
     if model.problem != "now":
         msg = f"a rule gives the present scaling, and the model is for problem {model.problem!r}"
         raise ModelError(msg, cure="Give a model of --problem now.")
-    found = rule_of(dataset, model.levels, model=model, keep_held_out=True, signals=False, seed=seed)
+    levels = model.levels if stairs else ()
+    found = rule_of(dataset, levels, model=model, keep_held_out=True, signals=False, seed=seed)
     if (
         found.rule is not None
         and predictor_of(replace(model, card=structs.replace(model.card, rule=found.rule))) is model
     ):
         found = replace(found, rule=None)
-    said = () if found.rule is not None else (note("model-data", text=f"{verdict(found)}; the network answers"),)
+    why = verdict(found) if stairs else "the scaling has no levels, and follows no law of one distance"
+    said = () if found.rule is not None else (note("model-data", text=f"{why}; the network answers"),)
     warned = model.card.warnings
     if found.rule is not None and found.rule.law is not None:
         warned = tuple(one for one in warned if one.code not in OF_STAIRCASES)

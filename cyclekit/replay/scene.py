@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from cyclekit.config.arms import joint_points, recognise_arm
+from cyclekit.config.arms import recognise_arm
 from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.plots import colours
 from cyclekit.plots.labels import place_labels
@@ -130,7 +130,7 @@ def _arm(sink: Sink) -> None:
     if joints is None or angles is None or fit is None:
         return
     known = np.isfinite(angles).all(axis=1)
-    points, turn = joint_points(fit.arm, angles[known])
+    points, turn = fit.points(angles[known])
     tool = points[:, -1] + np.einsum("tij,j->ti", turn, fit.tool_m)
     strips = np.concatenate([points, tool[:, None]], axis=1).astype(np.float32)
     t_s, one = joints.t_s[known], [1] * len(strips)

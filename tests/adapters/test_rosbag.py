@@ -67,6 +67,27 @@ def test_the_unit_of_a_scaling_comes_from_its_source_never_from_its_value(tmp_pa
     assert read(tmp_path / "run").robot["scaling"].to_list() == [fraction]
 
 
+def test_a_scaling_of_unknown_unit_is_named_with_its_cure(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.number("/cell_3/speed_scaling", "Float64", T0, 0.5)
+    writer.number("/battery", "Float64", T0, 0.5)
+    writer.tcp(T0 + 0.1, x=0.0)
+    writer.close()
+    (said,) = [text for text in read(tmp_path / "run").warnings if "no speed scaling" in text]
+    assert said.endswith('[sources.map] scaling = "/cell_3/speed_scaling" and scaling_max = 1 or 100')
+
+
+def test_joints_are_put_in_order_from_the_base(tmp_path, bag):
+    """Drivers of ROS publish them by name or by chance; the arm's kinematics need their order."""
+    names = ["elbow", "shoulder_lift", "finger", "shoulder_pan", "wrist_1", "wrist_2", "wrist_3"]
+    writer = bag(tmp_path / "run", "mcap")
+    writer.joints(T0, [f"{name}_joint" for name in names], [2.0, 1.0, 9.0, 0.0, 3.0, 4.0, 5.0])
+    writer.close()
+    log = read(tmp_path / "run")
+    assert [log.robot[f"q{i}_rad"].item() for i in range(6)] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert log.joint_names[:3] == ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
+
+
 def test_the_overrides_of_one_controller_multiply_and_a_copy_counts_once(tmp_path, bag):
     writer = bag(tmp_path / "run", "mcap")
     writer.number("/speed_ovr", "Int64", T0, 50)

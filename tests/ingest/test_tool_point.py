@@ -10,13 +10,14 @@ import pytest
 
 from cyclekit.adapter import Recording
 from cyclekit.config import Cell, Robot, cell_to_toml, load_cell
-from cyclekit.config.arms import MODELS, joint_order, joint_points
+from cyclekit.config.arms import MODELS, joint_points, recognise_arm
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.ingest.convert import convert
 from cyclekit.ingest.ingest import ingest
 from cyclekit.ingest.read.tool_point import TCP, with_tool_point
 from cyclekit.inspect.describe import describe
+from cyclekit.schema import joints_from_base
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -49,9 +50,23 @@ def test_joints_are_sorted_from_the_base_by_their_names():
         "wrist_2_joint",
         "wrist_3_joint",
     ]
-    assert joint_order(ros) == [2, 1, 0, 3, 4, 5]
-    assert joint_order(["panda_joint2", "panda_joint1", "panda_joint3"]) == [1, 0, 2]
-    assert joint_order(["b", "a"]) == [0, 1]
+    assert joints_from_base(ros) == [2, 1, 0, 3, 4, 5]
+    assert joints_from_base(["panda_joint2", "panda_joint1", "panda_joint3"]) == [1, 0, 2]
+    assert joints_from_base(["b", "a"]) == [0, 1]
+
+
+def test_an_arm_is_recognised_in_the_base_link_of_ros_which_is_turned():
+    """Universal Robots' ROS description turns `base_link` by 180 degrees against the frame of the controller."""
+    angles = np.random.default_rng(0).uniform(-1.5, 1.5, (50, 6))
+    points, turn = joint_points(MODELS["UR10e"], angles)
+    tcp = points[:, -1] + turn @ np.array([0.0, 0.0, 0.15])
+    for turned, factors in ((False, [1, 1, 1]), (True, [-1, -1, 1])):
+        fit = recognise_arm(angles, tcp * factors)
+        assert fit is not None
+        assert (fit.arm.name, fit.turned, round(fit.error_m, 6)) == ("UR10e", turned, 0.0)
+        found, flange = fit.points(angles)
+        assert found == pytest.approx(points * factors)
+        assert found[:, -1] + flange @ fit.tool_m == pytest.approx(tcp * factors)
 
 
 def joints_only(path: Path) -> Path:

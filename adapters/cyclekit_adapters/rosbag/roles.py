@@ -64,6 +64,7 @@ class Roles:
     joints: str | None = None
     transforms: tuple[str, ...] = ()
     scaling: tuple[Factor, ...] = ()
+    maybe_scaling: tuple[str, ...] = ()  # by their names, but of unknown unit
     running: str | None = None
     inputs: str | None = None
     people: tuple[str, ...] = ()
@@ -129,6 +130,7 @@ def roles_in(
         joints=next(iter(named.get("joints", _joints(live))), None),
         transforms=transforms,
         scaling=scaling,
+        maybe_scaling=tuple(t for t, kind in live.items() if kind in _NUMBERS and _speaks_of_scaling(t)),
         running=next(iter(running), None),
         inputs=next(iter(_ending_of_type(live, IO_STATES)), None),
         people=tuple(topic for topic in people if topic not in transforms),
@@ -269,6 +271,11 @@ def _factor(topic: str, kind: str) -> Factor | None:
     if kind in _NUMBERS and _override_of(topic) is not None:
         return Factor(topic, "cnr", full=100.0)
     return None
+
+
+def _speaks_of_scaling(topic: str) -> bool:
+    name = topic.rpartition("/")[2].lower()
+    return any(word in name for word in ("scaling", "override", "speed_fraction", "_ovr"))
 
 
 def _override_of(topic: str) -> str | None:

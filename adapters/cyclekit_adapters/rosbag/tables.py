@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from cyclekit.schema import EVENTS, ROBOT, conform
+from cyclekit.schema import EVENTS, ROBOT, conform, joints_from_base
 from cyclekit_adapters.rosbag.chain import pose_along, reference_link
 from cyclekit_adapters.rosbag.envelope import middle
 from cyclekit_adapters.rosbag.frames import unknown
@@ -132,6 +132,7 @@ def _joints(contents: Contents, topic: str) -> _Rows | None:
         order = tuple(name for name in order if name not in fingers)
     if not order:
         return None
+    order = tuple(order[i] for i in joints_from_base(order))  # ROS sorts joints by name or by chance
     count = len(order)
     numbers, done = np.empty((rows.size, 2 * count)), 0
     for part, values in ours:
@@ -217,7 +218,9 @@ def _scaling(contents: Contents, roles: Roles, at_s: Array, state: npt.NDArray[n
     """Return the product of all factors; NaN before the first message and while the program is stopped."""
     factors = _factors(contents, roles)
     if not factors:
-        contents.warnings.append("no speed scaling in the bag: it is unknown")
+        maybe = next(iter(roles.maybe_scaling), None)
+        cure = f'; if {maybe} is it, give [sources.map] scaling = "{maybe}" and scaling_max = 1 or 100' if maybe else ""
+        contents.warnings.append(f"no speed scaling in the bag: it is unknown{cure}")
         return None
     if any(factor.family == "command" for factor in factors):
         contents.warnings.append("the speed scaling is the commanded one: what the robot executed was not recorded")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.config.arms import MODELS, Arm, ArmLink, joint_order, joint_points
-from cyclekit.schema import is_joint
+from cyclekit.config.arms import MODELS, Arm, ArmLink, joint_points
+from cyclekit.schema import is_joint, joints_from_base
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -43,7 +43,7 @@ def _computed(part: Recording, robot: Robot) -> Recording:
     if len(names) != len(arm.links):
         warning = f"[robot] is an arm of {len(arm.links)} joints and the log holds {len(names)}: no TCP is computed"
         return replace(part, warnings=(*part.warnings, warning))
-    order = joint_order(part.joint_names) if len(part.joint_names) == len(names) else range(len(names))
+    order = joints_from_base(part.joint_names) if len(part.joint_names) == len(names) else range(len(names))
     angles = np.column_stack([frame[names[i]].cast(pl.Float64).to_numpy() for i in order])
     points, turn = joint_points(arm, angles)
     tcp = points[:, -1] + turn @ np.asarray(robot.tool_m)

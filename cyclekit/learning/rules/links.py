@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.config.arms import joint_points, recognise_arm
+from cyclekit.config.arms import recognise_arm
 from cyclekit.dataset.cards.rule import PoseCard
 from cyclekit.learning.rules.distances import to_links
 
@@ -115,5 +115,5 @@ def arm_points(
     arm = recognise_arm(angles[some], robot_m[some])
     if arm is None:
         return None
-    points, _ = joint_points(arm.arm, angles)
+    points, _ = arm.points(angles)
     return np.concatenate([points, robot_m[:, None]], axis=1)

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import polars as pl
 import pytest
+from fabricated import fabricate_dataset
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
 
 from cyclekit.cli.train import rule_lines
-from cyclekit.dataset.cards import BadCard, DynamicsCard, TrainingCard, checked, plain
+from cyclekit.dataset.cards import BadCard, DynamicsCard, TrainingCard, checked, plain, texts
 from cyclekit.dataset.cards.rule import LawCard, MetresCard, RuleCard
-from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.dataset import CARD, Dataset
+from cyclekit.errors import DatasetError
 from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.safety import Dynamics, Follower
 from cyclekit.estimate.whatif.alter import LearnedSafety, altered_safety
@@ -29,6 +33,7 @@ from cyclekit.learning.rules.safety import RuleSafety, predictor_of
 from cyclekit.learning.rules.words import verdict
 from cyclekit.learning.safety_function.answer import read_zones
 from cyclekit.learning.training import train
+from cyclekit.storage.atomic import write_parquet
 from cyclekit_sim import SimulationOptions, simulate
 from cyclekit_sim.rules import IsoLaw, Rule
 
@@ -206,3 +211,24 @@ def test_a_cell_with_a_law_is_trained_estimated_and_read_back(tmp_path: Path) ->
     assert abs(check.own_bias) < 0.01
     found = read_zones(model, dataset)
     assert found.rule_sentences[0].startswith("speed = the highest s from 10 % to 100 %")
+
+
+def test_a_scaling_without_levels_and_without_law_is_learned_by_regression(tmp_path):
+    """No rule on values that are no levels, though most samples are at full speed, and no error message."""
+    dataset = fabricate_dataset(tmp_path / "dataset", executions=10, seed=1)
+    held = np.random.default_rng(0).uniform(0.2, 0.9, 10_000)
+    apart = sum(((pl.col(f"robot_{axis}_m") - pl.col(f"human_{axis}_m")) ** 2 for axis in "xyz"), pl.lit(0.0)).sqrt()
+    for file in (dataset.path / "samples").glob("*.parquet"):
+        rows = pl.read_parquet(file)
+        values = held[(rows["t_s"].to_numpy() / 0.7).astype(np.int64)]
+        near = pl.when(apart < 1.9).then(pl.Series(values)).otherwise(1.0)
+        write_parquet(rows.with_columns(scaling=near), file)
+    card = json.loads((dataset.path / CARD).read_text())
+    (dataset.path / CARD).write_text(json.dumps({**card, "files": None}))
+    changed = Dataset.open(dataset.path)
+    spec = ModelSpec.of(epochs=4, batch=256)
+    with pytest.raises(DatasetError, match="--network regressor"):
+        train(changed, spec)
+    model = train(changed, spec, rules=True)
+    assert (model.network, model.card.rule) == ("regressor", None)
+    assert any("follows no law of one distance; the network answers" in said for said in texts(model.card.warnings))

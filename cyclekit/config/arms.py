@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-
     from numpy.typing import NDArray
 
 AGREES_M = 0.05

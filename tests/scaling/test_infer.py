@@ -171,6 +171,16 @@ def test_no_edge_is_seen_in_a_log_of_few_rows_a_second():
     assert_allclose(limits_along(nominal_s, place[:, None]), 1.0)
 
 
+def test_a_waypoint_passed_with_a_blend_is_no_limit_of_the_path():
+    """Another joint takes over, three times as fast; a limit leaves the direction as it is."""
+    t = np.arange(0.0, 3.0, PERIOD_S)
+    speed = np.clip(np.minimum(t, 3.0 - t) / 0.4, 0.0, 1.0)
+    over = np.clip((t - 1.5) / 0.06 + 0.5, 0.0, 1.0)
+    lift, pan = (np.cumsum(rate) * PERIOD_S / NOISE_M for rate in (speed * (1.0 - over), 3.0 * speed * over))
+    assert limits_along(t, np.column_stack([lift + pan, 0.5 * (lift + pan)]))[0] == pytest.approx(1 / 3, abs=0.02)
+    assert_allclose(limits_along(t, np.column_stack([lift, pan])), 1.0)
+
+
 def test_while_the_program_is_paused_the_scaling_is_unknown():
     runs = [run(lambda _: 1.0, seed=seed)[0] for seed in range(3)]
     held, _ = run(lambda t: 0.0 if 0.8 <= t < 1.6 else 1.0, seed=4)

@@ -3,7 +3,8 @@
 A slow-down that every repetition shares looks like programmed speed. But programmed speed changes with the robot's
 acceleration, while a limit that the controller applies at once makes the speed jump between two smooth parts. The
 jumps along a motion give the share of full speed of each part. Limits that change as slowly as the robot accelerates
-are not found.
+are not found. A limit leaves the direction as it is: where the path turns (a waypoint passed with a blend, a linear
+approach before a joint motion) the speed jumps too, as other joints move, and this is no limit.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ BEGUN = 0.9
 """Share of the maximum speed at which the initial acceleration ends; likewise for the final deceleration."""
 SAME = 0.03
 """Tolerance for equal shares of full speed."""
+AHEAD = 0.98
+"""Minimum cosine of the angle between the directions before and after a jump."""
 _LARGE = 0.9  # quantile of accelerations
 
 
@@ -49,8 +52,11 @@ def limits_along(nominal_s: Vector, points: Points) -> Vector:
         return none
     even = nominal_s[0] + period * np.arange(len(nominal_s))
     place = np.column_stack([np.interp(even, nominal_s, column) for column in points.T])
-    speed = np.linalg.norm(np.gradient(place, period, axis=0), axis=1)
-    edges = _edges(speed, rows, max(gap, 1), period)
+    velocity = np.gradient(place, period, axis=0)
+    gap = max(gap, 1)
+    found = _edges(np.linalg.norm(velocity, axis=1), rows, gap, period)
+    turns = [row for row, _ in found if not _goes_ahead(velocity, row, rows, gap)]
+    edges = [edge for edge in found if all(abs(edge[0] - turn) > rows + gap for turn in turns)]
     if not edges:
         return none
     heights = np.concatenate([[0.0], np.cumsum([height for _, height in edges])])
@@ -81,6 +87,19 @@ def _edges(speed: Vector, rows: int, gap: int, period: float) -> list[tuple[int,
         steepest = first + int((sign * np.gradient(speed)[first:end]).argmax())
         found.append((steepest, float(np.log(after[steepest] / before[steepest]))))
     return found
+
+
+def _goes_ahead(velocity: Points, row: int, rows: int, gap: int) -> bool:
+    """Return whether a path, with velocities (M, D), keeps its direction at a row, from lines on both sides of it."""
+    sides = velocity[max(row - gap - rows + 1, 0) : row - gap + 1], velocity[row + gap : row + gap + rows][::-1]
+    if min(map(len, sides)) < 2:
+        return False
+    ends = []
+    for side in sides:
+        steps = np.arange(-len(side) - gap + 1, 1 - gap)
+        ends.append(np.polyfit(steps, side, 1)[1])
+    lengths = [float(np.linalg.norm(end)) for end in ends]
+    return min(lengths) > 0.0 and float(ends[0] @ ends[1]) >= AHEAD * lengths[0] * lengths[1]
 
 
 def _lines(speed: Vector, rows: int, gap: int, period: float) -> tuple[Vector, Vector, Vector]:

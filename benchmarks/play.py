@@ -91,8 +91,7 @@ def main() -> None:
         after[each.name] = changed.after
     page = asked.work / f"{asked.scene}-{asked.seed}-{asked.kind}.html"
     began_s = time.perf_counter()
-    shown = next(each for each in given if each.name == "order 0")
-    facts = compose_report(data, model, page, estimates=[shown], check=check)
+    facts = compose_report(data, model, page, estimates=given, check=check)
     made_s = time.perf_counter() - began_s
     errors = compared(page, wanted, {each.name: each for each in given}, after)
     OUT.print(f"{asked.scene} seed {asked.seed} {asked.kind} hysteresis {data.card.dynamics.hysteresis_m}:", end=" ")

@@ -10,7 +10,7 @@ from typing import Any
 
 import polars as pl
 
-from cyclekit.api.arguments import Place, checked
+from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.config import Cell, cell_to_toml
 from cyclekit.config.project import PROJECT_FILE, Project, load_project, project_to_toml
 from cyclekit.config.sequences import PlannedTask, TaskSequence
@@ -19,10 +19,15 @@ from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, LogError, OutputError, command_line
 from cyclekit.estimate.what_to_log import doubtful_places
 from cyclekit.ingest.discover import CELL_FILE, cell_for, find_all, suggest_cell
+from cyclekit.inspect.describe import describe
+from cyclekit.inspect.facts import LogsDescription
 from cyclekit.storage.atomic import write_text
 from cyclekit.storage.identify import MODEL_CARD
 from cyclekit.storage.outputs import check_writable
 from cyclekit.text.results import Result
+
+READ_BYTES = 1_000_000_000
+"""Maximum size of the logs that are read for their warnings."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -36,6 +41,8 @@ class StartedProject(Result):
         not_read: Files that no adapter reads, with the reason.
         written: Every file that was written.
         unsure: Number of guessed lines in the cell file, marked `# ?`.
+        warnings: Name of a log, and what reading it warned of; none if the logs are larger than READ_BYTES.
+        unread_bytes: Size of logs that were too large to be read here; 0 otherwise.
     """
 
     file: Path
@@ -44,6 +51,8 @@ class StartedProject(Result):
     not_read: tuple[tuple[str, str], ...]
     written: tuple[Path, ...]
     unsure: int
+    warnings: tuple[tuple[str, str], ...] = ()
+    unread_bytes: int = 0
 
     def _frame_rows(self) -> list[dict[str, object]]:
         return [{"log": log, "adapter": adapter} for log, adapter in self.logs]
@@ -54,7 +63,13 @@ class StartedProject(Result):
 
 @checked
 def start_project(
-    logs: Place = ".", folder: Place = ".", *, name: str = "", takt: str | None = None, follow_links: bool = False
+    logs: Place = ".",
+    folder: Place = ".",
+    *,
+    name: str = "",
+    takt: str | None = None,
+    follow_links: bool = False,
+    progress: Progress | None = None,
 ) -> StartedProject:
     """Look at a folder of logs and write its project file, and a cell file if there is none.
 
@@ -66,6 +81,7 @@ def start_project(
         name: Title of the report; empty: the name of the folder.
         takt: Takt time, such as `105s`.
         follow_links: Follow links that lead out of the folder of logs.
+        progress: Called with the part done, 0 to 1, and a text.
 
     Raises:
         LogError: The path does not exist, or nothing there can be read.
@@ -95,7 +111,8 @@ def start_project(
         raise
     if (Path(project.dataset) / CARD).is_file() and (made := first_sequences(Dataset.open(project.dataset), project)):
         written.append(made)
-    return StartedProject(file, project, found, not_read, tuple(written), unsure)
+    warnings, left = _warnings(roots, home, follow_links=follow_links, progress=progress)
+    return StartedProject(file, project, found, not_read, tuple(written), unsure, warnings, left)
 
 
 def _roots(root: Path, home: Path) -> list[Path]:
@@ -161,6 +178,25 @@ def _looked_at(
     found += [(name, f"{adapter}, by the map drafted in {CELL_FILE}") for name, adapter in by_map.items() if adapter]
     left = tuple((name, reason) for name, reason in not_read if not by_map[name])
     return tuple(found), left, text, sum(draft.unsure for draft in drafts.values())
+
+
+def _warnings(
+    roots: list[Path], home: Path, *, follow_links: bool, progress: Progress | None
+) -> tuple[tuple[tuple[str, str], ...], int]:
+    """Return what reading the logs warns of; if they are large, nothing, and how many bytes they have."""
+    size = sum(file.stat().st_size for root in roots for file in root.rglob("*") if file.is_file())
+    if size > READ_BYTES:
+        return (), size
+    cell = home / CELL_FILE
+    found: list[tuple[str, str]] = []
+    for root in roots:
+        try:
+            read = describe(root, cell=cell if cell.is_file() else None, follow_links=follow_links, progress=progress)
+        except LogError:  # a draft that cannot be read yet: `run` names what is wrong
+            continue
+        if isinstance(read, LogsDescription):
+            found += [(_shown(log.path, root), text) for log in read.logs for text in log.warnings]
+    return tuple(found), 0
 
 
 def _shown(path: Path, home: Path) -> str:

@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from typer.core import TyperCommand
+from typer.core import TyperArgument, TyperCommand
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from cyclekit.config.project import Project
 
@@ -44,6 +44,13 @@ PATHS: dict[str, dict[str, str]] = {
 class InProject(TyperCommand):
     """A command that takes missing arguments from the project file."""
 
+    def __init__(self, *args: Any, **settings: Any) -> None:  # noqa: ANN401 - typer's own
+        """Make the command; its help names arguments without their types, unless these are choices."""
+        super().__init__(*args, **settings)
+        for each in self.params:
+            if isinstance(each, TyperArgument):
+                each.display_type_rich = partial(_choice, each.display_type_rich)  # type: ignore[method-assign]
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - typer has its own copy of click
         """Parse the command line, and print the arguments taken from the project file."""
         keys = PATHS.get(self.name or "", {})
@@ -67,6 +74,11 @@ class InProject(TyperCommand):
             settings = ", ".join(f"{name} = {value}" for name, value in found.taken.items())
             Terminal(json=False, quiet=False).remark(f"from {PROJECT_FILE}: {settings}")
         return rest
+
+
+def _choice(shown: Callable[..., str | None], ctx: Any) -> str:  # noqa: ANN401 - typer has its own copy of click
+    kind = shown(ctx=ctx) or ""
+    return kind if "|" in kind else ""
 
 
 class _LeftOut:

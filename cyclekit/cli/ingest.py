@@ -19,7 +19,7 @@ EXAMPLE = "cyclekit ingest logs --out dataset"
 
 
 def ingest(
-    logs: Annotated[list[str], typer.Argument(help="Logs: files and folders, in any mix.", metavar="LOGS...")],
+    logs: Annotated[list[str], typer.Argument(help="Logs: files and folders, in any mix.", metavar="LOGS")],
     out: Annotated[str, typer.Option(help="Dataset to make: a folder or a URL.", metavar="DATASET")],
     cell: Annotated[Path | None, typer.Option(help="Cell file; default: cell.toml in the folder of logs.")] = None,
     engine: EngineName = "local",

@@ -40,10 +40,13 @@ def init(
         takt = typer.prompt("Takt time, such as 105s (Enter: none)", default="", show_default=False, err=True).strip()
     if takt:
         seconds(takt)
-    with terminal.progress("looking"):
-        found = start_project(logs, takt=takt or None, follow_links=follow_links)
+    with terminal.progress("looking") as progress:
+        found = start_project(logs, takt=takt or None, follow_links=follow_links, progress=progress)
     for line in grouped(found.not_read):
         terminal.remark(f"not read: {line}")
+    terminal.warnings(grouped(found.warnings))
+    if found.unread_bytes:
+        terminal.remark(f"not read yet: {found.unread_bytes / 1e9:.1f} GB; cyclekit inspect shows the warnings")
     terminal.done(found.to_dict(), _said(found))
 
 

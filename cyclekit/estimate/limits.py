@@ -175,6 +175,12 @@ REFUSED_BIAS = 0.1
 """Minimum significant bias on the logged executions at which a model is refused."""
 
 
+_OWN = (
+    "It was trained on them, so it does not see what slows the robot: look at clocks, frames and unknown causes in "
+    "cyclekit inspect DATASET"
+)
+
+
 def validated(
     model: SafetyModel, dataset: Dataset, *, levels: Sequence[float] = (0.05, 0.5, 0.95), seed: int
 ) -> tuple[Check | None, tuple[str, ...]]:
@@ -185,8 +191,8 @@ def validated(
         return None, (f"not validated on logged executions, so no bias is known or corrected: {error.seen}",)
 
 
-def refuse_biased(check: Check | None) -> None:
-    """Refuse a model with a large bias on the logged executions.
+def refuse_biased(check: Check | None, *, own: bool = False) -> None:
+    """Refuse a model with a large bias on the logged executions; `own`: it was trained on these logs.
 
     Raises:
         ModelError: The bias is significant and larger than REFUSED_BIAS.
@@ -195,6 +201,6 @@ def refuse_biased(check: Check | None) -> None:
         seen = f"{check.own_bias:+.1%} (+-{check.own_within:.1%}) on {check.executions} logged executions"
         raise ModelError(
             f"the model does not fit these logs: backtested with their own operator tracks, its bias is {seen}",
-            cure="Train it on them: cyclekit train DATASET --out MODEL; or add --other-cell to estimate anyway "
-            "(from Python other_cell=True).",
+            cure=(_OWN if own else "Train it on them: cyclekit train DATASET --out MODEL")
+            + "; or add --other-cell to estimate anyway (from Python other_cell=True).",
         )

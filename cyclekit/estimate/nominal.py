@@ -55,11 +55,12 @@ class NominalTask:
 
     def of_work(self, places: Sequence[str]) -> NominalTask:
         """Return the task with the standstills of executions of the same work as a cycle through `places`, if known."""
-        for group in groups_of(places):
-            if (mine := self.by_work.get(group)) is not None:
-                dwell_s, wait_s, standstill_s = mine.dwell_s, mine.wait_s, mine.standstill_s
-                return replace(self, dwell_s=dwell_s, wait_s=wait_s, standstill_s=standstill_s, group=group)
-        return self
+        return next((self.of_group(group) for group in groups_of(places) if group in self.by_work), self)
+
+    def of_group(self, group: Group) -> NominalTask:
+        """Return the task with the standstills of one of the groups in `by_work`."""
+        mine = self.by_work[group]
+        return replace(self, dwell_s=mine.dwell_s, wait_s=mine.wait_s, standstill_s=mine.standstill_s, group=group)
 
 
 def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> dict[str, NominalTask]:

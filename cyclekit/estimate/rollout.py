@@ -38,7 +38,7 @@ from cyclekit.estimate.safety import OnStates
 from cyclekit.estimate.signal_states import on_states_of
 from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.walk import Rolled, roll_out
-from cyclekit.learning.networks.cell import refuse_other_cell
+from cyclekit.learning.networks.cell import refuse_other_cell, trained_on
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.parallel.one_thread import one_thread
@@ -133,7 +133,7 @@ def estimate(
     elif check is None and validate and altered is None:
         check, unknown = validated(model, dataset, levels=quantiles, seed=seed)
     if not other_cell:
-        refuse_biased(check)
+        refuse_biased(check, own=trained_on(model.card, dataset))
     ask = Question(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, check, altered, engine)
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, model)]
     if check and check.operator and check.operator.said:

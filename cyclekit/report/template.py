@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 PAGE, STYLE, SCRIPT = "page.html.jinja", "page.css", "page.js"
 PLAY_STYLE = "play.css"
-PLAY = ("tables.js", "positions.js", "lookup.js", "grid.js", "often.js", "walk.js", "numbers.js",
+PLAY = ("tables.js", "positions.js", "lookup.js", "network.js", "grid.js", "often.js", "walk.js", "numbers.js",
         "draws.js", "agenda.js", "both.js", "joint.js", "roll.js", "chart.js", "controls.js")  # fmt: skip
 """The script of the part to play with: one function, in this order."""
 LOGOS = {"logo.svg": "image/svg+xml", "logo.png": "image/png"}

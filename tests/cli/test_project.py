@@ -56,6 +56,33 @@ def test_init_says_what_it_found_and_writes_a_project_that_reads_back(
     assert not Path("sequences.toml").exists()  # no order is known before there is a dataset
 
 
+def test_init_shows_what_reading_the_logs_warns_of(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell
+) -> None:
+    shutil.copytree(logs, tmp_path / "logs", ignore=shutil.ignore_patterns("truth"))
+    robot = next((tmp_path / "logs").rglob("robot.csv"))
+    *rows, last = robot.read_text("utf-8").splitlines()
+    sep = "," if "," in last else " "
+    values = last.split(sep)
+    robot.write_text("\n".join([*rows, sep.join([*values[:1], "nan", *values[2:]])]) + "\n", "utf-8")
+    monkeypatch.chdir(tmp_path)
+    done = cyclekit("init", "logs", "--yes")
+    assert done.code == 0
+    assert "warning: " in done.err
+    assert "robot.csv: 1 values are written as NaN" in done.err
+    Path("cyclekit.toml").unlink()
+    monkeypatch.setattr("cyclekit.api.init.READ_BYTES", 10)
+    large = cyclekit("init", "logs", "--yes")
+    assert "warning: " not in large.err
+    assert "cyclekit inspect shows the warnings" in large.err
+
+
+def test_the_help_names_arguments_without_their_types(cyclekit: Shell) -> None:
+    lists = cyclekit("ingest", "--help").out
+    assert "LOGS  Logs: files and folders" in lists
+    assert "WHAT <ingest|train|report|all>" in cyclekit("fleet", "--help").out
+
+
 def test_init_counts_the_tables_whose_map_it_drafts(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell
 ) -> None:

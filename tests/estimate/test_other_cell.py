@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from msgspec import structs
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import BadCard, CellCard, TrainingCard, checked, dataset_card, plain
@@ -17,7 +18,7 @@ from cyclekit.estimate.limits import refuse_biased
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.whatif import Change, what_if
-from cyclekit.learning.networks.cell import cell_of, fingerprint, other_cell_of, refuse_other_cell
+from cyclekit.learning.networks.cell import cell_of, fingerprint, other_cell_of, refuse_other_cell, trained_on
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -110,6 +111,11 @@ def test_another_cell_is_refused_with_the_reason(
         refuse_other_cell(card_of(logged), other)
     assert said in str(caught.value)
     assert "--other-cell" in str(caught.value.cure)
+    assert "Train it on them" in str(caught.value.cure)
+    with pytest.raises(ModelError) as own:
+        refuse_biased(BIASED, own=True)
+    assert "It was trained on them" in str(own.value.cure)
+    assert "cyclekit train" not in str(own.value.cure)
     refuse_other_cell(card_of(logged), other, other_cell=True)
     refuse_other_cell(TrainingCard(), other)  # a function that was written by hand is of no cell
 
@@ -154,6 +160,15 @@ def test_a_model_far_off_on_the_logs_is_refused_unless_that_is_meant(logged: Dat
     (found,) = estimate(constant(1.0), logged, [sequence], extrapolate=True, other_cell=True)
     assert found.check is not None
     assert found.check.alarm is not None
+
+
+def test_a_model_knows_the_logs_that_it_was_trained_on(logged: Dataset):
+    card = TrainingCard(cell=cell_of(logged))
+    assert trained_on(card, logged)
+    assert trained_on(TrainingCard(dataset_sha256=fingerprint(logged)), logged)
+    assert card.cell is not None
+    assert not trained_on(TrainingCard(cell=structs.replace(card.cell, logs={"others": None})), logged)
+    assert not trained_on(TrainingCard(), logged)
 
 
 def test_the_cell_of_a_dataset_is_one(logged: Dataset):

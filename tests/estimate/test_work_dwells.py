@@ -10,7 +10,8 @@ import numpy as np
 import polars as pl
 import pytest
 from known_cells import TrueStaircase
-from made_once import made_once, simulated
+from known_products import P, Q, products
+from made_once import simulated
 from scipy.stats import kruskal
 
 from cyclekit.config.sequences import TaskSequence
@@ -24,23 +25,15 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.inspect.describe import describe
 from cyclekit.segmentation.rank_test import by_chance
 from cyclekit_sim import simulate, simulate_sequence
-from cyclekit_sim.options import Product, SimulationOptions
+from cyclekit_sim.options import SimulationOptions
+
+__all__ = ["products"]
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-P = Product(("home", "conveyor", "left_1", "conveyor", "right_1", "home"), {"conveyor": 4.0})
-Q = Product(("home", "conveyor", "right_1", "home"), {"conveyor": 9.0})
 PICK_S = 0.6
-
-
-@pytest.fixture(scope="module")
-def products(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    """Fourteen executions of the box-picking cell, of two products in turn."""
-    logs = simulated(tmp_path_factory, "box-picking", 14, seed=6, products=(P, Q))
-    made = made_once(tmp_path_factory, "two_products", lambda place: ingest([logs], place / "dataset"))
-    return Dataset.open(made / "dataset")
 
 
 def stands_s(products: Dataset, places: tuple[str, ...]) -> float:

@@ -83,7 +83,8 @@ def rebuilt(facts, arrays):
         xyz_m = paths[leg["first"] : leg["first"] + leg["points"]]
         drawn = np.sort(stands[leg["stands"]]).astype(np.float64)
         tasks[name] = NominalTask(name, xyz_m, leg["nominal_s"], leg["dwell_s"], leg["wait_s"], drawn)
-    where = metres(arrays["tracks"].reshape(count, -1, 3), unit)
+    people = metres(arrays["people"].reshape(-1, 3), unit)
+    where = people[np.cumsum(arrays["who"], dtype=arrays["who"].dtype)].reshape(count, -1, 3)
     nothing = np.zeros(where.shape[:2], np.int64)
     logged = np.array(facts["tracks"]["logged"])
     tracks = OperatorTracks(where, nothing, (), logged, ("x",) * count, facts["tracks"]["step_s"])
@@ -114,14 +115,9 @@ def test_a_page_says_why_it_cannot_be_played_with(logged, monkeypatch):
     for model, shown, why in (
         (None, short, texts("play.no_model")),
         (average, short, texts("play.not_now")),
-        (rule, made_up(operator=("shelf",)), texts("play.nothing")),
+        (rule, made_up(estimator="nominal"), texts("play.nothing")),
     ):
         assert play_part(PageInputs(texts, logged, model, [shown])) == PlayPart(None, (why,))
-    with monkeypatch.context() as patched:
-        patched.setattr(
-            part, "standstills_by_work", lambda dataset: {"home->conveyor": {}} if dataset is logged else {}
-        )
-        assert play_part(PageInputs(texts, logged, rule, [short])) == PlayPart(None, (texts("play.products"),))
     unseen = PageInputs(texts, logged, None, [short], unseen=True)
     assert play_part(unseen) == PlayPart(None, (texts("play.unseen"),))
     plan = made_up("plan for both", plan=("x",), asked=(PlannedTask("robot", "home->conveyor"),))

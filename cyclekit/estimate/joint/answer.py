@@ -30,6 +30,7 @@ from cyclekit.estimate.ranked import ranked
 from cyclekit.estimate.resample import interval_of_mean, least_wide, share_within
 from cyclekit.estimate.result import SPLIT, CycleEstimate, TaskShare
 from cyclekit.estimate.safety import OnStates
+from cyclekit.learning.networks.cell import trained_on
 from cyclekit.learning.out_of_core import in_memory
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def estimate_both(
         judged = answers.check()
     unknown = (NOT_JUDGED,) if judged is None and validate and altered is None else ()
     if not other_cell:
-        refuse_biased(judged)
+        refuse_biased(judged, own=trained_on(ask.model.card, dataset))
     found = answers.found(sequences, judged, refuse, tell)
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, cell.model)]
     unseen = cell.model.doubts if isinstance(cell.model, OnStates) else ()

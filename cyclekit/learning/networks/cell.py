@@ -88,6 +88,14 @@ def other_cell_of(card: TrainingCard, dataset: Dataset) -> str | None:
     return _other_places(learned.places, here.places) or _other_levels(learned.levels, here.levels)
 
 
+def trained_on(card: TrainingCard, dataset: Dataset) -> bool:
+    """Return whether most logs of the dataset were among those that the model was trained on."""
+    if card.dataset_sha256 == fingerprint(dataset):
+        return True
+    here = cell_of(dataset).logs
+    return card.cell is not None and 2 * len(set(card.cell.logs) & set(here)) > len(here)
+
+
 def _other_places(learned: Mapping[str, _Spot], here: Mapping[str, _Spot]) -> str | None:
     """Return how the places differ; the cell with fewer places may be a subset of the other."""
     if not learned or not here:

@@ -90,7 +90,8 @@ const tomlOf = () => {
     for (const place of asked.operator) task("operator", place);
   } else {
     lines.push(`places = ${several(asked.robot || asked)}`);
-    if (asked.operator) lines.push(`operator = ${several(asked.operator)}`);
+    const operator = asked.operator || facts.operator;
+    if (operator) lines.push(`operator = ${several(operator)}`);
   }
   return `${lines.join("\n")}\n`;
 };
@@ -121,8 +122,10 @@ const showNumbers = (entry, before) => {
       && state.blocks.map(({ agent }) => say("waits_of", { agent, value: fixed(waitsOf(entry, agent)) }).replaceAll(" ", "\u00a0")).join(", "),
   };
   for (const [name, text] of Object.entries(told)) part(name).textContent = text || "\u2013";
-  part("thin").hidden = !(known && entry.support !== null && entry.support < 0.9);
-  if (known) part("thin").textContent = say("extrapolated", { share: percent(1 - entry.support) });
+  const thin = known && entry.support !== null && entry.support < 0.9;
+  const doubts = [...(thin ? [say("extrapolated", { share: percent(1 - entry.support) })] : []), ...(entry.ofAll ? [say("of_all", { least: facts.fewest })] : [])];
+  part("thin").hidden = !doubts.length;
+  part("thin").textContent = doubts.join(" ");
 };
 
 const piecesOf = (tasks) => { // of the robot alone: parts one after the other; else the spans of the tasks

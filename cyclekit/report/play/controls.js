@@ -16,9 +16,10 @@ const show = () => {
   showChart(entry, before);
   showAsked();
   const walked = [entry, before].map((each) => (each.walked === undefined ? Infinity : each.walked));
-  const whole = Math.min(...walked) >= (facts.cycles || 0);
+  const all = facts.kind === "robot" ? COUNT : facts.cycles;
+  const whole = Math.min(...walked) >= all;
   part("so_far").hidden = whole;
-  if (!whole) part("so_far").textContent = say("so_far", { count: Math.min(...walked), of: facts.cycles });
+  if (!whole) part("so_far").textContent = say("so_far", { count: Math.min(...walked), of: all });
   section.dataset.took = String(performance.now() - began);
   section.dataset.whole = whole ? "yes" : "no";
   const mine = turn;
@@ -304,5 +305,5 @@ const start = async () => {
   section.dataset.ready = "yes";
 };
 window.cyclekitPlay = {
-  ready: start(), now: () => played(state.blocks), answer: (asked, changed, takt_s) => ANSWERS[facts.kind](asked, { ...asLogged(), ...changed }, takt_s),
+  ready: start(), now: () => played(state.blocks), answer: (asked, changed, takt_s, until) => ANSWERS[facts.kind](asked, { ...asLogged(), ...changed }, takt_s, until),
 };

@@ -16,14 +16,14 @@ const quantile = (ordered, level, conformal = false) => { // linear; conformal: 
   return ordered[below] + (ordered[above] - ordered[below]) * Math.min(Math.max(place - below, 0), 1);
 };
 
-const inResamples = (values) => { // the mean of K values in each resample of the executions
+const inResamples = (values, which) => { // the mean of the values of these tracks in each resample of the executions
   const executions = tables.drawn.length / tables.errors.length;
   const sum = new Float64Array(executions);
   const size = new Float64Array(executions);
-  for (let k = 0; k < COUNT; k += 1) {
-    sum[tables.execution[k]] += values[k];
-    size[tables.execution[k]] += 1;
-  }
+  which.forEach((track, n) => {
+    sum[tables.execution[track]] += values[n];
+    size[tables.execution[track]] += 1;
+  });
   return Float64Array.from(tables.errors, (_, row) => {
     let [all, weight] = [0, 0];
     for (let e = 0; e < executions; e += 1) {
@@ -37,26 +37,56 @@ const inResamples = (values) => { // the mean of K values in each resample of th
 
 const resampledMeans = (cycles) => { // Rolled.resampled_means
   const usual = mean(cycles.ownLoss_s) / Math.max(mean(cycles.ownBase_s), NOTHING);
-  if (usual <= 0) return inResamples(cycles.duration_s);
-  const [loss, base] = [inResamples(cycles.ownLoss_s), inResamples(cycles.ownBase_s)];
-  const free = inResamples(cycles.duration_s.map((value, k) => value - cycles.lost_s[k]));
+  const resampled = (values) => inResamples(values, cycles.which);
+  if (usual <= 0) return resampled(cycles.duration_s);
+  const [loss, base] = [resampled(cycles.ownLoss_s), resampled(cycles.ownBase_s)];
+  const free = resampled(cycles.duration_s.map((value, n) => value - cycles.lost_s[n]));
   const lost = mean(cycles.lost_s);
   return free.map((value, row) => value + (lost * (loss[row] / Math.max(base[row], NOTHING))) / usual);
 };
 
 const modelError = () => Math.hypot(facts.check.network_error, facts.check.unseen_error);
 
+// ---- the tasks of an order: those of a cycle with other work may stand for longer (`estimate.work_dwells`)
+
+const groupOf = (kind, start, places) => JSON.stringify([kind, start, ...(kind === "order" ? places : [...places].sort())]);
+const groupsOf = (places) => [ // the same, most alike first
+  groupOf("work", places[0] === places[places.length - 1] ? null : places[0], places.slice(1)),
+  groupOf("places", null, [...new Set(places)]),
+  groupOf("order", null, places),
+];
+const namesOf = (places) => places.slice(1).map((place, n) => `${places[n]}->${place}`);
+const legsOf = (places) => { // NominalTask.of_work
+  const mine = groupsOf(places);
+  return namesOf(places).map((name) => {
+    const leg = facts.legs[name];
+    const stands = new Map(leg.of_work.map((each) => [groupOf(each.group.kind, each.group.start, each.group.places), each]));
+    const group = mine.find((each) => stands.has(each));
+    return { ...leg, ...stands.get(group), ofAll: stands.size > 0 && group === undefined, groups: stands };
+  });
+};
+const widthOf = (legs) => { // limits.with_work: how much less and more the standstills of other works are, s
+  const off = new Map();
+  for (const leg of legs.filter((each) => each.ofAll)) {
+    for (const [group, each] of leg.groups) {
+      off.set(group, (off.get(group) || 0) + each.dwell_s + each.wait_s - leg.dwell_s - leg.wait_s);
+    }
+  }
+  return [Math.min(0, ...off.values()), Math.max(0, ...off.values())];
+};
+
 const meansOf = (cycles, legs) => { // means_of: factor, resampled mean and error of the cell as it was logged
   const check = facts.check;
   const resampled = resampledMeans(cycles).map((value) => value * check.factor);
   const alone = { factor: check.factor, resampled, error: modelError() };
   const names = Object.keys(check.history);
-  if (check.order_error === null || !legs.every((name) => name in check.history)) return alone;
+  const pooled = legs.every((leg) => leg.name in check.history && !leg.groups.size);
+  if (check.order_error === null || !pooled) return alone;
   const rollout_s = mean(cycles.duration_s) * check.factor;
-  const history_s = legs.reduce((sum, name) => sum + check.history[name], 0);
+  const history_s = legs.reduce((sum, { name }) => sum + check.history[name], 0);
   const size = tables.errors.length;
   const history = new Float64Array(size);
-  for (const name of legs) {
+  for (const { name } of legs) {
     const from = names.indexOf(name) * size;
     for (let row = 0; row < size; row += 1) history[row] += tables.history[from + row];
   }
@@ -84,32 +114,33 @@ const entryOf = (cycles, means, legs, takt_s) => { // entry_of: what the cycles 
   const bias = facts.check.doubted_bias;
   const spread = sorted(means.resampled.map((value, row) => value * (1 + means.error * tables.errors[row])));
   const wide = durations.map((value) => expected + facts.check.spread * (value - expected));
-  const off = tables.residuals ? wide.map((value, k) => value * (1 + tables.residuals[k])) : durations;
+  const off = tables.residuals ? wide.map((value, n) => value * (1 + tables.residuals[cycles.which[n]])) : durations;
   const single = sorted(off);
   const conformal = Boolean(tables.residuals);
   const takt = takt_s > 0 ? [0, bias, -bias].map((by) => durations.map((value) => Number(value * (1 + by) <= takt_s))) : null;
   const lost = cycles.loss_s.reduce((sum, value) => sum + value, 0);
   const slower = lost > 0 ? Math.max(1 + ((means.factor - 1) * mean(cycles.duration_s)) / lost, 0) : 1;
-  const nominal = legs.reduce((sum, name) => sum + facts.legs[name].nominal_s, 0);
+  const nominal = legs.reduce((sum, leg) => sum + leg.nominal_s, 0);
+  const [less, more] = widthOf(legs);
   const stands = cycles.stand_s.reduce((sum, value) => sum + value, 0);
   const stretch = stands > 0 ? (expected - nominal - lost * slower) / stands : 0;
   return {
     expected_s: expected,
     durations_s: [...durations],
-    low_s: quantile(spread, 0.025) - bias * expected,
-    high_s: quantile(spread, 0.975) + bias * expected,
-    quantiles_s: [0.05, 0.5, 0.95].map((level) => quantile(single, level, conformal)),
+    low_s: quantile(spread, 0.025) - bias * expected + less,
+    high_s: quantile(spread, 0.975) + bias * expected + more,
+    quantiles_s: [[0.05, less], [0.5, 0], [0.95, more]].map(([level, by]) => quantile(single, level, conformal) + by),
+    ofAll: legs.some((leg) => leg.ofAll),
     takt: takt && leastWide([
-      mean(takt[0]), quantile(sorted(inResamples(takt[1])), 0.025), quantile(sorted(inResamples(takt[2])), 0.975),
+      mean(takt[0]), quantile(sorted(inResamples(takt[1], cycles.which)), 0.025), quantile(sorted(inResamples(takt[2], cycles.which)), 0.975),
     ]),
     safety_s: lost * slower,
     support: cycles.known / cycles.looked,
-    tasks: legs.map((name, n) => {
-      const leg = facts.legs[name];
+    tasks: legs.map((leg, n) => {
       const stand = cycles.stand_s[n] * stretch;
       const dwell = leg.dwell_s + leg.wait_s > 0 ? leg.dwell_s / (leg.dwell_s + leg.wait_s) : 1;
       const parts = [leg.nominal_s, cycles.loss_s[n] * slower, stand * dwell, stand * (1 - dwell)];
-      return { name, parts, logged: leg.logged };
+      return { name: leg.name, parts, logged: leg.logged };
     }),
   };
 };
@@ -122,52 +153,58 @@ const leastWide = ([share, low, high]) => { // resample.least_wide: no narrower 
   return [share, Math.min(low, Math.max(middle - half, 0)), Math.max(high, Math.min(middle + half, 1))];
 };
 
-const rolled = (legs, asked) => { // cycles_of: tracks as long as the slowest cycle takes
-  const nominal = legs.reduce((sum, name) => {
-    const leg = facts.legs[name];
-    return sum + leg.nominal_s + leg.dwell_s + leg.wait_s;
-  }, 0);
-  field.moved(asked.moved);
+const rollerOfRobot = (legs, asked) => { // cycles_of: tracks as long as the slowest cycle takes; goes on when called again
+  const nominal = legs.reduce((sum, leg) => sum + leg.nominal_s + leg.dwell_s + leg.wait_s, 0);
   const ramp = asked.ramp === null ? {} : { ramp_up_per_s: asked.ramp };
   const dynamics = { ...facts.dynamics, ...ramp };
-  for (let horizon = 2.5 * nominal; ; horizon *= 2) {
-    const samples = Math.min(SAMPLES, Math.ceil(horizon / STEP_S) + 2);
-    let crowd = null;
-    if (asked.frequency !== 1) {
-      const key = ["away", asked.moved, samples, [...new Set(legs)]].join();
-      crowd = asOften(asked.frequency, remembered(key, () => awayOf(legs, samples)), samples);
-      if (crowd.unknown) return crowd;
+  let horizon = 2.5 * nominal;
+  let walker = null;
+  return (deadline) => {
+    field.moved(asked.moved);
+    for (;;) {
+      const samples = Math.min(SAMPLES, Math.ceil(horizon / STEP_S) + 2);
+      if (!walker) {
+        let crowd = null;
+        if (asked.frequency !== 1) {
+          const names = [...new Set(legs.map((leg) => leg.name))];
+          const key = ["away", asked.moved, samples, names].join();
+          crowd = asOften(asked.frequency, remembered(key, () => awayOf(names, samples)), samples);
+          if (crowd.unknown) return crowd;
+        }
+        walker = walkerOf(legs, dynamics, crowd, samples);
+      }
+      const cycles = walker(deadline);
+      if (cycles) return cycles;
+      if (samples === SAMPLES) return { unknown: say("no_end") };
+      [horizon, walker] = [2 * horizon, null];
     }
-    const cycles = walk(legs, dynamics, crowd, samples);
-    if (cycles.ends) return cycles;
-    if (samples === SAMPLES) return { unknown: say("no_end") };
-  }
+  };
 };
 
 const AS_LOGGED = () => ({ moved: facts.rule.moves.map(() => 0), ramp: null, frequency: 1 });
 const isLogged = (asked) => asked.ramp === null && asked.frequency === 1 && asked.moved.every((by) => by === 0);
 
-const answer = (places, asked, takt_s) => {
-  const legs = places.slice(1).map((place, n) => `${places[n]}->${place}`);
-  if (!legs.length) return { unknown: say("no_visit") };
-  const missing = [...new Set(legs.filter((name) => !(name in facts.legs)))];
+const answer = (places, asked, takt_s, deadline = Infinity) => {
+  const names = namesOf(places);
+  if (!names.length) return { unknown: say("no_visit") };
+  const missing = [...new Set(names.filter((name) => !(name in facts.legs)))];
   if (missing.length) return { unknown: say("never_logged", { tasks: missing.map(shown).join(", ") }), missing };
-  const base = remembered(legs.join(), () => {
-    const cycles = rolled(legs, AS_LOGGED());
-    return cycles.unknown ? cycles : { cycles, means: meansOf(cycles, legs) };
-  });
+  const legs = legsOf(places);
+  const rolled = (how) => remembered([names.join(), how.moved.join(), how.ramp, how.frequency].join(";"), () => rollerOfRobot(legs, how))(deadline);
+  const base = rolled(AS_LOGGED());
   if (base.unknown) return base;
-  let { cycles, means } = base;
+  let [cycles, means] = [base, meansOf(base, legs)];
   if (!isLogged(asked)) {
-    cycles = rolled(legs, asked);
+    cycles = rolled(asked);
     if (cycles.unknown) return cycles;
-    const factor = facts.check.factor * (base.means.moved || 1);
+    const factor = facts.check.factor * (means.moved || 1);
     const resampled = resampledMeans(cycles).map((value) => value * factor);
     means = { factor, resampled, error: modelError() };
   }
+  const walked = Math.min(base.walked, cycles.walked);
   const entry = entryOf(cycles, means, legs, takt_s);
-  if (entry.support < 0.5) return { unknown: say("thin", { share: percent(entry.support) }) };
-  return entry;
+  if (entry.support < 0.5) return { unknown: say("thin", { share: percent(entry.support) }), walked };
+  return { ...entry, walked };
 };
 const labelled = (place) => facts.labels[place] || place;
 const shown = (task) => task.split("->").map(labelled).join(" \u2192 ");

@@ -9,25 +9,25 @@ const remembered = (key, make) => {
   return kept.get(key);
 };
 
-const lookedAt = (legs) => { // points of the motions, evenly spread
-  const names = [...new Set(legs)].map((name) => facts.legs[name]);
-  const total = names.reduce((sum, leg) => sum + leg.points, 0);
+const lookedAt = (names) => { // points of the motions, evenly spread
+  const legs = names.map((name) => facts.legs[name]);
+  const total = legs.reduce((sum, leg) => sum + leg.points, 0);
   const count = Math.min(facts.away.points, total);
   return Array.from({ length: count }, (_, n) => {
     let at = Math.floor(count > 1 ? (n * (total - 1)) / (count - 1) : 0);
     let leg = 0;
-    while (at >= names[leg].points) { at -= names[leg].points; leg += 1; }
-    return names[leg].first + at;
+    while (at >= legs[leg].points) { at -= legs[leg].points; leg += 1; }
+    return legs[leg].first + at;
   });
 };
 
-const awayOf = (legs, samples) => {
-  const points = lookedAt(legs);
+const awayOf = (names, samples) => {
+  const points = lookedAt(names);
   const free = Array.from({ length: field.count }, (_, spot) => points.every((point) => field.free(point, spot)));
   const found = new Uint8Array(COUNT * samples);
   for (let k = 0; k < COUNT; k += 1) {
     for (let i = 0; i < samples; i += 1) {
-      const spot = field.spots[k * SAMPLES + i];
+      const spot = field.spots[tables.who[k * SAMPLES + i]];
       found[k * samples + i] = spot === field.nobody || free[spot] ? 1 : 0;
     }
   }

@@ -8,6 +8,7 @@ import zlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import polars as pl
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 UNKNOWN, MAX_COORDINATE = -(2**31), 2**31 - 1
 """Code of an unknown coordinate; largest coordinate."""
-FINEST = 1_000_000.0, 100_000.0, 10_000.0
+FINEST = 100_000_000.0, 10_000_000.0, 1_000_000.0, 100_000.0, 10_000.0
 """Resolutions that are tried, units per metre."""
 FEW_BYTES = 900_000
 """Maximum number of bytes of the coordinates when compressed, for which a resolution is taken that is not the last."""
@@ -41,6 +42,21 @@ def in_units(xyz_m: NDArray[np.floating[Any]], per_metre: float) -> NDArray[np.i
 def in_steps(values: NDArray[np.int32]) -> NDArray[np.int32]:
     """Return the differences along axis -2 instead of the values: they are small, so they compress well."""
     return np.diff(values, axis=-2, prepend=np.zeros_like(values[..., :1, :]))  # it wraps, and so does the script
+
+
+def each_once(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the different rows (M, 3) in the order in which they first occur, and for each row (N, 3) its number."""
+    frame = pl.from_numpy(rows, schema=["x", "y", "z"])
+    found = frame.unique(maintain_order=True).with_row_index("number")
+    numbered = frame.join(found, on=["x", "y", "z"], how="left", nulls_equal=True, maintain_order="left")
+    return found.select("x", "y", "z").to_numpy(), numbered["number"].to_numpy().astype(np.int64)
+
+
+def numbers_in_steps(numbers: NDArray[np.int64]) -> NDArray[np.uint16] | NDArray[np.int32]:
+    """Return the differences along the last axis instead of the numbers, in as few bytes as hold them; they wrap."""
+    kind = np.uint16 if numbers.max(initial=0) < 2**16 else np.int32
+    flat = numbers.ravel().astype(kind)
+    return np.diff(flat, prepend=flat[:1] * 0)
 
 
 def packed(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from cyclekit.errors import CyclekitError
 from cyclekit.estimate.joint.answer import waits_are_known
-from cyclekit.estimate.work_dwells import standstills_by_work
 from cyclekit.report.play.both import played_together, tables_of_both
 from cyclekit.report.play.lists import tables_of_lists
 from cyclekit.report.play.packed import packed
@@ -70,12 +70,9 @@ def play_part(page: PageInputs) -> PlayPart:
     if isinstance(model, str):
         return PlayPart(None, (page.texts(f"play.{model}"),))
     waits = waits_are_known(model)
-    if not waits and standstills_by_work(page.dataset):
-        return PlayPart(None, (page.texts("play.products"),))
-    alone, together = [] if waits else played_alone(page), played_together(page, waits=waits)
-    made = []
-    if alone:
-        made.append(_made(page.texts, "robot", alone, lambda: tables_of(page, model, alone)))
+    together = played_together(page, waits=waits)
+    alone = [] if waits else played_alone(page)
+    made = [_made(page.texts, "robot", each, partial(tables_of, page, model, each)) for each in alone]
     if together:
         made.append(_made(page.texts, "both", together, lambda: tables_of_both(page, model, together)))
     return _joined(page.texts, made) if made else PlayPart(None, (page.texts("play.nothing"),))
@@ -115,4 +112,4 @@ def _joined(texts: ReportTexts, made: Sequence[_Made]) -> PlayPart:
         return PlayPart(None, tuple(missing))
     words = json.dumps(texts.section("play"), separators=(",", ":")).replace("<", "\\u003c")
     data = f'{{"words":{words},"parts":[{",".join(str(each.data) for each in kept)}]}}'
-    return PlayPart(data, tuple(missing), tuple(each.kind for each in kept))
+    return PlayPart(data, tuple(missing), tuple(dict.fromkeys(each.kind for each in kept)))

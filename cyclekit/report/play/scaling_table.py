@@ -12,6 +12,7 @@ import numpy as np
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.transit import cells_of
+from cyclekit.report.play.packed import numbers_in_steps
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -59,7 +60,7 @@ def scaling_table(
         found["step_parts"].append(part)
         first += scaling.size
     arrays |= {name: np.concatenate(parts) for name, parts in found.items()}
-    arrays["people_cells"] = code.astype(np.uint16).ravel()
+    arrays["who"] = numbers_in_steps(code)
     fastest = max(getattr(model, "levels", ()), default=1.0)
     return {"cells": len(states), "lags": False, "fastest": fastest, "moves": [], "fixed": "fixed_states"}
 

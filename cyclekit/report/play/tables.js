@@ -25,6 +25,8 @@ const unpack = async (part) => {
   for (const [name, [type, offset, count]] of Object.entries(part.arrays)) {
     part.tables[name] = new TYPES[type](block, offset, count);
   }
+  const { who } = part.tables; // number of the position, or of the state, of each sample of each track; as steps, which wrap
+  if (who) for (let at = 1; at < who.length; at += 1) who[at] += who[at - 1];
   part.block = "";
 };
 
@@ -32,7 +34,7 @@ const enter = (part) => {
   ({ facts, tables } = part);
   if (facts.kind === "list") return;
   COUNT = facts.tracks.count;
-  SAMPLES = tables.people_cells.length / COUNT;
+  SAMPLES = tables.who.length / COUNT;
   STEP_S = facts.tracks.step_s;
   part.field = part.field || (tables.nodes ? gridField() : tables.scaling ? lookupField() : positionsField());
   field = part.field;

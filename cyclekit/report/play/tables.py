@@ -15,17 +15,19 @@ from cyclekit.estimate.nominal import STEP_S, nominal_tasks
 from cyclekit.estimate.program import standstills_of
 from cyclekit.estimate.resample import RESAMPLES, TOGETHER, resampled_alike
 from cyclekit.estimate.safety import Dynamics, OnStates, SafetyModel, at_once, is_fast
+from cyclekit.estimate.same_work import Work
 from cyclekit.estimate.signal_states import on_states_of
 from cyclekit.estimate.spread import logged_support
 from cyclekit.estimate.support import HUMAN_M, ROBOT_M
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
 from cyclekit.estimate.whatif.alter import AWAY, LOOKED_AT, grid_positions
+from cyclekit.estimate.work_dwells import MIN_EXECUTIONS
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.learning.rules.distances import TO_LINK
 from cyclekit.learning.rules.quantities import RulePlace, quantities
 from cyclekit.learning.rules.safety import RuleSafety, distances_of
-from cyclekit.report.play.packed import in_steps, in_units, units_per_metre
+from cyclekit.report.play.packed import each_once, in_steps, in_units, numbers_in_steps, units_per_metre
 from cyclekit.report.play.scaling_grid import scaling_grid, thinned
 from cyclekit.report.play.scaling_table import scaling_table
 
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.work_dwells import Group
     from cyclekit.report.inputs import PageInputs
     from cyclekit.schema import Floats
 
@@ -64,9 +67,13 @@ def playable(page: PageInputs) -> SafetyModel | str:
     return model
 
 
-def played_alone(page: PageInputs) -> list[CycleEstimate]:
-    """Return the sequences of the robot alone, with logged operators of any order."""
-    return [each for each in page.ranked if each.estimator == "rollout" and not each.plan and each.operator is None]
+def played_alone(page: PageInputs) -> list[list[CycleEstimate]]:
+    """Return the sequences of the robot alone, one list per order of the operator: each has its own tracks."""
+    found: dict[tuple[str, ...] | None, list[CycleEstimate]] = {}
+    for each in page.ranked:
+        if each.estimator == "rollout" and not each.plan:
+            found.setdefault(each.operator, []).append(each)
+    return list(found.values())
 
 
 def tables_of(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimate]) -> Tables:
@@ -75,7 +82,7 @@ def tables_of(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimat
     Args:
         page: What the page is made of.
         model: What answers for it, as `playable` has found.
-        shown: Sequences of the robot alone.
+        shown: Sequences of the robot alone, with the same order of the operator.
 
     Raises:
         CyclekitError: There is no operator track, or the tables would be too large.
@@ -84,13 +91,16 @@ def tables_of(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimat
     model, check = on_states_of(model, dataset), shown[0].check
     legs = nominal_tasks(dataset)
     nominal_s = max(each.nominal_s + each.dwell_s + each.wait_s for each in shown)
-    tracks = operator_tracks(dataset, horizon_s=LONGER * nominal_s, phases=check.phases if check else None, model=model)
+    operator, phases = shown[0].operator, check.phases if check else None
+    tracks = operator_tracks(dataset, horizon_s=LONGER * nominal_s, operator=operator, phases=phases, model=model)
     arrays: Arrays = {}
     facts = settings_of(page, model, dataset, tracks) | scaling_source(model, dataset, legs, tracks, arrays)
     facts["kind"] = "robot"
+    facts["operator"] = operator
+    facts["fewest"] = MIN_EXECUTIONS
     facts["sequences"] = [{"name": each.name, "robot": list(each.places)} for each in shown]
     facts["legs"] = _legs(legs, arrays, len(tracks.executions), [each.places for each in shown])
-    facts["check"] = _corrected(check, dataset, tracks, legs, arrays)
+    facts["check"] = _corrected(check, dataset, tracks, legs, arrays, pooled=operator is None)
     return facts, arrays
 
 
@@ -126,24 +136,26 @@ def scaling_source(
     dynamics, paths = Dynamics.of(dataset.card.dynamics, model), [leg.xyz_m for leg in legs.values()]
     if isinstance(model, OnStates):
         return {"rule": scaling_table(model, paths, tracks, arrays)}
+    people_m, which = each_once(tracks.xyz_m.reshape(-1, 3))  # tracks of one log hold the same positions
+    arrays["who"] = numbers_in_steps(which)
     if isinstance(model, RuleSafety):
         if TO_LINK in distances_of(model.rule):
             arrays["poses"] = np.array([pose.tcp_m for pose in model.rule.poses], np.float32)
             arrays["joints"] = np.array([pose.joints_m for pose in model.rule.poses], np.float32)
-        return _positions(dataset, paths, tracks, arrays) | {"rule": _rule(model)}
-    positions = _positions(dataset, paths, tracks, arrays, spots=False)
+        return _positions(dataset, paths, people_m, arrays) | {"rule": _rule(model)}
+    positions = _positions(dataset, paths, people_m, arrays, spots=False)
     rows = [thinned(leg) for leg in legs.values()]
-    return positions | {"rule": scaling_grid(model, dynamics, rows, tracks.xyz_m.reshape(-1, 3), arrays)}
+    return positions | {"rule": scaling_grid(model, dynamics, rows, people_m, arrays)}
 
 
 def _positions(
-    dataset: Dataset, legs: list[Floats], tracks: OperatorTracks, arrays: Arrays, *, spots: bool = True
+    dataset: Dataset, legs: list[Floats], people_m: Floats, arrays: Arrays, *, spots: bool = True
 ) -> dict[str, Any]:
     """Put positions of robot and operator into `arrays`, and which pairs were logged; return their facts."""
     paths = np.concatenate(legs)
-    unit = units_per_metre(tracks.xyz_m, paths)
-    arrays["tracks"], arrays["paths"] = (in_steps(in_units(xyz_m, unit)) for xyz_m in (tracks.xyz_m, paths))
-    return {"per_metre": unit, "support": _support(dataset, paths, tracks, arrays, spots=spots)}
+    unit = units_per_metre(people_m, paths)
+    arrays["people"], arrays["paths"] = (in_steps(in_units(xyz_m, unit)) for xyz_m in (people_m, paths))
+    return {"per_metre": unit, "support": _support(dataset, paths, people_m, arrays, spots=spots)}
 
 
 def _rule(model: RuleSafety) -> dict[str, Any]:
@@ -181,36 +193,44 @@ def _moves(level: float, known: Mapping[RulePlace, Any]) -> list[dict[str, Any]]
 def _legs(
     legs: Mapping[str, NominalTask], arrays: Arrays, count: int, shown: Sequence[Sequence[str]]
 ) -> dict[str, Any]:
-    """Return each task with its place in `paths` (points, 3) and in `stands` (occurrences of tasks, tracks)."""
+    """Return each task with its place in `paths` (points, 3) and in `stands` (occurrences of tasks, tracks).
+
+    If its standstills depend on the work, `of_work` has those of each group of executions.
+    """
     stands: list[NDArray[np.float64]] = []
     found, first = {}, 0
     for name, leg in legs.items():
-        found[name] = {
-            "nominal_s": leg.nominal_s,
-            "dwell_s": leg.dwell_s,
-            "wait_s": leg.wait_s,
-            "first": first,
-            "points": len(leg.xyz_m),
-            "stands": len(stands),
-            "logged": len(leg.standstill_s),
-        }
-        first += len(leg.xyz_m)
         start, _, goal = name.partition("->")
         often = max(1, *(min(places.count(start), places.count(goal)) for places in shown))
-        stands += [standstills_of(leg, count, SEED, occurrence) for occurrence in range(often)]
+
+        def stands_of(leg: NominalTask, often: int = often) -> dict[str, Any]:
+            stands.extend(standstills_of(leg, count, SEED, occurrence) for occurrence in range(often))
+            means = {"dwell_s": leg.dwell_s, "wait_s": leg.wait_s}
+            return {**means, "stands": len(stands) - often, "logged": len(leg.standstill_s)}
+
+        found[name] = {
+            **{"name": name, "nominal_s": leg.nominal_s, "first": first, "points": len(leg.xyz_m)},
+            **stands_of(leg),
+            "of_work": [{"group": _group(group), **stands_of(leg.of_group(group))} for group in leg.by_work],
+        }
+        first += len(leg.xyz_m)
     arrays["stands"] = np.array(stands, np.float32)
     return found
 
 
-def _support(
-    dataset: Dataset, paths: NDArray[np.float64], tracks: OperatorTracks, arrays: Arrays, *, spots: bool
-) -> dict[str, Any]:
-    """Put the cells of each point and of each sample into `arrays`; return how many cells of operators there are.
+def _group(group: Group) -> dict[str, Any]:
+    """Return a group of executions for the script, which names it by this kind, start and places."""
+    if isinstance(group, Work):
+        return {"kind": "work", "start": group.start, "places": group.visits}
+    return {"kind": "places" if isinstance(group, frozenset) else "order", "start": None, "places": list(group)}
+
+
+def _support(dataset: Dataset, paths: Floats, people: Floats, arrays: Arrays, *, spots: bool) -> dict[str, Any]:
+    """Put the cells of points and of people's positions into `arrays`; return how many cells of operators there are.
 
     `support` (R, H) says which pairs of cells were logged. The operator is away where he slows the robot nowhere:
     that is asked at `spots`, a decimetre apart, as `whatif` does.
     """
-    people = tracks.xyz_m.reshape(-1, 3)
     absent = ~np.isfinite(people[:, 0])
     on_floor = np.where(np.isnan(people), 0.0, people)  # an unknown height is that of the floor there
     robots, arrays["robot_cells"] = _numbered(np.floor(paths / ROBOT_M))
@@ -234,9 +254,15 @@ def _numbered(
 
 
 def _corrected(
-    check: Check | None, dataset: Dataset, tracks: OperatorTracks, legs: Mapping[str, NominalTask], arrays: Arrays
+    check: Check | None,
+    dataset: Dataset,
+    tracks: OperatorTracks,
+    legs: Mapping[str, NominalTask],
+    arrays: Arrays,
+    *,
+    pooled: bool,
 ) -> dict[str, Any]:
-    """Return the corrections of a rollout: bias, logged durations of tasks, and resampled executions."""
+    """Return the corrections of a rollout: bias, logged durations of tasks (`pooled`), and resampled executions."""
     executions, which = np.unique(np.array(tracks.executions), return_inverse=True)
     together = TOGETHER if tracks.runs_on else 1
     arrays["execution"] = which.astype(np.uint16)
@@ -250,7 +276,7 @@ def _corrected(
     arrays["residuals"] = check.residuals_of(len(tracks.executions)).astype(np.float32)
     names = ("factor", "network_error", "unseen_error", "spread", "doubted_bias", "order_error")
     fields = {name: getattr(check, name) for name in names}
-    return {**fields, "history": _history(check, dataset, tracks, legs, together, arrays)}
+    return {**fields, "history": _history(check, dataset, tracks, legs, together, arrays) if pooled else {}}
 
 
 def _history(

@@ -36,7 +36,15 @@ const followerOf = (dynamics, step_s, start) => { // Follower: s of one cycle ov
   };
 };
 
-const walk = (legs, dynamics, crowd, samples) => {
+const FEWEST = 12; // tracks before anything is said
+const spreadOut = (count) => { // the tracks, each far from the last: the first ones stand for all
+  const divides = (a, b) => (b ? divides(b, a % b) : a);
+  let by = Math.max(1, Math.round(count * 0.382));
+  while (divides(by, count) > 1) by += 1;
+  return Array.from({ length: count }, (_, n) => (n * by) % count);
+};
+
+const walkerOf = (legs, dynamics, crowd, samples) => { // walks until told to stop, goes on later
   const { step } = facts;
   const follows = facts.follows || Object.values(dynamics).some((value) => value);
   const step_s = follows ? step.fine_s : step.coarse_s;
@@ -46,22 +54,20 @@ const walk = (legs, dynamics, crowd, samples) => {
   const count = legs.length;
   const times = {};
   let begins_s = 0;
-  const parts = legs.map((name) => {
-    const leg = facts.legs[name];
+  const parts = legs.map((leg) => {
     const usual_s = leg.dwell_s + leg.wait_s;
-    times[name] = (times[name] || 0) + 1;
-    const part = { ...leg, usual_s, begins_s, drawn: COUNT * (leg.stands + times[name] - 1) };
+    times[leg.name] = (times[leg.name] || 0) + 1;
+    const part = { ...leg, usual_s, begins_s, drawn: COUNT * (leg.stands + times[leg.name] - 1) };
     begins_s += leg.nominal_s + usual_s;
     return part;
   });
   const cells = Math.max(1, Math.round(begins_s / step.nominal_s)); // Program.xyz_m: the TCP in the middle of cells
   const cell_s = begins_s / cells;
-  const found = {
-    duration_s: new Float64Array(COUNT), lost_s: new Float64Array(COUNT), ownBase_s: new Float64Array(COUNT),
-    ownLoss_s: new Float64Array(COUNT), loss_s: new Float64Array(count), stand_s: new Float64Array(count),
-    known: 0, looked: 0, ends: true,
-  };
-  for (let k = 0; k < COUNT; k += 1) {
+  const order = spreadOut(COUNT);
+  const found = Object.fromEntries(["duration_s", "lost_s", "ownBase_s", "ownLoss_s"].map((name) => [name, new Float64Array(COUNT)]));
+  const sums = { loss_s: new Float64Array(count), stand_s: new Float64Array(count) };
+  let [known, looked, walked] = [0, 0, 0];
+  const one = (k) => {
     const logged = crowd ? crowd.logged[k] : facts.tracks.logged[k];
     let leg = 0;
     let moving = true;
@@ -95,8 +101,8 @@ const walk = (legs, dynamics, crowd, samples) => {
         const weight = t - sample < 1e-6 ? 0 : t - sample;
         field.at(part.first + point, part.first + next, phase - point, from, to, weight);
         if (looks) {
-          found.looked += 1;
-          if (field.known()) found.known += 1;
+          looked += 1;
+          if (field.known()) known += 1;
         }
       }
       if (follows) {
@@ -114,8 +120,8 @@ const walk = (legs, dynamics, crowd, samples) => {
         const spent = Math.min(needs, left);
         if (moving) {
           loss += (1 - rate) * spent;
-          found.loss_s[leg] += (1 - rate) * spent;
-        } else found.stand_s[leg] += spent;
+          sums.loss_s[leg] += (1 - rate) * spent;
+        } else sums.stand_s[leg] += spent;
         left -= spent;
         if (needs > left + spent) { at += rate * spent; break; }
         at = 0;
@@ -128,12 +134,24 @@ const walk = (legs, dynamics, crowd, samples) => {
       else spliced += step_s;
       if (leg === count) { end_s = (number + 1) * step_s - left; break; }
     }
-    if (Number.isNaN(end_s)) return { ends: false };
+    if (Number.isNaN(end_s)) return false;
     found.duration_s[k] = end_s;
     found.lost_s[k] = lost;
     found.ownLoss_s[k] = ownLoss;
     found.ownBase_s[k] = Math.max(end_s - spliced - ownLoss, 0);
-  }
-  for (const sums of [found.loss_s, found.stand_s]) for (let n = 0; n < count; n += 1) sums[n] /= COUNT;
-  return found;
+    return true;
+  };
+  const summed = () => { // the cycles so far, in the order of their tracks
+    const which = order.slice(0, walked).sort((a, b) => a - b);
+    const some = Object.entries(found).map(([name, values]) => [name, walked === COUNT ? values : Float64Array.from(which, (k) => values[k])]);
+    const means = Object.entries(sums).map(([name, values]) => [name, values.map((value) => value / walked)]);
+    return { ...Object.fromEntries([...some, ...means]), which, known, looked, walked };
+  };
+  return (deadline) => { // null: a cycle does not end on its track
+    while (walked < COUNT && (walked < FEWEST || performance.now() < deadline)) {
+      if (!one(order[walked])) return null;
+      walked += 1;
+    }
+    return summed();
+  };
 };

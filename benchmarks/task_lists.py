@@ -6,7 +6,7 @@ least squares, no spread, no learned waits: a task starts after its agent's prev
 planned times, and the sum of the mean durations of the agent that takes longer.
 
     python benchmarks/task_lists.py --work DIR [--executions 60 200] [--seeds 1 2 3]
-    python benchmarks/task_lists.py --work DIR --list tasks.json
+    python benchmarks/task_lists.py --work DIR --list tasks.json [--parts 11]
 """
 
 from __future__ import annotations
@@ -56,9 +56,12 @@ def simple_rates(runs: list[Run], agents: dict[str, str]) -> TaskModelCard:
     cards = []
     pairs = {(name, done.task) for run in runs for name, some in run.tasks.items() for done in some}
     for agent, task in sorted(pairs):
-        names, _, parts = rates._parts(runs, agent, task)
+        parts = rates._parts(runs, agent, task)
+        simple = [column.kind in ("rates", "alone") for column in parts.columns]
+        names = [column.name for column, mine in zip(parts.columns, simple, strict=True) if mine]
+        during = parts.beside[:, simple]
         beside_s = np.zeros((len(parts.last), len(names)))
-        np.add.at(beside_s, parts.of, parts.beside * parts.dt_s[:, None])
+        np.add.at(beside_s, parts.of, during * parts.dt_s[:, None])
         usual = float(np.bincount(parts.of, parts.dt_s).mean())
         part = beside_s / usual
         found = np.linalg.solve(part.T @ part + RIDGE * np.eye(len(names)), part.sum(axis=0) + RIDGE)
@@ -136,7 +139,10 @@ def simulated(asked: argparse.Namespace) -> None:
 
 
 def recorded(asked: argparse.Namespace) -> None:
-    """Leave out each order of a task list in turn, and compare its estimate with the recorded durations."""
+    """Leave out orders of a task list in turn, and compare their estimates with the recorded durations.
+
+    One order at a time, or with `--parts` so many parts of the orders, each left out once.
+    """
     folder = asked.work / asked.list.stem
     if not folder.is_dir():
         ingest([asked.list], folder)
@@ -145,9 +151,15 @@ def recorded(asked: argparse.Namespace) -> None:
     for run in runs:
         orders.setdefault(run.order, []).append(run)
     rows, inside, scatter = [], [], []
-    for order, some in orders.items():
-        rest = [run for run in runs if run.order != order]
-        model, simple = learn.learn_runs(rest, agents, folds=asked.folds), simple_rates(rest, agents)
+    parts = asked.parts or len(orders)
+    of = dict(zip(sorted(orders), np.random.default_rng(0).permutation(len(orders)) % parts, strict=True))
+    learned: dict[int, tuple[TaskModelCard, TaskModelCard]] = {}
+    for order, some in sorted(orders.items(), key=lambda each: of[each[0]]):
+        part = int(of[order])
+        if part not in learned:
+            rest = [run for run in runs if of[run.order] != part]
+            learned = {part: (learn.learn_runs(rest, agents, folds=asked.folds), simple_rates(rest, agents))}
+        model, simple = learned[part]
         usual = {(task.agent, task.task): task.usual_s for task in model.tasks}
         if any((agent, task) not in usual for agent, *tasks in order for task in tasks):
             continue
@@ -198,6 +210,7 @@ def main() -> None:
     parser.add_argument("--orders", type=int, default=5)
     parser.add_argument("--fresh", type=int, default=500)
     parser.add_argument("--folds", type=int, default=5)
+    parser.add_argument("--parts", type=int, help="parts of the orders left out at once; default: one order at a time")
     asked = parser.parse_args()
     recorded(asked) if asked.list else simulated(asked)
 

@@ -10,6 +10,7 @@ from importlib.metadata import version as installed
 from typing import TYPE_CHECKING
 
 from cyclekit.estimate.baseline import listed_cycle, listed_cycles
+from cyclekit.learning.task_times.rates import ALONE
 from cyclekit.report.document import MARK
 from cyclekit.report.figures.time_chart import MAX_SEQUENCES, time_chart
 from cyclekit.report.numbers import UNKNOWN, count, fixed, given, percent
@@ -239,7 +240,10 @@ def _changes(changed: Sequence[WhatIf]) -> list[Part]:
 def _learned(card: TaskModelCard) -> Part:
     rows = []
     for task in card.tasks:
-        beside = [f"{name} x{rate:.2f}" for name, rate in task.rates.items() if name and abs(rate - 1.0) > 0.1]
+        alone = task.rates.get(ALONE, 1.0)
+        waiting = {f"{name}, then waits": factor * alone for name, factor in task.waiting.items()}
+        changes = {**task.rates, **waiting}.items()
+        beside = [f"{name} x{rate:.2f}" for name, rate in changes if name and abs(rate - 1.0) > 0.1]
         waits = ", ".join(task.waits_for[1:]) or "-"
         rows.append(
             [task.agent, task.task, str(len(task.work_s)), fixed(task.usual_s, 1), waits, ", ".join(beside) or "-"]

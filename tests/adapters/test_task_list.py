@@ -253,6 +253,20 @@ def test_a_plan_counts_from_where_it_fits(tmp_path, counts_from):
     assert log.task_list["planned_end_s"].to_list() == [103.0, None, 203.0, None]
 
 
+def test_a_plan_whose_first_task_begins_later_begins_with_that_task(tmp_path):
+    lines = ["run,agent,task,t_start,t_end,t_start_planned,t_end_planned"]
+    for run, (begin, first) in enumerate([(T0, 0.0), (T0 + 100, 4.0)]):
+        lines += [
+            f"{run},r,a,{begin + 0.1},{begin + 3},{first},{first + 2.5}",
+            f"{run},r,b,{begin + 6.1},{begin + 8},{first + 6},{first + 8}",
+        ]
+    log = read(table(tmp_path / "a.csv", *lines))
+    late = log.task_list["t_s"] - log.task_list["planned_start_s"]
+    assert late.to_list() == pytest.approx([0.0] * 4)
+    late = log.task_list["end_s"] - log.task_list["planned_end_s"]
+    assert late.to_list() == pytest.approx([0.4, -0.1] * 2)
+
+
 def test_a_planned_time_that_is_none_costs_no_task(tmp_path):
     header = "run,agent,task,start_s,end_s,planned_start"
     path = table(tmp_path / "a.csv", header, "1,r,a,0.5,1,soon", "1,r,b,1,2,later", "1,r,c,2,3,2.5")

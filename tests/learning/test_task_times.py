@@ -189,7 +189,7 @@ def test_a_rate_is_found_whatever_it_is(rate: float, seed: int) -> None:
         until = since + rng.uniform(2.0, 10.0)
         runs.append(Run(str(number), {"arm": (DoneTask("weld", 0.0, _end(work, since, until, rate)),),
                                       "worker": (DoneTask("pack", since, until),)}))  # fmt: skip
-    found = fit_rates(runs, "arm", "weld")
+    found = fit_rates(runs, [("arm", "weld")])["arm", "weld"]
     assert found.rates["worker: pack"] / found.rates[""] == pytest.approx(rate, rel=0.12)
 
 

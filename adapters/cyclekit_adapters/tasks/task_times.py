@@ -84,7 +84,10 @@ def with_seconds(
     zoned = start.clock == "epoch" or (settings.zone is not None and _dated(start))
     plan = _plan_counts_from(cells, {key: _epoch(read[key], settings) for key in _PLAN if key in read}, zoned=zoned)
     if plan == "execution":
-        begin = pl.col("start_s").min().over("execution") if "execution" in cells.columns else pl.col("start_s").min()
+        begin = pl.col("start_s").min()
+        if "planned_start" in read:  # the first task may be planned later than 0
+            begin -= pl.col("planned_start_s").min().fill_null(0.0)
+        begin = begin.over("execution") if "execution" in cells.columns else begin
         cells = cells.with_columns(pl.col(f"{key}_s") + begin for key in _PLAN if key in read)
     lacks = "have no time zone: give time_zone to align them" if _dated(start) else "have no date and cannot be aligned"
     warnings = [] if zoned or not start.pattern else [f"its times {lacks} with other logs"]

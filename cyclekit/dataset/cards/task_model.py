@@ -50,6 +50,8 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         usual_s: Mean logged duration.
         work_s: Work of each logged repetition, s at rate 1, with the mean effects of the previous task and the turn.
         rates: Rate by concurrent task of the other agent, `agent: task`; "" = alone.
+        later: Rate in the second half of a concurrent task divided by the rate in its first half.
+        waiting: Factor on the rate alone while the other agent, who has ended this task, waits for his next one.
         after: Factor on the work by the agent's previous task; "" = it is the first.
         needs: Tasks it waits for, in addition to the agent's previous task and its planned start.
         planned: Whether it waits for its planned start.
@@ -62,6 +64,8 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
     usual_s: Duration
     work_s: Annotated[tuple[Duration, ...], Meta(min_length=1, max_length=PAST)]
     rates: dict[str, Rate]
+    later: dict[str, Rate] = field(default_factory=dict)
+    waiting: dict[str, Rate] = field(default_factory=dict)
     after: dict[str, Rate]
     turns: tuple[Rate, ...] = ()
     needs: Annotated[tuple[NeedCard, ...], Meta(max_length=4)] = ()

@@ -100,7 +100,7 @@ def rolled_run(model: TaskModelCard, run: Run, *, cycles: int = CYCLES, seed: in
 
 def _learned(runs: Sequence[Run], agents: Mapping[str, str]) -> TaskModelCard:
     pairs = sorted({(agent, done.task) for run in runs for agent, some in run.tasks.items() for done in some})
-    rates = {pair: fit_rates(runs, *pair) for pair in pairs}
+    rates = fit_rates(runs, pairs)
     kinds = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
     paces = {agent: _pace(rates, agent) for agent, kind in kinds.items() if kind == "operator"}
     pace = {agent: found for agent, found in paces.items() if found}
@@ -124,6 +124,8 @@ def _task(runs: Sequence[Run], agent: str, task: str, rates: TaskRates, pace: Pa
         usual_s=rates.usual_s * float(now.mean()),
         work_s=_kept(rates.work * now),
         rates=dict(rates.rates),
+        later=dict(rates.later),
+        waiting=dict(rates.waiting),
         after=dict(rates.after),
         turns=rates.turns,
         needs=starts.needs,

@@ -2,7 +2,9 @@
 
 A repetition ends when its work is done. Work is done at rate 1 on average, and at a separate rate during each task of
 another agent: work = integral of the rate over time. The work of a task's repetitions is log-normal; rates and mean are
-maximum-a-posteriori estimates with a prior of rates around 1, because few overlaps carry little information. The
+maximum-a-posteriori estimates with a prior of rates around 1, because few overlaps carry little information. How far
+rates spread around 1 is estimated from all tasks together (marginal likelihood in Laplace's approximation, updates of
+MacKay 1992, "Bayesian interpolation"), so that what changes nothing in a cell is shrunk to nothing. The
 density of the end time contains the rate at the end as a factor; without it, a task that overlaps more only because it
 lasted longer would seem slowed. Such coefficients are published for pairs of tasks (arXiv 2503.07238, one factor of the
 whole duration per pair); rates over time need no pair to overlap fully.
@@ -12,22 +14,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from cyclekit.learning.task_times.runs import DoneTask, Run
     from cyclekit.schema import Floats, Ints, Vector
 
-RATES_SPREAD = 0.7
-"""Prior standard deviation of a log rate: between half and double with probability of about two thirds."""
-FACTOR_SPREAD = 0.1
-"""Prior standard deviation of the log factors of the previous task and of the occurrence: the way to a task, and the
-slot of a part, change the work only slightly."""
+SPREADS = {"rates": 0.7, "alone": 0.7, "later": 0.4, "waiting": 0.3, "previous": 0.1, "turn": 0.1}
+"""Prior standard deviations of what changes the logarithm of a rate or of the work, before the logs are seen:
+
+rates     a simultaneous task: between half and double with probability of about two thirds
+alone     no simultaneous task
+later     ratio of the rates in the second and the first half of a simultaneous task
+waiting   another agent waits after one of his tasks
+previous  the agent's previous task: the way to a task
+turn      the first, second ... time in an execution: the slot of a part
+"""
+SPREADS_COUNT = 2.0
+"""Weight of these in the estimated spreads, as a number of effects."""
+ROUNDS = 4
+"""Number of times that rates and spreads are estimated in turn."""
 _MIN_SPREAD = 1e-3
 ALONE = ""
 
@@ -37,7 +48,9 @@ class TaskRates:
     """Estimates for one task.
 
     Attributes:
-        rates: Rate by the name of a simultaneous task, `agent: task`; "" = alone.
+        rates: Rate by the name of a simultaneous task, `agent: task`; "" = alone. Geometric mean of its two halves.
+        later: Rate in the second half of a simultaneous task divided by the rate in its first half.
+        waiting: Factor of the rate alone while another agent, who has ended this task, waits for his next one.
         after: Factor of the work by the agent's previous task; "" = it is the first.
         turns: Factor of the work at the first, second ... occurrence of the task in an execution.
         usual_s: Mean logged duration, s.
@@ -46,6 +59,8 @@ class TaskRates:
     """
 
     rates: Mapping[str, float]
+    later: Mapping[str, float]
+    waiting: Mapping[str, float]
     after: Mapping[str, float]
     turns: tuple[float, ...]
     usual_s: float
@@ -53,23 +68,46 @@ class TaskRates:
     number: Ints
 
 
+class _Column(NamedTuple):
+    """What changes a rate: `rates`, `alone`, `later` or `waiting`, and the name of the simultaneous or last task."""
+
+    kind: str
+    name: str
+
+
+_Part = tuple[float, dict[_Column, float]]
+"""Length, s, and how much of each column it has."""
+
+
 @dataclass(frozen=True)
 class _Parts:
-    """Repetitions of one task, cut where a simultaneous task starts or ends.
+    """Repetitions of one task, cut where a simultaneous task starts, is half over, or ends.
 
     Attributes:
+        columns: What changes the rate.
+        before: Names of the agent's previous tasks.
+        number: Number of the execution of each repetition, shape (N,).
         of: Repetition of each part, shape (M,).
         dt_s: Length of each part, shape (M,), s.
-        beside: Which simultaneous tasks each part has, shape (M, names).
+        beside: What changes the rate in each part, and how much, shape (M, columns).
         last: Index of the last part of each repetition, shape (N,).
-        factors: Which factors apply to each repetition, shape (N, factors).
+        factors: Which factors of the work apply to each repetition, shape (N, factors): of `before`, then of the turns.
     """
 
+    columns: list[_Column]
+    before: list[str]
+    number: Ints
     of: Ints
     dt_s: Vector
     beside: Floats
     last: Ints
     factors: Floats
+
+    @property
+    def kinds(self) -> list[str]:
+        """Kind of each effect: on the rate, then on the work."""
+        turns = self.factors.shape[1] - len(self.before)
+        return [*(each.kind for each in self.columns), *["previous"] * len(self.before), *["turn"] * turns]
 
     def work(self, log_rate: Vector) -> Vector:
         """Return the work of each repetition, shape (N,), s at rate 1."""
@@ -81,67 +119,117 @@ def beside(agent: str, task: str) -> str:
     return f"{agent}: {task}"
 
 
-def fit_rates(runs: Sequence[Run], agent: str, task: str) -> TaskRates:
-    """Return the rates of one agent's task.
+def fit_rates(runs: Sequence[Run], pairs: Iterable[tuple[str, str]]) -> dict[tuple[str, str], TaskRates]:
+    """Return the rates of tasks.
 
     Args:
-        runs: Executions; at least one contains the task.
-        agent: Name of the agent.
-        task: Name of the task.
+        runs: Executions.
+        pairs: Agent and task; at least one execution contains it.
     """
-    names, before, parts = _parts(runs, agent, task)
-    k = len(names)
+    every = {pair: _parts(runs, *pair) for pair in pairs}
+    spreads, best = SPREADS, {pair: _begin(parts) for pair, parts in every.items()}
+    for _ in range(ROUNDS):
+        best = {pair: _best(parts, spreads, best[pair]) for pair, parts in every.items()}
+        spreads = _spreads([(parts, best[pair]) for pair, parts in every.items()], spreads)
+    return {pair: _rates(parts, best[pair]) for pair, parts in every.items()}
+
+
+def _begin(parts: _Parts) -> Vector:
     usual = np.log(np.maximum(np.bincount(parts.of, parts.dt_s), 1e-6))
-    begin = np.concatenate([[np.median(usual), np.log(usual.std() + 0.05)], np.zeros(k + parts.factors.shape[1])])
-    bounds = [(None, None), (-8.0, 3.0), *[(-4.0, 4.0)] * (len(begin) - 2)]
-    best = minimize(_density, begin, args=(parts,), jac=True, method="L-BFGS-B", bounds=bounds).x
-    log_rate, factor = best[2 : 2 + k], best[2 + k :]
-    factors = np.exp(factor).tolist()
-    return TaskRates(
-        dict(zip(names, np.exp(log_rate).tolist(), strict=True)),
-        dict(zip(before, factors, strict=False)),
-        tuple(factors[len(before) :]),
-        float(parts.dt_s.sum() / len(parts.last)),
-        parts.work(log_rate) / np.exp(parts.factors @ factor),
-        np.array([run.number for run in runs for _ in _done(run, agent, task)], dtype=np.int64),
-    )
+    return np.concatenate([[np.median(usual), np.log(usual.std() + 0.05)], np.zeros(len(parts.kinds))])
 
 
-def _density(at: Vector, parts: _Parts) -> tuple[float, Vector]:
+def _best(parts: _Parts, spreads: Mapping[str, float], begin: Vector) -> Vector:
+    """Return mean and log spread of the log work, and all effects, at the maximum of the posterior density."""
+    spread = np.array([spreads[kind] for kind in parts.kinds])
+    bounds = [(None, None), (-8.0, 3.0), *[(-4.0, 4.0)] * len(spread)]
+    best = minimize(_density, begin, args=(parts, spread), jac=True, method="L-BFGS-B", bounds=bounds).x
+    return np.asarray(best)
+
+
+def _density(at: Vector, parts: _Parts, prior: Vector) -> tuple[float, Vector]:
     """Return the negative log posterior density, and its gradient."""
     k, count = parts.beside.shape[1], len(parts.last)
     mean, spread, log_rate, factor = at[0], np.exp(at[1]) + _MIN_SPREAD, at[2 : 2 + k], at[2 + k :]
     work, ends = parts.work(log_rate), parts.beside[parts.last]
     z = (np.log(work) - mean - parts.factors @ factor) / spread
     value = 0.5 * z @ z + count * np.log(spread) + np.log(work).sum() - (ends @ log_rate).sum()
-    value += 0.5 * ((log_rate / RATES_SPREAD) ** 2).sum() + 0.5 * ((factor / FACTOR_SPREAD) ** 2).sum()
+    value += 0.5 * ((at[2:] / prior) ** 2).sum()
     pull = z / spread
     done = np.exp(parts.beside @ log_rate) * parts.dt_s
     of_rate = parts.beside.T @ (done * ((pull + 1.0) / work)[parts.of]) - ends.sum(axis=0)
     of_spread = (count - z @ z) * np.exp(at[1]) / spread
-    of_factor = factor / FACTOR_SPREAD**2 - parts.factors.T @ pull
-    return float(value), np.concatenate([[-pull.sum(), of_spread], of_rate + log_rate / RATES_SPREAD**2, of_factor])
+    of_effects = np.concatenate([of_rate, -parts.factors.T @ pull]) + at[2:] / prior**2
+    return float(value), np.concatenate([[-pull.sum(), of_spread], of_effects])
 
 
-def _parts(runs: Sequence[Run], agent: str, task: str) -> tuple[list[str], list[str], _Parts]:
-    """Return the names of simultaneous tasks, the names of the agent's previous tasks, and the parts."""
-    cut: list[tuple[str, int, list[tuple[float, frozenset[str]]]]] = []
-    for run in runs:
-        for turn, (previous, done) in enumerate(_done(run, agent, task)):
-            cut.append((previous, turn, _cut(run, agent, done)))
-    names = sorted({name for *_, some in cut for _, group in some for name in group})
-    before = sorted({previous for previous, *_ in cut})
-    column = {name: number for number, name in enumerate(names)}
-    of = np.array([number for number, (*_, some) in enumerate(cut) for _ in some], dtype=np.int64)
+def _spreads(fits: Sequence[tuple[_Parts, Vector]], spreads: Mapping[str, float]) -> dict[str, float]:
+    """Return the spread of each kind of effect over all tasks, given their best effects."""
+    total = {kind: SPREADS_COUNT * spread**2 for kind, spread in SPREADS.items()}
+    count = dict.fromkeys(SPREADS, SPREADS_COUNT)
+    for parts, at in fits:
+        variance = _variance(parts, at, np.array([spreads[kind] for kind in parts.kinds]))
+        for kind, each in zip(parts.kinds, at[2:] ** 2 + variance, strict=True):
+            total[kind] += float(each)
+            count[kind] += 1.0
+    return {kind: float(np.sqrt(total[kind] / count[kind])) for kind in SPREADS}
+
+
+def _variance(parts: _Parts, at: Vector, prior: Vector) -> Vector:
+    """Return the posterior variance of each effect (Gauss-Newton)."""
+    k, spread = parts.beside.shape[1], np.exp(at[1]) + _MIN_SPREAD
+    done = np.exp(parts.beside @ at[2 : 2 + k]) * parts.dt_s
+    share = done / np.bincount(parts.of, done)[parts.of]
+    of_rate = np.zeros((len(parts.last), k))
+    np.add.at(of_rate, parts.of, parts.beside * share[:, None])
+    slope = np.hstack([np.ones((len(of_rate), 1)), -of_rate, parts.factors]) / spread
+    curved = slope.T @ slope + np.diag(np.concatenate([[1e-6], prior**-2]))
+    return np.asarray(np.diag(np.linalg.inv(curved))[1:])
+
+
+def _rates(parts: _Parts, at: Vector) -> TaskRates:
+    k = parts.beside.shape[1]
+    effects = np.exp(at[2:]).tolist()
+    found: dict[str, dict[str, float]] = {"rates": {}, "later": {}, "waiting": {}}
+    for column, effect in zip(parts.columns, effects, strict=False):
+        found["rates" if column.kind == "alone" else column.kind][column.name] = effect
+    factors = effects[k:]
+    return TaskRates(
+        **found,
+        after=dict(zip(parts.before, factors, strict=False)),
+        turns=tuple(factors[len(parts.before) :]),
+        usual_s=float(parts.dt_s.sum() / len(parts.last)),
+        work=parts.work(at[2 : 2 + k]) / np.exp(parts.factors @ at[2 + k :]),
+        number=parts.number,
+    )
+
+
+def _parts(runs: Sequence[Run], agent: str, task: str) -> _Parts:
+    cut = [
+        (run.number, previous, turn, _cut(run, agent, done))
+        for run in runs
+        for turn, (previous, done) in enumerate(_done(run, agent, task))
+    ]
     every = [part for *_, some in cut for part in some]
-    grid = np.zeros((len(every), len(names)))
+    columns = sorted({column for _, group in every for column in group})
+    before = sorted({previous for _, previous, *_ in cut})
+    at = {column: number for number, column in enumerate(columns)}
+    grid = np.zeros((len(every), len(columns)))
     for row, (_, group) in enumerate(every):
-        grid[row, [column[name] for name in group]] = 1.0
-    last = np.cumsum([len(some) for *_, some in cut]) - 1
-    factors = np.zeros((len(cut), len(before) + max(turn for _, turn, _ in cut) + 1))
-    for row, (previous, turn, _) in enumerate(cut):
+        grid[row, [at[column] for column in group]] = list(group.values())
+    factors = np.zeros((len(cut), len(before) + max(turn for *_, turn, _ in cut) + 1))
+    for row, (_, previous, turn, _) in enumerate(cut):
         factors[row, [before.index(previous), len(before) + turn]] = 1.0
-    return names, before, _Parts(of, np.array([length_s for length_s, _ in every]), grid, last, factors)
+    return _Parts(
+        columns,
+        before,
+        np.array([number for number, *_ in cut], dtype=np.int64),
+        np.array([number for number, (*_, some) in enumerate(cut) for _ in some], dtype=np.int64),
+        np.array([length_s for length_s, _ in every]),
+        grid,
+        np.cumsum([len(some) for *_, some in cut]) - 1,
+        factors,
+    )
 
 
 def _done(run: Run, agent: str, task: str) -> list[tuple[str, DoneTask]]:
@@ -153,13 +241,35 @@ def _done(run: Run, agent: str, task: str) -> list[tuple[str, DoneTask]]:
     ]
 
 
-def _cut(run: Run, agent: str, done: DoneTask) -> list[tuple[float, frozenset[str]]]:
-    """Return length, s, and simultaneous tasks of each part of one repetition, ordered by time."""
+def _cut(run: Run, agent: str, done: DoneTask) -> list[_Part]:
+    """Return the parts of one repetition, ordered by time."""
     others = [(name, other) for name, some in run.tasks.items() if name != agent for other in some]
-    at = {t for _, other in others for t in (other.start_s, other.end_s) if done.start_s < t < done.end_s}
+    edges = (t for _, other in others for t in (other.start_s, _half_s(other), other.end_s))
+    at = {t for t in edges if done.start_s < t < done.end_s}
     found = []
     for start_s, end_s in pairwise(sorted({done.start_s, done.end_s, *at})):
         middle = 0.5 * (start_s + end_s)
-        group = frozenset(beside(name, other.task) for name, other in others if other.start_s <= middle < other.end_s)
-        found.append((end_s - start_s, group or frozenset((ALONE,))))
+        group: dict[_Column, float] = {}
+        for name, other in others:
+            if other.start_s <= middle < other.end_s:
+                group[_Column("rates", beside(name, other.task))] = 1.0
+                group[_Column("later", beside(name, other.task))] = 0.5 if middle >= _half_s(other) else -0.5
+        if not group:
+            group[_Column("alone", ALONE)] = 1.0
+            group |= {_Column("waiting", name): 1.0 for name in _waiting(run, agent, middle)}
+        found.append((end_s - start_s, group))
+    return found
+
+
+def _half_s(done: DoneTask) -> float:
+    return 0.5 * (done.start_s + done.end_s)
+
+
+def _waiting(run: Run, agent: str, at_s: float) -> list[str]:
+    """Return the last task of each other agent who waits at a time when none of them has a task."""
+    found = []
+    for name, some in run.tasks.items():
+        past = [done.task for done in some if done.end_s <= at_s]
+        if name != agent and past and any(done.start_s > at_s for done in some):
+            found.append(beside(name, past[-1]))
     return found

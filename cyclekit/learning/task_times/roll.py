@@ -1,4 +1,7 @@
-"""Simulates many cycles of one plan from event to event; each start or end changes the rates of the other tasks."""
+"""Simulates many cycles of one plan from event to event.
+
+Each start, half and end of a task changes the rates of the other tasks.
+"""
 
 from __future__ import annotations
 
@@ -61,18 +64,24 @@ class _Plan:
     Attributes:
         cards: Learned times of each task.
         before: Number of the agent's previous task; -1 = none.
+        next: Number of the agent's next task; -1 = none.
         turn: Number of earlier occurrences of the same task.
         needs: Numbers of the other tasks that must have ended.
         not_before_s: Earliest start, s.
         log_rate: Log rate of a task during another, shape (tasks, tasks); `alone` without another.
+        log_later: Log ratio of that rate in the second and the first half of the other task.
+        log_waiting: Log factor of the rate alone while another agent, who has ended that task, waits for his next one.
     """
 
     cards: list[TaskTimesCard]
     before: list[int]
+    next: list[int]
     turn: list[int]
     needs: list[list[int]]
     not_before_s: Vector
     log_rate: Floats
+    log_later: Floats
+    log_waiting: Floats
     alone: Vector
 
 
@@ -104,12 +113,14 @@ def roll_plan(
     work *= [pace.get(card.agent, 1.0) for card in plan.cards]
     start, end = np.full(work.shape, np.inf), np.full(work.shape, np.inf)
     t = np.zeros(cycles)
-    for _ in range(2 * len(tasks) + 2):
+    half, late = 0.5 * work, np.full(work.shape, not plan.log_later.any())  # halves are no events where none matters
+    for _ in range(3 * len(tasks) + 2):
         running = np.isfinite(start) & (start <= t[:, None]) & np.isinf(end)
-        rate = np.exp(_rates(plan, running))
+        rate = np.exp(_rates(plan, start, end, late))
         ready = _ready(plan, end)
         due = np.where(np.isinf(start), ready + lag, start) - t[:, None]
-        due = np.where(running, work / rate, np.where(np.isinf(end), np.maximum(due, 0.0), np.inf))
+        left_s = np.maximum(work - np.where(late, 0.0, half), 0.0) / rate
+        due = np.where(running, left_s, np.where(np.isinf(end), np.maximum(due, 0.0), np.inf))
         step = due.min(axis=1)
         if np.isinf(step).all():
             break
@@ -117,8 +128,9 @@ def roll_plan(
         t = np.where(live, t + np.where(live, step, 0.0), t)
         now = live[:, None] & (due <= step[:, None] + 1e-9)
         work = np.where(running & live[:, None], work - rate * np.where(live, step, 0.0)[:, None], work)
-        end = np.where(now & running, t[:, None], end)
+        end = np.where(now & running & late, t[:, None], end)
         start = np.where(now & ~running & np.isinf(start), t[:, None], start)
+        late |= now & running
     usual = np.array([card.usual_s for card in plan.cards])
     if np.isinf(end).any():
         stuck = tasks[int(np.isinf(end).any(axis=0).argmax())]
@@ -135,12 +147,19 @@ def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) ->
             there = sorted(each for agent, each in known if agent == name)
             raise UnknownName(where, f"task of {name}", task.name, there)
     cards = [known[name, task.name] for name, task in zip(names, tasks, strict=True)]
-    rate = np.array([[_log(card.rates, beside(other.agent, other.task)) for other in cards] for card in cards])
+    keys = [beside(card.agent, card.task) for card in cards]
+    rate, later, waiting = (
+        np.array([[_log(getattr(card, kind), key) for key in keys] for card in cards])
+        for kind in ("rates", "later", "waiting")
+    )
     alone = np.array([_log(card.rates, ALONE) for card in cards])
     not_before = np.array([task.not_before_s or 0.0 for task in tasks])
     pairs = list(zip(names, (task.name for task in tasks), strict=True))
     turn = [pairs[:number].count(pair) for number, pair in enumerate(pairs)]
-    return _Plan(cards, _before(tasks), turn, _needs(cards, tasks, names, where), not_before, rate, alone)
+    before = _before(tasks)
+    after = [before.index(number) if number in before else -1 for number in range(len(tasks))]
+    needs = _needs(cards, tasks, names, where)
+    return _Plan(cards, before, after, turn, needs, not_before, rate, later, waiting, alone)
 
 
 def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
@@ -153,7 +172,9 @@ def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
         return task.agent
     able = [name for name, kind in model.agents.items() if kind == task.agent]
     if len(able) != 1:
-        raise UnknownName(where, "agent", task.agent, {*model.agents, *model.agents.values()})
+        kinds = list(model.agents.values())
+        single = {kind for kind in kinds if kinds.count(kind) == 1}
+        raise UnknownName(where, "agent", task.agent, {*model.agents, *single})
     return able[0]
 
 
@@ -207,12 +228,14 @@ def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, 
     return work, lag
 
 
-def _rates(plan: _Plan, running: Bools) -> Floats:
-    """Return the log rate of each task, shape (cycles, tasks), given which tasks are running."""
-    others = running @ plan.log_rate.T
+def _rates(plan: _Plan, start: Floats, end: Floats, late: Bools) -> Floats:
+    """Return the log rate of each task, shape (cycles, tasks), given starts, ends, and which are half over."""
+    running = np.isfinite(start) & np.isinf(end)
+    others = running @ plan.log_rate.T + (running * np.where(late, 0.5, -0.5)) @ plan.log_later.T
     own = running * np.diag(plan.log_rate)
     beside_any = running.sum(axis=1, keepdims=True) > running
-    return np.asarray(np.where(beside_any, others - own, plan.alone))
+    waiting = np.isfinite(end) & (np.array(plan.next) >= 0) & np.isinf(start[:, plan.next])
+    return np.asarray(np.where(beside_any, others - own, plan.alone + waiting @ plan.log_waiting.T))
 
 
 def _ready(plan: _Plan, end: Floats) -> Floats:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.play.tables import Arrays, Tables
 
+FIELDS = ("agent", "task", "usual_s", "rates", "later", "waiting", "after", "turns")
 PACES = (0.8, 1.5)
 """Minimum and maximum factor on the speed of an agent."""
 
@@ -33,7 +34,7 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
     judged, first = card.held_out, 0
     tasks, values = [], list[float]()
     for task in card.tasks:
-        fields = {name: getattr(task, name) for name in ("agent", "task", "usual_s", "rates", "after", "turns")}
+        fields = {name: getattr(task, name) for name in FIELDS}
         found = {**fields, "needs": [_need(need) for need in task.needs], "first": first, "work": len(task.work_s)}
         tasks.append({**found, "lags": len(task.lags_s)})
         values += [*task.work_s, *task.lags_s]

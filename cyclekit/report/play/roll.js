@@ -39,7 +39,9 @@ const laidOut = (tasks, asked) => {
   return {
     cards, turn, needs, unknown, before: beforeEach(tasks),
     notBefore_s: tasks.map((task) => task.not_before_s || 0),
-    logRate: cards.map((card) => cards.map((other) => log(card.rates, `${other.agent}: ${other.task}`))),
+    ...Object.fromEntries(["rates", "later", "waiting"].map((kind) => [
+      kind, cards.map((card) => cards.map((other) => log(card[kind], `${other.agent}: ${other.task}`))),
+    ])),
     alone: cards.map((card) => log(card.rates, "")),
   };
 };
@@ -81,8 +83,10 @@ const rolledPlan = (tasks, asked) => {
   const start = tasks.map(() => new Float64Array(cycles));
   const end = tasks.map(() => new Float64Array(cycles));
   const decides = tasks.map(() => new Int16Array(cycles));
-  const [work, lag, begins, ends, rate, due] = Array.from({ length: 6 }, () => new Float64Array(count));
-  const running = new Uint8Array(count);
+  const [work, half, lag, begins, ends, rate, due] = Array.from({ length: 7 }, () => new Float64Array(count));
+  const [running, late] = [new Uint8Array(count), new Uint8Array(count)];
+  const halves = plan.later.some((row) => row.some((value) => value !== 0)); // else they are no events
+  const next = tasks.map((_, number) => plan.before.indexOf(number));
   const readyAt = (n) => {
     let ready = Math.max(plan.before[n] < 0 ? 0 : ends[plan.before[n]], plan.notBefore_s[n]);
     for (const need of plan.needs[n]) ready = Math.max(ready, ends[need]);
@@ -94,7 +98,8 @@ const rolledPlan = (tasks, asked) => {
       const card = plan.cards[n];
       work[n] = factor[n] * tables.values[card.first + draws[n][0][cycle]];
       lag[n] = Math.max(tables.values[card.first + card.work + draws[n][1][cycle]], 0);
-      [begins[n], ends[n], running[n]] = [Infinity, Infinity, 0];
+      half[n] = work[n] / 2;
+      [begins[n], ends[n], running[n], late[n]] = [Infinity, Infinity, 0, Number(!halves)];
     }
     while (left) {
       let step = Infinity;
@@ -103,9 +108,13 @@ const rolledPlan = (tasks, asked) => {
       for (let n = 0; n < count; n += 1) {
         if (running[n]) {
           let sum = on > 1 ? 0 : plan.alone[n];
-          if (on > 1) for (let m = 0; m < count; m += 1) if (running[m] && m !== n) sum += plan.logRate[n][m];
+          for (let m = 0; m < count; m += 1) {
+            const waits = ends[m] < Infinity && next[m] >= 0 && begins[next[m]] === Infinity;
+            if (on > 1 && running[m] && m !== n) sum += plan.rates[n][m] + (late[m] ? 0.5 : -0.5) * plan.later[n][m];
+            if (on === 1 && waits) sum += plan.waiting[n][m];
+          }
           rate[n] = Math.exp(sum);
-          due[n] = work[n] / rate[n];
+          due[n] = Math.max(work[n] - (late[n] ? 0 : half[n]), 0) / rate[n];
         } else due[n] = ends[n] < Infinity ? Infinity : Math.max(readyAt(n) + lag[n] - t, 0);
         step = Math.min(step, due[n]);
       }
@@ -115,7 +124,8 @@ const rolledPlan = (tasks, asked) => {
         const now = due[n] <= step + 1e-9;
         if (running[n]) {
           work[n] -= rate[n] * step;
-          if (now) { ends[n] = t; running[n] = 0; left -= 1; }
+          if (now && late[n]) { ends[n] = t; running[n] = 0; left -= 1; }
+          late[n] |= Number(now);
         } else if (now) { begins[n] = t; running[n] = 1; }
       }
     }

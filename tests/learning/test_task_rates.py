@@ -1,0 +1,129 @@
+"""Rates of a task: in the two halves of another's task, and while another waits after one of his tasks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from cyclekit.config.sequences import PlannedTask
+from cyclekit.dataset.cards.task_model import TaskModelCard
+from cyclekit.errors import UnknownName
+from cyclekit.learning.task_times.learn import learn_runs
+from cyclekit.learning.task_times.rates import TaskRates, fit_rates
+from cyclekit.learning.task_times.roll import roll_plan
+from cyclekit.learning.task_times.runs import DoneTask, Run
+
+AGENTS = {"arm": "robot", "worker": "operator"}
+MOUNT_S, PACK_S = 4.0, 3.0
+WELD = ("arm", "weld")
+
+
+def runs_of(
+    count: int, *, second: float = 1.0, waiting: float = 1.0, shortest_s: float = 0.0, seed: int = 1
+) -> list[Run]:
+    """The worker mounts, waits, and packs; the arm's weld begins at a random time.
+
+    Args:
+        count: Number of executions.
+        second: Rate of the weld in the second half of the mount.
+        waiting: Rate of the weld while the worker waits.
+        shortest_s: Shortest wait, s; the longest is 6 s.
+        seed: Seed of the draws.
+    """
+    rng = np.random.default_rng(seed)
+    found = []
+    for number in range(count):
+        packs = MOUNT_S + rng.uniform(shortest_s, 6.0)
+        start, work = rng.uniform(0.0, 9.0), 5.0 * np.exp(0.03 * rng.standard_normal())
+        edges = [(MOUNT_S / 2.0, 1.0), (MOUNT_S, second), (packs, waiting), (np.inf, 1.0)]
+        worker = (DoneTask("mount", 0.0, MOUNT_S), DoneTask("pack", packs, packs + PACK_S, packs))
+        weld = DoneTask("weld", start, _end(start, work, edges), start)
+        found.append(Run(str(number), {"arm": (weld,), "worker": worker}, number))
+    return found
+
+
+def weld_of(runs: list[Run]) -> TaskRates:
+    return fit_rates(runs, [WELD])[WELD]
+
+
+def _end(t: float, left: float, edges: list[tuple[float, float]]) -> float:
+    """Return when work is done that begins at `t`, at each rate until its edge."""
+    for edge, rate in edges:
+        if left <= max(edge - t, 0.0) * rate:
+            return t + left / rate
+        left, t = left - max(edge - t, 0.0) * rate, max(edge, t)
+    raise AssertionError
+
+
+@pytest.mark.parametrize("second", [0.4, 1.6])
+def test_the_second_half_of_a_task_has_a_rate_of_its_own(second: float) -> None:
+    found = weld_of(runs_of(150, second=second))
+    assert found.later["worker: mount"] == pytest.approx(second, rel=0.2)
+    assert found.later["worker: pack"] == pytest.approx(1.0, abs=0.2)
+    assert found.rates["worker: mount"] / found.rates[""] == pytest.approx(np.sqrt(second), rel=0.2)
+
+
+@pytest.mark.parametrize("waiting", [0.4, 1.6])
+def test_an_agent_that_waits_has_an_effect_of_his_own(waiting: float) -> None:
+    found = weld_of(runs_of(150, waiting=waiting))
+    assert found.waiting["worker: mount"] == pytest.approx(waiting, rel=0.2)
+    assert "worker: pack" not in found.waiting  # after it he has no task: he does not wait
+
+
+def test_what_changes_nothing_is_shrunk_to_nothing() -> None:
+    off = []
+    for seed in range(5):
+        found = weld_of(runs_of(15, seed=seed))
+        off += [*found.later.values(), *found.waiting.values()]
+    assert np.abs(np.log(off)).mean() < 0.08
+
+
+def test_a_plan_takes_longer_where_the_operator_waits_in_the_way() -> None:
+    model = learn_runs(runs_of(150, waiting=0.3, shortest_s=1.0), AGENTS, folds=2)
+    for packs, weld_s in ((MOUNT_S + 0.1, 5.0), (MOUNT_S + 3.0, 5.0 + 0.7 * 3.0), (60.0, 5.0 / 0.3)):
+        plan = [
+            PlannedTask("arm", "weld", not_before_s=MOUNT_S),
+            PlannedTask("worker", "mount"),
+            PlannedTask("worker", "pack", not_before_s=packs),
+        ]
+        rolled = roll_plan(model, plan, cycles=200)
+        assert (rolled.end_s - rolled.start_s)[:, 0].mean() == pytest.approx(weld_s, rel=0.1)
+
+
+def _exact(**changed: dict[str, float]) -> TaskModelCard:
+    """A model in which the weld takes 5 s and the mount 4 s."""
+    model = learn_runs(runs_of(10), AGENTS, folds=2)
+    tasks = []
+    for task in model.tasks:
+        work = {"weld": 5.0, "mount": MOUNT_S, "pack": PACK_S}[task.task]
+        plain = structs.replace(
+            task, work_s=(work,), rates={}, later={}, waiting={}, after={}, turns=(), lags_s=(0.0,), planned=True
+        )
+        tasks.append(structs.replace(plain, **changed) if task.task == "weld" else plain)
+    return structs.replace(model, tasks=tuple(tasks))
+
+
+def test_a_plan_is_rolled_out_with_the_rates_of_both_halves_and_of_the_wait() -> None:
+    plan = [
+        PlannedTask("arm", "weld"),
+        PlannedTask("worker", "mount"),
+        PlannedTask("worker", "pack", not_before_s=20.0),
+    ]
+    slow = {"later": {"worker: mount": 0.25}, "waiting": {"worker: mount": 0.5}}
+    ends = roll_plan(_exact(**slow), plan, cycles=2).end_s
+    # 2 s at rate 2, 2 s at 0.5: all work is done as the mount ends
+    assert ends[:, 0] == pytest.approx([4.0, 4.0])
+    assert ends[:, 1] == pytest.approx([4.0, 4.0])
+    # 4 s at rate 0.25 leave 4 s of work; the worker waits: rate 0.5
+    ends = roll_plan(_exact(rates={"worker: mount": 0.25}, waiting=slow["waiting"]), plan, cycles=2).end_s
+    assert ends[:, 0] == pytest.approx([12.0, 12.0])
+    # after his last task he does not wait
+    ends = roll_plan(_exact(rates={"worker: mount": 0.25}, waiting=slow["waiting"]), plan[:2], cycles=2).end_s
+    assert ends[:, 0] == pytest.approx([8.0, 8.0])
+
+
+def test_of_two_robots_a_plan_says_which() -> None:
+    model = learn_runs(runs_of(10), {"arm": "robot", "worker": "robot"}, folds=2)
+    with pytest.raises(UnknownName, match=r"unknown agent 'robot'\.?\n.*Known: arm, worker\."):
+        roll_plan(model, [PlannedTask("robot", "weld")])

@@ -32,8 +32,9 @@ COLUMNS = [f"lost_{cause}_s" for cause in LOST_CAUSES]
 RESPONSES: dict[str, dict[str, Any]] = {
     "at once": {},
     "ramps": {"ramp_up_per_s": 0.25, "ramp_down_per_s": 1.0, "latency_s": 0.1},
+    "slow ramps": {"ramp_up_per_s": 0.1, "ramp_down_per_s": 1.0, "latency_s": 0.2},
 }
-CASES = ((True, "at once"), (False, "at once"), (True, "ramps"))
+CASES = ((True, "at once"), (False, "at once"), (True, "ramps"), (True, "slow ramps"))
 
 
 def compared(dataset: Dataset, logs: Path) -> pl.DataFrame:
@@ -74,7 +75,9 @@ def main() -> None:
     parser.add_argument("--executions", type=int, default=40)
     parser.add_argument("--seeds", type=int, nargs="+", default=[11, 12])
     parser.add_argument("--scenes", nargs="+", default=list(SCENES))
-    parser.add_argument("--cases", nargs="+", type=int, default=[0, 1, 2], help="logged, inferred, logged with ramps")
+    parser.add_argument(
+        "--cases", nargs="+", type=int, default=[0, 1, 2, 3], help="logged, inferred, logged with (slow) ramps"
+    )
     asked = parser.parse_args()
     names = ["scene", "seed", "scaling", "response", "lost, s", "right", "not known", "wrong", "blamed on people"]
     table = Table(*names, *(f"{cause}, s" for cause in LOST_CAUSES))

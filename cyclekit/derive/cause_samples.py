@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
 HELD, AROUND = 0.02, 3
 """Maximum range of the scaling at a held level, from AROUND samples before to AROUND after."""
+SAME = 0.03
+"""Tolerance for equal scalings; three standard deviations where the scaling is inferred."""
+STEP_M = 0.05
+"""Grid size of places along a path, m."""
 DISTANCES = 2
 """Number of distances, which are the first features."""
 FAR_M = 99.0

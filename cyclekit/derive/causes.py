@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.derive.cause_samples import DISTANCES, HALTED, HELD, Rows, TwoStateSignal, features_of
+from cyclekit.derive.cause_samples import DISTANCES, HALTED, HELD, SAME, STEP_M, Rows, TwoStateSignal, features_of
+from cyclekit.derive.path_limits import ALWAYS_SHARE, Limit, always_slow, find_limits, limit_at
+from cyclekit.derive.recoveries import begun_by, recovering
 from cyclekit.derive.usual_levels import UsualLevels, usual_levels
 from cyclekit.scaling.commanded import commanded_levels
 from cyclekit.scaling.response import SafetyResponse, changes_of, rate_of
@@ -23,10 +25,8 @@ from cyclekit.schema import SCALING_CAUSES
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cyclekit.schema import Bools, Floats, Ints, Points, Vector
+    from cyclekit.schema import Bools, Floats, Ints, Vector
 
-SAME = 0.03
-"""Tolerance for equal scalings; three standard deviations where the scaling is inferred."""
 REACTION_S = 0.5
 """Maximum time, s, for a controller to apply or release an input (UR reduced mode: up to 500 ms)."""
 SAMPLES_BEFORE, SAMPLES_AFTER = 5, 2
@@ -39,10 +39,6 @@ EDGE_M = 0.02
 """Uncertainty, m, of a distance threshold: a robot that stops at a threshold is just inside it."""
 MIN_LEVEL_SHARE = 0.35
 """Minimum share of samples at a level for operator positions to explain it; below, it usually has another cause."""
-STEP_M, POOL_M = 0.05, 0.12
-"""Grid size of places along a path, m; diameter, m, within which samples without people are pooled to test a limit."""
-PASSES, FREE_PASSES = 5, 3
-ALWAYS_SHARE = 0.9
 MIN_SAMPLES_OF_STATE = 50
 """Minimum number of samples in motion in each state of a signal to judge it."""
 MIN_FOLLOWED_SHARE, MAX_RESPONSE_S = 0.5, 1.0
@@ -59,13 +55,6 @@ class Input(NamedTuple):
     cap: float
 
 
-class Limit(NamedTuple):
-    """Places of a path, shape (K, 3), m, and the maximum scaling at each, shape (K,); 1 = no limit."""
-
-    at_m: Points
-    cap: Vector
-
-
 @dataclass(frozen=True)
 class Evidence:
     """Evidence on the causes of lost time, from all sessions.
@@ -77,6 +66,7 @@ class Evidence:
         inputs: Signals that slow the robot and do not watch the operator.
         watching: Signals that watch the operator.
         limits: Limits of the path, by task.
+        up_per_s: Rate at which the scaling recovers, 1/s; None = at once or unknown.
     """
 
     top: float
@@ -85,6 +75,7 @@ class Evidence:
     inputs: Mapping[str, Input]
     watching: tuple[str, ...]
     limits: Mapping[str, Limit]
+    up_per_s: float | None = None
 
 
 NOTHING = Evidence(1.0, np.ones(1), None, {}, (), {})
@@ -104,7 +95,7 @@ def find_evidence(rows: Rows, levels: Sequence[float], people: Sequence[str] = (
     top = float(np.quantile(rows.scaling[moving], 0.99))
     by_level = len(levels) >= 2
     values = np.array(levels) if by_level else np.linspace(0.0, 1.0, 11)
-    label = _commanded(rows, levels) if by_level else _tenths(rows)
+    label, up_per_s = _commanded(rows, levels) if by_level else (_tenths(rows), None)
     told = moving & (label >= 0)
     features, seen = features_of(rows, ())
     capping = _capping(rows, moving, top)
@@ -113,7 +104,8 @@ def find_evidence(rows: Rows, levels: Sequence[float], people: Sequence[str] = (
     )
     inputs = {name: how for name, how in capping.items() if name not in watching}
     free = moving & ~_active(rows, inputs)
-    slow = _always_slow(rows, free & (rows.scaling > HALTED), top)
+    fast = moving & (rows.scaling >= top - SAME)
+    slow = always_slow(rows, free & (rows.scaling > HALTED), fast)
     features, seen = features_of(rows, watching)
     usual = None
     if (usable := told & free & seen & ~slow).any():
@@ -122,19 +114,24 @@ def find_evidence(rows: Rows, levels: Sequence[float], people: Sequence[str] = (
         group = np.zeros_like(chosen) if people else rows.execution[chosen]  # a field may be on in few executions
         usual = usual_levels(features[chosen], label[chosen], len(values), group)
     evidence = Evidence(top, values, usual, inputs, watching, {})
-    alone = free if usual is None and not seen.any() else free & seen & (usual_scaling(rows, evidence) >= top - SAME)
-    fast = moving & (rows.scaling >= top - SAME)
-    return Evidence(top, values, usual, inputs, watching, _limits(rows, slow, alone, fast, top))
+    usually = usual_scaling(rows, evidence)
+    alone = free if usual is None and not seen.any() else free & seen & (usually >= top - SAME)
+    rises = recovering(rows.t_s, rows.scaling, rows.breaks, up_per_s)
+    if usual is not None and usual.cuts and rises.any():
+        person = _minimum_around(usually)
+        recovers = begun_by(rises, rows.breaks, (person < top - SAME) & (person <= rows.scaling + SAME))
+        slow, alone = always_slow(rows, free & (rows.scaling > HALTED) & ~recovers, fast), alone & ~recovers
+    return Evidence(top, values, usual, inputs, watching, find_limits(rows, slow, alone, fast, top), up_per_s)
 
 
-def _commanded(rows: Rows, levels: Sequence[float]) -> Ints:
-    """Return the commanded level at each sample with ramps removed, shape (N,), -1 = unknown."""
+def _commanded(rows: Rows, levels: Sequence[float]) -> tuple[Ints, float | None]:
+    """Return the commanded level at each sample, shape (N,), -1 = unknown, and the rate of recovery, 1/s."""
     parts = [part for part in np.split(np.arange(len(rows.t_s)), np.flatnonzero(rows.breaks)) if len(part)]
     changes = [change for part in parts for change in changes_of(rows.t_s[part], rows.scaling[part], levels)]
     down, up = (rate_of([change for change in changes if change.rises is rises]) for rises in (False, True))
     response = SafetyResponse(None, down, up, None, len(changes), None)
     found = [commanded_levels(rows.t_s[part], rows.scaling[part], levels, response).level for part in parts]
-    return np.concatenate(found).astype(np.int64)
+    return np.concatenate(found).astype(np.int64), up
 
 
 def _tenths(rows: Rows) -> Ints:
@@ -150,7 +147,7 @@ def lost_shares(rows: Rows, evidence: Evidence) -> Floats:
     known = np.isfinite(rows.scaling)  # also at a standstill: a ramp that began there continues in the next motion
     s = np.where(known, rows.scaling, 1.0)
     same = np.maximum(SAME, np.minimum(3.0 * np.nan_to_num(rows.deviation), 0.1))
-    top, limit = np.maximum(evidence.top, s), _limit_at(rows, evidence)
+    top, limit = np.maximum(evidence.top, s), limit_at(rows, evidence.limits)
     top = np.where(top >= 1.0 - same, 1.0, top)
     limit = np.minimum(np.where(known & (s <= limit + same), limit, 1.0), top)
     cap = np.minimum(_input_cap(rows, evidence), limit)
@@ -181,13 +178,17 @@ def _remaining_cause(rows: Rows, s: Vector, slow: Bools, same: Vector, evidence:
     which[person], which[stopped] = PERSON, STOP
     open_ = slow & ~person & ~stopped
     capped = _active(rows, evidence.inputs)
-    after = np.where(capped, INPUT, np.where(_limit_at(rows, evidence) < 1.0, LIMITS, UNKNOWN))
+    after = np.where(capped, INPUT, np.where(limit_at(rows, evidence.limits) < 1.0, LIMITS, UNKNOWN))
     held, base = 0, 0.0
     known = np.isfinite(rows.scaling)
     last = np.maximum.accumulate(np.where(known | rows.breaks, np.arange(len(s)), 0))  # a pause has no scaling
+    people = evidence.usual is not None and evidence.usual.cuts
+    begun = recovering(rows.t_s, rows.scaling, rows.breaks, evidence.up_per_s if people else None) & rows.breaks
+    which[open_ & begun & ~capped] = PERSON  # the cause was before the log, or between executions
     for i in np.flatnonzero(open_).tolist():  # the scaling recovers late and slowly
         j = int(last[i - 1])
         if i == 0 or rows.breaks[i] or s[i] < s[j] - same[i]:
+            held, base = 0, s[i]
             continue
         before = which[j] if slow[j] else after[j]
         held = held + 1 if open_[j] and s[i] <= base + HELD else 0
@@ -310,83 +311,6 @@ def _apart(rows: Rows, chosen: Ints, label: Ints) -> Ints:
         [rows.execution[chosen], label[chosen], np.floor(places / [1, 1, 1, 2, 2, 4]).astype(np.int64)]
     )
     return np.asarray(chosen[np.sort(np.unique(key, axis=0, return_index=True)[1])])
-
-
-def _cells(rows: Rows) -> Ints:
-    """Return task and grid cell (STEP_M) of each sample as integers, shape (N, 4)."""
-    return np.column_stack([rows.task, np.floor(np.nan_to_num(rows.robot_m) / STEP_M).astype(np.int64)])
-
-
-def _always_slow(rows: Rows, free: Bools, top: float) -> Bools:
-    """Return which samples are at places of a path where nearly every pass is slow, shape (N,)."""
-    slow = np.zeros(len(rows.t_s), np.bool_)
-    usable = np.flatnonzero(free & (rows.task >= 0) & np.isfinite(rows.robot_m[:, 0]))
-    if not len(usable):
-        return slow
-    _, cell = np.unique(_cells(rows)[usable], axis=0, return_inverse=True)
-    fast = rows.scaling[usable] >= top - SAME
-    rows_in, fast_in = np.bincount(cell), np.bincount(cell, fast)
-    passes = np.bincount(np.unique(np.column_stack([cell, rows.execution[usable]]), axis=0)[:, 0])
-    slow[usable] = ((passes >= PASSES) & (fast_in <= (1.0 - ALWAYS_SHARE) * rows_in))[cell]
-    return slow
-
-
-def _limits(rows: Rows, slow: Bools, alone: Bools, fast: Bools, top: float) -> dict[str, Limit]:
-    """Return the limits of each task: where every pass is slow, also those that no operator and no input slows."""
-    from scipy.spatial import cKDTree
-
-    found = {}
-    for number, task in enumerate(rows.tasks):
-        here = slow & (rows.task == number)
-        free = np.flatnonzero(alone & (rows.task == number) & (rows.scaling > HALTED) & np.isfinite(rows.robot_m[:, 0]))
-        if not here.any() or not len(free):
-            continue
-        _, first = np.unique(_cells(rows)[here], axis=0, return_index=True)
-        at_m = rows.robot_m[here][np.sort(first)]
-        told = [
-            _cap(rows.scaling[mine], rows.execution[mine], top)
-            for mine in (free[near] for near in cKDTree(rows.robot_m[free]).query_ball_point(at_m, POOL_M / 2))
-        ]
-        if (sure := np.flatnonzero(np.isfinite(told))).size:
-            around = here | ((fast | alone) & (rows.task == number))
-            limit = _edges(rows, around, Limit(at_m[sure], np.array(told)[sure]), top)
-            if len(limit.cap):  # else no pass respects it
-                found[task] = limit
-    return found
-
-
-def _edges(rows: Rows, seen: Bools, limit: Limit, top: float) -> Limit:
-    """Return a limit refined by the samples around it: no limit at full speed or where no pass was slow."""
-    from scipy.spatial import cKDTree
-
-    at_m = rows.robot_m[seen]
-    apart, nearest = cKDTree(limit.at_m).query(at_m)
-    scaling, cap = rows.scaling[seen], limit.cap[nearest]
-    slow = (apart <= POOL_M / 2) & (np.abs(scaling - cap) <= SAME)
-    near = (apart <= POOL_M) & (slow | (scaling >= top - SAME))
-    return Limit(at_m[near], np.where(slow, cap, 1.0)[near])
-
-
-def _cap(scaling: Vector, execution: Ints, top: float) -> float:
-    """Return the limit seen in passes without people; NaN = none."""
-    slow = scaling < top - SAME
-    if len(np.unique(execution[slow])) < FREE_PASSES or slow.mean() < 0.5:
-        return np.nan
-    return float(np.median(scaling[slow]))
-
-
-def _limit_at(rows: Rows, evidence: Evidence) -> Vector:
-    """Return the limit at each sample, shape (N,); 1 = none."""
-    from scipy.spatial import cKDTree
-
-    cap = np.ones(len(rows.t_s))
-    for number, task in enumerate(rows.tasks):
-        limit = evidence.limits.get(task)
-        mine = np.flatnonzero((rows.task == number) & np.isfinite(rows.robot_m[:, 0]))
-        if limit is not None and len(mine):
-            apart, nearest = cKDTree(limit.at_m).query(rows.robot_m[mine])
-            cap[mine] = np.where(apart <= STEP_M, limit.cap[np.minimum(nearest, len(limit.cap) - 1)], 1.0)
-    return cap
 
 
 __all__ = ["NOTHING", "Evidence", "Rows", "TwoStateSignal", "find_evidence", "lost_shares", "usual_scaling"]

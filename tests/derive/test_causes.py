@@ -15,8 +15,9 @@ from cyclekit import schema
 from cyclekit.cli import run
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.derive.cause_samples import Rows, TwoStateSignal, joined
-from cyclekit.derive.causes import Evidence, Input, Limit, find_evidence, lost_shares
-from cyclekit.derive.causes import _limits as limits_of
+from cyclekit.derive.causes import Evidence, Input, find_evidence, lost_shares
+from cyclekit.derive.path_limits import Limit
+from cyclekit.derive.path_limits import find_limits as limits_of
 from cyclekit.derive.usual_levels import usual_levels
 from cyclekit.ingest.ingest import ingest
 from cyclekit.schema import LOST_CAUSES, SCALING_CAUSES
@@ -103,6 +104,44 @@ def test_what_an_input_slows_is_not_the_persons_and_the_person_has_what_is_added
     person = np.where(distance < 1.0, np.where(on, 1.0 - 0.5 / 0.8, 0.5), 0.0).sum() / 10.0
     assert lost["person"] == pytest.approx(person, rel=0.02)
     assert sum(lost.values()) == pytest.approx((1.0 - scaling).sum() / 10.0)
+
+
+def recovering(slow: np.ndarray, *, per_sample: float = 0.02) -> np.ndarray:
+    """Return a scaling of 0.5 where `slow`, which then rises slowly."""
+    scaling = [1.0]
+    for now in slow:
+        scaling.append(0.5 if now else min(1.0, scaling[-1] + per_sample))
+    return np.array(scaling[1:])
+
+
+def test_where_every_pass_recovers_from_people_is_no_limit_of_the_path():
+    """The operator always comes when the robot leaves a place; later passes are slow where he has gone again."""
+    sample, execution = np.arange(3000) % 200, np.arange(3000) // 200
+    near = (sample >= 20) & (sample < 60) | (execution % 3 == 1) & (sample >= 130) & (sample < 150)
+    logged = rows(recovering(near), np.where(near, 0.7, 3.0), execution=execution, at_m=0.02 * sample)
+    lost = by_cause(logged, find_evidence(logged, LEVELS))
+    assert lost["limits"] == 0.0
+    assert lost["person"] == pytest.approx((1.0 - logged.scaling).sum() / 10.0, rel=0.03)
+
+
+def test_a_recovery_from_a_limit_of_the_path_is_of_the_limit():
+    sample, execution = np.arange(3000) % 200, np.arange(3000) // 200
+    near = (execution % 3 == 1) & (sample >= 130) & (sample < 150)
+    limited = (sample >= 20) & (sample < 60)
+    logged = rows(recovering(near | limited), np.where(near, 0.7, 3.0), execution=execution, at_m=0.02 * sample)
+    lost = by_cause(logged, find_evidence(logged, LEVELS))
+    of_limit = (1.0 - recovering(limited)).sum() / 10.0
+    assert lost["limits"] == pytest.approx(of_limit, rel=0.05)
+
+
+def test_an_execution_that_begins_in_a_recovery_is_slow_because_of_people():
+    sample, execution = np.arange(3000) % 200, np.arange(3000) // 200
+    near = (execution % 3 == 1) & (sample >= 100) & (sample < 130)
+    begins = (execution % 4 == 2) & (sample == 0)  # slow until just now
+    logged = rows(recovering(near | begins), np.where(near, 0.7, 3.0), execution=execution, at_m=0.02 * sample)
+    lost = by_cause(logged, find_evidence(logged, LEVELS))
+    assert lost["unknown"] < 0.3
+    assert lost["person"] == pytest.approx((1.0 - logged.scaling).sum() / 10.0, rel=0.03)
 
 
 def test_a_button_pressed_near_the_robot_does_not_slow_it():

@@ -16,7 +16,8 @@ def match_names(robots: Sequence[str], others: Sequence[str]) -> list[int] | Non
     """Return for each other log the robot log whose path has the same words, or None where names do not tell.
 
     Words that all robot logs or all other logs have (`robot`, `take`, `shift`) say what a log is, not to which session
-    it belongs: they are left out. Numbers are compared by value, upper and lower case are alike.
+    it belongs: they are left out. So are words, but not numbers, that no robot log has: the others may be of several
+    kinds (`override`, `person`). Numbers are compared by value, upper and lower case are alike.
 
     Args:
         robots: Paths of the robot logs, without endings.
@@ -24,11 +25,13 @@ def match_names(robots: Sequence[str], others: Sequence[str]) -> list[int] | Non
 
     Returns:
         Indices into `robots`, one for each of `others`. None if two robot logs have the same words, or if one of the
-        others has words of no robot log.
+        others has not the words of exactly one robot log.
     """
     of_robots, of_others = ([_words(name) for name in names] for names in (robots, others))
     common = _of_all(of_robots) | _of_all(of_others)
-    keys, wanted = ([_without(words, common) for words in of] for of in (of_robots, of_others))
+    known = set().union(*of_robots)
+    kinds = {word for words in of_others for word in words if word not in known and not word.isdecimal()}
+    keys, wanted = ([_without(words, common | kinds) for words in of] for of in (of_robots, of_others))
     places = {key: number for number, key in enumerate(keys)}
     if len(places) < len(keys) or any(not key or key not in places for key in wanted):
         return None

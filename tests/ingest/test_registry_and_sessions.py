@@ -245,6 +245,18 @@ def test_logs_belong_together_by_the_words_of_their_names(robot: str, people: st
     assert names(*robots, *reversed(tracked)) == names(*robots, *tracked)
 
 
+def test_logs_of_several_kinds_beside_each_robot_belong_together_by_their_names():
+    kinds = {"robot": "robot", "override": "events", "person": "people"}
+    logs = [log_card(f"run_{n}_ada_{kind}.csv", table) for n in (1, 2, 3) for kind, table in kinds.items()]
+    grouped = [sorted(group) for group in names(*logs)]
+    assert grouped == [[f"run_{n}_ada_{kind}.csv" for kind in ("override", "person", "robot")] for n in (1, 2, 3)]
+    other_day = [
+        log_card(f"0{day}_run_{n}_{kind}.csv", kind) for day, kind in ((4, "robot"), (5, "people")) for n in "12"
+    ]
+    with pytest.raises(ConfigError, match="unclear which belong"):
+        names(*other_day, log_card("06_run_1_events.csv", "events"))
+
+
 def test_words_that_fit_two_robots_or_none_or_another_time_match_nothing():
     for robots, people in ((("a_1_r", "b_1_r"), ("1_t", "2_t")), (("1_r", "2_r"), ("1_t", "3_t"))):
         logs = [log_card(f"{name}.csv", "robot") for name in robots] + [log_card(f"{n}.csv", "people") for n in people]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.schema import Bools, Ints, Points, Vector
+    from cyclekit.schema import Bools, Floats, Ints, Points, Vector
 
 
 STILL_M_S = 0.2
@@ -264,14 +264,33 @@ def goals_from_events(t_event_s: Vector, values: Sequence[str], t_s: Vector) -> 
 
 
 def find_operator_standstills(t_s: Vector, human_m: Points) -> list[tuple[int, int]]:
-    """Return the standstills in one execution's samples as (first, last) rows: slow for at least STILL_S."""
+    """Return the standstills in one execution's samples as (first, last) rows: slow for at least STILL_S.
+
+    People at work sway, reach and step aside: a standstill continues as long as they stay within PLACE_M of it.
+    """
     if len(t_s) < 3:
         return []
     speed = np.linalg.norm(np.gradient(human_m[:, :2], t_s, axis=0), axis=1)
     still = speed < STILL_M_S  # NaN compares false: an unseen operator is not at a standstill
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     spans = [(a, b - 1) for a, b in edges.reshape(-1, 2).tolist()]
-    return [(a, b) for a, b in spans if t_s[b] - t_s[a] >= STILL_S]
+    return [(a, b) for a, b in _stays(spans, human_m[:, :2]) if t_s[b] - t_s[a] >= STILL_S]
+
+
+def _stays(spans: Sequence[tuple[int, int]], at_m: Floats) -> list[tuple[int, int]]:
+    """Join spans of (first, last) rows between which all positions, shape (T, 2), m, are within PLACE_M of the first.
+
+    A position that is not known joins nothing.
+    """
+    found: list[tuple[int, int]] = []
+    centre = np.full(2, np.nan)
+    for first, last in spans:
+        if found and (np.linalg.norm(at_m[found[-1][1] : last + 1] - centre, axis=1) <= PLACE_M).all():
+            found[-1] = found[-1][0], last
+        else:
+            found.append((first, last))
+            centre = np.median(at_m[first : last + 1], axis=0)
+    return found
 
 
 def find_operator_places(standstills: Points) -> dict[str, Place]:

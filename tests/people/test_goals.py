@@ -43,6 +43,22 @@ def test_a_stay_is_found_where_the_operator_stands_and_not_where_they_walk_or_ar
     assert len(find_operator_standstills(t_s, human)) == 2
 
 
+def test_a_person_who_sways_and_reaches_at_a_bench_stays_there_until_the_next_walk():
+    t_s, human = staying()
+    rng = np.random.default_rng(4)
+    for axis in (0, 1):  # up to 0.2 m aside, often faster than a standstill
+        human[:, axis] += 0.08 * np.sin(2.2 * t_s + axis) + rng.normal(0.0, 0.02, len(t_s))
+    stays = find_operator_standstills(t_s, human)
+    edges = [float(t_s[row]) for stay in stays for row in stay]
+    assert edges == pytest.approx([0.0, 3.0, 5.0, 8.0, 10.0, 12.9], abs=0.5)
+
+
+def test_a_stay_does_not_continue_where_the_operator_was_not_seen():
+    t_s, human = staying()
+    human[15:20] = np.nan
+    assert len(find_operator_standstills(t_s, human)) == 4
+
+
 def test_without_buttons_the_goal_is_the_spot_of_the_stay_that_runs_or_comes_next():
     t_s, human = staying()
     stays = find_operator_standstills(t_s, human)

@@ -157,11 +157,20 @@ def doubtful_places(dataset: Dataset) -> set[str]:
 
 
 def _half_width(dataset: Dataset) -> tuple[int, float | None]:
-    """Return the number of complete executions, and the half-width of the 95 % interval of their mean, as a share."""
-    durations = dataset.executions.filter("complete")["duration_s"]
-    if len(durations) < 2:
-        return len(durations), None
-    return len(durations), Z95 * float(durations.std() or 0.0) / math.sqrt(len(durations)) / float(durations.mean())  # type: ignore[arg-type]
+    """Return the number of complete executions, and the half-width of the 95 % interval of the mean, as a share.
+
+    Executions of different work differ in duration: the spread around the sum of the mean durations of their tasks
+    counts, not that of the durations themselves.
+    """
+    whole = dataset.executions.filter("complete").select("execution", "duration_s")
+    if whole.height < 2:
+        return whole.height, None
+    took_s = dataset.tasks().with_columns(took_s=pl.col("end_s") - pl.col("start_s"))
+    usual_s = took_s.with_columns(usual_s=pl.col("took_s").mean().over("task")).group_by("execution")
+    beside = whole.join(usual_s.agg(pl.col("usual_s").sum()), on="execution", how="left")
+    spreads = (whole["duration_s"].std(), (beside["duration_s"] - beside["usual_s"]).drop_nulls().std())
+    spread_s = min(float(one) for one in spreads if one is not None)  # type: ignore[arg-type]
+    return whole.height, Z95 * spread_s / math.sqrt(whole.height) / float(whole["duration_s"].mean())  # type: ignore[arg-type]
 
 
 def _of_sequences(sequences: Sequence[TaskSequence], lacking: Mapping[str, int]) -> list[OrderToLog]:

@@ -17,7 +17,7 @@ from cyclekit import plan_recordings
 from cyclekit.api.init import first_sequence
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.errors import ConfigError, CyclekitError
-from cyclekit.estimate.what_to_log import ENOUGH, _of_sequences, _one_tour, doubtful_places, what_to_log
+from cyclekit.estimate.what_to_log import ENOUGH, _half_width, _of_sequences, _one_tour, doubtful_places, what_to_log
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,6 +48,18 @@ def test_a_plan_for_both_agents_asks_for_the_logged_tasks(logged: Dataset) -> No
     plan = plan_recordings(logged, TaskSequence.of_plan("both", [*tasks, PlannedTask("operator", "desk")]))
     assert plan.lines == plan_recordings(logged).lines
     assert plan.rare
+
+
+def test_executions_of_different_work_say_nothing_of_the_spread() -> None:
+    """Executions of one task of 10 s, or of two: only what each differs from its work by is uncertain."""
+    took_s = [[10.1], [9.9], [10.2, 10.1], [9.8, 9.9]] * 4
+    rows = [(str(n), f"task {k}", 0.0, s) for n, tasks in enumerate(took_s) for k, s in enumerate(tasks)]
+    tasks = pl.DataFrame(rows, schema=["execution", "task", "start_s", "end_s"], orient="row")
+    executions = tasks.group_by("execution").agg(duration_s=pl.col("end_s").sum(), complete=pl.lit(True))
+    dataset = cast("Dataset", SimpleNamespace(executions=executions, tasks=lambda: tasks))
+    count, half = _half_width(dataset)
+    assert count == 16
+    assert half == pytest.approx(1.96 * 0.235 / 4.0 / 15.0, rel=0.1)  # by durations alone it were 0.17
 
 
 def test_half_the_interval_takes_four_times_the_executions(logged: Dataset) -> None:
@@ -99,12 +111,12 @@ def stand_in(orders: list[tuple[str, ...]], *, inferred: bool = True) -> Dataset
     """Return a stand-in of executions in these orders; the robot only waits at w."""
     rows = [
         {"task": f"{a}->{b}", "goal_place": b, "nominal_s": 1.0, "dwell_s": 0.0 if b == "w" else 1.0,
-         "wait_s": 2.0 if b == "w" else 0.0}
-        for places in orders for a, b in pairwise(places)
+         "wait_s": 2.0 if b == "w" else 0.0, "execution": str(number), "start_s": 0.0, "end_s": 2.0}
+        for number, places in enumerate(orders) for a, b in pairwise(places)
     ]  # fmt: skip
     places = {name: SimpleNamespace(inferred=inferred) for name in set().union(*orders)}
     executions = [SimpleNamespace(complete=True, places=order) for order in orders]
-    durations = pl.DataFrame({"complete": [True, True], "duration_s": [10.0, 10.0]})
+    durations = pl.DataFrame({"execution": ["0", "1"], "complete": [True, True], "duration_s": [10.0, 10.0]})
     found = {"tasks": lambda: pl.DataFrame(rows), "require_positions": lambda: None, "executions": durations,
              "positions": ("robot",), "holds_task_lists_alone": False}  # fmt: skip
     return cast("Dataset", SimpleNamespace(**found, card=SimpleNamespace(executions=executions, places=places)))

@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.cli.groups import grouped
+from cyclekit.cli.groups import grouped, regrouped
 from cyclekit.cli.lists import coupling_table, lost_table, response_lines, safety_lines, task_list_tables
 from cyclekit.cli.terminal import bullet, duration, percent, table
 from cyclekit.dataset.cards import plain, texts
@@ -189,7 +189,7 @@ def _dataset(found: DatasetDescription) -> str:
     parts += [_clocks(found.clocks), _operator(found.operator)]
     silences = [f"gaps in {name}: {_gaps(gaps)}" for name, gaps in found.gaps.items()]
     parts.append(bullet(_some(silences, SHOWN_FILES)))
-    parts.append(bullet(_some(found.warnings, SHOWN_FILES), mark="! "))
+    parts.append(bullet(regrouped(found.warnings), mark="! "))
     return "\n\n".join(part for part in parts if part)
 
 

@@ -31,3 +31,11 @@ def grouped(said: Iterable[tuple[str, str]], *, things: str = "files") -> list[s
             lines.append(f"{len(those)} {things} ({', '.join(list(those)[:ALONE])}, …): {text}")
     left = len(lines) - SHOWN
     return lines if left <= 0 else [*lines[:SHOWN], f"and {left} more lines of this kind; --json has all"]
+
+
+def regrouped(texts: Iterable[str]) -> list[str]:
+    """Return sentences with those of many files on one line, as `grouped`; `file: text` begins with a file's name."""
+    parts = [text.partition(": ") for text in texts]
+    return grouped(
+        (name, rest) if rest and " " not in name else ("", name + colon + rest) for name, colon, rest in parts
+    )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cyclekit.cli.groups import regrouped
 from cyclekit.cli.options import Json, Quiet
 from cyclekit.cli.terminal import Terminal, table
 
@@ -35,9 +36,10 @@ def run(
     terminal = Terminal(json=json, quiet=quiet)
     with terminal.progress("running") as progress:
         found = run_project(project, progress=progress)
-    terminal.warnings(found.warnings[:SHOWN])
-    if len(found.warnings) > SHOWN:
-        terminal.remark(f"{len(found.warnings) - SHOWN} more warnings: cyclekit inspect {found.project.dataset}")
+    warned = regrouped(found.warnings)
+    terminal.warnings(warned[:SHOWN])
+    if len(warned) > SHOWN:
+        terminal.remark(f"{len(warned) - SHOWN} more warnings: cyclekit inspect {found.project.dataset}")
     for row in found.failed:
         terminal.remark(f"failed: {row.stage}: {row.text}")
     terminal.done(found.to_dict(), _said(found))

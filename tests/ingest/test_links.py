@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from cyclekit.cli import run
-from cyclekit.cli.groups import grouped
+from cyclekit.cli.groups import grouped, regrouped
 from cyclekit.config import Cell
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import LogError
@@ -103,6 +103,10 @@ def test_few_are_named_and_many_kinds_are_cut():
     assert grouped((str(n), "x") for n in range(4)) == ["4 files (0, 1, 2, …): x"]
     lines = grouped((str(n), f"{n} rows") for n in range(2000))
     assert (len(lines), lines[-1]) == (21, "and 1980 more lines of this kind; --json has all")
+    assert regrouped([*(f"{n}.csv: no speed" for n in range(4)), "the frame: unknown"]) == [
+        "4 files (0.csv, 1.csv, 2.csv, …): no speed",
+        "the frame: unknown",
+    ]
     assert grouped([("", "no level was found"), ("a.csv", "cut: twice")]) == [
         "no level was found",
         "a.csv: cut: twice",

@@ -158,7 +158,7 @@ def _robot(frame: pl.DataFrame, time: str, columns: _Columns) -> pl.DataFrame:
 
 
 def _warnings(names: tuple[str, ...], late: float) -> list[str]:
-    messages = ["the speed scaling is unknown: RSI does not log it"]
+    messages = ["RSI does not log the speed scaling"]
     messages += [
         f'column {name!r} is not read: map it with adapter = "csv" (scaling, scaling_max = 100)'
         for name in names

@@ -264,9 +264,9 @@ class _Seen:
     def warnings(self, recorded: Sequence[str]) -> list[str]:
         messages = []
         if absent := [name for name in (*_FRACTIONS, "runtime_state") if name not in recorded]:
-            messages.append(f"{', '.join(absent)} not recorded: the speed scaling is unknown")
+            messages.append(f"{', '.join(absent)} not recorded: this log holds no speed scaling")
         elif self.played is False:
-            messages.append("the program runs in no row (runtime_state is never 2): the speed scaling is unknown")
+            messages.append("the program runs in no row (runtime_state is never 2): this log holds no speed scaling")
         messages += [
             f"{name} exceeds 1 in some rows: unknown there"
             for name in _FRACTIONS

@@ -50,6 +50,11 @@ WHY_ALONE = "robot rolled out with learned waits for signals, beside the logged 
 RESAMPLES = 1000
 NOT_JUDGED = "not validated on logged executions, so no bias is known or corrected: too few of them can be rolled out"
 
+COMPOSED = (
+    "no log has so many visits to the places where one agent waits for the other: what the operator does between them "
+    "is put together from parts of logged executions"
+)
+
 
 def waits_are_known(model: SafetyModel, altered: Altered | None = None) -> bool:
     """Return whether wait conditions of the agents are known, or were before the cell was altered."""
@@ -239,7 +244,8 @@ def _left_out(cycles: RolledBoth, cell: JointCell) -> list[str]:
     """Return the cycles and waits that the rollout of a plan leaves out, one sentence each."""
     until_s, part = longest_s(cycles.plan), cycles.left_out
     ended = f"{part:.1%} of the cycles are left out: they end in a deadlock or do not end within {until_s:.0f} s"
-    return [*([ended] if part else []), *waits_without_source(cycles.plan, cell.coupling)]
+    composed = [COMPOSED] if cycles.plan.composed else []
+    return [*([ended] if part else []), *composed, *waits_without_source(cycles.plan, cell.coupling)]
 
 
 def _slowed(shares: Sequence[TaskShare], factor: float) -> list[TaskShare]:

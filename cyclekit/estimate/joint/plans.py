@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import EstimateError, UnknownName
+from cyclekit.estimate.joint.composed import composed_orders, pairs_of
 from cyclekit.estimate.joint.legs import Agenda, operator_agenda, precedence_needs, robot_agenda
 from cyclekit.estimate.joint.roll import Plan
 from cyclekit.estimate.program import lay_out
@@ -55,8 +56,9 @@ class Planner:
         robot = robot_agenda(program.tasks, self._cell.gates)
         if sequence.operator is not None:
             return Plan(sequence.shown, robot, (self.operator(sequence.operator, sequence.shown),), both=False)
-        fitting = self._fitting(sequence)
-        return Plan(sequence.shown, robot, tuple(self.operator(order, sequence.shown) for order in fitting), both=False)
+        fitting, composed = self._fitting(sequence)
+        operators = tuple(self.operator(order, sequence.shown) for order in fitting)
+        return Plan(sequence.shown, robot, operators, both=False, composed=composed)
 
     def operator(self, order: Sequence[str], where: str) -> Agenda:
         """Return the agenda of an operator who visits these places.
@@ -78,21 +80,24 @@ class Planner:
             if place not in self._cell.dataset.human_places:
                 raise UnknownName(where, "place of the operator", place, self._cell.dataset.human_places)
 
-    def _fitting(self, sequence: TaskSequence) -> list[tuple[str, ...]]:
+    def _fitting(self, sequence: TaskSequence) -> tuple[list[tuple[str, ...]], bool]:
         """Return the operator's orders in logged executions of the same work, else with the same coupled visits.
 
-        A coupled visit is one at a place where an agent waits for the other.
+        A coupled visit is one at a place where an agent waits for the other. If no log has so many of them, the orders
+        are composed from parts of logged orders, which is also returned.
 
         Raises:
             EstimateError: There are none.
         """
         if self._cell.unseen:
-            return [()]
+            return [()], False
         same = Counter(sequence.places[1:])
         found = [name for name, went in self._went.items() if Counter(went[1:]) == same]
         if not found:
             mine = self._counted(sequence.places)
             found = [name for name, went in self._went.items() if self._counted(went) == mine]
+        if not found and (orders := self._composed(sequence.places)):
+            return orders, True
         if not found:
             visits = ", ".join(f"{place} {n} times" for place, n in sorted(self._counted(sequence.places).items()))
             seen = f"{sequence.shown}: in no logged execution did the robot visit {visits or 'these places'}"
@@ -100,7 +105,16 @@ class Planner:
                 f"{seen}, so the operator's tasks during this work are unknown",
                 cure='Name his places, operator = ["...", "..."], or plan for both: [[sequence.task]].',
             )
-        return [tuple(visit.place for visit in self._cell.logged[name]) for name in found]
+        return [tuple(visit.place for visit in self._cell.logged[name]) for name in found], False
+
+    def _composed(self, places: Sequence[str]) -> list[tuple[str, ...]]:
+        return composed_orders(places, self.logged_orders, pairs_of(self._cell.coupling))
+
+    def composed(self, sequence: TaskSequence) -> list[tuple[str, ...]]:
+        """Return the composed orders of the operator that a sequence uses; none if it uses logged ones."""
+        plain = sequence.operator is None and not sequence.plan and not self._cell.unseen
+        orders, composed = self._fitting(sequence) if plain else ([], False)
+        return orders if composed else []
 
     @property
     def logged_orders(self) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:

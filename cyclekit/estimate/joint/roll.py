@@ -46,12 +46,14 @@ class Plan:
         robot: Agenda of the robot.
         operators: Agendas of the operator, used by the cycles in turn.
         both: Whether the cycle ends when both agents are done; else when the robot is.
+        composed: Whether the operator's orders are composed of parts of logged ones.
     """
 
     name: str
     robot: Agenda
     operators: tuple[Agenda, ...]
     both: bool
+    composed: bool = False
 
 
 @dataclass(frozen=True)

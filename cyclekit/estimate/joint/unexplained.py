@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Vector
 
-MIN_PART = 0.01
+MIN_PART = 0.005
 """Minimum share of unexplained waits in the executions' time that is considered."""
 MIN_VISITS = 10
 

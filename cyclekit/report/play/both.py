@@ -67,6 +67,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     planner = Planner(cell, legs)
     sequences = [_sequence(each, planner) for each in shown]
     went = [{"robot": robot, "operator": operator} for robot, operator in planner.logged_orders]
+    went += _composed(planner, [each for each in shown if not each.asked and each.operator is None])
     orders = [each["operator"] for each in sequences]
     places = {place for order in orders for place in order or ()}
     if None in orders:
@@ -100,6 +101,19 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     gates = Gates(card)
     facts |= source | {"legs": _legs(legs, gates), "check": _corrected(shown[0].check, cell.executions, arrays)}
     return facts, arrays
+
+
+def _composed(planner: Planner, shown: Sequence[CycleEstimate]) -> list[dict[str, Any]]:
+    """Return composed orders as if logged, once per number of coupled visits; none if their order matters as well."""
+    if len(planner.waited_for) != 1:
+        return []
+    (place,) = planner.waited_for
+    by_count = {each.places[1:].count(place): each.places for each in shown}
+    return [
+        {"robot": places, "operator": order}
+        for places in by_count.values()
+        for order in planner.composed(TaskSequence("", places))
+    ]
 
 
 def _sequence(each: CycleEstimate, planner: Planner) -> dict[str, Any]:

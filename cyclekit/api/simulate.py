@@ -44,8 +44,8 @@ def simulate_logs(
     """Simulate a cell and log it in vendor formats; the same seed gives the same bytes.
 
     Args:
-        scene: The cell: box-picking, pick-and-package, laser-zones, scanner-visits; scanner-fields, light-curtain;
-            shared-fixture, handover, fed-line, four-fixtures, machine-tending.
+        scene: The cell: box-picking, pick-and-package, laser-zones, scanner-visits; scanner-fields, light-curtain,
+            guard-door; shared-fixture, handover, fed-line, four-fixtures, machine-tending.
         out: Folder for the logs.
         executions: Number of executions.
         seed: Seed of all random draws.

@@ -14,6 +14,7 @@ from cyclekit.errors import command_line
 EXAMPLE = "cyclekit simulate box-picking --out logs --executions 20 --seed 1"
 SCENES = (
     *("box-picking", "pick-and-package", "laser-zones", "scanner-visits", "scanner-fields", "light-curtain"),
+    "guard-door",
     *("shared-fixture", "handover", "fed-line", "four-fixtures", "machine-tending"),
 )
 """Names of the simulator's scenes; the simulator itself is imported only to simulate."""
@@ -93,7 +94,7 @@ def simulate(
 
     Writes the cell file and the ground truth next to the logs. SCENE is box-picking,
     pick-and-package, laser-zones or scanner-visits; without a tracker,
-    scanner-fields or light-curtain; where robot and operator wait,
+    scanner-fields, light-curtain or guard-door; where robot and operator wait,
     shared-fixture, handover, fed-line, four-fixtures or machine-tending.
     """
     from cyclekit.api.simulate import simulate_logs

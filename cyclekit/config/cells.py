@@ -185,11 +185,15 @@ class OperatorSignal:
         name: Name in results.
         signal: "digital-input 3", or the name of an event in any log.
         occupied: Its value while a person is present, as text.
+        reset: Signal of the button that ends the stop once nobody is present; None: the stop ends with the presence.
+        reset_at: Value, as text, to which `reset` changes at the reset.
     """
 
     name: str
     signal: str
     occupied: str = "1"
+    reset: str | None = None
+    reset_at: str = "1"
 
 
 @dataclass(frozen=True)

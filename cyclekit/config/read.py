@@ -97,10 +97,11 @@ def _source(where: str, entry: object) -> dict[str, object]:
 
 
 def _operator_signal(entry: object) -> object:
-    """Return its keys with `occupied` as text, as a bit may be written as a number or a boolean."""
-    if not isinstance(entry, Mapping) or not isinstance(entry.get("occupied"), int):
+    """Return its keys with values of signals as text, as a bit may be written as a number or a boolean."""
+    if not isinstance(entry, Mapping):
         return entry
-    return {**entry, "occupied": str(int(entry["occupied"]))}
+    numbers = {key: str(int(entry[key])) for key in ("occupied", "reset_at") if isinstance(entry.get(key), int)}
+    return {**entry, **numbers}
 
 
 def _map(where: str, raw: object) -> dict[str, object]:

@@ -59,7 +59,10 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
             *(f"{key} = {toml_value(value)}" for key, value in vars(thing).items()),
         ]
     for told in cell.operator_signals:
-        lines += ["", "[[operator_signals]]", *(f"{key} = {toml_value(value)}" for key, value in vars(told).items())]
+        entries = {
+            key: value for key, value in vars(told).items() if told.reset is not None or not key.startswith("reset")
+        }
+        lines += ["", "[[operator_signals]]", *(f"{key} = {toml_value(value)}" for key, value in entries.items())]
     for wait in cell.waits:
         keys = [f"{key} = {toml_value(value)}" for key, value in vars(wait).items() if value not in (None, False)]
         lines += ["", "[[waits]]", *keys]

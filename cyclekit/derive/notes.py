@@ -46,11 +46,12 @@ def signal_notes(found: FoundSignals) -> list[Note]:
         return [note("signals-follow", signals=", ".join(names), late_s=max(late_s))]
     return [
         note(
-            "operator-signal",
+            "operator-signal" if one.reset is None else "operator-stop",
             signal=one.signal,
             occupied=one.occupied,
             delay_s=one.delay_s,
             explained=one.explained,
+            **({} if one.reset is None else {"reset": one.reset, "reset_at": one.reset_at}),
         )
         for one in found.cards
         if not one.told

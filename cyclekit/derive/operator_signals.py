@@ -3,11 +3,14 @@
 A signal is accepted if the level follows it with a constant delay, and if it explains more of the lost time on
 held-out executions than the robot's place and the signals accepted before it. Signals that the robot itself sets are
 excluded: outputs, the register, inputs that mirror an output, and signals that follow the speed instead of leading it.
+
+If the level rises after a button instead of after the signal, the stop that lasts until then is accepted in place of
+the signal, if it explains more.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,6 +18,7 @@ import numpy as np
 from cyclekit.dataset.cards import OperatorSignalCard
 from cyclekit.dataset.signals import OUTPUT, REGISTER, SignalChanges, state_of
 from cyclekit.derive.cause_samples import signal_position_features
+from cyclekit.derive.latched_signals import OFF, ON, begins_of, latched
 from cyclekit.derive.usual_levels import usual_levels
 from cyclekit.errors import UnknownName
 from cyclekit.people.activity import GOAL_SIGNAL
@@ -70,6 +74,7 @@ class SignalEvidence:
         signals: Changes of each signal.
         levels: Levels of the scaling, ascending.
         period_s: Time between rows of the robot log, s: no delay below it can be seen.
+        begins_s: Times at which the robot log begins, or goes on after a gap, s.
     """
 
     t_s: Vector
@@ -82,6 +87,7 @@ class SignalEvidence:
     signals: Mapping[str, SignalChanges]
     levels: Sequence[float]
     period_s: float = 0.0
+    begins_s: Vector = field(default_factory=lambda: np.empty(0))
 
     @property
     def at_once_s(self) -> float:
@@ -102,6 +108,15 @@ class _Responses(NamedTuple):
 
     delay_s: float | None = None
     number: int = 0
+
+
+class _Stop(NamedTuple):
+    """A stop that lasts until a reset: its signal and value, and the reset and its value."""
+
+    signal: str
+    occupied: str
+    reset: str
+    reset_at: str
 
 
 class FoundSignals(NamedTuple):
@@ -127,29 +142,40 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
         UnknownName: No log holds a signal that the cell file names, or it never changes.
     """
     leads: dict[str, _Lead] = {}
+    stops: dict[str, _Stop] = {}
+    order: list[tuple[str, str]] = []
     if told:
         for one in told:
-            if one.signal not in evidence.signals:
-                raise UnknownName(
-                    "[[operator_signals]] of the cell file", "signal that changes", one.signal, evidence.signals
-                )
-            occupied = state_of(one.occupied)
-            lead = _lead(occupied, *_delays(evidence, one.signal, occupied), evidence.at_once_s)
-            leads[one.signal] = lead or _Lead(occupied, 0.0, None)
-        order = [(one.name, one.signal) for one in told]
+            for name in filter(None, (one.signal, one.reset)):
+                if name not in evidence.signals:
+                    raise UnknownName(
+                        "[[operator_signals]] of the cell file", "signal that changes", name, evidence.signals
+                    )
+            signal, occupied = one.signal, state_of(one.occupied)
+            if one.reset is not None:
+                stop = _Stop(signal, occupied, one.reset, state_of(one.reset_at))
+                signal, occupied = _name_of(stop), ON
+                stops[signal], evidence = stop, _with(evidence, signal, _course(evidence, stop))
+            lead = _lead(occupied, *_delays(evidence, signal, occupied), evidence.at_once_s)
+            leads[signal] = lead or _Lead(occupied, 0.0, None)
+            order.append((one.name, signal))
     else:
         leads = _leading(evidence)
-        order = [(name, name) for name in _explaining(evidence, leads)]
+        evidence, leads, stops = _with_stops(evidence, leads)
+        order = [(name, name) for name in _explaining(evidence, leads, stops)]
     cards: list[OperatorSignalCard] = []
     on: list[Bools] = []
     for name, signal in order:
         lead = leads[signal]
+        stop = stops.get(signal, _Stop(signal, lead.occupied, "", ""))
         on.append(_on(evidence, signal, lead))
         cards.append(
             OperatorSignalCard(
                 name=name,
-                signal=signal,
-                occupied=lead.occupied,
+                signal=stop.signal,
+                occupied=stop.occupied,
+                reset=stop.reset or None,
+                reset_at=stop.reset_at,
                 delay_s=round(max(lead.delay_s, 0.0), 3),
                 explained=max(0.0, min(1.0, round(1.0 - float(_unexplained(evidence, on).sum()), 4))),
                 told=bool(told),
@@ -162,20 +188,69 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
     return FoundSignals(tuple(cards), max(first.delay_s, 0.0), hold_s if hold_s and hold_s > SAME_S else None)
 
 
-def _leading(evidence: SignalEvidence) -> dict[str, _Lead]:
-    """Return the signals that the level follows and that the robot does not set."""
+def _not_set_by_robot(evidence: SignalEvidence) -> dict[str, SignalChanges]:
+    """Return the signals that are no outputs, mirror none, and do not name the operator's goal."""
     own = [name for name in evidence.signals if name == REGISTER or name.startswith(OUTPUT)]
     own_s = np.sort(np.concatenate([np.empty(0), *(_flips(evidence.signals[name]) for name in own)]))
+    return {
+        name: changes
+        for name, changes in evidence.signals.items()
+        if not (name in own or GOAL_SIGNAL in name or _mirrors(_flips(changes), own_s))
+    }
+
+
+def _leading(evidence: SignalEvidence) -> dict[str, _Lead]:
+    """Return the signals that the level follows and that the robot does not set."""
     found = {}
-    for name, changes in evidence.signals.items():
-        if name in own or GOAL_SIGNAL in name or _mirrors(_flips(changes), own_s):
-            continue
+    for name, changes in _not_set_by_robot(evidence).items():
         tried = [(value, *_delays(evidence, name, value)) for value in np.unique(changes.value).tolist()]
         value, falls, rises = max(tried, key=lambda one: one[1][1] + one[2][1])
         lead = _lead(value, falls, rises, evidence.at_once_s)
         if lead is not None and not _of_program(evidence, changes.at(evidence.t_s) == value):
             found[name] = lead
     return found
+
+
+def _with_stops(
+    evidence: SignalEvidence, leads: Mapping[str, _Lead]
+) -> tuple[SignalEvidence, dict[str, _Lead], dict[str, _Stop]]:
+    """Return evidence and leads with those stops that last until a reset, and these stops, by name.
+
+    The level must rise at a constant delay after the reset, and less often after the signal itself. A signal that lets
+    the level fall as well is a field, no button.
+    """
+    resets = [
+        (name, value)
+        for name, changes in _not_set_by_robot(evidence).items()
+        for value in np.unique(changes.value).tolist()
+        if _lead(value, _Responses(), _responses(changes.to(value), evidence.rises_s), evidence.at_once_s)
+        and 2 * _responses(_left(changes, value), evidence.falls_s).number < len(changes.to(value))
+    ]
+    found, stops = dict(leads), dict[str, _Stop]()
+    for name, lead in leads.items():
+        falls, rises = _delays(evidence, name, lead.occupied)
+        for reset, value in resets:
+            stop = _Stop(name, lead.occupied, reset, value)
+            course = _course(evidence, stop)
+            resumes = _responses(course.to(OFF), evidence.rises_s)
+            mine = _lead(ON, falls, resumes, evidence.at_once_s)
+            if reset != name and mine is not None and mine.rise_s is not None and resumes.number > rises.number:
+                stops[_name_of(stop)], found[_name_of(stop)] = stop, mine
+                evidence = _with(evidence, _name_of(stop), course)
+    return evidence, found, stops
+
+
+def _course(evidence: SignalEvidence, stop: _Stop) -> SignalChanges:
+    signal, reset = evidence.signals[stop.signal], evidence.signals[stop.reset]
+    return latched(signal, stop.occupied, reset, stop.reset_at, begins_of(stop.signal, evidence.begins_s))
+
+
+def _name_of(stop: _Stop) -> str:
+    return f"{stop.signal} (reset: {stop.reset}{'' if stop.reset_at == ON else f' = {stop.reset_at}'})"
+
+
+def _with(evidence: SignalEvidence, name: str, changes: SignalChanges) -> SignalEvidence:
+    return replace(evidence, signals={**evidence.signals, name: changes})
 
 
 def _following(evidence: SignalEvidence) -> tuple[tuple[str, float], ...]:
@@ -208,8 +283,11 @@ def _lead(occupied: str, falls: _Responses, rises: _Responses, at_once_s: float)
     return _Lead(occupied, falls.delay_s or 0.0, rises.delay_s)
 
 
-def _explaining(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> list[str]:
-    """Return the signals that explain more than the robot's place and the signals before them, best first."""
+def _explaining(evidence: SignalEvidence, leads: Mapping[str, _Lead], stops: Mapping[str, _Stop]) -> list[str]:
+    """Return the signals that explain more than the robot's place and the signals before them, best first.
+
+    A stop that lasts until a reset is chosen in place of its signal if it explains more by as much as a further signal.
+    """
     chosen: list[str] = []
     on: list[Bools] = []
     rest = _unexplained(evidence, on)
@@ -218,13 +296,16 @@ def _explaining(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> list[st
         while left and len(chosen) < MAX_SIGNALS:
             states = {name: _on(evidence, name, leads[name]) for name in left}
             rests = {name: _unexplained(evidence, [*on, state]) for name, state in states.items()}
-            best = min(rests, key=lambda name: rests[name].sum())
-            if not _gains(rest, rests[best], first=not chosen):
+            simple = {name: rests.get(stop.signal, rest) for name, stop in stops.items()}
+            some = [one for one in left if one not in stops or _gains(simple[one], rests[one], first=False)]
+            best = min(some, key=lambda name: rests[name].sum(), default="")
+            if not some or not _gains(rest, rests[best], first=not chosen):
                 break
             rest = rests[best]
             on.append(states[best])
             chosen.append(best)
-            left.remove(best)
+            mine = stops[best].signal if best in stops else best
+            left = [one for one in left if mine not in (one, stops[one].signal if one in stops else "")]
     return chosen
 
 
@@ -242,8 +323,10 @@ def _gains(before: Vector, after: Vector, *, first: bool) -> bool:
 def _delays(evidence: SignalEvidence, signal: str, occupied: str) -> tuple[_Responses, _Responses]:
     """Return the delays of falls after a signal turned occupied, and of rises after it turned free (`_responses`)."""
     changes = evidence.signals[signal]
-    free = np.sort(np.concatenate([changes.to(str(value)) for value in np.unique(changes.value) if value != occupied]))
-    return _responses(changes.to(occupied), evidence.falls_s), _responses(free, evidence.rises_s)
+    return (
+        _responses(changes.to(occupied), evidence.falls_s),
+        _responses(_left(changes, occupied), evidence.rises_s),
+    )
 
 
 def _responses(cause_s: Vector, answer_s: Vector) -> _Responses:
@@ -265,6 +348,11 @@ def _responses(cause_s: Vector, answer_s: Vector) -> _Responses:
     middle = float(edges[peak]) + BIN_S / 2
     alike = lags[np.abs(lags - middle) <= 1.5 * BIN_S]
     return _Responses(float(np.median(alike)), len(alike))
+
+
+def _left(changes: SignalChanges, value: str) -> Vector:
+    """Return the times at which a signal changes from a value to another one, shape (K,), s."""
+    return np.asarray(changes.t_s[1:][(changes.value[:-1] == value) & (changes.value[1:] != value)])
 
 
 def _flips(changes: SignalChanges) -> Vector:

@@ -13,6 +13,7 @@ from cyclekit.dataset.cards import note
 from cyclekit.dataset.signals import INPUT, OUTPUT, SignalChanges, constant_bits, values_of
 from cyclekit.derive.cause_samples import TwoStateSignal
 from cyclekit.derive.concatenated import APART_S, commanded_samples, shifts_apart
+from cyclekit.derive.latched_signals import ON, begins_of, latched
 from cyclekit.derive.operator_signals import FoundSignals, SignalEvidence, find_signals
 from cyclekit.scaling.response import LevelChange, SafetyResponse, changes_of, rate_of
 from cyclekit.segmentation.stored_run import pieces
@@ -89,7 +90,8 @@ def find_presence_signals(
     _add_held(sessions, values, stored)
     evidence = _evidence(among, [values[mine.session] for mine in among], runs, levels, folder)
     found = find_signals(evidence, cell.operator_signals)
-    return PresenceSignals(found, [_switches(values[mine.session], found) for mine in sessions])
+    switches = [_switches(values[mine.session], found, _begins(runs[mine.session])) for mine in sessions]
+    return PresenceSignals(found, switches)
 
 
 def is_tracked(session: SecondPassResult) -> bool:
@@ -170,12 +172,22 @@ def _held_events(
     return found
 
 
-def _switches(values: Mapping[str, SignalChanges], found: FoundSignals) -> dict[str, TwoStateSignal]:
-    return {
-        one.name: TwoStateSignal(values[one.signal].t_s, values[one.signal].value == one.occupied)
-        for one in found.cards
-        if one.signal in values
-    }
+def _switches(values: Mapping[str, SignalChanges], found: FoundSignals, begins_s: Vector) -> dict[str, TwoStateSignal]:
+    switches = {}
+    for one in found.cards:
+        if one.signal not in values or (one.reset is not None and one.reset not in values):
+            continue
+        changes, on = values[one.signal], one.occupied
+        if one.reset is not None:
+            begins = begins_of(one.signal, begins_s)
+            changes, on = latched(changes, on, values[one.reset], one.reset_at, begins), ON
+        switches[one.name] = TwoStateSignal(changes.t_s, changes.value == on)
+    return switches
+
+
+def _begins(runs: Sequence[Run]) -> Vector:
+    """Return the times at which a robot log begins, or goes on after a gap, session time, s."""
+    return np.array([run.time_at(0) for run in runs])
 
 
 def _evidence(
@@ -209,6 +221,9 @@ def _evidence(
         signals=_joined(values, shifts),
         levels=levels,
         period_s=float(np.median([run.period_s for mine in sessions for run in runs[mine.session]])),
+        begins_s=np.concatenate(
+            [_begins(runs[mine.session]) + at for mine, at in zip(sessions, shifts, strict=True)] or [np.empty(0)]
+        ),
     )
 
 

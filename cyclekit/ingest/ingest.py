@@ -263,7 +263,7 @@ def _with_waits(derived: Derived, read: Read, stored: Stored, cell: Cell) -> tup
     last one are included.
     """
     tasks, bits = derived.tasks, partial(logged_bits, stored=stored)
-    fields = [one.signal for one in derived.operator_signals]
+    fields = [name for one in derived.operator_signals for name in (one.signal, one.reset) if name]
     courses = courses_of(derived.executions, tasks, derived.recordings, read, bits, fields)
     coupling = learn_executions(courses, tasks, cell.waits)
     if coupling is not None and coupling.coupled:

@@ -6,7 +6,7 @@ that a controller or PLC logs change as in real cells: with the gripper, the con
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,9 @@ GRIPPER_BIT, CONVEYOR_BIT, LAMP_BIT, SIDE_BIT = 0, 1, 6, 7
 """Bits unrelated to people: gripper feedback, passing parts, a lamp for slow speed, a bit of the program."""
 NAMES = {GRIPPER_BIT: "gripper_closed", CONVEYOR_BIT: "part_passes", LAMP_BIT: "slow_lamp", SIDE_BIT: "left_side"}
 _FEEDBACK_S, _LAMP_S, _PART_S = 0.04, 0.1, (1.5, 6.0)
+_OPEN, _PRESSED_S, _LATER_S = (0.3, 0.8), 0.3, 60.0
+"""Share of a person's time inside for which the door is open; how long its reset button is pressed; the maximum time
+for which a door stays open after the end of a log."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,9 @@ class Field:
         scaling: Maximum scaling while a person is there.
         robot_polygon_m: It counts only while the TCP is above this polygon; empty: always.
         occupied: Value of its bit while a person is there; 0 for safety outputs.
+        reset_bit: Digital input of the reset button of a door; None: no door. Its bit then shows that it is open: from
+            when the person goes in until he has closed it. He presses the button as he leaves, and until then the
+            robot is stopped.
     """
 
     name: str
@@ -43,6 +49,7 @@ class Field:
     scaling: float
     robot_polygon_m: Points = ()
     occupied: int = 1
+    reset_bit: int | None = None
 
 
 def rule_of(fields: Sequence[Field]) -> Rule:
@@ -68,7 +75,8 @@ def with_inputs(trace: Trace, fields: Sequence[Field], rng: np.random.Generator)
     times = np.asarray(np.arange(len(trace.scaling)) * trace.cycle_s, dtype=np.float64)
     on, inputs = on_of(fields, trace.track.at(times)), np.zeros(len(times), np.int64)
     for k, one in enumerate(fields):
-        inputs |= ((((on >> k) & 1) == one.occupied).astype(np.int64)) << one.bit
+        if one.reset_bit is None:
+            inputs |= ((((on >> k) & 1) == one.occupied).astype(np.int64)) << one.bit
     program, of = trace.program, trace.segment
     late = trace.nominal_s >= 0.5 * program.length_s[of]
     closed = np.where(late, program.closed_after[of], program.closed_before[of])
@@ -79,13 +87,21 @@ def with_inputs(trace: Trace, fields: Sequence[Field], rng: np.random.Generator)
     shown = {GRIPPER_BIT: _later(closed, _FEEDBACK_S, trace.cycle_s), CONVEYOR_BIT: parts, LAMP_BIT: slow}
     for bit, value in (shown | {SIDE_BIT: left}).items():
         inputs |= value.astype(np.int64) << bit
+    for k, one in enumerate(fields):
+        if one.reset_bit is not None:
+            after = times[-1] + np.arange(1, int(_LATER_S / trace.cycle_s)) * trace.cycle_s
+            inside = (on_of(fields, trace.track.at(np.concatenate([times, after]))) >> k) & 1
+            is_open, pressed = _door(inside, trace.cycle_s, rng)
+            inputs |= (is_open[: len(times)] == one.occupied).astype(np.int64) << one.bit
+            inputs |= pressed[: len(times)] << one.reset_bit
     return replace(trace, inputs=inputs if trace.inputs is None else inputs | trace.inputs)
 
 
 def events_of(session: Session, fields: Sequence[Field]) -> tuple[list[float], list[str], list[str]]:
     """Return the signal changes as logged by a PLC: session times, names, values; the initial values come first."""
     robot = session.robot
-    names: Mapping[int, str] = {**NAMES, **{one.bit: one.name for one in fields}}
+    names: dict[int, str] = {**NAMES, **{one.bit: one.name for one in fields}}
+    names |= {one.reset_bit: f"{one.name}_reset" for one in fields if one.reset_bit is not None}
     rows = []
     for bit, name in names.items():
         values = (robot.inputs >> bit) & 1
@@ -93,6 +109,16 @@ def events_of(session: Session, fields: Sequence[Field]) -> tuple[list[float], l
         rows += [(float(robot.t_s[i]), name, str(int(values[i]))) for i in at]
     times, signals, told = zip(*sorted(rows), strict=True)
     return list(times), list(signals), list(told)
+
+
+def _door(inside: Ints, cycle_s: float, rng: np.random.Generator) -> tuple[Ints, Ints]:
+    """Return whether a door is open and its button pressed, for whether a person is inside; shape (N,) each."""
+    change = np.diff(inside, prepend=0, append=0)
+    is_open, pressed = np.zeros(len(inside), np.int64), np.zeros(len(inside), np.int64)
+    for begin, end in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1), strict=True):
+        is_open[begin : begin + int(rng.uniform(*_OPEN) * (end - begin)) + 1] = 1
+        pressed[end : end + round(_PRESSED_S / cycle_s)] = 1
+    return is_open, pressed
 
 
 def _later(values: Ints, by_s: float, cycle_s: float) -> Ints:

@@ -305,8 +305,19 @@ def _light_curtain() -> Scene:
     )
 
 
+def _guard_door() -> Scene:
+    """Return a scene with a guard door: it stops the robot until its reset button is pressed."""
+    fields = (
+        Field("warning", 4, (-1.2, 2.5), (-1.5, 2.0), 0.5),
+        Field("guard_door", 5, (-0.8, 1.3), (0.9, 1.8), 0.0, occupied=0, reset_bit=8),
+    )
+    return replace(_scanner_fields(), name="guard-door", safety=rule_of(fields), fields=fields)
+
+
 TRACKED = (_box_picking(), _pick_and_package(), _laser_zones(), _scanner_visits())
-BUILT_IN: dict[str, Scene] = {scene.name: scene for scene in (*TRACKED, _scanner_fields(), _light_curtain())}
+BUILT_IN: dict[str, Scene] = {
+    scene.name: scene for scene in (*TRACKED, _scanner_fields(), _light_curtain(), _guard_door())
+}
 SCENES: tuple[str, ...] = tuple(scene.name for scene in TRACKED)
 """Scenes with a tracker."""
 FIELD_SCENES: tuple[str, ...] = tuple(name for name in BUILT_IN if name not in SCENES)

@@ -116,6 +116,8 @@ class OperatorSignalCard(Card, frozen=True, kw_only=True):
         signal: The signal in the logs: `digital-input 3`, or the name of an event.
         recording: Id of its recording; None: each session has its own recording of it.
         occupied: Value, as text, while a person is present.
+        reset: Signal of the reset button, if the stop lasts until it is pressed after the signal is free again.
+        reset_at: Value, as text, to which it changes at the reset; empty without a reset.
         delay_s: Time from its change to the start of the speed change.
         explained: Share of the time lost to speed scaling that is explained by it and the signals before it.
         told: Whether the cell file names it; False if it was found in the logs.
@@ -125,6 +127,8 @@ class OperatorSignalCard(Card, frozen=True, kw_only=True):
     signal: Name
     recording: str | None = None
     occupied: str
+    reset: Name | None = None
+    reset_at: str = ""
     delay_s: Duration = 0.0
     explained: Fraction = 0.0
     told: bool = False

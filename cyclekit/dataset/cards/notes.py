@@ -232,6 +232,11 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "{explained:.0%} of the lost time is explained; if that is wrong, name the right signals: "
         "[[operator_signals]] in cell.toml"
     ),
+    "operator-stop": (
+        "{signal} = {occupied} is taken as a person's presence, which lasts until {reset} changes to {reset_at} (a "
+        "reset button): the speed responds {delay_s:.2f} s later, and {explained:.0%} of the lost time is explained; "
+        "if that is wrong, name the right signals: [[operator_signals]] in cell.toml"
+    ),
     "signals-follow": (
         "no signal of people was found; {signals} change {late_s:.2f} s after the speed, as a lamp does: "
         "if it is a field that is logged late, name it under [[operator_signals]] in cell.toml"

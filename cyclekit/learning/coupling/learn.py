@@ -55,7 +55,7 @@ def learn_coupling(dataset: Dataset) -> CouplingCard | None:
         every, mine = dataset.every_task(), dataset.tasks()
     except DatasetError:  # without tasks the safety function can still be learned
         return None
-    fields = [one.signal for one in dataset.card.operator_signals]
+    fields = [name for one in dataset.card.operator_signals for name in (one.signal, one.reset) if name]
     courses = courses_of(dataset.card.executions, every, dataset.recordings, dataset.recorded, dataset.bits, fields)
     return learn_executions(courses, mine, dataset.card.settings.waits)
 

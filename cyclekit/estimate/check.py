@@ -21,6 +21,7 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.bias import bias_of, half_width_95
 from cyclekit.estimate.conformal import conformal, holds
 from cyclekit.estimate.history import TaskTimes, chance_of_logs, order_error
+from cyclekit.estimate.log_level import LogLevel, log_level
 from cyclekit.estimate.logged import (
     beginnings,
     logged_durations,
@@ -90,6 +91,8 @@ class Check:
         operator: Comparison of the operator model with the logged tracks; None if the model is these tracks.
         unseen_error: Standard deviation of the model's error because the logs do not show people, or what the robot
             waits for.
+        level: Logged and rolled-out durations of the logged orders, to correct estimates if the logs do not show
+            people; None if they do.
         spread: Factor on the deviations of cycles from their mean, so that they scatter as logged executions of other
             orders do about their expected durations; 1 if the logs show people.
     """
@@ -108,6 +111,7 @@ class Check:
     operator: OperatorModel | None = None
     unseen_error: float = 0.0
     spread: float = 1.0
+    level: LogLevel | None = None
 
     @property
     def phases(self) -> int | None:
@@ -116,11 +120,13 @@ class Check:
 
     @property
     def factor(self) -> float:
-        """Factor on a rolled-out duration that corrects the bias with the own operator tracks.
+        """Factor on a rolled-out duration that corrects the bias with the own operator tracks, or that of `level`.
 
         The bias is shrunk towards 0 by its uncertainty (a positive-part James-Stein weight): a bias far above its
         standard error is corrected, one below it is not.
         """
+        if self.level is not None:
+            return self.level.factor
         return 1.0 / (1.0 + self.own_bias * self._sure)
 
     @property
@@ -212,7 +218,9 @@ class Check:
     def to_dict(self) -> dict[str, object]:
         """Return the validation as plain JSON values."""
         out = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
-        return out | {"doubts": list(self.doubts), "operator": self.operator.to_dict() if self.operator else None}
+        level = self.level.factor if self.level else None
+        operator = self.operator.to_dict() if self.operator else None
+        return out | {"doubts": list(self.doubts), "operator": operator, "level": level}
 
 
 @one_thread()
@@ -258,16 +266,23 @@ def check_rollout(
     unseen = set(model.card.held_out)
     held_out = np.array([sequence.name in unseen for sequence in sequences])
     others[np.isinf(others)] = np.nan
-    found = compare(logged, own, others, held_out, levels)
+    part = model.unseen_error if isinstance(model, OnStates) else 0.0
+    level = None
+    if part:
+        names, every = [sequence.name for sequence in sequences], others
+        if entries.at_any_instant:
+            every = with_other_tracks(model, dataset, sequences, nominal, entries, seed=seed)
+        level = log_level(names, logged, every, entries.executions)
+    found = replace(compare(logged, own, others, held_out, levels), level=level)
     some = np.isfinite(others).any(axis=1)
     means = np.full(len(sequences), np.nan)
     means[some] = np.nanmean(others[some], axis=1) * found.factor
-    part = model.unseen_error if isinstance(model, OnStates) else 0.0
     unseen_error, spread = unseen_people(part, logged / means, others[some])
     times, chance = TaskTimes(dataset), np.zeros(len(sequences))
     if isinstance(model, OnStates):  # few operator tracks are simulated, so chance causes most of the difference
         together = TOGETHER if tracks.runs_on else 1
-        chance = chance_of_logs(times, sequences, others, tracks.executions, together)
+        moved = 1.0 if level is None else level.resampled(tracks, 0)
+        chance = chance_of_logs(times, sequences, others, tracks.executions, together, moved)
     return replace(
         found,
         order_error=order_error(times, sequences, means, chance),

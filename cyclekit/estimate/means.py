@@ -61,7 +61,20 @@ def history_of(ask: Question, tracks: OperatorTracks | None) -> History | None:
     return History(times, resampled_alike(tracks.executions, times.executions, ask.seed, together=together))
 
 
-def means_of(ask: Question, sequence: TaskSequence, cycles: Rolled, weights: Floats, history: History | None) -> Means:
+def level_of(ask: Question, tracks: OperatorTracks | None) -> Vector | None:
+    """Return the factor of the level of the logs in each resample, relative to its value; None without one."""
+    level = ask.check.level if ask.check else None
+    return None if level is None or tracks is None else level.resampled(tracks, ask.seed)
+
+
+def means_of(
+    ask: Question,
+    sequence: TaskSequence,
+    cycles: Rolled,
+    weights: Floats,
+    history: History | None,
+    level: Vector | None = None,
+) -> Means:
     """Return the mean of the cycles of one sequence.
 
     Args:
@@ -70,11 +83,14 @@ def means_of(ask: Question, sequence: TaskSequence, cycles: Rolled, weights: Flo
         cycles: K cycles of it, as simulated.
         weights: Weights of the cycles in each resample of the logs, shape (resamples, K).
         history: Logged durations of its tasks; None if they do not apply.
+        level: Result of `level_of`, shape (resamples,).
     """
     check = ask.check
     resampled_s = cycles.resampled_means(weights)
     if check is None:
         return Means(1.0, resampled_s, 0.0, 2)
+    if level is not None:
+        resampled_s = resampled_s * level
     factor = check.factor * (ask.altered.moved.get(sequence.name, 1.0) if ask.altered else 1.0)
     alone = Means(factor, resampled_s * factor, check.model_error, len(check.residuals))
     if history is None or check.order_error is None or not history.times.knows(sequence.tasks):

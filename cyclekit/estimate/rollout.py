@@ -28,7 +28,7 @@ from cyclekit.estimate.limits import (
     validated,
     with_work,
 )
-from cyclekit.estimate.means import history_of, means_of
+from cyclekit.estimate.means import history_of, level_of, means_of
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.question import Altered, Question
@@ -148,11 +148,11 @@ def estimate(
         if not mine:
             continue
         weights = _weights(ask, rolled[0], tracks)
-        history = history_of(ask, tracks) if operator is None else None
+        history, level = history_of(ask, tracks) if operator is None else None, level_of(ask, tracks)
         for sequence, cycles in zip(mine, rolled, strict=True):
             tasks = programs[sequence].tasks
             pooled = None if any(task.by_work for task in tasks) else history  # of all works
-            mean = means_of(ask, sequence, cycles, weights, pooled)
+            mean = means_of(ask, sequence, cycles, weights, pooled, level)
             entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights, mean)
             entry, of_other_work, of_work = with_work(entry, tasks)
             doubts = (*unseen, *of_other_work, *doubts_of(cycles, entry, check), *unknown)

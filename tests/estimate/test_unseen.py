@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ModelError
 from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.learning.networks.saved import load_model
 from cyclekit.learning.unseen.model import NOBODY_SEEN, UnseenOperator
@@ -70,6 +72,23 @@ def test_beside_its_own_states_each_execution_takes_as_long_as_logged(
     (found,) = estimate_cycles(unseen[0], robot_alone, TaskSequence("asked", routes[0]))
     assert found.check is not None
     assert abs(found.check.own_bias) < 0.01
+
+
+def test_estimates_have_the_level_of_the_logs(
+    robot_alone: Dataset, unseen: tuple[UnseenOperator, Path], routes: list[tuple[str, ...]]
+) -> None:
+    orders = [TaskSequence(f"{number}", route) for number, route in enumerate(dict.fromkeys(routes))]
+    found = estimate(unseen[0], robot_alone, orders)
+    mean_s = np.mean([one.combined.rollout_s if one.combined else one.expected_s for one in found])
+    assert mean_s == pytest.approx(robot_alone.executions["duration_s"].mean(), rel=0.005)
+    check = found[0].check
+    assert check is not None
+    assert check.level is not None
+    longer = replace(check.level, logged_s=tuple(1.05 * s for s in check.level.logged_s))
+    moved = estimate(unseen[0], robot_alone, orders[:1], check=replace(check, level=longer, order_error=None))
+    usual = estimate(unseen[0], robot_alone, orders[:1], check=replace(check, order_error=None))
+    assert moved[0].expected_s == pytest.approx(1.05 * usual[0].expected_s)
+    assert moved[0].expected_high_s == pytest.approx(1.05 * usual[0].expected_high_s)
 
 
 def test_tracks_hold_states_in_place_of_positions(robot_alone: Dataset, unseen: tuple[UnseenOperator, Path]) -> None:

@@ -184,12 +184,7 @@ def _left(part: RobotRun, at: int, place_m: Vector, vague_s: float) -> tuple[flo
         slope, level = np.polyfit(nominal[seen], np.cbrt(off[seen]), 1)
         if slope > 0.0:
             began = min(float(-level / slope), began)
-    return _instant(
-        t_s,
-        nominal,
-        (s <= BLOCKED) & (wide <= wide_reach) & (np.abs(nominal - began) <= max(vague_s, 1.5 * period_s)),
-        began,
-    )
+    return _instant(t_s, nominal, (s <= BLOCKED) & (wide <= wide_reach), began, max(vague_s, 1.5 * period_s))
 
 
 def _seen(off: Vector, s: Vector, midway: Bools, reach: float, rest: int, half: int) -> Ints:
@@ -205,12 +200,17 @@ def _seen(off: Vector, s: Vector, midway: Bools, reach: float, rest: int, half: 
     return before if len(before) >= 3 else seen
 
 
-def _instant(t_s: Vector, nominal: Vector, halted: Bools, began: float) -> tuple[float, float]:
-    """Return start and end of the time at which nominal time was `began`: equal, unless rows are `halted` there."""
-    halt = np.flatnonzero(halted)
+def _instant(t_s: Vector, nominal: Vector, halted: Bools, began: float, vague_s: float) -> tuple[float, float]:
+    """Return start and end of the time at which nominal time was `began`: equal, unless rows are `halted` there.
+
+    A ramp to the halt is part of it, as far as nominal time is within `vague_s` of `began`: the robot may have left on
+    it, too slowly to be seen.
+    """
+    halt = np.flatnonzero(halted & (np.abs(nominal - began) <= vague_s))
     if len(halt):
+        first = min(int(nominal.searchsorted(began - vague_s)), int(halt[0]))
         last = min(int(halt[-1]) + 1, len(t_s) - 1)
-        return float(t_s[int(halt[0])]), float(t_s[last])
+        return float(t_s[first]), float(t_s[last])
     rising = np.concatenate([[True], nominal[1:] > nominal[:-1]])
     when = float(np.interp(began, nominal[rising], t_s[rising]))
     return when, when

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cyclekit.segmentation.arrivals import PlaceStandstill, standstill_at
+from cyclekit.segmentation.dwell import Dwell
 from cyclekit.segmentation.executions import Visit
 from cyclekit.segmentation.motion import PAUSED, ProgramStop, RobotRun
 
@@ -75,6 +76,16 @@ def test_in_a_halt_it_left_at_some_time_in_it_and_if_in_doubt_after_the_usual_pr
     assert standstill.times(1.7) == pytest.approx((ARRIVES, ARRIVES + 1.7), abs=0.03)
     assert standstill.times(0.2) == pytest.approx((ARRIVES, 4.0), abs=0.03)
     assert standstill.times(60.0) == pytest.approx((ARRIVES, 9.0), abs=0.03)
+
+
+def test_on_a_slow_ramp_to_a_halt_it_may_have_left_though_nobody_saw_it_move():
+    """A wait in front of the halt would count the whole halt as wait; the process itself ended on the ramp."""
+    standstill = found(lambda t: min(max(5.1 - t, 0.0), 1.0) if t < 9.0 else min(t - 9.0, 1.0))
+    assert standstill.departed_earliest_s == pytest.approx(LEAVES - 0.05, abs=0.06)
+    assert standstill.left_s == pytest.approx(9.0, abs=0.02)
+    process = Dwell(usual_s=LEAVES - ARRIVES, max_s=LEAVES - ARRIVES + 0.05)
+    assert process.excess_from_s(standstill._replace(left_s=standstill.departed_earliest_s)) is None
+    assert standstill.times(process.usual_s) == pytest.approx((ARRIVES, LEAVES), abs=0.03)
 
 
 def test_in_a_halt_it_arrived_so_long_before_it_left_as_the_process_takes():

@@ -127,7 +127,7 @@ def derive(
         forget()  # free the memory for samples and scaling of many hours
     found = _find_in_all_sessions(sampled, files, to_sample, cell, folder, read, stored)
     if stops := _stops(to_sample, sampled, files, dwells, found, folder):
-        robot = robot.with_stops(stops)
+        robot = robot.with_stops(stops, {key: one for work in to_sample for key, one in work.standstills.items()})
         to_sample, dwells = with_standstills(passes, sessions, robot)
         sampled = passes.over_files(partial(sample, dwells=dwells), to_sample, files, 0.6, 0.85, "samples again")
         found = _find_in_all_sessions(sampled, files, to_sample, cell, folder, read, stored, found.evidence)

@@ -7,11 +7,13 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from cyclekit.dataset.cards import note
 from cyclekit.derive.second_pass import SessionToSample
 from cyclekit.scaling.run_scaling import with_scaling
 from cyclekit.scaling.set_override import MIN_SLOW, never_changes, slow_share
-from cyclekit.segmentation.arrivals import PlaceStandstills, place_standstills
+from cyclekit.segmentation.arrivals import PlaceStandstills, place_standstills, unchanged
 from cyclekit.segmentation.dwell import Dwell, usual_dwells
 from cyclekit.segmentation.executions import Execution, find_executions, find_visits
 from cyclekit.segmentation.places import find_places, with_turns
@@ -58,20 +60,23 @@ class RobotInSessions(NamedTuple):
         places: All places.
         executions: Executions of each run, in order of time.
         warnings: Notes on the scaling and the places.
+        known: Standstills at places that are already known for these runs.
     """
 
     runs: Sequence[Run]
     places: Mapping[str, Place]
     executions: Sequence[Sequence[Execution]]
     warnings: list[Note]
+    known: PlaceStandstills
 
-    def with_stops(self, stops: Sequence[StopAtPlace]) -> RobotInSessions:
-        """Return the same with runs halted at some times."""
+    def with_stops(self, stops: Sequence[StopAtPlace], known: PlaceStandstills) -> RobotInSessions:
+        """Return the same with runs halted at some times; `known`: the standstills without these stops."""
         spans: dict[int, list[tuple[float, float]]] = {}
         for stop in stops:
             spans.setdefault(stop.run, []).append((stop.first_s, stop.last_s))
         runs = [run.with_halts(spans[n]) if n in spans else run for n, run in enumerate(self.runs)]
-        return self._replace(runs=runs)
+        rows = {n: [tuple(self.runs[n].row_at(np.array(span)).tolist()) for span in mine] for n, mine in spans.items()}
+        return self._replace(runs=runs, known=unchanged(known, self.runs, rows))
 
 
 def robot_of(
@@ -108,17 +113,18 @@ def _robot(
     places, executions = _divided(runs, standstills, marks, cell)
     with keeping(KEPT_BYTES):
         overrides = [result.override for result in results]
-        scaled, warnings = with_scaling(runs, executions, places, sessions, overrides, progress, engine)
+        scaled, warnings, standing = with_scaling(runs, executions, places, sessions, overrides, progress, engine)
         known = [number for number, run in enumerate(scaled) if run.knows_scaling and not run.is_inferred]
         new = {number for number in known if not runs[number].knows_scaling}
         if new:  # now that the scaling is known, protective stops are not standstills of the program
             standstills = [stop for stop in standstills if stop.run not in new]
             standstills += [stop for number in sorted(new) for stop in find_standstills(scaled[number], number)]
             places, executions = _divided(scaled, sorted(standstills, key=lambda stop: stop.run), marks, cell)
+            standing = {}  # places may have moved
     by_run: list[list[Execution]] = [[] for _ in scaled]
     for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
         by_run[found.run].append(found)
-    return RobotInSessions(scaled, places, by_run, [*warnings, *visited_once(places, executions)])
+    return RobotInSessions(scaled, places, by_run, [*warnings, *visited_once(places, executions)], standing)
 
 
 def _divided(
@@ -157,12 +163,15 @@ def with_standstills(
     passes: Passes, sessions: Sequence[Session], robot: RobotInSessions
 ) -> tuple[list[SessionToSample], dict[str, Dwell]]:
     """Return the input of the sample pass for each session, and the usual dwell at each place."""
+    known: dict[int, PlaceStandstills] = {}
+    for key, one in robot.known.items():
+        known.setdefault(key[0], {})[key] = one
     works = [
         SessionToSample(
             session,
             {number: robot.runs[number] for number in session.runs},
             [found for number in session.runs for found in robot.executions[number]],
-            {},
+            {key: one for number in session.runs for key, one in known.get(number, {}).items()},
         )
         for session in sessions
     ]
@@ -173,4 +182,4 @@ def with_standstills(
 
 
 def _place_standstills(work: SessionToSample, *, places: Mapping[str, Place]) -> PlaceStandstills:
-    return place_standstills(work.runs, work.executions, places)
+    return place_standstills(work.runs, work.executions, places, known=work.standstills)

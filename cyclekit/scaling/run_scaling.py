@@ -10,7 +10,7 @@ from cyclekit.dataset.cards import Note, note
 from cyclekit.scaling.infer.override import HALTED, Reference, infer_overrides
 from cyclekit.scaling.levels import find_staircase
 from cyclekit.scaling.safety_override import logged_apart
-from cyclekit.segmentation.arrivals import REST_M, PlaceStandstills, place_standstills
+from cyclekit.segmentation.arrivals import REST_M, PlaceStandstills, place_standstills, unchanged
 from cyclekit.segmentation.dwell import Dwell, usual_dwells
 from cyclekit.segmentation.motion import InferredScaling, halted
 
@@ -53,8 +53,8 @@ def with_scaling(
     overrides: Sequence[SafetyOverride | None],
     progress: Progress,
     engine: Engine,
-) -> tuple[list[Run], list[Note]]:
-    """Return the runs, with the scaling inferred if not logged, and notes on the inference.
+) -> tuple[list[Run], list[Note], PlaceStandstills]:
+    """Return the runs, with the scaling inferred if not logged, notes on the inference, and standstills already known.
 
     Args:
         runs: All runs.
@@ -67,11 +67,11 @@ def with_scaling(
     """
     silent = [number for number, run in enumerate(runs) if not run.knows_scaling]
     if not silent:
-        return list(runs), []
+        return list(runs), [], {}
     alone = [number for session in sessions if session.reference for number in session.runs]
     parts, references = infer_overrides(runs, executions, alone, lambda done: progress(done, "speed override"), engine)
     if not references:
-        return list(runs), [note("scaling-unknown", silent=len(silent), runs=len(runs))]
+        return list(runs), [note("scaling-unknown", silent=len(silent), runs=len(runs))], {}
     done = [run if run.knows_scaling else run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
     apart, notes = logged_apart(runs, parts, sessions, overrides)
     left = [number for number in silent if number not in apart]
@@ -82,12 +82,15 @@ def with_scaling(
     with_people = (session for session in sessions if any("people" in one.tables for one in session.recordings))
     watched = {number for session in with_people for number in session.runs}
     mine = [execution for execution in mine if execution.run in watched]
-    halts = halts_at_places(done, mine, place_standstills(done, mine, places), after_halt)
+    standstills = place_standstills(done, mine, places)
+    halts = halts_at_places(done, mine, standstills, after_halt)
+    halted_rows = {n: [(one.first, one.first + len(one.scaling) - 1) for one in halts[n]] for n in left}
+    known = unchanged(standstills, done, halted_rows)
     for number in left:
         done[number] = runs[number].with_scaling([*parts[number], *halts[number]])
     for number, part in apart.items():
         done[number] = runs[number].with_scaling([part], logged_apart=True)
-    return done, [*notes, *([_inferred(len(left), len(runs), references)] if left else [])]
+    return done, [*notes, *([_inferred(len(left), len(runs), references)] if left else [])], known
 
 
 def _inferred(silent: int, runs: int, references: Mapping[str, Sequence[Reference]]) -> Note:

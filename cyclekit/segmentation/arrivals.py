@@ -105,16 +105,51 @@ PlaceStandstills = dict[tuple[int, int, int], PlaceStandstill]
 
 
 def place_standstills(
-    runs: Mapping[int, Run] | Sequence[Run], executions: Sequence[Execution], places: Mapping[str, Place]
+    runs: Mapping[int, Run] | Sequence[Run],
+    executions: Sequence[Execution],
+    places: Mapping[str, Place],
+    known: PlaceStandstills | None = None,
 ) -> PlaceStandstills:
-    """Return the times of arrival and departure at every visit of the executions."""
+    """Return the times of arrival and departure at every visit of the executions; those `known` are kept."""
     found: PlaceStandstills = {}
+    known = known or {}
     for execution in executions:
         for visit in execution.visits:
             key = (execution.run, visit.first, visit.last)
-            if key not in found:
+            if key in known:
+                found[key] = known[key]
+            elif key not in found:
                 found[key] = standstill_at(runs[execution.run], visit, np.asarray(places[visit.place].xyz_m))
     return found
+
+
+def unchanged(
+    standstills: PlaceStandstills,
+    runs: Mapping[int, Run] | Sequence[Run],
+    rows: Mapping[int, Sequence[tuple[int, int]]],
+) -> PlaceStandstills:
+    """Return the standstills that do not depend on these rows of each run.
+
+    Args:
+        standstills: Standstills by run, first and last row.
+        runs: The runs.
+        rows: Rows whose scaling changes, by run: first and last row of each stretch, inclusive.
+    """
+    kept: PlaceStandstills = {}
+    for (number, first, last), standstill in standstills.items():
+        if spans := rows.get(number):
+            before, after = _rows_around(runs[number], first, last)
+            if any(begin <= after + 1 and end >= before for begin, end in spans):
+                continue
+        kept[number, first, last] = standstill
+    return kept
+
+
+def _rows_around(run: Run, first: int, last: int) -> tuple[int, int]:
+    """Return the last rows at or before BEYOND_S before row `first` and BEYOND_S after row `last`."""
+    ends = run.time_at(first) - BEYOND_S, run.time_at(last) + BEYOND_S
+    before, after = run.row_at(np.array(ends)).tolist()
+    return before, after
 
 
 def standstill_at(run: Run, visit: Visit, place_m: Vector) -> PlaceStandstill:
@@ -125,9 +160,8 @@ def standstill_at(run: Run, visit: Visit, place_m: Vector) -> PlaceStandstill:
         visit: The rows without visible motion.
         place_m: The place, shape (3,), m.
     """
-    ends = run.time_at(visit.first) - BEYOND_S, run.time_at(visit.last) + BEYOND_S
-    before, after = run.row_at(np.array(ends)).tolist()
     first, last = visit.first, visit.last
+    before, after = _rows_around(run, first, last)
     head = run.window(before, min(last, first + _LONG_ROWS // 2))
     tail = run.window(max(first, last - _LONG_ROWS // 2), min(after + 1, run.rows - 1))
     vague_s = INFERRED_S if run.is_inferred else VAGUE_S

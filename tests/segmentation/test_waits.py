@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from cyclekit.config import Executions
-from cyclekit.segmentation.arrivals import place_standstills
+from cyclekit.dataset.dataset import Place
+from cyclekit.segmentation.arrivals import place_standstills, unchanged
 from cyclekit.segmentation.dwell import usual_dwells
-from cyclekit.segmentation.executions import find_executions, find_visits
-from cyclekit.segmentation.motion import RobotRun
+from cyclekit.segmentation.executions import Execution, find_executions, find_visits
+from cyclekit.segmentation.motion import InferredScaling, RobotRun
 from cyclekit.segmentation.places import find_places
 from cyclekit.segmentation.standstills import find_standstills
 from cyclekit.segmentation.time_account import ExecutedTask, time_account
@@ -43,13 +44,17 @@ def _run(halted_s: float = 0.0, at_end: tuple[tuple[float, float], ...] = ()) ->
     return RobotRun(t_s, xyz, np.asarray(speed, np.float64), np.concatenate(scaling))
 
 
-def _legs(run: RobotRun) -> list[ExecutedTask]:
+def _found(run: RobotRun) -> tuple[list[Execution], dict[str, Place]]:
     stops = find_standstills(run, 0)
     places = find_places([run], stops, {})
     assert sorted(round(place.xyz_m[0], 2) for place in places.values()) == [0.0, END_M]
     visits = find_visits(stops, places, [run])
     executions = find_executions(visits, places, Executions("file"), [np.empty(0, np.int64)])
-    executions = with_waits(executions, stops, [run])
+    return with_waits(executions, stops, [run]), places
+
+
+def _legs(run: RobotRun) -> list[ExecutedTask]:
+    executions, places = _found(run)
     standstills = place_standstills([run], executions, places)
     return time_account(run, executions[0], standstills, usual_dwells(executions, standstills))
 
@@ -83,3 +88,22 @@ def test_who_waits_at_a_place_when_safety_halts_it_waits_on() -> None:
         assert there.dwell_s == pytest.approx(DWELL_S, abs=0.1)
         assert there.end_s - there.arrival_s - there.dwell_s == pytest.approx(wait_s + held_s * (wait_s > 0), abs=0.2)
         assert back.safety_loss_s == pytest.approx(held_s if wait_s == 0.0 else 0.0, abs=0.1)
+
+
+def test_standstills_beside_no_changed_row_are_not_read_again() -> None:
+    run = _run(at_end=((0.0, 0.0), (3.0, 0.0)) * 4)
+    executions, places = _found(run)
+    whole = InferredScaling(0, run.scaling, np.zeros(run.rows), np.zeros(run.rows, np.int8))
+    run = run.with_scaling([whole])
+    before = place_standstills([run], executions, places)
+    key, longest = max(before.items(), key=lambda item: item[1].lasts_s)
+    span_s = longest.left_s - 1.0, longest.left_s
+    stopped = run.with_halts([span_s])
+    first, last = run.row_at(np.array(span_s)).tolist()
+    known = unchanged(before, [run], {0: [(first, last)]})
+    assert known.keys() == before.keys() - {key}
+    after = place_standstills([stopped], executions, places, known)
+    assert after == place_standstills([stopped], executions, places)
+    assert after[key].halted
+    assert not longest.halted
+    assert after[next(iter(known))] is known[next(iter(known))]

@@ -35,6 +35,7 @@ class ReadOptions:
         role: Use of the log, where it could serve as several.
         map: Column mapping and units of a generic CSV, and topic names of a bag (`[sources.map]` in cell.toml).
         body: Name of the rigid body, marker or topic that is the person, where a log has several.
+        flange: Name of a body on the robot's flange, read beside `body`: it aligns the clocks, and is no person.
         rate_hz: Sampling rate of a log without timestamps, Hz; it has to be given and is never guessed.
         skeletons: Also fill `Recording.skeletons`, where the log has them. Personal data: only on request.
         frame_given: The cell file gives the pose of this log's frame, so positions stay in that frame, even where the
@@ -46,6 +47,7 @@ class ReadOptions:
     role: Role | None = None
     map: Mapping[str, object] = field(default_factory=dict)
     body: str | None = None
+    flange: str | None = None
     rate_hz: float | None = None
     skeletons: bool = False
     frame_given: bool = False

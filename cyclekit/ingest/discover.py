@@ -286,6 +286,7 @@ def options_of(source: Source | None, *, skeletons: bool = False) -> ReadOptions
         role=source.role,
         map=source.map,
         body=source.body,
+        flange=source.sees_as,
         rate_hz=source.rate_hz,
         frame_given=source.frame is not None,
         skeletons=skeletons,

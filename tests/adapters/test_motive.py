@@ -1,7 +1,9 @@
 import pytest
 
 from cyclekit.adapter import ReadOptions
+from cyclekit.config import Source
 from cyclekit.errors import DamagedLog, LogError, UnknownName
+from cyclekit.ingest.discover import options_of
 from cyclekit_adapters.formats.motive import ADAPTER
 
 
@@ -57,6 +59,19 @@ def test_several_bodies_are_several_people_unless_one_is_chosen(tmp_path, motive
     with pytest.raises(LogError, match="'helmet'") as refusal:
         read(tmp_path / "take.csv", text, body="helmet")
     assert refusal.value.nearest == "Helmet"
+
+
+def test_a_body_on_the_flange_is_read_beside_the_named_person_and_is_no_person(tmp_path, motive):
+    text = motive({"Helmet": [(1.0, 0, 0)], "Box": [(2.0, 0, 0)], "Flange": [None]})
+    source = Source("take.csv", role="people", body="Helmet", sees="tcp", sees_as="Flange")
+    (tmp_path / "take.csv").write_text(text, "utf-8", newline="")
+    log = ADAPTER.read(tmp_path / "take.csv", options_of(source))
+    assert dict(log.people.select("person", "x_m").rows()) == {"Flange": None, "Helmet": 1.0}
+    assert log.warnings == ()
+    both = read(tmp_path / "take.csv", text, flange="Flange")
+    assert sorted(both.people["person"].to_list()) == ["Box", "Flange", "Helmet"]
+    assert any("2 bodies tracked (Helmet, Box)" in said for said in both.warnings)
+    assert read(tmp_path / "take.csv", text, body="Box", flange="Flang").people["person"].to_list() == ["Box"]
 
 
 def test_a_skeleton_is_tracked_by_its_hip(tmp_path, motive):

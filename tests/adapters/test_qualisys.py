@@ -124,6 +124,9 @@ def test_rigid_bodies_are_people_by_their_names_at_their_origin(tmp_path, apart)
     assert any("2 bodies tracked" in said for said in log.warnings)
     assert log.facts["point"] == "origin of the rigid body"
     assert read(tmp_path / "walk.tsv", text, body="box").people["x_m"].to_list() == [0.005, None]
+    with_flange = read(tmp_path / "walk.tsv", text, body="helmet", flange="box")
+    assert sorted(set(with_flange.people["person"])) == ["box", "helmet"]
+    assert not any("bodies tracked" in said or "'box'" in said for said in with_flange.warnings)
     with pytest.raises(LogError, match="'helm'") as refusal:
         read(tmp_path / "walk.tsv", text, body="helm")
     assert refusal.value.nearest == "helmet"

@@ -54,7 +54,7 @@ class _C3d:
         table = people_table(people, places, t_s, rows)
         seen = PersonCounts()
         seen.add(table)
-        messages = marker_warnings(people, seen)
+        messages = marker_warnings(people, seen, options.flange)
         cut = log.frames_stated - len(places)
         if cut:
             messages.append(f"the file is cut: {cut} of {log.frames_stated} frames are missing at its end")

@@ -79,6 +79,8 @@ class _MotiveCsv:
         header = _header(path)
         metres = _metres(path, header)
         people = _people_of(path, header, options.body)
+        if options.flange is not None and any(name == options.flange for _, name in header.points):
+            people = people | _people_of(path, header, options.flange)
         bones = _bones(header, options.body) if options.skeletons else {}
         clock, seen = header.clock, PersonCounts()
 
@@ -102,7 +104,7 @@ class _MotiveCsv:
         def finish(last: Recording) -> Recording:
             facts = {key: value for key, value in header.about.items() if value}
             facts |= {"tracked": ", ".join(people), "names_in_file": ", ".join(name for _, name in header.points)}
-            messages = (*clock.warnings(), *_warnings(header, people, seen, options.body))
+            messages = (*clock.warnings(), *_warnings(header, people, seen, options))
             return replace(last, warnings=messages, facts=facts)
 
         points = [*people.values(), *(list(joints.values()) for joints in bones.values())]
@@ -263,14 +265,15 @@ def _track(frame: pl.DataFrame, name: str, points: _Points, metres: float) -> pl
     return frame.select("t_s", pl.lit(name).alias("person"), "source_row", **axes)
 
 
-def _warnings(header: _Header, people: dict[str, _Points], seen: PersonCounts, body: str | None) -> list[str]:
-    messages = []
+def _warnings(header: _Header, tracked: dict[str, _Points], seen: PersonCounts, options: ReadOptions) -> list[str]:
+    messages, body = [], options.body
+    people = {name: points for name, points in tracked.items() if name != options.flange}
     kinds = {kind for kind, _ in header.points}
     if body is None and len(people) > 1:
         messages.append(f"{len(people)} bodies tracked ({', '.join(people)}): name the operator with `body`")
     if body is None and not kinds & {_BODY, _BONE} and any(name.startswith("Unlabeled") for name in people):
         messages.append("only unlabelled markers: one marker may be split over several tracks")
-    things = [name for kind, name in header.points if kind == _BODY]
+    things = [name for kind, name in header.points if kind == _BODY and name != options.flange]
     if body is None and things and _BONE in kinds:
         messages.append(
             f"the skeleton is the person: rigid bodies ({', '.join(things)}) are left out; name one with `body`"
@@ -280,7 +283,7 @@ def _warnings(header: _Header, people: dict[str, _Points], seen: PersonCounts, b
         messages.append("some positions are computed, because no camera saw the marker there: export measured markers")
     if any(len(points) > 1 for points in people.values()):
         messages.append("the person's position is the middle of the visible markers; it jumps when one is hidden")
-    messages += seen.unseen_messages()
+    messages += seen.unseen_messages(options.flange)
     if seen.back:
         messages.append("time does not increase throughout: the rows were edited or joined")
     return messages

@@ -69,7 +69,11 @@ class _QualisysTsv:
             return replace(part, events=events.pop() if events else empty(EVENTS)) if header.events else part
 
         def finish(last: Recording) -> Recording:
-            messages = [*header.clock.warnings(), *marker_warnings(people, seen), *_filled(header, people)]
+            messages = [
+                *header.clock.warnings(),
+                *marker_warnings(people, seen, options.flange),
+                *_filled(header, people),
+            ]
             if seen.back:
                 messages.append("time does not increase throughout: the rows were edited or joined")
             facts = {
@@ -92,7 +96,7 @@ def _people(path: Path, header: QualisysHeader, options: ReadOptions) -> People:
     if options.body is not None:
         if options.body not in tracks:
             return choose_people(path, header.names, options, "Qualisys")  # raises with the list of names
-        tracks = {options.body: tracks[options.body]}
+        tracks = {name: at for name, at in tracks.items() if name in (options.body, options.flange)}
     return People(tracks, "origin of the rigid body")
 
 

@@ -69,7 +69,7 @@ class _Trc:
             return part
 
         def finish(last: Recording) -> Recording:
-            messages = [*header.clock.warnings(), *marker_warnings(people, seen), *_cut(header, seen)]
+            messages = [*header.clock.warnings(), *marker_warnings(people, seen, options.flange), *_cut(header, seen)]
             if seen.back:
                 messages.append("time does not increase throughout: the rows were edited or joined")
             if not given and why.startswith(_UNCLEAR):

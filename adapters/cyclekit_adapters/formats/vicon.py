@@ -76,7 +76,7 @@ class _ViconCsv:
             return recording_of(here, names, points, t_s, rows, seen, options=options, up=which)
 
         def finish(last: Recording) -> Recording:
-            messages = marker_warnings(people, seen)
+            messages = marker_warnings(people, seen, options.flange)
             if seen.back:
                 messages.append("frames do not increase throughout: the rows were edited or joined")
             messages += _not_read(log)
@@ -107,7 +107,9 @@ def _people(path: Path, section: str, names: Sequence[str], options: ReadOptions
         return people
     if any(is_pelvis(name) or ":" in name for name in names):
         return replace(people, point="origin of the pelvis") if "pelvis" in people.point else people
-    tracks = {name: [index] for index, name in enumerate(names) if options.body in (None, name)}
+    tracks = {
+        name: [index] for index, name in enumerate(names) if options.body in (None, name) or name == options.flange
+    }
     return People(tracks, "origin of the object")
 
 

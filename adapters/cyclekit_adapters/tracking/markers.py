@@ -230,18 +230,19 @@ def recording_of(
     )
 
 
-def marker_warnings(people: People, seen: PersonCounts) -> list[str]:
-    """Return warnings about the choice of markers, and the number of frames in which they were hidden."""
+def marker_warnings(people: People, seen: PersonCounts, flange: str | None = None) -> list[str]:
+    """Return warnings about the choice of markers, and the number of frames in which people were hidden."""
     found = []
-    if len(people.tracks) > 1:
-        found.append(f"{len(people.tracks)} bodies tracked ({', '.join(people.tracks)}): name the operator with `body`")
+    tracked = [name for name in people.tracks if name != flange]
+    if len(tracked) > 1:
+        found.append(f"{len(tracked)} bodies tracked ({', '.join(tracked)}): name the operator with `body`")
     if "all markers" in people.point:
         found.append(
             "no marker has a known pelvis name: the person is the middle of all markers; set `body` or `markers`"
         )
     if any(len(members) > 1 for members in people.tracks.values()):
         found.append("the person's position is the middle of the visible markers; it shifts when one is hidden")
-    return found + seen.unseen_messages()
+    return found + seen.unseen_messages(flange)
 
 
 def marker_facts(people: People, names: Sequence[str]) -> dict[str, str]:

@@ -48,12 +48,12 @@ class PersonCounts:
         self.back += int(((t_s < before) if repeats else (t_s <= before)).sum())
         self._last_s = float(t_s[-1])
 
-    def unseen_messages(self) -> list[str]:
-        """Return messages with the number of frames in which each person is not seen."""
+    def unseen_messages(self, flange: str | None = None) -> list[str]:
+        """Return messages with the number of frames in which each person is not seen; `flange` is no person."""
         return [
             f"{person!r} is not seen in {count} of {self.rows[person]} frames"
             for person, count in self.unseen.items()
-            if count
+            if count and person != flange
         ]
 
     def require(self, path: Path, body: str | None) -> None:

@@ -239,7 +239,7 @@ def first_sequence(dataset: Dataset) -> tuple[TaskSequence, int, int]:
         raise DatasetError(f"{dataset.place}: no complete execution in it, so no order was logged", cure=cure)
     none = doubtful_places(dataset) if dataset.positions else set[str]()
     ((order, count),) = Counter([order for order in orders if not none & set(order)] or orders).most_common(1)
-    name = f"order of {count} of {len(orders)} executions"
+    name = "usual order" if count > 1 else "a logged order"
     if dataset.holds_task_lists_alone:
         return TaskSequence.of_plan(name, [PlannedTask(agent, task) for agent, task in order]), count, len(orders)
     return TaskSequence(name, order), count, len(orders)

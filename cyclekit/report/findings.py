@@ -267,6 +267,12 @@ def sample_s(samples: pl.DataFrame) -> float:
     return float(step) if step else 0.0
 
 
+def slowed() -> pl.Expr:
+    """Return which samples lose time to a slow-down, which a robot that waits or is paused does not."""
+    waits = pl.col("lost_to").is_in(["wait", "pause"]).fill_null(value=False)
+    return pl.col("robot_moving") & (pl.col("scaling") < FULL) & ~waits
+
+
 def losses(samples: pl.DataFrame, executions: int) -> list[Loss]:
     """Return the time lost per operator task, the largest first.
 
@@ -274,7 +280,7 @@ def losses(samples: pl.DataFrame, executions: int) -> list[Loss]:
         samples: Samples of all executions.
         executions: Number of executions, by which the sums are divided.
     """
-    slow = samples.filter(pl.col("robot_moving") & (pl.col("scaling") < FULL) & pl.col("robot_task").is_not_null())
+    slow = samples.filter(slowed() & pl.col("robot_task").is_not_null())
     if slow.is_empty() or not executions:
         return []
     per = sample_s(samples) / executions

@@ -15,7 +15,7 @@ import polars as pl
 from cyclekit.learning.rules.safety import RuleSafety
 from cyclekit.learning.rules.shapes import RuleShape, shapes_of
 from cyclekit.plots.labels import CellOnFloor
-from cyclekit.report.findings import FULL, sample_s
+from cyclekit.report.findings import sample_s, slowed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -71,7 +71,7 @@ def floor_plan(dataset: Dataset, samples: pl.DataFrame, model: Predicts | None =
     column, row = ((pl.col(f"human_{axis}_m") / CELL_M).floor() for axis in "xy")
     seen = seen.with_columns(column=column, row=row)
     per = sample_s(samples) / max(1, dataset.executions.height)
-    lost = seen.filter(pl.col("robot_moving") & (pl.col("scaling") < FULL))
+    lost = seen.filter(slowed())
     usable = model if model is not None and model.problem == "now" else None
     first = samples.filter(pl.col("execution") == samples["execution"][0])
     robot_m = first.sort("t_s").select("robot_x_m", "robot_y_m").to_numpy().astype(np.float64)

@@ -346,7 +346,7 @@ def test_a_project_of_task_lists_reports_its_plans(tmp_path: Path, monkeypatch, 
     done = cyclekit("run")
     assert done.code == 0, done.out
     assert "Who waits for what" in Path("report.html").read_text(encoding="utf-8")
-    assert re.search(r"order of \d of 8 executions", Path("report.html").read_text(encoding="utf-8"))
+    assert re.search("usual order|a logged order", Path("report.html").read_text(encoding="utf-8"))
     assert " ".join(cyclekit("run").out.split()).count("unchanged") == 4
 
 

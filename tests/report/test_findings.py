@@ -93,6 +93,17 @@ def test_time_lost_is_laid_to_what_the_operator_did(dataset):
     assert [loss.seconds for loss in found] == sorted((loss.seconds for loss in found), reverse=True)
 
 
+def test_waits_and_pauses_at_a_low_scaling_are_no_slow_down(dataset):
+    samples = dataset.samples()
+    slow = pl.col("robot_moving") & (pl.col("scaling") < findings.FULL) & pl.col("robot_task").is_not_null()
+    number = slow.cum_sum()
+    cause = pl.when(number % 3 == 0).then(pl.lit("wait")).when(number % 3 == 1).then(pl.lit("pause")).otherwise(None)
+    some = samples.with_columns(lost_to=pl.when(slow).then(cause))
+    found = sum(each.seconds for each in findings.losses(some, dataset.executions.height))
+    kept = samples.filter(slow & (number % 3 == 2)).select((1 - pl.col("scaling")).sum()).item()
+    assert found == pytest.approx(kept * findings.sample_s(samples) / dataset.executions.height)
+
+
 def test_the_zone_map_is_the_models_mean_over_the_robots_ways(dataset):
     samples = dataset.samples()
     plan = floor_plan(dataset, samples, DistanceModel())

@@ -111,11 +111,6 @@ def test_another_cell_is_refused_with_the_reason(
         refuse_other_cell(card_of(logged), other)
     assert said in str(caught.value)
     assert "--other-cell" in str(caught.value.cure)
-    assert "Train it on them" in str(caught.value.cure)
-    with pytest.raises(ModelError) as own:
-        refuse_biased(BIASED, own=True)
-    assert "It was trained on them" in str(own.value.cure)
-    assert "cyclekit train" not in str(own.value.cure)
     refuse_other_cell(card_of(logged), other, other_cell=True)
     refuse_other_cell(TrainingCard(), other)  # a function that was written by hand is of no cell
 
@@ -144,6 +139,11 @@ def test_a_bias_beyond_ten_percent_is_refused_and_one_beyond_three_stands_above_
     with pytest.raises(ModelError, match=r"\+20.0% .* on 40 logged executions") as caught:
         refuse_biased(BIASED)
     assert "--other-cell" in str(caught.value.cure)
+    assert "Train it on them" in str(caught.value.cure)
+    with pytest.raises(ModelError) as own:
+        refuse_biased(BIASED, own=True)
+    assert "It was trained on them" in str(own.value.cure)
+    assert "cyclekit train" not in str(own.value.cure)
     refuse_biased(replace(BIASED, own_error=0.07))  # chance
     warned = replace(BIASED, own_bias=0.05)
     refuse_biased(warned)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 
 from cyclekit.errors import CyclekitError, EstimateError
 from cyclekit.estimate.conformal import conformal
@@ -137,25 +138,46 @@ def _mean(durations: Vector, judged: HeldOutCard | None, executions: int) -> tup
     if judged is None:
         chance = float(durations.std(ddof=1)) / mean / np.sqrt(executions)
         return mean, mean * (1 - Z95 * chance), mean * (1 + Z95 * chance)
-    biased = abs(judged.bias) > Z95 * judged.within
-    mean /= 1.0 + judged.bias if biased else 1.0
-    error = np.hypot(
-        np.sqrt(max(judged.order_error**2 - (judged.bias**2 if biased else 0.0), 0.0)), judged.learning_error
-    )
+    bias = _bias(judged)
+    mean /= 1.0 + bias
+    error = np.hypot(np.sqrt(max(judged.order_error**2 - bias**2, 0.0)), judged.learning_error)
     return mean, mean * (1 - Z95 * error), mean * (1 + Z95 * error)
 
 
+def _bias(judged: HeldOutCard) -> float:
+    """Return the bias on held-out orders; 0 if it is not significant."""
+    return judged.bias if abs(judged.bias) > Z95 * judged.within else 0.0
+
+
 def _single(durations: Vector, judged: HeldOutCard | None) -> Vector:
-    """Return single cycles with quantiles calibrated on held-out executions, shape (cycles,), s."""
-    if judged is None or len(judged.deviations) < len(LEVELS):
-        return durations
+    """Return single cycles with quantiles calibrated on held-out executions, shape (cycles,), s.
+
+    The bias is corrected in `durations`, and was not in the deviations of held-out executions.
+    """
     mean, sd = float(durations.mean()), float(durations.std(ddof=1))
+    if judged is None or len(judged.deviations) < len(LEVELS):
+        return np.asarray(mean + widening(judged) * (durations - mean))
     deviations = np.array(judged.deviations)
     spread = np.array([conformal(deviations, level) for level in LEVELS])
-    return np.asarray(mean + sd * np.interp(np.linspace(0.0, 1.0, len(durations)), LEVELS, spread))
+    middle = mean * (1.0 + _bias(judged))
+    return np.asarray(middle + sd * np.interp(np.linspace(0.0, 1.0, len(durations)), LEVELS, spread))
+
+
+def widening(judged: HeldOutCard | None) -> float:
+    """Return the factor on the spread of single cycles where held-out executions are too few for their quantiles.
+
+    It is their root mean square deviation, in standard deviations of the rollout, widened as Student's t for the few
+    orders; at least 1.
+    """
+    if judged is None or judged.orders < MIN_ORDERS:
+        return 1.0
+    few = float(stdtrit(judged.orders - 1, 0.95) / ndtri(0.95))
+    return max(few * float(np.sqrt(np.mean(np.square(judged.deviations)))), 1.0)
 
 
 LEVELS = np.linspace(0.0, 1.0, 41)
+MIN_ORDERS = 3
+"""Minimum number of held-out orders to widen the spread of single cycles."""
 
 
 def _within(single: Vector, takt_s: float, error_s: float) -> tuple[float, float, float]:

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from cyclekit.config.sequences import PlannedTask
-from cyclekit.dataset.cards.task_model import TaskModelCard
+from cyclekit.config.sequences import PlannedTask, TaskSequence
+from cyclekit.dataset.cards.task_model import HeldOutCard, TaskModelCard
 from cyclekit.errors import UnknownName
+from cyclekit.estimate.result import CycleEstimate
+from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times.learn import learn_runs
 from cyclekit.learning.task_times.rates import TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
@@ -127,3 +129,36 @@ def test_of_two_robots_a_plan_says_which() -> None:
     model = learn_runs(runs_of(10), {"arm": "robot", "worker": "robot"}, folds=2)
     with pytest.raises(UnknownName, match=r"unknown agent 'robot'\.?\n.*Known: arm, worker\."):
         roll_plan(model, [PlannedTask("robot", "weld")])
+
+
+def _weld_alone(orders: int, bias: float, deviations: np.ndarray) -> CycleEstimate:
+    """The estimate of a weld, about 5.0 +- 0.15 s, by a model with these errors on held-out orders."""
+    model = learn_runs(runs_of(60), AGENTS, folds=2)
+    judged = HeldOutCard(
+        orders=orders, bias=bias, within=0.001, order_error=abs(bias), learning_error=0.0, deviations=tuple(deviations)
+    )
+    plan = TaskSequence.of_plan("weld", [PlannedTask("arm", "weld")])
+    (found,) = estimate_plans(
+        structs.replace(model, held_out=judged), [plan], refused=lambda _, error: pytest.fail(str(error))
+    )
+    return found
+
+
+def test_a_bias_on_held_out_orders_is_corrected_once() -> None:
+    scatter = np.random.default_rng(1).standard_normal(100)
+    rolled = np.array(_weld_alone(2, 0.0, np.zeros(6)).durations_s)
+    plain = _weld_alone(50, 0.0, scatter)
+    biased = _weld_alone(50, 0.1, (scatter - 0.1 * rolled.mean() / rolled.std()) / 1.1)
+    assert biased.expected_s == pytest.approx(plain.expected_s / 1.1)
+    assert plain.quantiles_s[0.5] == pytest.approx(plain.expected_s, rel=0.01)
+    assert biased.quantiles_s[0.5] == pytest.approx(biased.expected_s, rel=0.015)
+
+
+def test_few_held_out_executions_that_scatter_more_than_the_rollout_widen_single_cycles() -> None:
+    def width_s(orders: int, spread: float) -> float:
+        single = _weld_alone(orders, 0.0, spread * np.array([-1.0, 1.0] * 6)).quantiles_s
+        return single[0.95] - single[0.05]
+
+    usual_s = width_s(2, 3.0)  # of so few orders the scatter is not known
+    assert width_s(6, 0.3) == pytest.approx(usual_s)
+    assert width_s(6, 3.0) == pytest.approx(3.0 * usual_s * 2.015 / 1.645, rel=0.01)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.estimate.resample import Z95
-from cyclekit.estimate.task_times import CYCLES, LEVELS
+from cyclekit.estimate.task_times import CYCLES, LEVELS, widening
 from cyclekit.learning.task_times.roll import agent_of
 from cyclekit.report.play.tables import SEED
 
@@ -48,6 +48,7 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
         "seed": SEED,
         "cycles": CYCLES,
         "levels": LEVELS.tolist(),
+        "widening": widening(judged),
         "sure": Z95,
         "takt_s": takt_s,
         "labels": {},

@@ -140,10 +140,13 @@ const rolledPlan = (tasks, asked) => {
   return { plan, start, end, decides };
 };
 
+const biasOf = (check) => (Math.abs(check.bias) > facts.sure * check.within ? check.bias : 0);
+
 const singleOf = (values) => { // task_times._single: ascending where it is corrected by held-out executions
   const deviations = tables.deviations;
-  if (!deviations || deviations.length < facts.levels.length) return values;
-  const [middle, spread] = [mean(values), spreadOf(values)];
+  const [usual, spread] = [mean(values), spreadOf(values)];
+  if (!deviations || deviations.length < facts.levels.length) return values.map((value) => usual + facts.widening * (value - usual));
+  const middle = usual * (1 + biasOf(facts.check));
   const ordered = sorted(deviations);
   const off = facts.levels.map((level) => quantile(ordered, level, true));
   return values.map((_, n) => middle + spread * drawnFrom(off, [n / (values.length - 1)], 0));
@@ -157,9 +160,9 @@ const entryOfList = (tasks, rolled) => {
   const usual = mean(durations);
   let [expected, error] = [usual, spreadOf(durations) / usual / Math.sqrt(facts.executions)];
   if (check) {
-    const biased = Math.abs(check.bias) > sure * check.within;
-    expected = usual / (1 + (biased ? check.bias : 0));
-    error = Math.hypot(Math.sqrt(Math.max(check.order_error ** 2 - (biased ? check.bias ** 2 : 0), 0)), check.learning_error);
+    const bias = biasOf(check);
+    expected = usual / (1 + bias);
+    error = Math.hypot(Math.sqrt(Math.max(check.order_error ** 2 - bias ** 2, 0)), check.learning_error);
   }
   const factor = expected / usual;
   const single = singleOf(durations.map((value) => value * factor));

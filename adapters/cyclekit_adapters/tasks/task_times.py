@@ -14,6 +14,7 @@ import polars as pl
 
 from cyclekit.errors import LogError
 from cyclekit_adapters.tasks.event_table import UNITS, TimeColumn, counted_in, times_of
+from cyclekit_adapters.tasks.repeated_names import named_apart
 from cyclekit_adapters.tasks.task_columns import TIMES, unit_of
 from cyclekit_adapters.text.written_time import written_seconds
 
@@ -83,14 +84,17 @@ def with_seconds(
     )
     zoned = start.clock == "epoch" or (settings.zone is not None and _dated(start))
     plan = _plan_counts_from(cells, {key: _epoch(read[key], settings) for key in _PLAN if key in read}, zoned=zoned)
+    repeated: list[str] = []
     if plan == "execution":
+        if "execution" in cells.columns and "planned_start" in read:
+            cells, repeated = named_apart(cells)
         begin = pl.col("start_s").min()
         if "planned_start" in read:  # the first task may be planned later than 0
             begin -= pl.col("planned_start_s").min().fill_null(0.0)
         begin = begin.over("execution") if "execution" in cells.columns else begin
         cells = cells.with_columns(pl.col(f"{key}_s") + begin for key in _PLAN if key in read)
     lacks = "have no time zone: give time_zone to align them" if _dated(start) else "have no date and cannot be aligned"
-    warnings = [] if zoned or not start.pattern else [f"its times {lacks} with other logs"]
+    warnings = repeated if zoned or not start.pattern else [*repeated, f"its times {lacks} with other logs"]
     facts = {key.replace("_", " "): f"{columns[key]}: {times.why}" for key, times in read.items()}
     if plan is not None:
         facts["plan counts from"] = "the start of each execution" if plan == "execution" else "the zero of the log"

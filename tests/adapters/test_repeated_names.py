@@ -1,0 +1,48 @@
+"""Task lists in which each execution of a recipe has the same name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cyclekit.adapter import ReadOptions, Recording
+from cyclekit_adapters.formats.task_list import ADAPTER
+
+T0 = 1_700_000_000.0
+PLAN = [
+    ("arm", "pick", 0.0, 4.0),
+    ("human", "mount", 2.0, 5.0),
+    ("arm", "place", 4.0, 3.0),
+    ("human", "pack", 8.0, 2.0),
+]
+SWAPPED = [PLAN[1], PLAN[2], PLAN[3], PLAN[0]]
+
+
+def _read(path: Path, runs: list[tuple[str, float, list[tuple[str, str, float, float]]]]) -> Recording:
+    """Write executions (name, start, plan) and read them; each task begins 0.1 s after its planned start."""
+    lines = ["recipe,agent,name,t_start,t_end,t_start_planned"]
+    for name, at, plan in runs:
+        for number, (agent, task, planned, took) in enumerate(plan):
+            start = T0 + at + (planned if plan is PLAN else 5.0 * number) + 0.1
+            lines.append(f"{name},{agent},{task},{start},{start + took},{planned}")
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return ADAPTER.read(path, ReadOptions())
+
+
+@pytest.mark.parametrize("between", [True, False])
+def test_executions_of_the_same_name_are_numbered(tmp_path: Path, between: bool) -> None:
+    other = [("b", 50.0, PLAN)] if between else []
+    log = _read(tmp_path / "a.csv", [("a", 0.0, PLAN), *other, ("a", 100.0, PLAN), ("a", 200.0, PLAN)])
+    assert log.task_list["execution"].unique(maintain_order=True).to_list() == [
+        "a", *(name for name, *_ in other), "a #2", "a #3"
+    ]  # fmt: skip
+    late = log.task_list["t_s"] - log.task_list["planned_start_s"]
+    assert late.to_list() == pytest.approx([0.0] * log.task_list.height, abs=1e-6)
+    assert any("'a' (3 executions)" in text for text in log.warnings)
+
+
+def test_a_task_done_before_its_turn_makes_no_second_execution(tmp_path: Path) -> None:
+    log = _read(tmp_path / "a.csv", [("a", 0.0, SWAPPED), ("b", 100.0, PLAN)])
+    assert set(log.task_list["execution"]) == {"a", "b"}
+    assert log.warnings == ()

@@ -167,6 +167,8 @@ def _rule(found: SafetyFunction) -> str:
 
 
 def _thresholds(found: SafetyFunction) -> str:
+    if not found.thresholds:  # no log holds positions of people
+        return ""
     rows = [
         [
             f"{entry.slower:.2f} -> {entry.faster:.2f}",

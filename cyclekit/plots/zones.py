@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
+NAMED = 4
+"""Maximum number of speeds that a title names."""
+
+
 def draw_curves(axes: Axes, curves: Mapping[str, Curve], spans_m: Sequence[tuple[float, float]], distance: str) -> None:
     """Draw the speed over a distance.
 
@@ -93,16 +97,20 @@ def draw_path(
     for (x, y, speed), slower in zip(squares.tolist(), counts.tolist(), strict=True):
         square(axes, x, y, side_m, colours.scaling_hex(speed) if slower else MUTED)
     axes.update_datalim(np.concatenate([squares[:, :2] - side_m / 2, squares[:, :2] + side_m / 2]))
-    named = ", ".join(f"{100 * speed:.4g} %" for speed in np.unique(squares[counts, 2].round(3)).tolist())
+    speeds = np.unique(squares[counts, 2].round(3)).tolist()
+    named = ", ".join(f"{100 * speed:.4g} %" for speed in speeds)
+    if len(speeds) > NAMED:  # of a network
+        named = f"{100 * speeds[0]:.0f} to {100 * speeds[-1]:.0f} %"
     where = f"{named} on {100 * counts.mean():.0f} % of the path" if counts.any() else "does not count"
     axes.set_title(f"{signal}: {where}", loc="left")
     label_axes(axes, "x, m (base frame)", "y, m (base frame)", None, draw_cell(axes, cell, "base"))
 
 
 def draw_table(axes: Axes, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Draw a table instead of axes; a row with a single text spans all columns."""
+    """Draw a table instead of axes; a row with a single text spans all columns, and needs no heads if it is alone."""
     axes.set_axis_off()
-    for line, row in enumerate([columns, *rows]):
+    lines = [*([columns] if any(len(row) > 1 for row in rows) else []), *rows]
+    for line, row in enumerate(lines):
         for number, text in enumerate(row):
-            at = number / len(columns), 1.0 - (line + 0.5) / (len(rows) + 1)
-            axes.text(*at, text, transform=axes.transAxes, va="center", color=INK if line else MUTED)
+            at = number / len(columns), 1.0 - (line + 0.5) / len(lines)
+            axes.text(*at, text, transform=axes.transAxes, va="center", color=MUTED if row is columns else INK)

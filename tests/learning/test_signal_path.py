@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -79,4 +80,18 @@ def test_without_a_rule_the_network_is_asked_on_the_path(by_network) -> None:
     zones = read_zones(network, Cell())
     assert set(zones.path_speed["stop"]) == {0.3}
     table, *_ = zones.plot().axes
-    assert "no rule explains the logs: speeds by the network" in [one.get_text() for one in table.texts]
+    assert [one.get_text() for one in table.texts] == ["no rule explains the logs: speeds by the network"]
+
+
+def test_of_many_speeds_of_a_network_the_title_names_the_range(by_network) -> None:
+    network, found = by_network
+    found["rule"] = None
+    network.predict = lambda rows: np.where(rows[:, 3:].any(axis=1), 0.3 + 0.2 * np.abs(rows[:, 1]), 1.0)
+    _, *paths = read_zones(network, Cell()).plot().axes
+    assert re.fullmatch(r"stop: 30 to (49|50) % on 100 % of the path", paths[1].get_title(loc="left"))
+
+
+def test_without_positions_of_people_no_thresholds_are_listed() -> None:
+    from cyclekit.cli.zones import _thresholds
+
+    assert _thresholds(SimpleNamespace(thresholds=())) == ""

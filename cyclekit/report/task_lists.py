@@ -238,19 +238,26 @@ def _changes(changed: Sequence[WhatIf]) -> list[Part]:
 
 
 def _learned(card: TaskModelCard) -> Part:
-    rows = []
+    rows, two = [], len({task.agent for task in card.tasks}) == 2
+
+    def called(name: str) -> str:
+        return name.partition(": ")[2] if two else name  # the only other agent needs no name
+
     for task in card.tasks:
         alone = task.rates.get(ALONE, 1.0)
-        waiting = {f"{name}, then waits": factor * alone for name, factor in task.waiting.items()}
-        changes = {**task.rates, **waiting}.items()
-        beside = [f"{name} x{rate:.2f}" for name, rate in changes if name and abs(rate - 1.0) > 0.1]
+        during = {f"during {called(name)}": rate for name, rate in task.rates.items() if name}
+        waiting = {f"while the other waits after {called(name)}": rate * alone for name, rate in task.waiting.items()}
+        changes = {**during, **waiting}.items()
+        beside = [f"{when} {rate:.2f}" for when, rate in changes if abs(rate - 1.0) > 0.1]
         waits = ", ".join(task.waits_for[1:]) or "-"
         rows.append(
-            [task.agent, task.task, str(len(task.work_s)), fixed(task.usual_s, 1), waits, ", ".join(beside) or "-"]
+            [task.agent, task.task, str(len(task.work_s)), fixed(task.usual_s, 1), waits, "; ".join(beside) or "-"]
         )
-    drift = [f"{pace.said(agent)}." for agent, pace in card.pace.items()]
-    heads = ["agent", "task", "times", "mean, s", "waits for", "speed during other tasks"]
-    return Part("Who waits for what", drift, heads, rows)
+    said = [f"{pace.said(agent)}." for agent, pace in card.pace.items()]
+    if any(row[-1] != "-" for row in rows):
+        said.append("Speed: during a task of the other agent 1.20 means 1.2 times as fast as alone.")
+    heads = ["agent", "task", "times", "mean, s", "waits for", "speed"]
+    return Part("Who waits for what", said, heads, rows)
 
 
 def _trust(card: TaskModelCard | None, missing: Sequence[str]) -> Part:

@@ -169,9 +169,10 @@ def cycles(asked: argparse.Namespace, work: Path) -> None:
     """Print the errors of expected cycle times."""
     print(
         "| cell | executions | seed | recovery | reaction time, s | model | answers | mean error, % | bias, % "
-        "| worst, % | 90 % coverage, % | luck: bias, % | beyond luck, % | luck: coverage, % | chance, % |"
+        "| worst, % | 90 % coverage, % | luck: mean error, % | luck: bias, % | beyond luck, % | luck: coverage, % "
+        "| chance, % |"
     )
-    print("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|")
     for scene, recovery, latency_s, seed in product(asked.scenes, asked.recovery, asked.latency, asked.seeds):
         given = options(recovery, latency_s) if recovery else SimulationOptions()
         kind = f"{recovery}-{latency_s}" if recovery else "plain"
@@ -192,6 +193,7 @@ def cycles(asked: argparse.Namespace, work: Path) -> None:
             holds_share(took[places], *np.quantile(each, (0.05, 0.95), method="weibull"))
             for places, each in same.items()
         ]
+        of_luck = f"{np.abs(list(luck.values())).mean():.2f} | {np.mean(list(luck.values())):+.2f}"
         part = np.mean([each.std(ddof=1) / each.mean() for each in took.values()])
         chance = 100 * MEAN_OF_SIZE * part / asked.executions**0.5
         for name, model in {**models, "history": next(iter(models.values()))}.items():
@@ -204,7 +206,7 @@ def cycles(asked: argparse.Namespace, work: Path) -> None:
             print(
                 f"| {scene} | {asked.executions} | {seed} | {recovery or 'none'} | {latency_s} | {name} | "
                 f"{answers} | {np.abs(errors).mean():.2f} | {np.mean(errors):+.2f} | "
-                f"{max(errors, key=abs):+.2f} | {100 * np.mean(inside):.1f} | {np.mean(list(luck.values())):+.2f} | "
+                f"{max(errors, key=abs):+.2f} | {100 * np.mean(inside):.1f} | {of_luck} | "
                 f"{np.abs(beyond).mean():.2f} | {100 * np.mean(held):.1f} | {chance:.2f} |",
                 flush=True,
             )

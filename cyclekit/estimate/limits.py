@@ -19,7 +19,7 @@ from cyclekit.estimate.check import Check, check_rollout
 from cyclekit.estimate.entry import MIN_SUPPORT
 from cyclekit.estimate.nominal import slider_losses
 from cyclekit.estimate.safety import OnStates
-from cyclekit.estimate.work_dwells import MIN_EXECUTIONS, said_of_places
+from cyclekit.estimate.work_dwells import MIN_EXECUTIONS, either_kind, said_of_places
 from cyclekit.learning.signal_inputs import left_out
 from cyclekit.learning.windows import nobody_there
 
@@ -110,9 +110,18 @@ def with_work(entry: CycleEstimate, tasks: Sequence[NominalTask]) -> tuple[Cycle
     doubts = [
         f"{said}; fewer than {MIN_EXECUTIONS} executions of this order's work were logged, so it takes those of all, "
         "and the intervals cover the others: log executions of this work"
-        for said in said_of_places({task.task: task.by_work for task in pooled})
+        for said in said_of_places({task.task: task.by_work for task in pooled if not _of_kinds(task)})
+    ]
+    doubts += [
+        f"{said} (another product, or a wait): the number is for all of them together, and the intervals cover each; "
+        "log executions of this order"
+        for said in said_of_places({task.task: task.by_work for task in pooled if _of_kinds(task)})
     ]
     return widened, doubts, limits
+
+
+def _of_kinds(task: NominalTask) -> bool:
+    return either_kind(task.by_work) is not None
 
 
 def few_tracks(entry: CycleEstimate) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.estimate.work_dwells import Group, Standstills, groups_of, key_of, standstills_by_work
+from cyclekit.estimate.work_dwells import Group, Standstills, either_kind, groups_of, key_of, standstills_by_work
 from cyclekit.segmentation.arrivals import fill_nearest
 
 if TYPE_CHECKING:
@@ -54,13 +54,21 @@ class NominalTask:
         return self.task if self.group is None else f"{self.task} {key_of(self.group)}"
 
     def of_work(self, places: Sequence[str]) -> NominalTask:
-        """Return the task with the standstills of executions of the same work as a cycle through `places`, if known."""
-        return next((self.of_group(group) for group in groups_of(places) if group in self.by_work), self)
+        """Return the task with the standstills of executions of the same work as a cycle through `places`, if known.
+
+        If they are of several kinds, and nothing tells which: with those of all executions, whatever the way there.
+        """
+        own = next((self.of_group(group) for group in groups_of(places) if group in self.by_work), None)
+        either = either_kind(self.by_work) if own is None else None
+        return own or (self if either is None else self._with(either, None))
 
     def of_group(self, group: Group) -> NominalTask:
         """Return the task with the standstills of one of the groups in `by_work`."""
-        mine = self.by_work[group]
-        return replace(self, dwell_s=mine.dwell_s, wait_s=mine.wait_s, standstill_s=mine.standstill_s, group=group)
+        return self._with(self.by_work[group], group)
+
+    def _with(self, stands: Standstills, group: Group | None) -> NominalTask:
+        dwell_s, wait_s, standstill_s = stands.dwell_s, stands.wait_s, stands.standstill_s
+        return replace(self, dwell_s=dwell_s, wait_s=wait_s, standstill_s=standstill_s, group=group)
 
 
 def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> dict[str, NominalTask]:

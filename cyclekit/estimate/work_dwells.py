@@ -4,13 +4,18 @@ A cell may run several programs over the same places, each with its own process 
 together then fit none of them. So each place is tested: do they differ between executions of different work by more
 than chance (`rank_test`), and by enough to matter? Where they do, an order takes the standstills of executions of its
 own work; elsewhere nothing changes.
+
+Products may also share all their places and visits. Then the standstills themselves show them: they fall into a few
+clear kinds, each executions of one product. An order of which enough executions were logged, all of one kind, takes
+that kind. For others nothing tells which kind it is.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -22,11 +27,19 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.schema import Vector
+    from cyclekit.schema import Ints, Vector
 
-Group = Work | frozenset[str] | tuple[str, ...]
+
+class Kind(NamedTuple):
+    """Executions with standstills of one length at a place, which neither work nor way there explains."""
+
+    executions: int
+    number: int
+
+
+Group = Work | frozenset[str] | tuple[str, ...] | Kind
 """What executions are grouped by: their work; their different places, if more have these in common; or their order of
-places, if all have the same work."""
+places, if all have the same work. If none of these tells the standstills apart: these themselves."""
 
 MIN_EXECUTIONS = 5
 """Minimum number of executions of a group, and of repetitions of a task in it."""
@@ -34,6 +47,12 @@ CHANCE = 0.01
 """Maximum probability that chance makes any place differ."""
 APART_S, APART = 0.2, 0.1
 """Minimum difference between medians of groups, s and as a share of the standstill."""
+FEW, LEFT, TIGHT = 0.1, 0.05, 0.25
+"""Kinds of standstills: minimum share of the executions in each; maximum share in none; and maximum spread (10 to 90 %)
+of each, as a share of the distance to the next. Waits scatter more."""
+SURE, BATCHES = 3, 2.6
+"""Minimum number of executions of an order, all of one kind, for this kind to be the order's; and standard deviations
+by which kinds change less often than by chance if they come in batches."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +95,18 @@ def standstills_by_work(dataset: Dataset) -> dict[str, dict[Group, Standstills]]
                 own = mine.filter(pl.col("task") == task)
                 stands = _standstills(own if own.height >= MIN_EXECUTIONS else mine)
                 found.setdefault(task, {})[groups[int(str(number))]] = stands
-    return found
+    return found or _by_kind(dataset, rows)
+
+
+def either_kind(by_work: Mapping[Group, Standstills]) -> Standstills | None:
+    """Return the standstills of all kinds together, whatever the way there; None if kinds are not what differs."""
+    kinds = [(group.executions, stands) for group, stands in by_work.items() if isinstance(group, Kind)]
+    if not kinds:
+        return None
+    every = sum(count for count, _ in kinds)
+    dwell_s = sum(count * stands.dwell_s for count, stands in kinds) / every
+    wait_s = sum(count * stands.wait_s for count, stands in kinds) / every
+    return Standstills(dwell_s, wait_s, np.sort(np.concatenate([stands.standstill_s for _, stands in kinds])))
 
 
 def said_of_places(by_work: Mapping[str, Mapping[Group, Standstills]]) -> list[str]:
@@ -84,6 +114,13 @@ def said_of_places(by_work: Mapping[str, Mapping[Group, Standstills]]) -> list[s
     found: dict[str, str] = {}
     for task, stands in by_work.items():
         place = task.rpartition("->")[2]
+        kinds = {kind: one for kind, one in stands.items() if isinstance(kind, Kind)}
+        if kinds:
+            lasts = " or ".join(
+                f"{one.mean_s:.1f} s (in {group.executions} executions)" for group, one in kinds.items()
+            )
+            found.setdefault(place, f"standstill at {place} is {lasts}, and no logged place or visit tells which")
+            continue
         ends = (choose(stands, key=lambda group: stands[group].mean_s) for choose in (min, max))
         said = (f"{stands[group].mean_s:.1f} s in {_shown(group)}" for group in ends)
         found.setdefault(place, f"standstill at {place} depends on the work: {', '.join(said)}")
@@ -93,6 +130,8 @@ def said_of_places(by_work: Mapping[str, Mapping[Group, Standstills]]) -> list[s
 def _shown(group: Group) -> str:
     if isinstance(group, Work):
         return str(group)
+    if isinstance(group, Kind):
+        return f"{group.executions} executions"
     if isinstance(group, frozenset):
         return f"cycles through {', '.join(sorted(group))}"
     return f"cycles in the order {', '.join(group)}"
@@ -137,6 +176,78 @@ def _differing(rows: pl.DataFrame) -> list[str]:
         if by_chance(mine["off"].to_numpy(), mine["group"].to_numpy()) * len(places) < CHANCE:
             found.append(str(mine["goal_place"][0]))
     return found
+
+
+def _by_kind(dataset: Dataset, rows: pl.DataFrame) -> dict[str, dict[Group, Standstills]]:
+    """Return the standstills per kind, and per order that is of one kind, of each task to a place with kinds."""
+    orders = {one.execution: tuple(one.places) for one in dataset.card.executions}
+    stand = pl.col("dwell_s") + pl.col("wait_s").fill_null(0.0)
+    found: dict[str, dict[Group, Standstills]] = {}
+    for there in rows.with_columns(stand=stand).partition_by("goal_place", maintain_order=True):
+        if "waited_for" in there.columns and there["waited_for"].is_not_null().any():
+            continue
+        each = there.group_by("execution", maintain_order=True).agg(pl.col("stand").median())
+        kind = _kinds(each["stand"].to_numpy())
+        if kind is None:
+            continue
+        of = {execution: int(number) for execution, number in zip(each["execution"], kind, strict=True)}
+        there = there.with_columns(kind=pl.col("execution").replace_strict(of, return_dtype=pl.Int64))
+        there = there.filter(pl.col("kind") >= 0)
+        ways = there.group_by("task").agg(one=pl.col("kind").n_unique() == 1)
+        pure = _of_one_kind(of, orders)
+        if ways["one"].all() or not (pure or _in_batches(np.array([of[name] for name in orders if name in of]))):
+            continue
+        stands: dict[Group, Standstills] = {}
+        of_kind = {int(str(number)): mine for (number,), mine in there.group_by(["kind"])}
+        for number, mine in sorted(of_kind.items()):
+            stands[Kind(mine["execution"].n_unique(), number)] = _standstills(mine)
+        stands |= {order: _standstills(of_kind[number]) for order, number in pure.items()}
+        found |= dict.fromkeys(there["task"].unique(maintain_order=True), stands)
+    return found
+
+
+def _of_one_kind(of: Mapping[str, int], orders: Mapping[str, tuple[str, ...]]) -> dict[tuple[str, ...], int]:
+    """Return the kind of each order logged SURE times; empty if such orders have several kinds, or all the same.
+
+    Where one order has several kinds by chance (a part that is scanned twice), its mean holds for other orders too.
+    """
+    by_order: dict[tuple[str, ...], list[int]] = {}
+    for execution, number in of.items():
+        by_order.setdefault(orders[execution], []).append(number)
+    often = {order: mine for order, mine in by_order.items() if len(mine) >= SURE}
+    pure = {order: mine[0] for order, mine in often.items() if len(set(mine)) == 1 and mine[0] >= 0}
+    share = sum(len(often[order]) for order in pure) / max(sum(map(len, often.values())), 1)
+    return pure if share >= 1.0 - FEW and len(set(pure.values())) > 1 else {}
+
+
+def _in_batches(kind: Ints) -> bool:
+    """Return whether kinds, shape (N,), in order of time, follow themselves more often than by chance, as products do.
+
+    Wald and Wolfowitz, Annals of Mathematical Statistics 11, 1940: the number of runs.
+    """
+    share = np.bincount(kind[kind >= 0]) / max((kind >= 0).sum(), 1)
+    other = float(1.0 - (share**2).sum())
+    changes, steps = int((np.diff(kind) != 0).sum()), len(kind) - 1
+    return changes < steps * other - BATCHES * float(np.sqrt(steps * other * (1.0 - other)))
+
+
+def _kinds(stand_s: Vector) -> Ints | None:
+    """Return the number of the kind of each standstill, shape (N,), from the shortest; -1 = none; None: no kinds."""
+    rank = np.argsort(stand_s)
+    ordered = stand_s[rank]
+    cuts = np.flatnonzero(np.diff(ordered) > APART_S + APART * ordered[:-1]) + 1
+    least = max(MIN_EXECUTIONS, FEW * len(ordered))
+    parts = [part for part in np.split(rank, cuts) if len(part) >= least]
+    if len(parts) < 2 or sum(map(len, parts)) < (1.0 - LEFT) * len(ordered):
+        return None
+    apart = np.diff([float(np.median(stand_s[part])) for part in parts])
+    spread = [float(np.subtract(*np.quantile(stand_s[part], (0.9, 0.1)))) for part in parts]
+    if any(max(near) > TIGHT * off for near, off in zip(pairwise(spread), apart.tolist(), strict=True)):
+        return None
+    kind = np.full(len(ordered), -1, np.int64)
+    for number, part in enumerate(parts):
+        kind[part] = number
+    return kind
 
 
 def _standstills(rows: pl.DataFrame) -> Standstills:

@@ -16,7 +16,7 @@ from scipy.stats import kruskal
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.rollout import estimate, lay_out
 from cyclekit.estimate.same_work import work_of
@@ -30,7 +30,7 @@ from cyclekit_sim.options import SimulationOptions
 __all__ = ["products"]
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
 PICK_S = 0.6
@@ -128,6 +128,42 @@ def test_works_that_differ_in_the_number_of_visits_only_share_their_places():
     assert said_of_places(found) == [
         "standstill at b depends on the work: 2.0 s in cycles through a, b, c, 5.0 s in cycles through a, b, c, d"
     ]
+
+
+ORDERS = ["abcda", "acbda", "adbca", "abdca", "acdba", "adcba"]
+
+
+def test_standstills_of_two_kinds_are_named_and_taken_together_for_a_new_order():
+    """Two products with the same visits. A new order may be of either, a logged one is of the one that it had."""
+    found = standstills_by_work(rows([(order, {"b": (3.0, 9.0)[i % 2]}) for i, order in enumerate(ORDERS * 4)]))
+    assert set(found) == {"a->b", "c->b", "d->b"}
+    (said,) = said_of_places(found)
+    assert said.startswith("standstill at b is 3.0 s (in 12 executions) or 9.0 s (in 12 executions), and no logged")
+    task = NominalTask("c->b", np.zeros((2, 3)), 1.0, 5.0, 0.0, np.full(9, 5.0), found["c->b"])
+    assert task.of_work("abca").dwell_s == pytest.approx(6.0, abs=0.05)
+    assert task.of_work("acbda").dwell_s == pytest.approx(9.0, abs=0.05)
+    assert task.of_work("adbca").dwell_s == pytest.approx(3.0, abs=0.05)
+
+
+def test_products_that_share_their_orders_show_by_their_batches():
+    b_s = [(3.0, 9.0)[i // 6 % 2] for i in range(36)]
+    found = standstills_by_work(rows([(ORDERS[i % 6], {"b": lasts_s}) for i, lasts_s in enumerate(b_s)]))
+    assert [type(group).__name__ for group in found["c->b"]] == ["Kind", "Kind"]
+    mixed = np.random.default_rng(0).permutation(b_s).tolist()  # such as a part that is scanned twice now and then
+    assert standstills_by_work(rows([(ORDERS[i % 6], {"b": lasts_s}) for i, lasts_s in enumerate(mixed)])) == {}
+
+
+@pytest.mark.parametrize(
+    "b_s",
+    [
+        lambda i: 3.0 + 0.3 * i,  # a wait of any length
+        lambda i: 3.0 if i else 9.0,  # once
+        lambda i: 3.0 + 0.02 * (i % 7),
+    ],
+)
+def test_standstills_without_clear_kinds_stay_as_they_are(b_s: Callable[[int], float]):
+    orders = ["abcda", "acbda", "adbca", "abdca", "acdba", "adcba"] * 4
+    assert standstills_by_work(rows([(order, {"b": b_s(i)}) for i, order in enumerate(orders)])) == {}
 
 
 def test_a_task_that_is_rare_in_a_work_takes_what_that_work_has_at_the_place():

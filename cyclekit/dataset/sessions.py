@@ -228,7 +228,9 @@ def _in_folder(
             f"Put each session into its own folder ({', '.join(every[:4])}, …), or name its logs alike "
             "(shift_1_robot.csv, shift_1_tracker.csv). Logs whose times count since 1970 "
             "are matched by time, if no two robots run at once; dates without a time zone need time_zone in the map of "
-            "their source in the cell file. A log of events is also matched by sync in its source."
+            "their source in the cell file. A log of events is also matched by sync in its source. If robots work "
+            "at once beside one tracker, make a dataset of each: cyclekit ingest "
+            f"{robots[0].shown} {others[0].shown} --out DATASET, with frame of the tracker in this robot's base."
         )
         raise ConfigError(msg, cure=cure)
     return [[log] for log in robots] + _at_one_time(others)

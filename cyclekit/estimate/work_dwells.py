@@ -156,10 +156,11 @@ def _repeated(groups: Sequence[Group]) -> int:
     return sum(counts) if len(counts) > 1 else 0
 
 
-def _differing(rows: pl.DataFrame) -> list[str]:
+def _differing(rows: pl.DataFrame, by: str = "off") -> list[str]:
     """Return the places whose standstills differ between groups, one value per execution, beyond chance.
 
-    The median of the task is subtracted: a place that is only reached from elsewhere has no other process.
+    `by`: `off` subtracts the median of the task, as a place that is only reached from elsewhere has no other process;
+    `stand` does not, for groups that differ in their process elsewhere.
     """
     stand = pl.col("dwell_s") + pl.col("wait_s").fill_null(0.0)
     each = rows.with_columns(stand=stand).with_columns(off=pl.col("stand") - pl.col("stand").median().over("task"))
@@ -169,41 +170,61 @@ def _differing(rows: pl.DataFrame) -> list[str]:
     places = per.partition_by("goal_place", maintain_order=True)
     found = []
     for mine in places:
-        medians = mine.group_by("group").agg(pl.col("off").median())["off"].to_numpy()
+        medians = mine.group_by("group").agg(pl.col(by).median())[by].to_numpy()
         apart = max(APART_S, APART * float(np.median(mine["stand"].to_numpy())))
         if np.ptp(medians) <= apart:
             continue
-        if by_chance(mine["off"].to_numpy(), mine["group"].to_numpy()) * len(places) < CHANCE:
+        if by_chance(mine[by].to_numpy(), mine["group"].to_numpy()) * len(places) < CHANCE:
             found.append(str(mine["goal_place"][0]))
     return found
 
 
 def _by_kind(dataset: Dataset, rows: pl.DataFrame) -> dict[str, dict[Group, Standstills]]:
-    """Return the standstills per kind, and per order that is of one kind, of each task to a place with kinds."""
+    """Return the standstills per kind, and per order that is of one kind, of each task to a place with kinds.
+
+    The kinds of one place are also those of all other places whose standstills differ between them.
+    """
     orders = {one.execution: tuple(one.places) for one in dataset.card.executions}
-    stand = pl.col("dwell_s") + pl.col("wait_s").fill_null(0.0)
+    rows = rows.with_columns(stand=pl.col("dwell_s") + pl.col("wait_s").fill_null(0.0))
     found: dict[str, dict[Group, Standstills]] = {}
-    for there in rows.with_columns(stand=stand).partition_by("goal_place", maintain_order=True):
-        if "waited_for" in there.columns and there["waited_for"].is_not_null().any():
+    for place in rows["goal_place"].unique(maintain_order=True):
+        there = rows.filter(pl.col("goal_place") == place)
+        if there["task"].is_in(list(found)).any() or not (of := _kind_of_executions(there, orders)):
             continue
-        each = there.group_by("execution", maintain_order=True).agg(pl.col("stand").median())
-        kind = _kinds(each["stand"].to_numpy())
-        if kind is None:
-            continue
-        of = {execution: int(number) for execution, number in zip(each["execution"], kind, strict=True)}
-        there = there.with_columns(kind=pl.col("execution").replace_strict(of, return_dtype=pl.Int64))
-        there = there.filter(pl.col("kind") >= 0)
-        ways = there.group_by("task").agg(one=pl.col("kind").n_unique() == 1)
+        number = pl.col("execution").replace_strict(of, default=None, return_dtype=pl.Int64)
+        grouped = rows.with_columns(group=number).drop_nulls("group")
         pure = _of_one_kind(of, orders)
-        if ways["one"].all() or not (pure or _in_batches(np.array([of[name] for name in orders if name in of]))):
-            continue
-        stands: dict[Group, Standstills] = {}
-        of_kind = {int(str(number)): mine for (number,), mine in there.group_by(["kind"])}
-        for number, mine in sorted(of_kind.items()):
-            stands[Kind(mine["execution"].n_unique(), number)] = _standstills(mine)
-        stands |= {order: _standstills(of_kind[number]) for order, number in pure.items()}
-        found |= dict.fromkeys(there["task"].unique(maintain_order=True), stands)
+        for mine in {place, *_differing(grouped, by="stand")}:
+            of_kind = grouped.filter(pl.col("goal_place") == mine).partition_by("group", as_dict=True)
+            stands = {kind: _standstills(some) for (kind,), some in sorted(of_kind.items())}
+            groups: dict[Group, Standstills] = {
+                Kind(sum(1 for one in of.values() if one == kind), kind): one for kind, one in stands.items()
+            }
+            groups |= {order: stands[kind] for order, kind in pure.items() if kind in stands}
+            tasks = rows.filter(pl.col("goal_place") == mine)["task"].unique(maintain_order=True)
+            found |= dict.fromkeys(tasks, groups)
     return found
+
+
+def _kind_of_executions(there: pl.DataFrame, orders: Mapping[str, tuple[str, ...]]) -> dict[str, int]:
+    """Return the kind of each execution by its standstills at one place; empty if there are none, or they tell nothing.
+
+    They tell nothing if a signal ended them, if the way there explains them, or if they occur by chance: in any order,
+    and not in batches.
+    """
+    if "waited_for" in there.columns and there["waited_for"].is_not_null().any():
+        return {}
+    each = there.group_by("execution", maintain_order=True).agg(pl.col("stand").median())
+    kind = _kinds(each["stand"].to_numpy())
+    if kind is None:
+        return {}
+    of = {name: int(number) for name, number in zip(each["execution"], kind, strict=True) if number >= 0}
+    number = pl.col("execution").replace_strict(of, default=None, return_dtype=pl.Int64)
+    ways = there.with_columns(kind=number).drop_nulls("kind").group_by("task").agg(pl.col("kind").n_unique())
+    if (ways["kind"] == 1).all():
+        return {}
+    in_time = np.array([of[name] for name in orders if name in of])
+    return of if _of_one_kind(of, orders) or _in_batches(in_time) else {}
 
 
 def _of_one_kind(of: Mapping[str, int], orders: Mapping[str, tuple[str, ...]]) -> dict[tuple[str, ...], int]:
@@ -215,7 +236,7 @@ def _of_one_kind(of: Mapping[str, int], orders: Mapping[str, tuple[str, ...]]) -
     for execution, number in of.items():
         by_order.setdefault(orders[execution], []).append(number)
     often = {order: mine for order, mine in by_order.items() if len(mine) >= SURE}
-    pure = {order: mine[0] for order, mine in often.items() if len(set(mine)) == 1 and mine[0] >= 0}
+    pure = {order: mine[0] for order, mine in often.items() if len(set(mine)) == 1}
     share = sum(len(often[order]) for order in pure) / max(sum(map(len, often.values())), 1)
     return pure if share >= 1.0 - FEW and len(set(pure.values())) > 1 else {}
 
@@ -225,7 +246,7 @@ def _in_batches(kind: Ints) -> bool:
 
     Wald and Wolfowitz, Annals of Mathematical Statistics 11, 1940: the number of runs.
     """
-    share = np.bincount(kind[kind >= 0]) / max((kind >= 0).sum(), 1)
+    share = np.bincount(kind) / len(kind)
     other = float(1.0 - (share**2).sum())
     changes, steps = int((np.diff(kind) != 0).sum()), len(kind) - 1
     return changes < steps * other - BATCHES * float(np.sqrt(steps * other * (1.0 - other)))

@@ -145,6 +145,15 @@ def test_standstills_of_two_kinds_are_named_and_taken_together_for_a_new_order()
     assert task.of_work("adbca").dwell_s == pytest.approx(3.0, abs=0.05)
 
 
+def test_kinds_of_one_place_hold_at_others_where_they_scatter_more():
+    cycles = [
+        (order, {"b": (3.0, 9.0)[i % 2], "c": (2.0, 2.6)[i % 2] + 0.15 * (i % 5)}) for i, order in enumerate(ORDERS * 4)
+    ]
+    found = standstills_by_work(rows(cycles))
+    assert {task.rpartition(">")[2] for task in found} == {"b", "c"}
+    assert len(said_of_places(found)) == 2
+
+
 def test_products_that_share_their_orders_show_by_their_batches():
     b_s = [(3.0, 9.0)[i // 6 % 2] for i in range(36)]
     found = standstills_by_work(rows([(ORDERS[i % 6], {"b": lasts_s}) for i, lasts_s in enumerate(b_s)]))

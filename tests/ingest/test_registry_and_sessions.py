@@ -229,8 +229,9 @@ def test_two_robots_at_once_leave_it_unclear_whose_people_these_are():
     arms = [at("left/a.csv", "robot", 0, 100), at("right/b.csv", "robot", 50, 150)]
     seen = at("t/c.csv", "people", 0, 150)
     assert shared(*arms, seen) == [["left.a.csv"], ["right.b.csv"], ["t.c.csv"]]
-    with pytest.raises(ConfigError, match="unclear which belong"):
+    with pytest.raises(ConfigError, match="unclear which belong") as refusal:
         shared(at("1.csv", "robot", 0, 100), at("2.csv", "robot", 50, 150), at("3.csv", "people", 0, 150))
+    assert "a dataset of each: cyclekit ingest 1.csv 3.csv --out DATASET" in str(refusal.value.cure)
     far = Source("t/c.csv", clock_offset_s=3600.0)
     one = [at("r/a.csv", "robot", 0, 100), at("r/b.csv", "robot", 200, 300)]
     assert shared(*one, seen, told=far) == [["r.a.csv"], ["r.b.csv"], ["t.c.csv"]]

@@ -118,7 +118,7 @@ class CsvMap:
         if self.joints or self.scaling or self.speed or self.state or self.slider:
             return "robot"
         seen = f"{WHERE}: no role is given"
-        raise ConfigError(seen, cure='Give role = "robot", "people" or "events".')
+        raise ConfigError(seen, cure='Give role = "robot", "people" or "events" in [[sources]], above [sources.map].')
 
 
 def csv_map(options: ReadOptions) -> CsvMap:

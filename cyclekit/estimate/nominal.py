@@ -34,7 +34,8 @@ class NominalTask:
         xyz_m: TCP along the motion at every STEP_S of nominal time, shape (K, 3), base frame.
         nominal_s: Duration of the motion at scaling 1: the median over its repetitions.
         dwell_s, wait_s: Mean process time and mean wait at the goal.
-        standstill_s: Logged standstill times at the goal (dwell + wait), ascending, shape (N,) of N repetitions.
+        standstill_s: Logged standstill times at the goal (dwell + wait), ascending, shape (N,) of N repetitions; of all
+            tasks to the goal if its standstills are of several kinds (`work_dwells.Kind`).
         by_work: Standstills per group of executions, if they depend on the work; else empty.
         group: The group whose standstills these are; None = all executions.
     """
@@ -54,21 +55,13 @@ class NominalTask:
         return self.task if self.group is None else f"{self.task} {key_of(self.group)}"
 
     def of_work(self, places: Sequence[str]) -> NominalTask:
-        """Return the task with the standstills of executions of the same work as a cycle through `places`, if known.
-
-        If they are of several kinds, and nothing tells which: with those of all executions, whatever the way there.
-        """
-        own = next((self.of_group(group) for group in groups_of(places) if group in self.by_work), None)
-        either = either_kind(self.by_work) if own is None else None
-        return own or (self if either is None else self._with(either, None))
+        """Return the task with the standstills of executions of the same work as a cycle through `places`, if known."""
+        return next((self.of_group(group) for group in groups_of(places) if group in self.by_work), self)
 
     def of_group(self, group: Group) -> NominalTask:
         """Return the task with the standstills of one of the groups in `by_work`."""
-        return self._with(self.by_work[group], group)
-
-    def _with(self, stands: Standstills, group: Group | None) -> NominalTask:
-        dwell_s, wait_s, standstill_s = stands.dwell_s, stands.wait_s, stands.standstill_s
-        return replace(self, dwell_s=dwell_s, wait_s=wait_s, standstill_s=standstill_s, group=group)
+        mine = self.by_work[group]
+        return replace(self, dwell_s=mine.dwell_s, wait_s=mine.wait_s, standstill_s=mine.standstill_s, group=group)
 
 
 def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> dict[str, NominalTask]:
@@ -95,14 +88,17 @@ def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> di
         track = _execution_track(dataset, str(execution))
         for row in rows.iter_rows(named=True):
             path = _undo_scaling(track, row["start_s"], row["arrival_s"], row["nominal_s_all"])
+            groups = by_work.get(row["task"], {})
+            own = Standstills(row["dwell_s_all"], row["wait_s_all"], np.array(row["standstill_s"]))
+            stands = either_kind(groups) or own
             found[row["task"]] = NominalTask(
                 task=row["task"],
                 xyz_m=path,
                 nominal_s=row["nominal_s_all"],
-                dwell_s=row["dwell_s_all"],
-                wait_s=row["wait_s_all"],
-                standstill_s=np.array(row["standstill_s"]),
-                by_work=by_work.get(row["task"], {}),
+                dwell_s=stands.dwell_s,
+                wait_s=stands.wait_s,
+                standstill_s=stands.standstill_s,
+                by_work=groups,
             )
     return found
 

@@ -20,7 +20,7 @@ from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.rollout import estimate, lay_out
 from cyclekit.estimate.same_work import work_of
-from cyclekit.estimate.work_dwells import said_of_places, standstills_by_work
+from cyclekit.estimate.work_dwells import either_kind, said_of_places, standstills_by_work
 from cyclekit.ingest.ingest import ingest
 from cyclekit.inspect.describe import describe
 from cyclekit.segmentation.rank_test import by_chance
@@ -139,8 +139,11 @@ def test_standstills_of_two_kinds_are_named_and_taken_together_for_a_new_order()
     assert set(found) == {"a->b", "c->b", "d->b"}
     (said,) = said_of_places(found)
     assert said.startswith("standstill at b is 3.0 s (in 12 executions) or 9.0 s (in 12 executions), and no logged")
-    task = NominalTask("c->b", np.zeros((2, 3)), 1.0, 5.0, 0.0, np.full(9, 5.0), found["c->b"])
-    assert task.of_work("abca").dwell_s == pytest.approx(6.0, abs=0.05)
+    both = either_kind(found["c->b"])
+    assert both is not None
+    assert both.mean_s == pytest.approx(6.0, abs=0.05)
+    task = NominalTask("c->b", np.zeros((2, 3)), 1.0, both.dwell_s, both.wait_s, both.standstill_s, found["c->b"])
+    assert task.of_work("abca") is task
     assert task.of_work("acbda").dwell_s == pytest.approx(9.0, abs=0.05)
     assert task.of_work("adbca").dwell_s == pytest.approx(3.0, abs=0.05)
 

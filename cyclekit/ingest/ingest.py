@@ -231,6 +231,7 @@ def _build(
     for name, log in shared.copies.items():
         by_id[name] = structs.replace(by_id[name], sources=by_id[log].sources)
     recordings = [by_id[name] for name in (*(one.id for one in read), *shared.copies)]
+    warnings += _copied([by_id[one.id] for one in read])
     if names is not None:
         recordings = take_out(recordings, names, staging, shared.copies)
         warnings = names.notes(warnings)
@@ -318,6 +319,19 @@ def _unmatched(cell: Cell, logs: Sequence[Log]) -> list[Note]:
     unused = [source.path for source in cell.sources if id(source) not in used]
     unused += [glob for glob in cell.reference if not any(matches(log.shown, log.path, glob) for log in logs)]
     return [note("source-without-log", path=path) for path in unused]
+
+
+def _copied(logs: Sequence[LogCard]) -> list[Note]:
+    """Return a note if robot logs are copies of others; without checksums they are not known."""
+    first: dict[str, str] = {}
+    copies = []
+    for log in logs:
+        largest = max(log.sources, key=lambda source: source.size, default=None)
+        if "robot" not in log.tables or largest is None or not largest.blake3:
+            continue
+        if (same := first.setdefault(largest.blake3, log.shown)) != log.shown:
+            copies.append((log.shown, same))
+    return [note("log-copied", copies=len(copies), copy=copies[0][0], of=copies[0][1])] if copies else []
 
 
 def _without_places(logs: Sequence[LogCard]) -> list[Note]:

@@ -98,6 +98,16 @@ def test_a_broken_log_among_good_ones_is_named_and_the_good_ones_are_in(three_ru
     assert ingest([three_runs], tmp_path / "dataset").unchanged
 
 
+def test_a_copy_of_a_log_is_named(tmp_path: Path, robot_log: Any):
+    for run in ("a", "b"):
+        robot_log(tmp_path / run / "robot.csv", [*ROUND_TRIP, ("stand", 1.0 if run == "a" else 1.5)])
+    shutil.copytree(tmp_path / "a", tmp_path / "a (copy)")
+    folders = [tmp_path / name for name in ("a", "b", "a (copy)")]
+    said = {len(logs): " ".join(ingest(logs, tmp_path / f"{len(logs)}").warnings) for logs in (folders[:2], folders)}
+    assert "copies" not in said[2]
+    assert "1 log(s) are copies of others" in said[3]
+
+
 def test_a_log_of_a_header_alone_leaves_no_trace(three_runs: Path, tmp_path: Path):
     head = (three_runs / "run_0.csv").read_text(encoding="utf-8").splitlines()[0]
     (three_runs / "header.csv").write_text(head + "\n", encoding="utf-8")

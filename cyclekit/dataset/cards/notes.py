@@ -123,6 +123,10 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     TEXT: "{text}",
     READ: "{text}",
     "log-changed": "the log changed while it was read: is it still being written? ingest again when it is complete",
+    "log-copied": (
+        "{copies} log(s) are copies of others ({copy} of {of}): their executions count twice; remove the copies and "
+        "ingest again"
+    ),
     # clocks
     "clock-assumed": (
         "the offset of its clock to the robot's is unknown: a common start is assumed; "

@@ -35,7 +35,7 @@ class NominalTask:
         nominal_s: Duration of the motion at scaling 1: the median over its repetitions.
         dwell_s, wait_s: Mean process time and mean wait at the goal.
         standstill_s: Logged standstill times at the goal (dwell + wait), ascending, shape (N,) of N repetitions; of all
-            tasks to the goal if its standstills are of several kinds (`work_dwells.Kind`).
+            tasks to the goal if its standstills are of several kinds (`work_dwells.StandstillKind`).
         by_work: Standstills per group of executions, if they depend on the work; else empty.
         group: The group whose standstills these are; None = all executions.
     """

@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
 
 
-class Kind(NamedTuple):
+class StandstillKind(NamedTuple):
     """Executions with standstills of one length at a place, which neither work nor way there explains."""
 
     executions: int
     number: int
 
 
-Group = Work | frozenset[str] | tuple[str, ...] | Kind
+Group = Work | frozenset[str] | tuple[str, ...] | StandstillKind
 """What executions are grouped by: their work; their different places, if more have these in common; or their order of
 places, if all have the same work. If none of these tells the standstills apart: these themselves."""
 
@@ -100,7 +100,7 @@ def standstills_by_work(dataset: Dataset) -> dict[str, dict[Group, Standstills]]
 
 def either_kind(by_work: Mapping[Group, Standstills]) -> Standstills | None:
     """Return the standstills of all kinds together, whatever the way there; None if kinds are not what differs."""
-    kinds = [(group.executions, stands) for group, stands in by_work.items() if isinstance(group, Kind)]
+    kinds = [(group.executions, stands) for group, stands in by_work.items() if isinstance(group, StandstillKind)]
     if not kinds:
         return None
     every = sum(count for count, _ in kinds)
@@ -114,7 +114,7 @@ def said_of_places(by_work: Mapping[str, Mapping[Group, Standstills]]) -> list[s
     found: dict[str, str] = {}
     for task, stands in by_work.items():
         place = task.rpartition("->")[2]
-        kinds = {kind: one for kind, one in stands.items() if isinstance(kind, Kind)}
+        kinds = {kind: one for kind, one in stands.items() if isinstance(kind, StandstillKind)}
         if kinds:
             lasts = " or ".join(
                 f"{one.mean_s:.1f} s (in {group.executions} executions)" for group, one in kinds.items()
@@ -130,7 +130,7 @@ def said_of_places(by_work: Mapping[str, Mapping[Group, Standstills]]) -> list[s
 def _shown(group: Group) -> str:
     if isinstance(group, Work):
         return str(group)
-    if isinstance(group, Kind):
+    if isinstance(group, StandstillKind):
         return f"{group.executions} executions"
     if isinstance(group, frozenset):
         return f"cycles through {', '.join(sorted(group))}"
@@ -198,7 +198,7 @@ def _by_kind(dataset: Dataset, rows: pl.DataFrame) -> dict[str, dict[Group, Stan
             of_kind = grouped.filter(pl.col("goal_place") == mine).partition_by("group", as_dict=True)
             stands = {kind: _standstills(some) for (kind,), some in sorted(of_kind.items())}
             groups: dict[Group, Standstills] = {
-                Kind(sum(1 for one in of.values() if one == kind), kind): one for kind, one in stands.items()
+                StandstillKind(sum(1 for one in of.values() if one == kind), kind): one for kind, one in stands.items()
             }
             groups |= {order: stands[kind] for order, kind in pure.items() if kind in stands}
             tasks = rows.filter(pl.col("goal_place") == mine)["task"].unique(maintain_order=True)

@@ -160,7 +160,7 @@ def test_kinds_of_one_place_hold_at_others_where_they_scatter_more():
 def test_products_that_share_their_orders_show_by_their_batches():
     b_s = [(3.0, 9.0)[i // 6 % 2] for i in range(36)]
     found = standstills_by_work(rows([(ORDERS[i % 6], {"b": lasts_s}) for i, lasts_s in enumerate(b_s)]))
-    assert [type(group).__name__ for group in found["c->b"]] == ["Kind", "Kind"]
+    assert [type(group).__name__ for group in found["c->b"]] == ["StandstillKind"] * 2
     mixed = np.random.default_rng(0).permutation(b_s).tolist()  # such as a part that is scanned twice now and then
     assert standstills_by_work(rows([(ORDERS[i % 6], {"b": lasts_s}) for i, lasts_s in enumerate(mixed)])) == {}
 

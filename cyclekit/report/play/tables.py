@@ -22,7 +22,7 @@ from cyclekit.estimate.support import HUMAN_M, ROBOT_M
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
 from cyclekit.estimate.whatif.alter import AWAY, LOOKED_AT, grid_positions
-from cyclekit.estimate.work_dwells import MIN_EXECUTIONS, Kind
+from cyclekit.estimate.work_dwells import MIN_EXECUTIONS, StandstillKind
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.learning.rules.distances import TO_LINK
 from cyclekit.learning.rules.quantities import RulePlace, quantities
@@ -222,7 +222,7 @@ def _group(group: Group) -> dict[str, Any]:
     """Return a group of executions for the script, which names it by this kind, start and places."""
     if isinstance(group, Work):
         return {"kind": "work", "start": group.start, "places": group.visits}
-    if isinstance(group, Kind):  # no order is of it
+    if isinstance(group, StandstillKind):  # no order is of it
         return {"kind": "kind", "start": None, "places": [str(group.number), str(group.executions)]}
     return {"kind": "places" if isinstance(group, frozenset) else "order", "start": None, "places": list(group)}
 

@@ -250,7 +250,8 @@ def small_jobs(scene: str) -> Jobs:
     """Return three joint tasks and one separate task for each agent."""
     rows = []
     for jobs in (COUPLED[scene].robot_jobs, COUPLED[scene].operator_jobs):
-        joint, own, *_ = jobs.values()
+        joint, *more = jobs.values()
+        own = more[COUPLED[scene].joint - 1]  # the other joint tasks come first
         rows.append((*[ROW.join(joint)] * JOINT_TIMES, ROW.join(own)))
     return Jobs(visit=rows[0], start="home", end="home", operator=rows[1], operator_end="rest")
 

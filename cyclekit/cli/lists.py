@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.cli.terminal import bullet, duration, percent, table
 from cyclekit.dataset.lost_time import CAUSE_NAMES
-from cyclekit.learning.coupling.words import source_lines, wait_rows
+from cyclekit.learning.coupling.words import habit_lines, wait_rows
 from cyclekit.scaling.response import MIN_RAMPS
 
 if TYPE_CHECKING:
@@ -166,4 +166,4 @@ def coupling_table(found: CouplingCard | None) -> str:
     if not rows:
         return f"no waits for each other found in {found.executions} executions"
     heads = ["who waits ", "until ", "lag, s", "5-95%", "obeyed", "had to wait"]
-    return "\n".join([table(heads, rows), *source_lines(found)])
+    return "\n".join([table(heads, rows), *habit_lines(found)])

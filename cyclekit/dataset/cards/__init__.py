@@ -8,7 +8,9 @@ Unknown keys are ignored, as another version may have written them. The rooms ab
 from cyclekit.dataset.cards.coupling import ConditionCard as ConditionCard
 from cyclekit.dataset.cards.coupling import CouplingCard as CouplingCard
 from cyclekit.dataset.cards.coupling import GateCard as GateCard
+from cyclekit.dataset.cards.coupling import OwnWorkCard as OwnWorkCard
 from cyclekit.dataset.cards.coupling import SourceCard as SourceCard
+from cyclekit.dataset.cards.coupling import TripCard as TripCard
 from cyclekit.dataset.cards.dataset import DatasetCard as DatasetCard
 from cyclekit.dataset.cards.dataset import DynamicsCard as DynamicsCard
 from cyclekit.dataset.cards.dataset import ExecutionCard as ExecutionCard

@@ -17,6 +17,8 @@ from cyclekit.dataset.cards.quantities import Card, Count, Fraction, Name, Secon
 Agent = Literal["robot", "operator"]
 Quantiles = Annotated[tuple[Seconds, ...], Meta(min_length=1, max_length=1001)]
 """A distribution: its quantiles at evenly spaced levels from 0 to 1, s, ascending; one value = constant."""
+MAX_TRIPS = 400
+"""Maximum number of logged trips in a card."""
 Turn = Annotated[int, Meta(ge=0, le=100)]
 
 
@@ -77,6 +79,45 @@ class ConditionCard(Card, frozen=True, kw_only=True):
     signal: str | None = None
 
 
+class OwnWorkCard(Card, frozen=True, kw_only=True):
+    """Own work of the operator at a place, where it depends on the place that he goes to next or came from.
+
+    Attributes:
+        side: Whether `place` is the next one or the one before.
+        place: See `side`.
+        own_s: Time from arrival to the end of the own work then.
+    """
+
+    side: Literal["next", "before"]
+    place: Name
+    own_s: Quantiles
+
+
+class TripCard(Card, frozen=True, kw_only=True):
+    """Trips that the operator makes from a gate, mostly while he waits there, such as to fetch material.
+
+    He goes on when the conditions of the gate hold and he is back. If they hold before he is, he may turn round or come
+    straight, so how long a trip takes depends on when they do.
+
+    Attributes:
+        places: Where they lead.
+        waiting: Share of the passages with a wait that have one.
+        free: Share of the other passages that have one.
+        took_s: How long each logged trip took from the end of own work on, with `after_s`.
+        late_s: How long after its begin the conditions of each would have let him go on, s, ascending.
+        after_s: How long he waits before he goes.
+        seen: Number of logged ones.
+    """
+
+    places: Annotated[tuple[Name, ...], Meta(min_length=1, max_length=4)]
+    waiting: Fraction
+    free: Fraction = 0.0
+    took_s: Annotated[tuple[Seconds, ...], Meta(min_length=1, max_length=MAX_TRIPS)]
+    late_s: Annotated[tuple[Seconds, ...], Meta(min_length=1, max_length=MAX_TRIPS)]
+    after_s: Seconds = 0.0
+    seen: Count = 0
+
+
 class GateCard(Card, frozen=True, kw_only=True):
     """A point where an agent may have to wait.
 
@@ -87,9 +128,11 @@ class GateCard(Card, frozen=True, kw_only=True):
         place: See `at`.
         phase: Share of the nominal motion before the standstill, for `approach` of a robot.
         own_s: For a `leave` gate: time from arrival to the end of the agent's own work.
+        own_by: The same by the operator's next place, or by the one before, where it differs.
         conditions: Conditions, which must all hold. Without any, the gate only has the agent's own work.
         told: Whether it is from the cell file.
         passages: Number of logged passages.
+        trip: Trips of the operator from here.
     """
 
     agent: Agent
@@ -97,9 +140,11 @@ class GateCard(Card, frozen=True, kw_only=True):
     place: Name
     phase: Fraction = 0.0
     own_s: Quantiles = (0.0,)
+    own_by: tuple[OwnWorkCard, ...] = ()
     conditions: Annotated[tuple[ConditionCard, ...], Meta(max_length=4)] = ()
     told: bool = False
     passages: Count = 0
+    trip: TripCard | None = None
 
 
 class SourceCard(Card, frozen=True, kw_only=True):

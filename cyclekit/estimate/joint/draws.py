@@ -8,13 +8,18 @@ from zlib import crc32
 
 import numpy as np
 
+from cyclekit.learning.coupling.trips import soonest_s
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from cyclekit.dataset.cards import TripCard
     from cyclekit.estimate.joint.legs import Agenda, Event
     from cyclekit.estimate.joint.visits import Segments
     from cyclekit.schema import Floats, Ints, Vector
 
+NEAR = 8
+"""Number of logged trips with about the same wait from which one is drawn."""
 NEVER = -np.inf
 """Time of an event that needs no wait; lag of an event that is not needed in this cycle."""
 
@@ -60,6 +65,27 @@ def _padded(groups: Sequence[Sequence[Sequence[int]]], fill: int) -> Ints:
     return table
 
 
+class TripTimes:
+    """How long trips from a gate take, by when its conditions let the operator go on."""
+
+    def __init__(self, trip: TripCard, pace: float = 1.0) -> None:
+        """Take the logged trips; each takes `pace` times as long."""
+        self._late_s, self._took_s = np.array(trip.late_s), pace * np.array(trip.took_s)
+
+    def took_s(self, late_s: Vector, level: Vector) -> Vector:
+        """Return durations, s, of logged trips in which he could have gone on about so long after their begin.
+
+        Args:
+            late_s: How long after their begin he could go on, shape (N,), s.
+            level: Levels in (0, 1) that choose among these, shape (N,).
+        """
+        count = len(self._late_s)
+        near = min(NEAR, count)
+        first = np.clip(np.searchsorted(self._late_s, late_s) - near // 2, 0, count - near)
+        some = np.sort(self._took_s[first[:, None] + np.arange(near)], axis=1)
+        return np.asarray(some[np.arange(len(first)), np.minimum((level * near).astype(np.int64), near - 1)])
+
+
 class CycleDraws:
     """N cycles of one agent: the agenda of each, and the random draws for its legs.
 
@@ -74,6 +100,12 @@ class CycleDraws:
         arrives, passes: Columns of the events that a leg sets, shape (agendas, legs, events).
         walk, stay: Numbers of the operator's segments, shape (N, legs).
         walk_s: Duration of the walks, shape (N, legs).
+        trip: Numbers of the operator's trips before departure, shape (N, legs).
+        trip_level: Levels of their durations, shape (N, legs).
+        trips: How long trips of each kind take.
+        trip_kind: Which of these may be made before departure, shape (agendas, legs); -1 = none.
+        soonest_s: Lag below which he does not go on, shape (agendas, legs, needs).
+        trips_waiting, trips_free: Whether he makes one if he has to wait, and if not, shape (N, legs).
     """
 
     def __init__(
@@ -101,17 +133,23 @@ class CycleDraws:
         self.own_s, self.lag_s = np.zeros((rows, legs)), np.zeros((rows, legs, self.needs.shape[2]))
         self.walk, self.stay = np.zeros((rows, legs), dtype=np.int64), np.zeros((rows, legs), dtype=np.int64)
         self.walk_s = np.zeros((rows, legs))
+        self.trip, self.trip_level = np.zeros((rows, legs), dtype=np.int64), np.zeros((rows, legs))
+        self.trips: dict[TripCard, TripTimes] = {}
+        self.trip_kind = np.full((len(agendas), legs), -1)
+        self.soonest_s = np.zeros(self.needs.shape)
+        self.trips_waiting, self.trips_free = np.zeros((2, rows, legs), dtype=np.bool_)
         self._rows = [np.flatnonzero(which == number) for number in range(len(agendas))]
         for number, agenda in enumerate(agendas):
             self.not_before_s[number, : len(agenda.legs)] = [leg.not_before_s for leg in agenda.legs]
-            self._draw_work(self._rows[number], agenda)
+            self._draw_work(number, agenda)
 
-    def _draw_work(self, rows: Ints, agenda: Agenda) -> None:
-        turns = Counter[str]()
+    def _draw_work(self, which: int, agenda: Agenda) -> None:
+        rows, turns = self._rows[which], Counter[str]()
         for number, leg in enumerate(agenda.legs):
             key = f"{agenda.agent} {leg.name}"
             self.own_s[rows, number] = np.maximum(quantile(leg.own_s, self._level(rows, key, turns[key])), 0.0)
             for each, need in enumerate(leg.needs):
+                self.soonest_s[which, number, each] = soonest_s(need.lag_s.tolist())
                 level = self._level(rows, f"{key} after {need.event[:3]}", turns[key])
                 lag_s = quantile(need.lag_s, level)
                 if need.needed < 1.0:
@@ -136,7 +174,25 @@ class CycleDraws:
                     )
                 if leg.place:
                     self.stay[rows, n] = chosen(segments.stay(leg.place), self._level(rows, f"stay {key}", turns[key]))
+                if leg.trip is not None:
+                    self.set_kind(number, n, leg.trip, pace)
+                    trips = segments.trip(leg.place)
+                    self._draw_trips(
+                        rows, n, leg.trip, trips[np.argsort(segments.durations_s(trips))], (leg.name, turns[key])
+                    )
                 turns[key] += 1
+
+    def set_kind(self, agenda: int, leg: int, trip: TripCard, pace: float) -> None:
+        """Set the trips that may be made before departure from a leg; they take `pace` times as long as logged."""
+        self.trips.setdefault(trip, TripTimes(trip, pace))
+        self.trip_kind[agenda, leg] = list(self.trips).index(trip)
+
+    def _draw_trips(self, rows: Ints, n: int, trip: TripCard, numbers: Ints, turn: tuple[str, int]) -> None:
+        """Draw which of some trips, by duration, he makes before he departs from a leg, and whether he does."""
+        self.trip_level[rows, n] = level = self._level(rows, f"trip from {turn[0]}", turn[1])
+        self.trip[rows, n] = chosen(numbers, level) if len(numbers) else self.stay[rows, n]
+        chance = self._level(rows, f"goes from {turn[0]}", turn[1])
+        self.trips_waiting[rows, n], self.trips_free[rows, n] = chance < trip.waiting, chance < trip.free
 
     def levels(self, key: str, turn: int) -> Vector:
         """Return a level in (0, 1) for each row: spread evenly over the cycles of a question, and shuffled."""

@@ -15,10 +15,10 @@ import numpy as np
 from cyclekit.errors import UnknownName
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from cyclekit.config.sequences import PlannedTask
-    from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
+    from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, TripCard
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.schema import Floats, Vector
 
@@ -62,6 +62,7 @@ class AgendaLeg:
         not_before_s: Earliest departure, from the start of the cycle.
         arrives, passes: Events set at the end of the way, and at departure.
         hold: Whether it is a wait before the task begins.
+        trip: Trips that the operator makes before departure, mostly while he waits.
     """
 
     task: int
@@ -76,6 +77,7 @@ class AgendaLeg:
     arrives: tuple[Event, ...] = ()
     passes: tuple[Event, ...] = ()
     hold: bool = False
+    trip: TripCard | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +124,16 @@ class Gates:
         """Return the quantiles of an agent's own work at a place, if learned."""
         gate = self.at(agent, "leave", place)
         return np.array(gate.own_s) if gate is not None and max(gate.own_s) > 0.0 else None
+
+    def own_by_s(self, place: str, before: str | None, after: str | None) -> Vector | None:
+        """Return the quantiles of the operator's own work at a place by the places around it, if it differs by them."""
+        gate = self.at("operator", "leave", place)
+        around = {("before", before), ("next", after)}
+        return (
+            next((np.array(one.own_s) for one in gate.own_by if (one.side, one.place) in around), None)
+            if gate
+            else None
+        )
 
 
 def needs_of(conditions: Iterable[ConditionCard], turn: int) -> tuple[Need, ...]:
@@ -170,8 +182,8 @@ def precedence_needs(tasks: Sequence[PlannedTask], where: str) -> dict[int, tupl
 class _Builder:
     """Builds the legs of one agent, one after the other."""
 
-    def __init__(self, agent: str, start: str, at_m: Floats, gates: Gates) -> None:
-        self.agent, self._gates = agent, gates
+    def __init__(self, agent: str, start: str, at_m: Floats, gates: Gates, planned: Collection[str] = ()) -> None:
+        self.agent, self._gates, self._planned = agent, gates, planned
         self.legs = [AgendaLeg(-1, start, at_m)]
         self._visits: Counter[str] = Counter({start: 1} if start else {})
         self._done: Counter[str] = Counter()
@@ -194,14 +206,18 @@ class _Builder:
         midway = approach if split is not None and phase > 0.0 else ()
         needs = (*precedence, *(() if midway else approach))
         if needs or not_before_s > 0.0:
+            if gate is not None and gate.trip is not None:  # no second trip before it leaves here
+                self.legs[-1] = replace(self.legs[-1], trip=None)
             hold = AgendaLeg(task, here, self.legs[-1].path_m[-1:], needs=needs, not_before_s=not_before_s)
-            self.legs.append(replace(hold, name=f"hold {place}", hold=True))
+            self.legs.append(replace(hold, name=f"hold {place}", hold=True, trip=self._trip(gate)))
         if here:
             self._passes((self.agent, here, "leaves", self._visits[here] - 1))
             self._passes((self.agent, here, "cleared", self._visits[here] - 1))
         leave = self._gates.needs(self.agent, "leave", place, turn)
         done = (self.agent, name, "done", self._done[name]), (self.agent, place, "set", turn)
-        last = replace(leg, task=task, needs=leave, arrives=((self.agent, place, "arrives", turn),), passes=done)
+        trip = self._trip(self._gates.at(self.agent, "leave", place))
+        arrives = ((self.agent, place, "arrives", turn),)
+        last = replace(leg, task=task, needs=leave, arrives=arrives, passes=done, trip=trip)
         self.legs += split(last, midway, phase) if split is not None and midway else [last]
         self._visits[place] += 1
         self._done[name] += 1
@@ -211,6 +227,11 @@ class _Builder:
         here = self.legs[-1].place
         self._passes((self.agent, here, "leaves", self._visits[here] - 1))
         return Agenda(self.agent, tuple(self.legs), tuple(tasks))
+
+    def _trip(self, gate: GateCard | None) -> TripCard | None:
+        """Return the trips from a gate; none to places that the plan goes to anyway."""
+        trip = gate.trip if gate is not None else None
+        return None if trip is None or set(trip.places) & set(self._planned) else trip
 
     def _passes(self, event: Event) -> None:
         self.legs[-1] = replace(self.legs[-1], passes=(*self.legs[-1].passes, event))
@@ -273,10 +294,13 @@ def operator_agenda(
         precedence: Tasks that each must follow (`after`), by number.
         not_before_s: Earliest start of each task.
     """
-    builder = _Builder("operator", "", np.empty((0, 3)), gates)
+    builder = _Builder("operator", "", np.empty((0, 3)), gates, places)
     for number, place in enumerate(places):
         own = gates.own_s("operator", place) if gates.waits("operator") else None
         own = work_s.get(place, NONE) if own is None or place not in work_s else own
+        around = places[number - 1] if number else None, places[number + 1] if number + 1 < len(places) else None
+        by_place = gates.own_by_s(place, *around) if place in work_s else None
+        own = own if by_place is None else by_place
         own = first_stays_s.get(place, own) if number == 0 and place not in work_s else own
         leg = AgendaLeg(number, place, np.empty((0, 3)), start=builder.legs[-1].place, own_s=own, name=place)
         earliest = not_before_s[number] if not_before_s else 0.0

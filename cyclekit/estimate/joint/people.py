@@ -66,6 +66,10 @@ class OperatorPositions:
         segment = np.where(walks, draws.walk[rows, leg], draws.stay[rows, leg])
         segment = np.where(still, draws.walk[rows, starts], segment)
         since = np.where(still, 0.0, np.where(walks, (t_s - departs) / self._pace, t_s - arrives)) / self._step_s
+        if draws.trips:
+            trip = ~still & ~walks & self._operator.on_trip(t_s, rows, leg)
+            segment = np.where(trip, draws.trip[rows, leg], segment)
+            since = np.where(trip, (t_s - times.works_s[rows, leg]) / self._pace / self._step_s, since)
         since = np.minimum(since, self._count[segment] - 1)
         whole = since.astype(np.int64)
         row = self._first[segment] + whole

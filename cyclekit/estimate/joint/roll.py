@@ -103,7 +103,7 @@ class JointCell:
                 robot alone waits.
         """
         self.model, self.dataset, self.coupling = on_states_of(model, dataset), dataset, coupling
-        self.gates, self.segments = Gates(coupling), Segments(dataset)
+        self.gates, self.segments = Gates(coupling), Segments(dataset, coupling)
         self.dynamics = dynamics or Dynamics.of(dataset.card.dynamics, model)
         self.pace = 1.0  # factor on the logged durations of the operator
         if not self.segments.orders and not self.unseen:

@@ -66,6 +66,7 @@ def mean_times(cell: JointCell, robots: Sequence[Agenda], operators: Sequence[Ag
     slowed = _slowed(cell)
     robot = _usual(robots, columns, [[slowed * leg.way_s for leg in agenda.legs] for agenda in robots])
     operator = _usual(operators, columns, [_walks_s(cell, agenda) for agenda in operators])
+    _set_trips(operator, cell.pace)
     parts = [_usual([source], columns, [[0.0] * len(source.legs)]) for source in sources]
     events = [
         columns.times([(agenda, np.array([row])) for row, agenda in enumerate(agendas)], len(agendas))
@@ -117,6 +118,16 @@ def _walks_s(cell: JointCell, agenda: Agenda) -> list[float]:
     return [cell.pace * seconds for seconds in durations]
 
 
+def _set_trips(draws: CycleDraws, pace: float) -> None:
+    """Let each wait with trips have one of a typical duration times the share of waits with a trip."""
+    draws.trip_level[:] = 0.5
+    for number, agenda in enumerate(draws.agendas):
+        for n, leg in enumerate(agenda.legs):
+            if leg.trip is not None:
+                draws.set_kind(number, n, leg.trip, pace * leg.trip.waiting)
+                draws.trips_waiting[number, n] = True
+
+
 def _usual(agendas: Sequence[Agenda], columns: EventColumns, ways_s: Sequence[Sequence[float]]) -> CycleDraws:
     """Return agendas with median work and lags, and mean ways, one row each."""
     every = np.arange(len(agendas))
@@ -129,7 +140,7 @@ def _usual(agendas: Sequence[Agenda], columns: EventColumns, ways_s: Sequence[Se
 def _rows(draws: CycleDraws, rows: Ints) -> CycleDraws:
     """Return selected rows of draws; rows may repeat."""
     found = copy(draws)
-    for name in ("which", "own_s", "lag_s", "walk_s"):
+    for name in ("which", "own_s", "lag_s", "walk_s", "trip_level", "trips_waiting", "trips_free"):
         setattr(found, name, getattr(draws, name)[rows])
     return found
 

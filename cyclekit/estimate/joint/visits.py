@@ -11,10 +11,13 @@ import numpy as np
 import polars as pl
 
 from cyclekit.estimate.tracks import logged_tracks
+from cyclekit.learning.coupling.trips import part_trips, usual_walks_s
+from cyclekit.learning.coupling.visits import PlaceVisit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
+    from cyclekit.dataset.cards import CouplingCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.tracks import LoggedTrack
     from cyclekit.schema import Floats, Ints, Vector
@@ -41,14 +44,14 @@ class OperatorVisit:
 
 
 class Segments:
-    """Numbered segments: the operator's positions on logged walks and stays.
+    """Numbered segments: the operator's positions on logged walks and stays, and on trips while he waits.
 
     Attributes:
         orders: The visits in each execution, one for each task, by its name.
     """
 
-    def __init__(self, dataset: Dataset) -> None:
-        """Cut the logged tracks of complete executions into walks and stays."""
+    def __init__(self, dataset: Dataset, coupling: CouplingCard | None = None) -> None:
+        """Cut the logged tracks of complete executions into walks, stays and the trips that are known."""
         self._step_s = 1.0 / dataset.rate_hz
         self._places = dataset.human_places
         self._parts: list[Floats] = []
@@ -56,13 +59,22 @@ class Segments:
         self._stays: dict[str, list[int]] = defaultdict(list)
         self._begins: list[Floats] = []
         self._first_stays: dict[str, list[float]] = defaultdict(list)
+        self._trips: dict[str, list[int]] = defaultdict(list)
+        gates = [gate for gate in (coupling.gates if coupling else ()) if gate.trip is not None]
+        self._trips_at = {(gate.at, gate.place) for gate in gates}
+        self._after_s = max((gate.trip.after_s for gate in gates if gate.trip is not None), default=0.0)
+        self.trip_places = {place for gate in gates if gate.trip is not None for place in gate.trip.places}
         self._visits: dict[str, tuple[OperatorVisit, ...]] = {}
         complete = {one.execution for one in dataset.card.executions if one.complete and not one.reference}
         tracks = logged_tracks(dataset)
         mine = dataset.every_task().filter((pl.col("agent") == "operator") & pl.col("agent_name").is_null())
+        every: dict[str, list[PlaceVisit]] = {}
         for (name,), visits in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
             if name in complete and str(name) in tracks and tracks[str(name)].seen:
-                self._cut(str(name), tracks[str(name)], visits)
+                every[str(name)] = self._seen(tracks[str(name)], visits)
+        walks_s = usual_walks_s(list(every.values())) if gates else {}
+        for name, seen in every.items():
+            self._cut(name, tracks[name], seen, walks_s)
         self.orders = self._tasks()
         self._pace = self._paces()
 
@@ -138,28 +150,49 @@ class Segments:
         """Return durations of stays at a place at the start of an execution, ascending, shape (N,), s."""
         return np.sort(self._first_stays[place])
 
-    def _cut(self, name: str, track: LoggedTrack, visits: pl.DataFrame) -> None:
-        where, last = track.where[:, :3], len(track.where) - 1
-        spans = []
+    def trip(self, place: str) -> Ints:
+        """Return the numbers of trips from a place; if there are none, of all trips."""
+        found = self._trips.get(place) or [number for some in self._trips.values() for number in some]
+        return np.array(found, dtype=np.int64)
+
+    def _seen(self, track: LoggedTrack, visits: pl.DataFrame) -> list[PlaceVisit]:
+        """Return the visits to known places in one execution, from the first row of its track to the last, s."""
+        last_s, found = (len(track.where) - 1) * self._step_s, []
         for place, arrives_s, leaves_s in visits.select("goal_place", "arrival_s", "end_s").iter_rows():
-            first = 0 if arrives_s is None else round((arrives_s - track.begin_s) / self._step_s)
-            left = last if leaves_s is None else round((leaves_s - track.begin_s) / self._step_s)
-            if place in self._places and first <= last:
-                spans.append((place, max(first, 0), min(left, last)))
+            first_s = 0.0 if arrives_s is None else max(arrives_s - track.begin_s, 0.0)
+            left_s = last_s if leaves_s is None else min(leaves_s - track.begin_s, last_s)
+            if place in self._places and first_s <= left_s:
+                found.append(PlaceVisit(place, first_s, left_s))
+        return found
+
+    def _row(self, at_s: float) -> int:
+        return round(at_s / self._step_s)
+
+    def _cut(
+        self, name: str, track: LoggedTrack, seen: Sequence[PlaceVisit], walks_s: Mapping[tuple[str, str], float]
+    ) -> None:
+        where = track.where[:, :3]
+        visits, trips = part_trips(seen, self.trip_places, walks_s, self._trips_at, self._after_s)
+        spans = [(visit.place, self._row(visit.arrived_s), self._row(visit.left_s)) for visit in visits]
+        for number, trip in trips.items():
+            went, back = self._row(trip.left_s), self._row(trip.back_s)
+            self._trips[visits[number].place].append(self._add(where[went : back + 1]))
         if not spans:
             return
         self._begins.append(where[0])
         at_s = [(place, a * self._step_s, b * self._step_s) for place, a, b in spans]
         self._visits[name] = tuple(OperatorVisit(place, a if a > AT_START_S else 0.0, b) for place, a, b in at_s)
-        for place, first, left in spans:
-            self._stays[place].append(self._add(where[first : left + 1]))
+        for number, (place, first, left) in enumerate(spans):
+            end = self._row(trips[number].left_s) if number in trips else left
+            self._stays[place].append(self._add(where[first : end + 1]))
         there = at_s[0][1] <= AT_START_S
         self._begin(where, spans, there=there)
         self._ways["", spans[0][0]].append(self._add(where[spans[0][1] if there else 0 : spans[0][1] + 1]))
         if there and len(spans) > 1:  # a plan may begin with the second place
             self._ways["", spans[1][0]].append(self._add(where[: spans[1][1] + 1]))
-        for (start, _, left), (goal, arrives, _) in pairwise(spans):
-            self._ways[start, goal].append(self._add(where[left : arrives + 1]))
+        for number, ((start, _, left), (goal, arrives, _)) in enumerate(pairwise(spans)):
+            if number not in trips:  # he may have come from the trip, on another way
+                self._ways[start, goal].append(self._add(where[left : arrives + 1]))
 
     def _begin(self, where: Floats, spans: Sequence[tuple[str, int, int]], *, there: bool) -> None:
         """Store the initial stay, including one too short to be detected as a stay."""

@@ -34,6 +34,7 @@ class LegTimes:
     Attributes:
         decided: Column of the event that decided departure, or OWN or PLANNED.
         lost_s: Safety loss of the leg.
+        trips: Whether the operator made a trip before departure.
     """
 
     def __init__(self, draws: CycleDraws) -> None:
@@ -42,6 +43,7 @@ class LegTimes:
         self.arrives_s, self.works_s, self.passes_s = (np.full(shape, np.inf) for _ in range(3))
         self.decided = np.full(shape, OWN)
         self.lost_s = np.zeros(shape)
+        self.trips = np.zeros(shape, dtype=np.bool_)
 
     @property
     def waits_s(self) -> Floats:
@@ -84,6 +86,8 @@ class UnslowedAgent:
             open_s, decided = departures(self.draws, self._events_s, rows, legs, self.times.works_s[rows, legs])
             known = np.isfinite(open_s)
             rows, legs, open_s = rows[known], legs[known], open_s[known]
+            if self.draws.trips:
+                open_s = self._after_trips(rows, legs, open_s)
             self.times.passes_s[rows, legs], self.times.decided[rows, legs] = open_s, decided[known]
             agenda = self.draws.which[rows]
             self._events_s[rows[:, None], self.draws.passes[agenda, legs]] = open_s[:, None]
@@ -93,6 +97,28 @@ class UnslowedAgent:
             self.leg[rows] += 1
             self._arrive(rows, open_s)
         return moved[(self.leg[moved] > first) | self.ended[moved]]
+
+    def _after_trips(self, rows: Ints, legs: Ints, open_s: Vector) -> Vector:
+        """Return when these rows may depart from these legs after the trips that they make, s."""
+        draws, works_s = self.draws, self.times.works_s[rows, legs]
+        agenda = draws.which[rows]
+        events_s = np.where(
+            draws.lag_s[rows, legs] == NEVER, NEVER, self._events_s[rows[:, None], draws.needs[agenda, legs]]
+        )
+        late_s = (events_s + draws.soonest_s[agenda, legs]).max(axis=1) - works_s
+        goes = np.where(late_s > 0.0, draws.trips_waiting[rows, legs], draws.trips_free[rows, legs])
+        self.times.trips[rows, legs] = goes
+        kind, level = draws.trip_kind[agenda, legs], draws.trip_level[rows, legs]
+        for number, times in enumerate(draws.trips.values()):
+            mine = np.flatnonzero(goes & (kind == number))
+            open_s[mine] = np.maximum(open_s[mine], works_s[mine] + times.took_s(late_s[mine], level[mine]))
+        return open_s
+
+    def on_trip(self, t_s: float, rows: Ints, legs: Ints) -> Bools:
+        """Return which of these rows, not yet departed from these legs, are on a trip or back from one, shape (N,)."""
+        departs = np.isfinite(self.times.passes_s[rows, legs])  # known; otherwise he waits
+        goes = np.where(departs, self.times.trips[rows, legs], self.draws.trips_waiting[rows, legs])
+        return np.asarray(goes & (t_s >= self.times.works_s[rows, legs]))
 
     def _arrive(self, rows: Ints, departs_s: Vector) -> None:
         legs = self.leg[rows]

@@ -59,6 +59,7 @@ def _gate(change: Change, gate: GateCard) -> GateCard:
     return replace(
         gate,
         own_s=tuple(seconds / pace for seconds in gate.own_s),
+        own_by=tuple(replace(one, own_s=tuple(seconds / pace for seconds in one.own_s)) for one in gate.own_by),
         conditions=tuple(_condition(change, gate, one) for one in conditions),
     )
 

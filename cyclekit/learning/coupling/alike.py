@@ -27,7 +27,7 @@ from cyclekit.learning.coupling.conditions import (
     since_event,
     times_of,
 )
-from cyclekit.learning.coupling.departures import Alike, Condition, Departures, Gate
+from cyclekit.learning.coupling.departures import Alike, Condition, Departures, Gate, condition_gain, least_gain
 from cyclekit.learning.coupling.visits import Event
 
 if TYPE_CHECKING:
@@ -81,7 +81,18 @@ def find_with_alike(
     gates, times = find_conditions(courses, agent, given, barred), times_of(courses)
     for kind in _kinds(gates, times, barred):
         _learn(gates, times, kind, [wait for wait in given if wait.agent == agent])
+    if not given and any(gate.alike for gate in gates):
+        _drop_redundant(gates)
     return gates
+
+
+def _drop_redundant(gates: Sequence[Departures]) -> None:
+    """Drop conditions of single gates that explain nothing more once those of places alike are known."""
+    for gate in gates:
+        for condition in [one for one in gate.found if one not in gate.alike]:
+            if condition_gain(gate, condition) < least_gain(len(gate.seen)):
+                for other in gates:
+                    other.since_s.pop((gate.gate, condition), None)
 
 
 def number_of(name: str) -> tuple[str, str] | None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.learning.coupling.conditions import EARLY_LEAVING_S
+from cyclekit.learning.coupling.departures import condition_gain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -24,7 +24,7 @@ def in_circles(robot: Sequence[Departures], operator: Sequence[Departures]) -> I
             for a in mine.found:
                 for b in his.found:
                     if _meets(mine, a, his, b):
-                        drop_mine = _gain(mine, a) < _gain(his, b)
+                        drop_mine = condition_gain(mine, a) < condition_gain(his, b)
                         yield ("robot", a.event) if drop_mine else ("operator", b.event)
 
 
@@ -37,9 +37,3 @@ def _meets(mine: Departures, a: Condition, his: Departures, b: Condition) -> boo
     began = (mine.left_s - mine.since_s[mine.gate, a])[rows]
     within = met & (began <= his.left_s + EARLY_LEAVING_S) & (began >= his.own_s)
     return bool(within.sum() > 0.5 * np.isfinite(needed).sum() > 0)
-
-
-def _gain(gate: Departures, condition: Condition) -> float:
-    """Return the gain in log-likelihood of a gate's departures from one condition."""
-    without = replace(gate, since_s={key: at for key, at in gate.since_s.items() if key != (gate.gate, condition)})
-    return float((gate.causes().log_likelihood - without.causes().log_likelihood).sum()) * gate.weight

@@ -12,7 +12,7 @@ import numpy as np
 
 from cyclekit.dataset.cards.coupling import Turns
 from cyclekit.errors import UnknownName
-from cyclekit.learning.coupling.departures import SEEN, Condition, Departures, departures_of
+from cyclekit.learning.coupling.departures import SEEN, Condition, Departures, departures_of, least_gain
 from cyclekit.learning.coupling.lags import deciding_causes
 from cyclekit.learning.coupling.machines import after_own, is_steady
 from cyclekit.learning.coupling.visits import Event
@@ -35,8 +35,6 @@ EARLY_S, EARLY_LEAVING_S = 0.25, 1.0
 leaves, because he finishes before his motion is visible."""
 MIN_DECIDED = 5
 """Minimum number of departures that a condition must decide."""
-GAIN, GAIN_PER_DEPARTURE = 8.0, 0.05
-"""Minimum gain in log-likelihood: the first value, plus the second per departure."""
 GAIN_TOLERANCE, GAIN_TOLERANCE_SHARE = 3.0, 0.1
 """Maximum difference in gain, absolute and relative, at which two conditions count as equally good; then the one whose
 event is nearest to the departures is chosen."""
@@ -281,11 +279,6 @@ def _best_of(
     as_good = [each for each in good if each[2] >= good[0][2] - max(GAIN_TOLERANCE, GAIN_TOLERANCE_SHARE * good[0][2])]
     found = min(as_good, key=lambda each: _before(*each[:2]))
     return found[0], found[1], found[2] * gate.weight
-
-
-def least_gain(departures: int) -> float:
-    """Return the minimum gain in log-likelihood at which a cause is accepted, for a number of departures."""
-    return GAIN + GAIN_PER_DEPARTURE * departures
 
 
 def _follows(causes: Causes, since: Vector) -> bool:

@@ -23,8 +23,10 @@ from cyclekit.learning.coupling.conditions import (
 )
 from cyclekit.learning.coupling.departures import Condition, Departures, Gate
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.own_work import own_work_by_place
 from cyclekit.learning.coupling.sources import find_sources
 from cyclekit.learning.coupling.together import NeededTogether, needed_together
+from cyclekit.learning.coupling.trips import parted_courses, trip_places, waits_before_s, with_trips
 from cyclekit.learning.coupling.unseen_parts import find_unseen_parts, with_parts
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits, courses_of
 
@@ -84,7 +86,24 @@ def learn_executions(
 
 
 def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()) -> CouplingCard:
-    """Return the wait conditions learned from executions, without the `phase` of the robot's approach gates."""
+    """Return the wait conditions learned from executions, without the `phase` of the robot's approach gates.
+
+    Where the operator makes trips while he waits, these are parted from his visits first.
+    """
+    if places := trip_places(courses):
+        parted, trips = parted_courses(courses, places)
+        found = _without_trips(parted, given)
+        gates = {(gate.at, gate.place) for gate in found.gates if gate.agent == "operator" and gate.conditions}
+        after_s = waits_before_s(found, parted, trips)
+        parted, trips = parted_courses(courses, places, gates, after_s)
+        known = with_trips(_without_trips(parted, given), parted, trips, places, after_s)
+        if known is not None:
+            return known
+    return _without_trips(courses, given)
+
+
+def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait]) -> CouplingCard:
+    """Return the wait conditions learned from executions in which no visit is a trip."""
     departures = {agent: find_with_alike(courses, agent, given) for agent in AGENTS}
     unseen = _unseen(courses, departures["robot"], given)
     if unseen:
@@ -132,7 +151,11 @@ def _tools(courses: Sequence[ExecutionVisits], gates: Sequence[Departures]) -> s
 def _usual_work_s(gates: Sequence[Departures]) -> float:
     """Return the median work time at places where an agent never waits, s; inf if there are none."""
     never = [gate for gate in gates if gate.gate.at == "leave" and not gate.since_s]
-    return float(np.median([np.median(gate.left_s - gate.own_s) for gate in never])) if never else float("inf")
+    return (
+        float(np.median([np.median(gate.left_s - gate.own_s + gate.more_s) for gate in never]))
+        if never
+        else float("inf")
+    )
 
 
 def _gate(
@@ -158,6 +181,7 @@ def _gate(
         at=gate.at,
         place=gate.place,
         own_s=own_s if gate.at == "leave" else (0.0,),
+        own_by=own_work_by_place(courses, found, own_s) if gate.at == "leave" and gate.agent == "operator" else (),
         conditions=tuple(cards),
         told=by_file,
         passages=len(found.left_s),
@@ -178,11 +202,11 @@ def _parts(
     """
     step = -(-len(found.left_s) // KEPT)
     since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
-    decided = decided_by(since)
+    decided, stays_s = decided_by(since), (found.left_s - found.own_s + found.more_s)[::step]
     if (decided == 0).any():
-        own_s = _distribution(since[0], decided == 0)
+        own_s = _distribution(stays_s, decided == 0)
     else:
-        shortest_s, low, middle = np.quantile(since[0], (0.0, 0.1, 0.3)).tolist()
+        shortest_s, low, middle = np.quantile(stays_s, (0.0, 0.1, 0.3)).tolist()
         other_s = min(usual_s, shortest_s) if np.isfinite(usual_s) else 0.5 * shortest_s
         own_s = (round(low if middle - low <= TIE_S else other_s, 4),)
     cards = []

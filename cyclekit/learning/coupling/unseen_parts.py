@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cyclekit.dataset.cards.coupling import SourceCard
-from cyclekit.learning.coupling.conditions import least_gain
+from cyclekit.learning.coupling.departures import least_gain
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
 from cyclekit.learning.coupling.visits import Event
 

@@ -55,6 +55,7 @@ class PlaceVisit(NamedTuple):
         place: Name of the place.
         arrived_s, left_s: Arrival and departure.
         reached_s, went_on_s: Arrival at and departure from the waiting point short of the place.
+        away_s: Duration of a trip of the operator within the visit (`trips`), s.
     """
 
     place: str
@@ -62,6 +63,7 @@ class PlaceVisit(NamedTuple):
     left_s: float
     reached_s: float = np.nan
     went_on_s: float = np.nan
+    away_s: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from cyclekit.learning.coupling.waits import condition_text
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard
+    from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard, TripCard
 
 _AT = {"leave": "at", "approach": "before"}
 
@@ -63,9 +63,30 @@ def _passages(one: ConditionCard) -> str:
     return text + (", where the other waits too" if one.together else "")
 
 
-def source_lines(found: CouplingCard | None) -> list[str]:
-    """Return when parts and signals that neither agent sets come, one sentence each."""
-    return [line for source in (found.sources if found else ()) for line in _source_lines(source)]
+def habit_lines(found: CouplingCard | None) -> list[str]:
+    """Return when parts and signals come that neither agent sets, and what the operator does in waits and before them.
+
+    One sentence each.
+    """
+    if found is None:
+        return []
+    lines = [line for source in found.sources for line in _source_lines(source)]
+    lines += [_trip_line(gate, gate.trip) for gate in found.gates if gate.trip is not None]
+    return lines + [_own_work_line(gate) for gate in found.gates if gate.own_by]
+
+
+def _trip_line(gate: GateCard, trip: TripCard) -> str:
+    took_s = sorted(trip.took_s)
+    return (
+        f"operator {_AT[gate.at]} {gate.place}: trips to {' or '.join(trip.places)} in {trip.waiting:.0%} of his waits "
+        f"and {trip.free:.0%} of the other passages, {_quantile(took_s, 0.05):.1f} to {_quantile(took_s, 0.95):.1f} s"
+    )
+
+
+def _own_work_line(gate: GateCard) -> str:
+    sides = {"next": "before he goes to", "before": "after he comes from"}
+    each = (f"{_quantile(one.own_s, 0.5):.1f} s {sides[one.side]} {one.place}" for one in gate.own_by)
+    return f"operator at {gate.place}: own work of {', '.join(each)}"
 
 
 def _source_lines(source: SourceCard) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cyclekit.learning.coupling.words import WaitRow, source_lines
+from cyclekit.learning.coupling.words import WaitRow, habit_lines
 from cyclekit.plots.style import tip
 from cyclekit.plots.waits import WaitArrow, draw_waits, height_in
 from cyclekit.report.figures.figure import Chart, Figure
@@ -68,7 +68,7 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
         return figure
 
     caption = texts("waits.caption", executions=count(card.executions))
-    table = _table(page, [texts("waits.source", text=line) for line in source_lines(card)])
+    table = _table(page, [texts("waits.source", text=line) for line in habit_lines(card)])
     yield Chart(Picture("waits", alt, drawn), caption, title=texts("waits.title"), table=table)
 
 

@@ -63,6 +63,9 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     if cell.unseen:
         seen = "no log shows the operator, and without his places other orders cannot be played here"
         raise EstimateError(seen, cure="Ask estimate, plan and whatif.")
+    if any(gate.trip is not None or gate.own_by for gate in card.gates):
+        seen = "trips of the operator while he waits, and work that depends on where he goes next, are not played here"
+        raise EstimateError(seen, cure="Ask estimate, plan and whatif.")
     arrays: Arrays = {}
     planner = Planner(cell, legs)
     sequences = [_sequence(each, planner) for each in shown]

@@ -1,0 +1,146 @@
+"""Trips of the operator while he waits, and own work by the next place, in joint rollouts."""
+
+from __future__ import annotations
+
+import importlib
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+import polars as pl
+import pytest
+from known_cells import Constant
+
+from cyclekit.config.sequences import PlannedTask, TaskSequence
+from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, OwnWorkCard, TripCard
+from cyclekit.errors import EstimateError
+from cyclekit.estimate.joint.draws import TripTimes
+from cyclekit.estimate.joint.legs import Gates, operator_agenda
+from cyclekit.estimate.joint.plans import Planner
+from cyclekit.estimate.joint.roll import JointCell, RolledBoth
+from cyclekit.estimate.joint.visits import Segments
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.whatif.change import Change
+from cyclekit.estimate.whatif.coupled import altered_coupling
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.joint.roll import Plan
+
+HOME_LEFT = ConditionCard(agent="robot", place="home", event="leaves", lag_s=(0.5,))
+TRIP = TripCard(places=("rest",), waiting=0.5, free=0.0, took_s=(40.0,) * 4, late_s=(1.0, 2.0, 3.0, 4.0))
+
+
+def _cell(logged: Dataset, trip: TripCard) -> JointCell:
+    """Return a cell in which the operator, at inbound, waits for the robot's first motion before he goes on."""
+    gate = GateCard(agent="operator", at="approach", place="out_left_1", conditions=(HOME_LEFT,), trip=trip)
+    own = GateCard(agent="operator", at="leave", place="inbound", own_s=(1.0,))
+    return JointCell(Constant(1.0), logged, CouplingCard(gates=(gate, own)))
+
+
+def _plan(cell: JointCell, robot_s: float, operator: tuple[str, ...]) -> Plan:
+    tasks = [PlannedTask("robot", "home->conveyor", not_before_s=robot_s)]
+    tasks += [PlannedTask("operator", place) for place in operator]
+    return Planner(cell, nominal_tasks(cell.dataset)).plan(TaskSequence.of_plan("both", tasks))
+
+
+def _rolled(cell: JointCell, plan: Plan, cycles: int = 100) -> RolledBoth:
+    (found,) = cell.roll([plan], cycles=cycles, until_s=300.0)
+    if isinstance(found, EstimateError):
+        raise found
+    return found
+
+
+@pytest.mark.parametrize("robot_s", [0.0, 20.0])
+def test_trips_are_made_in_their_share_of_the_waits_and_end_before_he_goes_on(logged: Dataset, robot_s: float) -> None:
+    cell = _cell(logged, TRIP)
+    found = _rolled(cell, _plan(cell, robot_s, ("inbound", "out_left_1")))
+    (operator,) = found.operators
+    (hold,) = (n for n, leg in enumerate(operator.agenda.legs) if leg.hold)
+    went, stood_s = operator.times.trips[:, hold], operator.times.waits_s[:, hold]
+    if robot_s == 0.0:  # it has left before he is done: he need not wait, and goes on no trip
+        assert not went.any()
+        assert stood_s == pytest.approx(0.0, abs=0.6)
+    else:
+        assert went.mean() == pytest.approx(0.5, abs=0.02)
+        assert stood_s[went] == pytest.approx(40.0)
+        assert operator.times.passes_s[~went, hold] == pytest.approx(robot_s + 0.5, abs=0.1)
+
+
+def test_no_trips_are_added_to_a_plan_that_goes_there_itself(logged: Dataset) -> None:
+    cell = _cell(logged, TRIP)
+    found = _rolled(cell, _plan(cell, 20.0, ("inbound", "rest", "inbound", "out_left_1")), cycles=20)
+    assert not found.operators[0].times.trips.any()
+
+
+def test_logged_trips_are_cut_out_of_the_visits(logged: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    """He goes from inbound to his rest place, two metres away, and back, and then to the next place."""
+    there, away, out = (np.array(logged.human_places[name].xyz_m) for name in ("inbound", "rest", "out_left_1"))
+    spans = [(there, 3.0), (away, 2.0), (there, 1.0), (out, 4.0)]
+    names, at_s, rows, where = ("inbound", "rest", "inbound", "out_left_1"), 0.0, [], list[np.ndarray]()
+    for name, (xyz_m, stays_s) in zip(names, spans, strict=True):
+        rows.append(("operator", None, "1", len(rows), name, at_s, at_s + stays_s))
+        where += [xyz_m] * round((stays_s + 1.0) * logged.rate_hz)
+        at_s += stays_s + 1.0
+    columns = ("agent", "agent_name", "execution", "index", "goal_place", "arrival_s", "end_s")
+    visits = pl.DataFrame(rows, columns, orient="row")
+    execution = msgspec.structs.replace(logged.card.executions[0], execution="1", complete=True, reference=False)
+    card = msgspec.structs.replace(logged.card, executions=(execution,))
+    stub = SimpleNamespace(
+        rate_hz=logged.rate_hz, human_places=logged.human_places, card=card, every_task=lambda: visits
+    )
+    track = SimpleNamespace(where=np.array(where), begin_s=0.0, seen=True)
+    monkeypatch.setattr("cyclekit.estimate.joint.visits.logged_tracks", lambda _: {"1": track})
+    gate = GateCard(agent="operator", at="approach", place="out_left_1", conditions=(HOME_LEFT,), trip=TRIP)
+    found = Segments(stub, CouplingCard(gates=(gate,)))  # type: ignore[arg-type]  # a stub
+    assert [visit.place for visit in found.orders["1"]] == ["inbound", "out_left_1"]
+    assert found.durations_s(found.trip("inbound")) == pytest.approx([4.0])  # from his leaving until he is back
+    xyz_m, first, count = found.table()
+    (number,) = found.trip("inbound")
+    on_trip = xyz_m[first[number] : first[number] + count[number]]
+    assert np.linalg.norm(on_trip - away, axis=1).min() == 0.0
+    plain = Segments(stub, None)  # type: ignore[arg-type]
+    assert [visit.place for visit in plain.orders["1"]] == list(names)
+    assert len(plain.trip("inbound")) == 0
+
+
+def test_the_search_counts_trips_by_their_share(logged: Dataset) -> None:
+    importlib.import_module("cyclekit.estimate.plan")  # before its search
+    from cyclekit.estimate.joint.search import mean_times
+
+    times = []
+    for share in (0.0, 0.5, 1.0):
+        cell = _cell(logged, TripCard(places=("rest",), waiting=share, took_s=(80.0,), late_s=(1.0,)))
+        plan = _plan(cell, 20.0, ("inbound", "out_left_1"))
+        times.append(float(mean_times(cell, [plan.robot], list(plan.operators), both=True)[0, 0]))
+    assert times[0] < times[1] < times[2]
+    assert times[2] - times[1] == pytest.approx(40.0, abs=0.1)
+
+
+def test_a_trip_lasts_as_long_as_logged_ones_with_about_the_same_wait() -> None:
+    late_s = tuple(np.arange(20.0).tolist())
+    times = TripTimes(TripCard(places=("shelf",), waiting=1.0, took_s=late_s, late_s=late_s), pace=2.0)
+    level = np.linspace(0.01, 0.99, 50)
+    took_s = times.took_s(np.full(50, 10.0), level)
+    assert (took_s.min(), took_s.max()) == (12.0, 26.0)  # eight neighbours, at twice the time
+    assert times.took_s(np.array([-np.inf, np.inf]), np.array([0.0, 0.99])).tolist() == [0.0, 38.0]
+
+
+def test_own_work_of_a_plan_is_that_before_the_next_place() -> None:
+    by = tuple(OwnWorkCard(side="next", place=place, own_s=(s,)) for place, s in (("left", 2.0), ("right", 6.0)))
+    before = (OwnWorkCard(side="before", place="left", own_s=(9.0,)),)
+    waits = GateCard(agent="operator", at="approach", place="left", conditions=(HOME_LEFT,))
+    cards = [
+        GateCard(agent="operator", at="leave", place=p, own_s=(4.0,), own_by=b)
+        for p, b in (("bench", by), ("rest", before))
+    ]
+    card = CouplingCard(gates=(waits, *cards))
+    works = {place: np.ones(1) for place in ("bench", "left", "right", "rest")}
+    agenda = operator_agenda(("bench", "left", "bench", "right", "bench", "rest"), Gates(card), works, {})
+    assert [float(leg.own_s[0]) for leg in agenda.legs if leg.place == "bench" and not leg.hold] == [2.0, 6.0, 4.0]
+    agenda = operator_agenda(("left", "rest"), Gates(card), works, {})
+    assert float(agenda.legs[-1].own_s[0]) == 9.0
+    quicker = altered_coupling(Change(name="quicker", faster={"operator": 2.0}), card)
+    assert quicker is not None
+    assert [one.own_s for gate in quicker.gates for one in gate.own_by] == [(1.0,), (3.0,), (4.5,)]

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import polars as pl
 
-from cyclekit_sim.coupled_program import Order, Script, operator_script, plan_all, random_order, robot_script
+from cyclekit_sim.coupled_program import Order, Script, operator_script, plan_all, robot_script
 from cyclekit_sim.coupled_run import coupled_runs
-from cyclekit_sim.program import IDLE
+from cyclekit_sim.coupled_scenes import REST
+from cyclekit_sim.program import HOME, IDLE
 
 if TYPE_CHECKING:
     from cyclekit_sim.coupled_scenes import Coupled
@@ -109,9 +110,17 @@ def task_plan(cell: Coupled, order: Order) -> list[tuple[str, str]]:
     return [(name, task.name) for agent, name in NAMES.items() for task in tasks_of(cell, agent, scripts[agent])]
 
 
+def _every_job(cell: Coupled) -> Order:
+    """Return an order with each job once, as a random one need not go to all fixtures."""
+    robot, operator = (
+        [place for places in jobs.values() for place in places] for jobs in (cell.robot_jobs, cell.operator_jobs)
+    )
+    return {"robot": (HOME, *robot, HOME), "operator": (REST, *operator, REST)}
+
+
 def listed_conditions(cell: Coupled) -> list[dict[str, object]]:
     """Return which task waits for the end of which other task, as JSON."""
-    scripts = _scripts(cell, random_order(cell, np.random.default_rng(0)))
+    scripts = _scripts(cell, _every_job(cell))
     tasks = {agent: tasks_of(cell, agent, scripts[agent]) for agent in scripts}
     found = []
     for gate in cell.gates:

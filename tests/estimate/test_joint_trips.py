@@ -23,6 +23,7 @@ from cyclekit.estimate.joint.visits import Segments
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.estimate.whatif.coupled import altered_coupling
+from cyclekit.report.play.both import tables_of_both
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
@@ -144,3 +145,12 @@ def test_own_work_of_a_plan_is_that_before_the_next_place() -> None:
     quicker = altered_coupling(Change(name="quicker", faster={"operator": 2.0}), card)
     assert quicker is not None
     assert [one.own_s for gate in quicker.gates for one in gate.own_by] == [(1.0,), (3.0,), (4.5,)]
+
+
+def test_a_cell_with_trips_is_not_played_in_the_page(logged: Dataset) -> None:
+    """The script in the page draws no trips: it would show another number than the estimate."""
+    cell = _cell(logged, TRIP)
+    model = Constant(1.0)
+    object.__setattr__(model, "card", SimpleNamespace(coupling=cell.coupling, operator_signals=()))
+    with pytest.raises(EstimateError, match="trips of the operator"):
+        tables_of_both(SimpleNamespace(dataset=logged), model, ())  # type: ignore[arg-type]  # a stub

@@ -13,7 +13,7 @@ import pytest
 
 from cyclekit_sim import COUPLED, SimulationError, SimulationOptions, fresh_cycles, random_orders, simulate
 from cyclekit_sim.coupled import coupled_work
-from cyclekit_sim.coupled_list import task_plan
+from cyclekit_sim.coupled_list import listed_conditions, task_plan
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -166,3 +166,12 @@ def test_in_a_task_list_no_task_starts_before_what_it_waits_for(scene: str, tmp_
         ends = first.filter(pl.col("task") == condition["needs"])["t_end"].to_list()
         for start, end in zip(starts[condition["back"] :], ends, strict=False):
             assert start > end + condition["lag_s"][0] - 2e-3
+
+
+def test_the_conditions_of_a_task_list_are_those_of_all_its_places() -> None:
+    """In an order of four-fixtures three of the four fixtures are used at most."""
+    found = [(each["task"], each["needs"], each["back"]) for each in listed_conditions(COUPLED["four-fixtures"])]
+    fixtures = [f"fixture_{number}" for number in (1, 2, 3, 4)]
+    expected = {(f"mount {name}", f"bring {name}", 0) for name in fixtures}
+    assert set(found) == expected | {(f"bring {name}", f"mount {name}", 1) for name in fixtures}
+    assert len(found) == 8

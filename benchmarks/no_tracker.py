@@ -15,15 +15,20 @@ import shutil
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.rules.of_dataset import rule_of
 from cyclekit_sim import SimulationOptions, simulate
 
+if TYPE_CHECKING:
+    from cyclekit.dataset.cards import OperatorSignalCard
+
 CELLS: dict[str, tuple[str, SimulationOptions]] = {
     "scanner-fields": ("scanner-fields", SimulationOptions()),
     "light-curtain": ("light-curtain", SimulationOptions()),
+    "guard-door": ("guard-door", SimulationOptions()),
     "box-picking by signals": (
         "box-picking",
         SimulationOptions(people="signals", latency_s=0.1, ramp_down_per_s=1.5, ramp_up_per_s=1.5),
@@ -48,7 +53,7 @@ def judged(logs: Path, dataset: Dataset) -> list[str]:
     by_events = dataset.card.operator_signals and not dataset.card.operator_signals[0].signal.startswith("digital")
     true = {one["name"] if by_events else f"digital-input {one['bit']}": one for one in facts["fields"]}
     found = {one.signal: one for one in dataset.card.operator_signals}
-    right = [name for name in true if name in found and found[name].occupied == str(true[name]["occupied"])]
+    right = [name for name in true if name in found and is_right(found[name], true[name])]
     late = max((abs(found[name].delay_s - facts["options"]["latency_s"]) for name in right), default=float("nan"))
     search = rule_of(dataset, dataset.levels)
     explained = max(search.explained.values(), default=0.0)
@@ -62,13 +67,19 @@ def judged(logs: Path, dataset: Dataset) -> list[str]:
     ]
 
 
+def is_right(found: OperatorSignalCard, field: dict[str, int | None]) -> bool:
+    """Return whether a signal is occupied at the true value, and has the true reset button, if any."""
+    bit = field["reset_bit"]
+    return found.occupied == str(field["occupied"]) and found.reset == (None if bit is None else f"digital-input {bit}")
+
+
 def edge_error(true: dict[str, dict[str, list[list[float]]]], rule: object) -> float:
     """Return the maximum distance of true edges from the nearest edges of the rule, m; infinite if one is missing."""
     worst = 0.0
     signals = [one for limit in rule.limits for one in limit.within.signals]  # type: ignore[attr-defined]
     for name, field in true.items():
         polygon = field["robot_polygon_m"]
-        mine = next((one for one in signals if one.signal == name), None)
+        mine = next((one for one in signals if one.signal.partition(" (reset")[0] == name), None)
         if mine is None or bool(polygon) != (mine.robot is not None):
             return float("inf")
         if mine.robot is not None:

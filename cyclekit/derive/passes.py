@@ -30,7 +30,13 @@ from cyclekit.derive.reaction_time import reaction_time
 from cyclekit.derive.robot import numbered, robot_of, with_standstills
 from cyclekit.derive.sample_file import in_order, shared_files
 from cyclekit.derive.second_pass import SecondPassResult, second_pass
-from cyclekit.derive.session_signals import find_presence_signals, is_tracked, mixed_sources, some_executions
+from cyclekit.derive.session_signals import (
+    find_presence_signals,
+    is_tracked,
+    mixed_sources,
+    restart_notes,
+    some_executions,
+)
 from cyclekit.derive.slow_down_clocks import with_slow_down_clocks
 from cyclekit.derive.stops_at_places import StopAtPlace, stops_at_places
 from cyclekit.derive.tracker_frame import frame_notes
@@ -259,6 +265,7 @@ def _derived(
             *(staircase.warnings if some or not sampled else []),
             *input_notes(evidence),
             *signal_notes(presence.found),
+            *restart_notes(presence),
             *mixed_sources(sampled, presence),
             *empty_tracker_notes(sampled, operator_absence),
             *unseen_notes(finished),

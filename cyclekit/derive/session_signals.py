@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import compress
+from itertools import compress, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,10 +43,12 @@ class PresenceSignals:
     Attributes:
         found: The signals.
         switches: State of each signal by name, on while a person is present, for each session; may be empty.
+        restarted: Number of sessions whose signals were not used, as the robot's clock was restarted in the log.
     """
 
     found: FoundSignals
     switches: Sequence[Mapping[str, TwoStateSignal]]
+    restarted: int = 0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,11 +89,15 @@ def find_presence_signals(
     if len(levels) < 2 or not among:
         return PresenceSignals(FoundSignals(), [{}] * len(sessions))
     values = {mine.session: _values(mine, read, stored) for mine in sessions}
-    _add_held(sessions, values, stored)
+    restarted = {name for name, mine in values.items() if mine and _restarts(runs[name])}
+    values |= {name: {} for name in restarted}
+    if not (among := [mine for mine in among if mine.session not in restarted]):
+        return PresenceSignals(FoundSignals(), [{}] * len(sessions), len(restarted))
+    _add_held([mine for mine in sessions if mine.session not in restarted], values, stored)
     evidence = _evidence(among, [values[mine.session] for mine in among], runs, levels, folder)
     found = find_signals(evidence, cell.operator_signals)
     switches = [_switches(values[mine.session], found, _begins(runs[mine.session])) for mine in sessions]
-    return PresenceSignals(found, switches)
+    return PresenceSignals(found, switches, len(restarted))
 
 
 def is_tracked(session: SecondPassResult) -> bool:
@@ -183,6 +189,16 @@ def _switches(values: Mapping[str, SignalChanges], found: FoundSignals, begins_s
             changes, on = latched(changes, on, values[one.reset], one.reset_at, begins), ON
         switches[one.name] = TwoStateSignal(changes.t_s, changes.value == on)
     return switches
+
+
+def _restarts(runs: Sequence[Run]) -> bool:
+    """Return whether the clock of a robot log goes back: times of its signals then belong to several of its parts."""
+    return any(after.time_at(0) < before.time_at(before.rows - 1) for before, after in pairwise(runs))
+
+
+def restart_notes(presence: PresenceSignals) -> list[Note]:
+    """Return a note: in how many sessions signals were not used, as the robot's clock was restarted."""
+    return [note("signals-restarted", sessions=presence.restarted)] if presence.restarted else []
 
 
 def _begins(runs: Sequence[Run]) -> Vector:
@@ -285,4 +301,11 @@ def _samples(
         yield t_s + at, level, frame["robot_x_m"].to_numpy(), frame["robot_y_m"].to_numpy(), task, number
 
 
-__all__ = ["PresenceSignals", "find_presence_signals", "is_tracked", "mixed_sources", "some_executions"]
+__all__ = [
+    "PresenceSignals",
+    "find_presence_signals",
+    "is_tracked",
+    "mixed_sources",
+    "restart_notes",
+    "some_executions",
+]

@@ -6,16 +6,20 @@ import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 import pytest
 
 from cyclekit.config.cells import OperatorSignal
 from cyclekit.config.read import load_cell
 from cyclekit.config.write import cell_to_toml
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.signals import SignalChanges
 from cyclekit.derive.latched_signals import latched
 from cyclekit.derive.operator_signals import SignalEvidence, find_signals
 from cyclekit.errors import UnknownName
+from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.rules.of_dataset import rule_of
+from cyclekit_sim import SimulationOptions, simulate
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -152,3 +156,25 @@ def test_a_stop_that_lasts_until_the_reset_is_the_rule_and_its_time_is_lost_to_p
     assert lost[1] > 0.98 * lost[0] > 10.0
     texts = " ".join(one.text for one in dataset.card.warnings)
     assert "digital-input 5 = 0 is taken as a person's presence, which lasts until digital-input 8" in texts
+
+
+def test_signals_of_a_log_in_which_the_clock_was_restarted_are_not_used(tmp_path: Path) -> None:
+    simulate(
+        "guard-door", tmp_path / "logs", executions=12, seed=3, options=SimulationOptions(executions_per_session=8)
+    )
+    (log,) = (tmp_path / "logs" / "session_001").glob("robot.csv")
+    rows = pl.read_csv(log, separator=" ")
+    half = rows.height // 2
+    back_s = rows["timestamp"][half] - rows["timestamp"][0]
+    begun = pl.int_range(pl.len()) >= half
+    rows.with_columns(pl.when(begun).then(pl.col("timestamp") - back_s).otherwise("timestamp")).write_csv(
+        log, separator=" "
+    )
+    ingest([tmp_path / "logs"], tmp_path / "dataset")
+    dataset = Dataset.open(tmp_path / "dataset")
+    assert {one.reset for one in dataset.card.operator_signals} == {None, "digital-input 8"}
+    assert dataset.card.operator_signals[-1].explained > 0.97
+    session = pl.col("execution").str.split(".").list.first().alias("session")
+    known = dataset.samples().group_by(session).agg(pl.col("human_signals").is_not_null().any())
+    assert dict(known.iter_rows()) == {"session_000": True, "session_001": False}
+    assert any("the robot's clock was restarted" in one.text for one in dataset.card.warnings)

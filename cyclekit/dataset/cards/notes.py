@@ -241,6 +241,10 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "reset button): the speed responds {delay_s:.2f} s later, and {explained:.0%} of the lost time is explained; "
         "if that is wrong, name the right signals: [[operator_signals]] in cell.toml"
     ),
+    "signals-restarted": (
+        "in {sessions} session(s) the robot's clock was restarted while recording: the times of its signals belong to "
+        "several parts of the log, so no signal shows people there; split the robot's log at the restart"
+    ),
     "signals-follow": (
         "no signal of people was found; {signals} change {late_s:.2f} s after the speed, as a lamp does: "
         "if it is a field that is logged late, name it under [[operator_signals]] in cell.toml"

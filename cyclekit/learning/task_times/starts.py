@@ -24,6 +24,8 @@ HELD = 0.98
 """Minimum share of starts after a condition's end."""
 EARLY_S = 0.15
 """Tolerance, s: a start may precede its condition by this much (rounding, clock error)."""
+EARLY_PLAN_S = 0.6
+"""The same for a planned start, s: plans are often written in whole seconds."""
 MIN_DECIDED = 5
 """Minimum number of starts that a condition must decide alone."""
 DECIDED_S = 0.3
@@ -77,7 +79,11 @@ def learn_starts(runs: Sequence[Run], agent: str, task: str) -> Starts:
     open_to |= {need: _ends(seen, need) for need in _candidates(runs, agent)}
     chosen: list[NeedCard | None] = []
     while len(chosen) < MAX_CONDITIONS:
-        tried = {need: _gain(start, ready, ends) for need, ends in open_to.items() if need not in chosen}
+        tried = {
+            need: _gain(start, ready, ends, EARLY_PLAN_S if need is None else EARLY_S)
+            for need, ends in open_to.items()
+            if need not in chosen
+        }
         best = max(tried, key=lambda need: tried[need], default=None)
         least = GAIN + np.log(len(open_to)) + GAIN_PER_START * len(seen)
         if not tried or tried[best] < least:
@@ -113,10 +119,10 @@ def _ends(seen: Sequence[_Start], need: NeedCard) -> Vector:
     return found
 
 
-def _gain(start: Vector, ready: Vector, ends: Vector) -> float:
+def _gain(start: Vector, ready: Vector, ends: Vector, early_s: float) -> float:
     """Return the gain in regularity of the starts by a condition; minus infinity if the condition does not hold."""
     known = np.isfinite(ends)
-    held = start >= ends - EARLY_S
+    held = start >= ends - early_s
     decided = known & held & (ends > ready + DECIDED_S)
     if not known.any() or held[known].mean() < HELD or decided.sum() < MIN_DECIDED:
         return -np.inf

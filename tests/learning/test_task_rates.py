@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 from msgspec import structs
@@ -162,3 +164,17 @@ def test_few_held_out_executions_that_scatter_more_than_the_rollout_widen_single
     usual_s = width_s(2, 3.0)  # of so few orders the scatter is not known
     assert width_s(6, 0.3) == pytest.approx(usual_s)
     assert width_s(6, 3.0) == pytest.approx(3.0 * usual_s * 2.015 / 1.645, rel=0.01)
+
+
+def test_an_order_that_ran_often_counts_as_one_order_for_single_cycles() -> None:
+    rng = np.random.default_rng(1)
+    first, *others = permutations("abc")
+    runs = []
+    for number, (order, took_s) in enumerate([*[(first, 1.0)] * 30, *((order, 1.3) for order in others)]):
+        ends = np.cumsum(took_s * np.exp(0.02 * rng.standard_normal(3))).tolist()
+        tasks = [DoneTask(*each) for each in zip(order, [0.0, *ends], ends, strict=False)]
+        runs.append(Run(str(number), {"arm": tuple(tasks)}, number))
+    judged = learn_runs(runs, {"arm": "robot"}).held_out
+    assert judged is not None
+    assert len(judged.deviations) == 36
+    assert np.median(judged.deviations) > 0.0  # five of the six orders take longer than the others say

@@ -123,8 +123,8 @@ class HeldOutCard(Card, frozen=True, kw_only=True):
         order_error: Standard deviation of estimate / true - 1 over orders, without the chance of few executions each.
         learning_error: Relative standard error of an estimate due to finite logs: from models that each lack one part
             of the executions (jackknife), widened as Student's t for the few parts.
-        deviations: Deviation of each execution from its estimate, in standard deviations of the estimated single
-            cycles.
+        deviations: Deviations of executions from their estimates, in standard deviations of the estimated single
+            cycles; the same number of each order.
     """
 
     orders: Count

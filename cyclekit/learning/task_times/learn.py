@@ -207,8 +207,7 @@ def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:
     error = float(np.sqrt(max(np.mean(errors**2) - chance, 0.0)))
     each_off = errors if len(errors) > 1 else np.array([each.mean_s / each.true_s - 1.0 for each in found])
     within = float(each_off.std(ddof=1) / np.sqrt(len(each_off)))
-    deviations = [(each.true_s - each.mean_s) / max(each.sd_s, 1e-3 * each.mean_s) for each in found]
-    kept = _kept(np.clip(deviations, -1e3, 1e3))
+    kept = _kept(np.clip(_deviations(list(by_order.values())), -1e3, 1e3))
     return HeldOutCard(
         orders=len(by_order),
         bias=float(errors.mean()),
@@ -217,3 +216,14 @@ def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:
         learning_error=0.0,
         deviations=kept,
     )
+
+
+def _deviations(by_order: Sequence[Sequence[_HeldOut]]) -> Vector:
+    """Return the deviations of executions from their estimates, the same number of each order.
+
+    The next plan is another order, so an order that ran often tells no more about it than one that ran once.
+    """
+    each = -(-sum(len(some) for some in by_order) // len(by_order))
+    levels = (np.arange(each) + 0.5) / each
+    found = [[(one.true_s - one.mean_s) / max(one.sd_s, 1e-3 * one.mean_s) for one in some] for some in by_order]
+    return np.concatenate([np.quantile(some, levels, method="hazen") for some in found])

@@ -9,11 +9,12 @@ hysteresis are unknown. If the robot speeds up later than it slows down, the dif
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.scaling.agreement import LATENCIES_S, PositionsBeforeChanges, agreement_of
+from cyclekit.scaling.short_ramps import LevelChange, by_counts, by_cycles, stride_of
 from cyclekit.scaling.transitions import RampRates, begin_of, fresh, held_levels, repeats, tolerance_of, transitions_of
 
 if TYPE_CHECKING:
@@ -35,42 +36,12 @@ _WHOLE = 0.85
 """Share of a step above which a change from row to row is limited by the step, not by the rate."""
 _AGREE = 0.3
 """Relative tolerance between the slope of a few ramps and the rate from the number of rows in all ramps."""
-MIN_SEEN = 20
-"""Minimum number of rows between levels to determine the increment of the scaling."""
-_ALIKE = 2e-4
-"""Tolerance for equal scalings, as logged."""
 SHORT_S = 1.0
 """Maximum duration of a transition without a slope, s."""
 GROUPS = 10
 """Number of groups of changes for the jackknife standard error of a rate."""
 MAX_CHANGES = 20_000
 """Maximum number of changes that are used."""
-
-
-class LevelChange(NamedTuple):
-    """One transition from a level: its start, the threshold that was crossed, and its rate.
-
-    Attributes:
-        t_s: Session time at which the scaling started to leave the level.
-        step: Index of the slower of the two levels that the threshold separates; -1: it left no level.
-        rises: Whether the scaling rose.
-        rate_per_s: Rate of change, 1/s; None = too few rows.
-        change: Observed change of the scaling; between two levels, that outside of their tolerances.
-        way_s: Time between two levels, by the number of rows, s; None if it did not lead from level to level.
-        most_per_s: Maximum change from row to row, 1/s; None without rows.
-        near: Tolerance within which the scaling is on a level.
-        gone: Distance of each row from the level that it left, if there are too few rows for a rate.
-    """
-
-    t_s: float
-    step: int
-    rises: bool
-    rate_per_s: float | None
-    change: float = 0.0
-    way_s: float | None = None
-    most_per_s: float | None = None
-    near: float = 0.0
-    gone: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -162,8 +133,10 @@ def _change(
     max_rate = float(np.abs(np.diff(scaling[rows]) / row_s).max()) if last >= first else None
     whole = abs(float(levels[after] - levels[before])) - 2 * near  # within that it is on a level
     gone = tuple(np.abs(scaling[first : last + 1] - levels[before]).tolist()) if rate is None else ()
+    between_s = tuple(row_s.tolist()) if rate is None else ()
     return LevelChange(
-        begin_s, step, ramp.rises, rate, whole, (last - first + 1) * float(np.median(row_s)), max_rate, near, gone
+        begin_s, step, ramp.rises, rate, whole, (last - first + 1) * float(np.median(row_s)), max_rate, near, gone,
+        between_s,
     )  # fmt: skip
 
 
@@ -198,7 +171,7 @@ def rate_of(changes: Sequence[LevelChange]) -> float | None:
     """Return the rate of the ramps in one direction, 1/s; None if there are too few, or if the scaling jumps.
 
     The rate comes from slopes if ramps have enough rows, or if some have and agree with the rest. Otherwise, it comes
-    from the total time between levels: the mean number of rows is right even if a single ramp has one or none. If the
+    from increments and cycles of the controller, or else from the number of rows between levels (`short_ramps`). If the
     log is synchronous with the safety system's cycle, that number is too low, and the rate is the fastest change from
     row to row.
     """
@@ -209,19 +182,18 @@ def rate_of(changes: Sequence[LevelChange]) -> float | None:
     slope = _usual(sloped)
     if sum(weight for _, weight in sloped) > 0.5 * sum(change.change for change in short):
         return slope
-    spent_s = sum(change.way_s or 0.0 for change in timed)
     fastest = [change.most_per_s for change in short if change.most_per_s is not None]
     if len(fastest) < max(MIN_RAMPS, JUMP_ROWS * len(short)):
         return None
-    stride = _stride(np.sort([gone for change in short for gone in change.gone]))
-    mean = sum(_off_levels(change, stride) for change in timed) / spent_s
-    slope = slope or _alike([rate for rate, _ in sloped])
-    if slope is not None and abs(slope / mean - 1.0) <= _AGREE:
+    stride = stride_of([gone for change in short for gone in change.gone])
+    counted = by_counts(timed, stride)
+    slope = slope or _alike([rate for rate, _ in sloped]) or by_cycles(short, stride, counted)
+    if slope is not None and abs(slope / counted - 1.0) <= _AGREE:
         return slope
     row_s = float(np.median([change.way_s for change in short if change.most_per_s is not None]))
     max_rate = float(np.quantile(fastest, 0.95))
     limited = max_rate * row_s > _WHOLE * float(np.median([change.change for change in short]))
-    return mean if limited else min(mean, max_rate)
+    return counted if limited else min(counted, max_rate)
 
 
 def error_of(changes: Sequence[LevelChange]) -> float | None:
@@ -232,27 +204,6 @@ def error_of(changes: Sequence[LevelChange]) -> float | None:
     if groups < 3 or len(rates) < groups:
         return None
     return float(np.sqrt((groups - 1) * np.var(rates)))
-
-
-def _stride(gone: Vector) -> float | None:
-    """Return the increment of the scaling per controller cycle, from distances from the level left, ascending.
-
-    A controller changes the scaling once per cycle, so that few values occur; None if the data do not show that.
-    """
-    if len(gone) < MIN_SEEN:
-        return None
-    apart = np.diff(gone, prepend=0.0)
-    stride = float(apart[apart > _ALIKE].min(initial=np.inf))
-    return stride if np.abs(gone - stride * np.rint(gone / stride)).max() <= _ALIKE else None
-
-
-def _off_levels(change: LevelChange, stride: float | None) -> float:
-    """Return the part of a change between two levels that is off both; with `stride`, counted in increments."""
-    if stride is None:
-        return change.change
-    whole = change.change + 2 * change.near
-    gone = stride * np.arange(1, np.ceil(whole / stride - 1e-6))
-    return stride * int(np.count_nonzero((gone > change.near) & (gone < whole - change.near)))
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from staircases import LEVELS, commanded, followed
 from cyclekit.scaling.agreement import LATENCIES_S
 from cyclekit.scaling.levels import find_staircase
 from cyclekit.scaling.response import Changes, LevelChange, changes_of, error_of, rate_of, read_response
+from cyclekit.scaling.short_ramps import by_counts
 
 if TYPE_CHECKING:
     from simulated_cells import Cells
@@ -196,9 +197,12 @@ def test_the_override_of_a_research_cell_has_three_levels_and_two_rates():
 
 
 def stepped(
-    up: float, down: float = 1.0, begins: np.ndarray | None = None
+    up: float, down: float = 1.0, begins: np.ndarray | None = None, late: np.random.Generator | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return times and scaling of a controller of 8 ms cycles, logged at 10 Hz, and when it began to change."""
+    """Return times and scaling of a controller of 8 ms cycles, logged at 10 Hz, and when it began to change.
+
+    With `late`, rows are stamped up to a cycle late by random, as by a receiver.
+    """
     if begins is None:
         begins = np.arange(1, 500) * 1.508  # at every phase of the rows as often
     cycles = np.arange(0.0, begins[-1] + 1.0, 0.008)
@@ -208,7 +212,47 @@ def stepped(
         now = min(goal, now + 0.008 * up) if goal > now else max(goal, now - 0.008 * down)
         scaling[row] = now
     rows = np.unique(np.searchsorted(cycles, np.arange(0.0, cycles[-1], 0.1)))
-    return cycles[rows], scaling[rows], begins
+    late_s = 0.0 if late is None else late.uniform(0.0, 0.008, len(rows))
+    return cycles[rows] + late_s, scaling[rows], begins
+
+
+def test_rows_that_are_whole_cycles_apart_tell_a_short_ramp_exactly() -> None:
+    begins = np.cumsum(np.random.default_rng(1).uniform(1.0, 2.0, 400))
+    for up in (3.0, 5.0, 8.0):
+        t_s, scaling, _ = stepped(up, begins=begins)
+        rising = [one for one in changes_of(t_s, scaling, (0.5, 0.75, 1.0)) if one.rises]
+        assert rate_of(rising) == pytest.approx(up, rel=1e-6)
+    turned = LevelChange(0.0, 0, True, None, 0.23, 0.1, 1.0, 0.01, (0.0137,), (0.096, 0.104))  # one ramp that turned
+    assert rate_of([*rising, turned]) == pytest.approx(8.0, rel=1e-6)
+
+
+def test_a_controller_that_changes_the_scaling_in_every_second_cycle_is_not_read_as_twice_as_fast() -> None:
+    t_s, scaling, _ = stepped(up=5.0)
+    rising = [one for one in changes_of(t_s, scaling, (0.5, 0.75, 1.0)) if one.rises]
+    twice = [one._replace(row_s=tuple(0.004 * round(each / 0.004) for each in one.row_s)) for one in rising]
+    twice[0] = twice[0]._replace(row_s=(0.1, 0.1, 0.1, 0.1))  # these rows show a cycle of 4 ms
+    twice[1] = twice[0]
+    assert rate_of(twice) == pytest.approx(5.0, rel=1e-3)
+
+
+def test_large_changes_tell_more_by_their_number_of_rows() -> None:
+    """With rows at any time only their number counts; each of 27 changes by half takes nearly one row."""
+    found, plain = [], []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        row_s, sizes = 0.1, np.array([0.25] * 110 + [0.48] * 27)
+        rows = rng.random(len(sizes)) < sizes / 5.0 / row_s
+        changes = [
+            LevelChange(
+                0.0, 0, True, None, size, row_s * row, 1.0 if row else None, 0.0,
+                tuple(rng.uniform(0.0, size, int(row))), (row_s,) * (1 + row),
+            )
+            for size, row in zip(sizes.tolist(), rows.tolist(), strict=True)
+        ]  # fmt: skip
+        found.append(by_counts(changes, None) / 5.0 - 1.0)
+        plain.append(sizes.sum() / (row_s * rows.sum()) / 5.0 - 1.0)
+    assert float(np.std(found)) < 0.8 * float(np.std(plain))
+    assert abs(float(np.mean(found))) < 0.02
 
 
 def test_a_ramp_shorter_than_a_row_is_read_without_the_step_of_its_controller() -> None:
@@ -229,8 +273,8 @@ def test_two_rows_in_a_ramp_tell_its_rate_and_one_row_when_it_began() -> None:
 def test_the_standard_error_of_a_rate_is_what_rates_differ_by() -> None:
     found, errors = [], []
     for seed in range(20):
-        begins = np.cumsum(np.random.default_rng(seed).uniform(1.0, 2.0, 200))
-        t_s, scaling, _ = stepped(up=5.0, begins=begins)
+        rng = np.random.default_rng(seed)
+        t_s, scaling, _ = stepped(up=5.0, begins=np.cumsum(rng.uniform(1.0, 2.0, 200)), late=rng)
         rising = [one for one in changes_of(t_s, scaling, (0.5, 0.75, 1.0)) if one.rises]
         found.append(rate_of(rising) or 0.0)
         errors.append(error_of(rising) or 0.0)
@@ -246,12 +290,12 @@ def test_few_changes_tell_no_standard_error() -> None:
 
 def test_ways_that_happen_to_have_two_rows_count_where_ramps_are_timed() -> None:
     """Left out, the rest would be too short: 10 per second."""
-    single = [LevelChange(float(i), 0, True, None, 1.0, 0.1, 10.0) for i in range(12)]
+    single = [LevelChange(float(i), 0, True, None, 1.0, 0.1, 10.0, row_s=(0.1, 0.1)) for i in range(12)]
     double = [LevelChange(20.0 + i, 0, True, rate, 1.0, 0.2, 9.0) for i, rate in enumerate((7.0, 8.0, 9.5, 8.3))]
-    assert rate_of([*single, *double]) == pytest.approx(8.0)
+    assert rate_of([*single, *double]) == pytest.approx(8.0, rel=0.01)
 
 
 def test_three_slopes_that_agree_tell_the_rate() -> None:
-    single = [LevelChange(float(i), 0, True, None, 1.0, 0.1, 10.0) for i in range(12)]
+    single = [LevelChange(float(i), 0, True, None, 1.0, 0.1, 10.0, row_s=(0.1, 0.1)) for i in range(12)]
     double = [LevelChange(20.0 + i, 0, True, 8.4, 1.0, 0.2, 9.0) for i in range(3)]
     assert rate_of([*single, *double]) == pytest.approx(8.4)

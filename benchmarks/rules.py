@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +27,7 @@ import polars as pl
 from rich.console import Console
 from rich.table import Table
 
-from cyclekit.dataset.cards.rule import LimitCard, MetresCard, RegionCard, RuleCard
+from cyclekit.dataset.cards.rule import LimitCard, MetresCard, PolygonCard, RegionCard, RuleCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.rules.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
@@ -37,7 +38,7 @@ from cyclekit_sim import SimulationOptions, simulate
 from cyclekit_sim.rules import Limit, Rectangle, Rule
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
 THRESHOLD_M, CORNER_M = 0.01, 0.03
 
@@ -223,7 +224,10 @@ def threshold_off(case: Case, rule: RuleCard) -> float:
 
 
 def corner_off(case: Case, rule: RuleCard) -> float:
-    """Return the maximum error of the corners, m; inf and -inf as in `threshold_off`."""
+    """Return the maximum error of the corners, m; inf and -inf as in `threshold_off`.
+
+    Of a polygon, a corner too many counts by its distance from the nearest true one.
+    """
     margin_m, worst = case.options.get("hysteresis_m", 0.0), -np.inf
     for hidden in case.rule.limits:
         if hidden.rectangle is None:
@@ -236,7 +240,8 @@ def corner_off(case: Case, rule: RuleCard) -> float:
     for hidden in case.rule.limits if case.family != SIGNAL else ():
         limit = _limit(hidden, rule)
         for polygon in () if limit is None or not hidden.polygon_m else limit.within.polygons:
-            worst = max(worst, _off(hidden.polygon_m, polygon_corners(polygon)))
+            seen = polygon_corners(polygon)
+            worst = max(worst, _off(hidden.polygon_m, seen), _off(seen or (), list(hidden.polygon_m)))
         region = None if limit is None else limit.within.robot
         if region is not None and case.robot is not None:
             truth = (*case.robot.x_m, *case.robot.y_m)
@@ -246,11 +251,12 @@ def corner_off(case: Case, rule: RuleCard) -> float:
 
 
 def _off(truth: Iterable[tuple[float, float]], found: list[tuple[float, float]] | None) -> float:
-    return max(min((float(np.hypot(x - a, y - b)) for a, b in found or ()), default=np.inf) for x, y in truth)
+    apart = (min((float(np.hypot(x - a, y - b)) for a, b in found or ()), default=np.inf) for x, y in truth)
+    return max(apart, default=-np.inf)
 
 
 def intervals(case: Case, rule: RuleCard) -> str:
-    """Return the number of 95 % intervals of thresholds and axis-parallel edges that contain the truth, as text."""
+    """Return the number of 95 % intervals of thresholds, axis-parallel edges and sides that contain the truth."""
     margin_m, hold = case.options.get("hysteresis_m", 0.0), list[bool]()
     for hidden in case.rule.limits:
         limit = _limit(hidden, rule)
@@ -259,6 +265,8 @@ def intervals(case: Case, rule: RuleCard) -> str:
                 continue
             if hidden.below_m is not None:
                 pairs = [(near.metres, hidden.below_m + by_m) for near in region.nearer]
+            elif hidden.polygon_m:
+                pairs = [pair for polygon in region.polygons if not by_m for pair in _sides(hidden.polygon_m, polygon)]
             else:
                 pairs = _edges(hidden.rectangle, region, by_m)
             hold += [(metres.low or -np.inf) <= at <= (metres.high or np.inf) for metres, at in pairs]
@@ -276,6 +284,23 @@ def _edges(hidden: Rectangle | None, region: RegionCard, by_m: float) -> list[tu
         for edge, at in zip((*rectangle.along, *rectangle.across), truth, strict=True)
         if edge is not None
     ]
+
+
+def _sides(truth: Sequence[tuple[float, float]], polygon: PolygonCard) -> list[tuple[MetresCard, float]]:
+    """Return the sides with their true positions: where the normal through the middle of a side meets the truth."""
+    found = polygon_corners(polygon)
+    pairs = []
+    for number, side in enumerate(polygon.sides if found else ()):
+        middle = np.mean([found[number - 1], found[number]], axis=0) if found else np.zeros(2)
+        normal = np.array([np.cos(side.angle_rad), np.sin(side.angle_rad)])
+        off = np.inf
+        for one, other in pairwise(np.array([*truth, truth[0]])):
+            way = other - one
+            if abs(normal[0] * way[1] - normal[1] * way[0]) > 0.5 * np.linalg.norm(way):
+                at = float(np.linalg.solve(np.column_stack([normal, -way]), one - middle)[0])
+                off = min(off, at, key=abs)
+        pairs.append((side.metres, side.metres.value + off))
+    return pairs
 
 
 def _limit(hidden: Limit, rule: RuleCard) -> LimitCard | None:

@@ -44,7 +44,8 @@ class LevelChanges(NamedTuple):
     """K changes of the level caused by one threshold or edge.
 
     Attributes:
-        value_m: The operator's coordinate or distance at the change, shape (K,), averaged over the sampling interval.
+        value_m: The operator's coordinate or distance at the change, shape (K,), averaged over the time in which it
+            may have been.
         pace_m: Change of that value from one sample to the next, shape (K,).
         spread_m: Standard deviation of `value_m`, shape (K,), from noise and the time between two samples.
         execution: Number of the execution, shape (K,).
@@ -112,7 +113,8 @@ def _measured(value_m: Vector, rows: RuleRows, noise_m: float) -> LevelChanges:
     """Return the operator's value at a change of the level, if there is one between each row (N,) and the row before.
 
     The mean of both rows is biased if the operator passes at an angle, because a distance then falls and rises again.
-    One more row on each side corrects it; at the ends of a stretch the plain mean is used.
+    One more row on each side corrects it; at the ends of a stretch the plain mean is used. If the log shows the time of
+    the change, the value at that time is used.
     """
     before, after = rows.before, np.full(len(rows), -1)
     has = np.flatnonzero(before >= 0)
@@ -124,7 +126,12 @@ def _measured(value_m: Vector, rows: RuleRows, noise_m: float) -> LevelChanges:
     long = (at[after] - at[earlier]) / 3
     four = (earlier >= 0) & (after >= 0) & np.isfinite(bent)
     value, pace = np.where(four, bent, value), np.where(four, long, pace)
-    spread = np.sqrt(0.7 * noise_m**2 + pace**2 / 12 + EXACT_M**2)
+    part, hidden = rows.dated.mean(axis=1), np.diff(rows.dated, axis=1)[:, 0]
+    chord = at[before] + part * (at - at[before])
+    curved = chord - part * (1.0 - part) * (at[earlier] - at[before] - at + at[after]) / 4
+    known = np.isfinite(hidden) & (rows.sample - rows.sample[before] == 1)
+    value = np.where(known, np.where(four, curved, chord), value)
+    spread = np.sqrt(0.7 * noise_m**2 + (np.where(known, hidden, 1.0) * pace) ** 2 / 12 + EXACT_M**2)
     return LevelChanges(value, pace, spread, rows.execution)
 
 

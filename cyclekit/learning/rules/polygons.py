@@ -1,7 +1,7 @@
 """Fits a convex polygon on the floor to slow samples, side by side.
 
 A side is a cut along its normal. Sides are added greedily by the number of fast samples that they exclude; then each is
-shifted and rotated in turn for the best fit given the others.
+shifted and rotated in turn for the best fit given the others. `polygon_sides` keeps those that are needed.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import numpy as np
 
 from cyclekit.dataset.cards.rule import PolygonCard, SideCard
 from cyclekit.learning.rules.cuts import Cut, best_cut
+from cyclekit.learning.rules.polygon_fit import MAX_SIDES, NEAR_M, PolygonSamples, PolygonState, depths_of, normals
+from cyclekit.learning.rules.polygon_sides import needed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
     from cyclekit.learning.rules.cuts import LimitRows
     from cyclekit.schema import Bools, Vector
 
-MAX_SIDES = 6
 _TRIED = 8
 """Maximum number of sides that are added before the least useful ones are removed."""
 _GAIN = 3e-4
@@ -29,6 +30,8 @@ _GAIN = 3e-4
 _ANGLES = np.deg2rad(np.arange(0.0, 360.0, 6.0))
 _COARSE_DEG, _FINE_DEG = (4.0, 2.0), (1.0, 0.4, 0.15)
 _ROUNDS = 4
+_SPREAD_M = 0.01
+"""Standard deviation of positions in the choice of sides, m; the chosen rule is fitted again with that of the logs."""
 
 
 class _Side(NamedTuple):
@@ -78,7 +81,7 @@ def best_polygon(rows: LimitRows, start: PolygonCard | None = None) -> PolygonCa
     if not about.slow.any():
         return None
     if start is None:
-        sides = _fewer(floor, _drawn(about))
+        sides = _needed(floor, _fewer(floor, _drawn(about)))
     else:
         sides = [_Side(side.angle_rad, Cut(side.metres.value, side.metres.value)) for side in start.sides]
     sides = _moved(floor, sides, _FINE_DEG if start is None else _FINE_DEG[1:])
@@ -114,6 +117,23 @@ def _fewer(floor: _Floor, sides: list[_Side]) -> list[_Side]:
             break
         sides = _moved(floor, best, _COARSE_DEG)
     return sides
+
+
+def _needed(floor: _Floor, sides: list[_Side]) -> list[_Side]:
+    """Return the sides that samples near the polygon need when all others are fitted again."""
+    if not sides:
+        return sides
+    angle, out = np.array([(side.angle_rad, side.cut.value) for side in sides]).T
+    state = PolygonState(angle, normals(angle) * out[:, None])
+    state = state.about(floor.floor_m[floor.slow].mean(axis=0))
+    count = len(floor.slow)
+    samples = PolygonSamples(
+        floor.floor_m, np.where(floor.slow, 1.0, -1.0), np.full(count, _SPREAD_M), np.zeros((count, 2))
+    )
+    near = np.abs(depths_of(state, samples).min(axis=0)) < NEAR_M
+    state = needed(state, PolygonSamples(*(each[near] for each in samples)), np.random.default_rng(0))
+    ends = zip(state.angle_rad.tolist(), state.out_m.tolist(), strict=True)
+    return [_Side(each, Cut(value, value)) for each, value in ends]
 
 
 def _moved(floor: _Floor, sides: Sequence[_Side], degrees: Sequence[float]) -> list[_Side]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,7 @@ from msgspec import structs
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE
 from cyclekit.learning.labelling import commanded_in_time, without_slider
+from cyclekit.learning.rules.dated import dated
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.earlier import earlier
 from cyclekit.learning.rules.links import to_nearest_link
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.schema import Bools, Vector
+    from cyclekit.schema import Bools, Floats, Vector
 
 
 SURE_S = 0.01
@@ -47,6 +48,8 @@ class RuleRows:
         execution: Number of the execution, shape (N,).
         at_m: TCP and operator, shape (N, 6), m; NaN without an operator.
         sample: Number of the sample, counted with those of unknown level, shape (N,).
+        dated: If the level changed since the row before, and the log shows when: the last time before the change and
+            the first after it, as parts of the time between both rows, shape (N, 2); else NaN.
     """
 
     positions: Positions
@@ -55,6 +58,7 @@ class RuleRows:
     execution: NDArray[np.int64]
     at_m: NDArray[np.float32]
     sample: NDArray[np.int64]
+    dated: Floats
 
     def __len__(self) -> int:
         """Return N."""
@@ -94,7 +98,7 @@ class RuleRows:
         keep = np.isin(self.execution, executions) & (self.known if known else True)
         stretch = np.cumsum(self.before < 0)[keep]
         before = np.where(np.diff(stretch, prepend=-1) == 0, np.arange(len(stretch)) - 1, -1)
-        parts = (self.execution[keep], self.at_m[keep], self.sample[keep])
+        parts = (self.execution[keep], self.at_m[keep], self.sample[keep], self.dated[keep])
         return RuleRows(self.positions.where(keep), self.level[keep], before, *parts)
 
     @classmethod
@@ -134,7 +138,8 @@ class RuleRows:
         inputs = np.concatenate([robot_m, human_m], axis=1).astype(np.float32)
         values = {name: value[known] for name, value in (signals or {}).items()}
         places = Positions(apart, human_m[:, :2], robot_m[:, :2], values)
-        return cls(places, level.astype(np.float64), before, execution, inputs, np.flatnonzero(known))
+        undated = np.full((len(level), 2), np.nan)
+        return cls(places, level.astype(np.float64), before, execution, inputs, np.flatnonzero(known), undated)
 
 
 def rows_of(
@@ -172,7 +177,8 @@ def rows_of(
     said = signals_of(dataset, executions, frame, level, run) if signals else None
     known = run + hidden_for_long(level >= 0, t_s)
     level = np.where(level < UNKNOWN, -1.5 - level, level)
-    return RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=known, to_link_m=to_link, signals=said)
+    rows = RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=known, to_link_m=to_link, signals=said)
+    return replace(rows, dated=dated(dataset, executions, rows, t_s, levels, response))
 
 
 def hidden_for_long(known: Bools, t_s: Vector) -> NDArray[np.int64]:

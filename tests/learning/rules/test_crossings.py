@@ -118,6 +118,23 @@ def test_who_passes_at_an_angle_moves_no_threshold() -> None:
     assert mean_of_two[changed].mean() - 1.0 > abs(np.concatenate([each.value_m for each in both]).mean() - 1.0)
 
 
+def test_a_change_is_measured_at_its_time_if_the_log_shows_that() -> None:
+    rows, limits = passes(0.0)
+    dated = np.full_like(rows.dated, np.nan)
+    changes = np.flatnonzero((rows.before >= 0) & (rows.level != rows.level[rows.before]))
+    for row in changes:
+        one, other = rows.floor_m[row - 1], rows.floor_m[row]
+        away = np.hypot(*(one + np.arange(0.0, 1.001, 0.08)[:, None] * (other - one)).T) >= 1.0
+        part = 0.08 * int(np.flatnonzero(np.diff(away.astype(int)))[0]) if np.diff(away.astype(int)).any() else 0.92
+        dated[row] = part, part + 0.08
+    steps = {0.5: 0, 1.0: 1}
+    plain, told = (crossings_of(limits, each, steps).popitem()[1] for each in (rows, replace(rows, dated=dated)))
+    for before, after in zip(plain, told, strict=True):
+        assert np.abs(after.value_m - 1.0).max() < 0.006
+        assert np.abs(after.value_m - 1.0).mean() < 0.2 * np.abs(before.value_m - 1.0).mean()
+        assert np.median(after.spread_m) < 0.4 * np.median(before.spread_m)
+
+
 def test_where_nobody_crossed_noise_widens_the_interval_of_the_fit() -> None:
     rows, limits = passes(0.0)
     plain, wide = (

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from msgspec import structs
 
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, PolygonCard, RegionCard, SideCard
 from cyclekit.learning.rules.cuts import LimitRows
-from cyclekit.learning.rules.polygon_mean import mean_polygons
+from cyclekit.learning.rules.polygon_mean import mean_polygons, without_idle
 from cyclekit.learning.rules.polygons import best_polygon
 from cyclekit.learning.rules.quantities import quantities
 from cyclekit.learning.rules.regions import polygon_corners
@@ -18,18 +17,33 @@ STEPS = {0.3: 0, 1.0: 1}
 CORNERS_M = np.array([(1.0, -0.5), (2.2, -0.6), (2.4, 0.7), (1.2, 0.8)])
 
 
-def rows_of(seed: int, *, passes: int = 40, noise_m: float = 0.0) -> RuleRows:
-    """Straight passes over the floor, ten samples a second; slow within CORNERS_M."""
+def rows_of(
+    seed: int, *, passes: int = 40, noise_m: float = 0.0, to_m: tuple[float, float] = (3.0, 1.5), parts: int = 0
+) -> RuleRows:
+    """Straight passes over the floor, ten samples a second; slow within CORNERS_M.
+
+    With `parts`, the log has that many rows from one sample to the next, which date the changes.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(30) / 29
-    ends = rng.uniform([0.4, -1.3], [3.0, 1.5], (2, passes, 2))
+    ends = rng.uniform([0.4, -1.3], to_m, (2, passes, 2))
     xy = (ends[0][:, None] + (ends[1] - ends[0])[:, None] * t[:, None]).reshape(-1, 2)
-    way = np.roll(CORNERS_M, -1, axis=0) - CORNERS_M
-    to = xy[:, None] - CORNERS_M
-    slow = (way[:, 0] * to[..., 1] - way[:, 1] * to[..., 0] > 0).all(axis=1)
     human = np.column_stack([xy + rng.normal(0.0, noise_m, xy.shape), np.zeros(len(xy))])
     number = np.repeat(np.arange(passes), len(t))
-    return RuleRows.made(np.zeros_like(human), human, np.where(slow, 0, 1), number, stretch=number)
+    rows = RuleRows.made(np.zeros_like(human), human, np.where(is_slow(xy), 0, 1), number, stretch=number)
+    for row in np.flatnonzero((rows.before >= 0) & (rows.level != rows.level[rows.before])) if parts else ():
+        at = rows.sample[[rows.before[row], row]]
+        part = np.arange(parts + 1) / parts
+        slow = is_slow(xy[at[0]] + part[:, None] * (xy[at[1]] - xy[at[0]]))
+        change = int(np.flatnonzero(slow[1:] != slow[:-1])[0])
+        rows.dated[row] = part[change : change + 2]
+    return rows
+
+
+def is_slow(xy_m: np.ndarray) -> np.ndarray:
+    way = np.roll(CORNERS_M, -1, axis=0) - CORNERS_M
+    to = xy_m[:, None] - CORNERS_M
+    return (way[:, 0] * to[..., 1] - way[:, 1] * to[..., 0] > 0).all(axis=1)
 
 
 def fitted(rows: RuleRows) -> tuple[LimitCard, ...]:
@@ -44,22 +58,33 @@ def off_m(limits: tuple[LimitCard, ...]) -> float:
     return max(float(np.linalg.norm(seen - corner, axis=1).min()) for corner in CORNERS_M)
 
 
-def test_the_mean_polygon_is_nearer_to_the_truth_than_the_best() -> None:
-    before, after = [], []
-    for seed in range(6, 10):
-        rows = rows_of(seed, passes=60)
-        limits = fitted(rows)
-        before.append(off_m(limits))
-        after.append(off_m(mean := mean_polygons(limits, rows, STEPS, seed=0)[0]))
-        assert len(mean[0].within.polygons[0].sides) == len(CORNERS_M)
-    assert np.mean(after) < 0.9 * np.mean(before)
+def test_the_time_of_changes_places_corners_to_millimetres() -> None:
+    off, widths = [], []
+    for parts in (0, 12):
+        for seed in (6, 7):
+            rows = rows_of(seed, passes=60, parts=parts)
+            found, _ = mean_polygons(fitted(rows), rows, STEPS, seed=0)
+            assert len(found[0].within.polygons[0].sides) == len(CORNERS_M)
+            off.append(off_m(found))
+            widths.append(np.mean([(at.high or 0.0) - (at.low or 0.0) for at in quantities(found).values()]))
+    assert max(off[:2]) < 0.015
+    assert max(off[2:]) < 0.005
+    assert max(widths[2:]) < 0.7 * min(widths[:2])
 
 
-@pytest.mark.parametrize("noise_m", [0.0, 0.03])
-def test_intervals_of_sides_hold(noise_m: float) -> None:
+def test_a_side_beyond_the_corner_of_its_neighbours_is_left_out() -> None:
+    square = [(0.0, 1.0), (np.pi / 2, 1.0), (np.pi, 1.0), (3 * np.pi / 2, 1.0)]
+    for out_m, sides in ((1.6, 4), (1.2, 5)):  # the corner is 1.414 m away
+        every = sorted([*square, (np.pi / 4, out_m)])
+        polygon = PolygonCard(sides=tuple(SideCard(angle_rad=a, metres=MetresCard(value=at)) for a, at in every))
+        assert len(without_idle(polygon).sides) == sides
+
+
+@pytest.mark.parametrize(("noise_m", "parts"), [(0.0, 0), (0.03, 0), (0.03, 12)])
+def test_intervals_of_sides_hold(noise_m: float, parts: int) -> None:
     held = []
-    for seed in range(20, 24):
-        rows = rows_of(seed, passes=25, noise_m=noise_m)
+    for seed in range(20, 23):
+        rows = rows_of(seed, passes=25, noise_m=noise_m, parts=parts)
         found, known = mean_polygons(fitted(rows), rows, STEPS, seed=0)
         assert known == set(quantities(found))
         polygon = found[0].within.polygons[0]
@@ -91,10 +116,8 @@ def test_a_polygon_without_samples_inside_stays() -> None:
 
 
 def test_an_open_polygon_has_intervals_too() -> None:
-    rows = rows_of(1)
-    limits = fitted(rows)
-    open_to = PolygonCard(sides=limits[0].within.polygons[0].sides[:2])
-    region = structs.replace(limits[0].within, polygons=(open_to,))
-    found, known = mean_polygons((structs.replace(limits[0], within=region),), rows, STEPS, seed=0)
+    rows = rows_of(1, to_m=(1.8, 0.3))
+    found, known = mean_polygons(fitted(rows), rows, STEPS, seed=0)
     assert len(known) == 2
+    assert polygon_corners(found[0].within.polygons[0]) is None
     assert all(metres.low is not None for metres in quantities(found).values())

@@ -19,6 +19,7 @@ from cyclekit.dataset.cards import OperatorSignalCard
 from cyclekit.dataset.signals import OUTPUT, REGISTER, SignalChanges, state_of
 from cyclekit.derive.cause_samples import signal_position_features
 from cyclekit.derive.latched_signals import OFF, ON, begins_of, latched
+from cyclekit.derive.signal_responses import MIN_RESPONSES, SAME_S, Responses, flips_s_of, left_s, mirrors, responses_to
 from cyclekit.derive.usual_levels import usual_levels
 from cyclekit.errors import UnknownName
 from cyclekit.people.activity import GOAL_SIGNAL
@@ -29,13 +30,6 @@ if TYPE_CHECKING:
     from cyclekit.config.cells import OperatorSignal
     from cyclekit.schema import Bools, Ints, Vector
 
-MAX_DELAY_S, BIN_S = 1.0, 0.02
-"""Maximum delay, s, from a signal to the level; bin width, s, of the histogram of delays."""
-MIN_SAME_DELAY, MIN_RESPONSES, CHANCE = 2, 4, 4.0
-"""Minimum number of falls (or of rises) with the same delay; of both together; minimum excess over chance, in standard
-deviations."""
-SAME_S = 0.04
-"""Tolerance for equal delays, s."""
 AT_ONCE_S = 0.012
 """Maximum delay, s, at which a signal may be cause or effect of the level; such signals are tried after all others."""
 ROWS = 1.25
@@ -48,9 +42,6 @@ OF_REST, MIN_LATER_GAIN, BEYOND_CHANCE = 0.5, 0.005, 4.0
 """Enough after the first signal: share of the unexplained time, share of the lost time, standard errors by execution.
 Where two fields together almost always show what a third one shows, the third one explains little more; but without it
 no rule on single fields is right."""
-MIRRORS = 0.9
-"""Minimum share of an input's changes that follow an output within MIRROR_S for it to count as a mirror."""
-MIRROR_S = 0.5
 CELL_M = 0.05
 """Grid size of the robot's places, m."""
 PROGRAM = 0.97
@@ -101,13 +92,6 @@ class _Lead(NamedTuple):
     occupied: str
     delay_s: float
     rise_s: float | None
-
-
-class _Responses(NamedTuple):
-    """Most frequent delay of responses to a cause, s (negative = before it, None = none), and how many have it."""
-
-    delay_s: float | None = None
-    number: int = 0
 
 
 class _Stop(NamedTuple):
@@ -191,11 +175,11 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
 def _not_set_by_robot(evidence: SignalEvidence) -> dict[str, SignalChanges]:
     """Return the signals that are no outputs, mirror none, and do not name the operator's goal."""
     own = [name for name in evidence.signals if name == REGISTER or name.startswith(OUTPUT)]
-    own_s = np.sort(np.concatenate([np.empty(0), *(_flips(evidence.signals[name]) for name in own)]))
+    own_s = np.sort(np.concatenate([np.empty(0), *(flips_s_of(evidence.signals[name]) for name in own)]))
     return {
         name: changes
         for name, changes in evidence.signals.items()
-        if not (name in own or GOAL_SIGNAL in name or _mirrors(_flips(changes), own_s))
+        if not (name in own or GOAL_SIGNAL in name or mirrors(flips_s_of(changes), own_s))
     }
 
 
@@ -223,8 +207,8 @@ def _with_stops(
         (name, value)
         for name, changes in _not_set_by_robot(evidence).items()
         for value in np.unique(changes.value).tolist()
-        if _lead(value, _Responses(), _responses(changes.to(value), evidence.rises_s), evidence.at_once_s)
-        and 2 * _responses(_left(changes, value), evidence.falls_s).number < len(changes.to(value))
+        if _lead(value, Responses(), responses_to(changes.to(value), evidence.rises_s), evidence.at_once_s)
+        and 2 * responses_to(left_s(changes, value), evidence.falls_s).number < len(changes.to(value))
     ]
     found, stops = dict(leads), dict[str, _Stop]()
     for name, lead in leads.items():
@@ -232,7 +216,7 @@ def _with_stops(
         for reset, value in resets:
             stop = _Stop(name, lead.occupied, reset, value)
             course = _course(evidence, stop)
-            resumes = _responses(course.to(OFF), evidence.rises_s)
+            resumes = responses_to(course.to(OFF), evidence.rises_s)
             mine = _lead(ON, falls, resumes, evidence.at_once_s)
             if reset != name and mine is not None and mine.rise_s is not None and resumes.number > rises.number:
                 stops[_name_of(stop)], found[_name_of(stop)] = stop, mine
@@ -270,7 +254,7 @@ def _following(evidence: SignalEvidence) -> tuple[tuple[str, float], ...]:
     return tuple(found)
 
 
-def _lead(occupied: str, falls: _Responses, rises: _Responses, at_once_s: float) -> _Lead | None:
+def _lead(occupied: str, falls: Responses, rises: Responses, at_once_s: float) -> _Lead | None:
     """Return the response of the level to a signal; None if the level does not follow it.
 
     Falls are rare if a field is effective on only a small part of the path; the delay is then taken from the rises.
@@ -320,53 +304,13 @@ def _gains(before: Vector, after: Vector, *, first: bool) -> bool:
     return total >= BEYOND_CHANCE * float(np.sqrt(len(gain)) * gain.std(ddof=1))
 
 
-def _delays(evidence: SignalEvidence, signal: str, occupied: str) -> tuple[_Responses, _Responses]:
-    """Return the delays of falls after a signal turned occupied, and of rises after it turned free (`_responses`)."""
+def _delays(evidence: SignalEvidence, signal: str, occupied: str) -> tuple[Responses, Responses]:
+    """Return the delays of falls after a signal turned occupied, and of rises after it turned free (`responses_to`)."""
     changes = evidence.signals[signal]
     return (
-        _responses(changes.to(occupied), evidence.falls_s),
-        _responses(_left(changes, occupied), evidence.rises_s),
+        responses_to(changes.to(occupied), evidence.falls_s),
+        responses_to(left_s(changes, occupied), evidence.rises_s),
     )
-
-
-def _responses(cause_s: Vector, answer_s: Vector) -> _Responses:
-    """Return the delay of responses to a cause; none if no delay is more frequent than by chance."""
-    if not len(cause_s) or not len(answer_s):
-        return _Responses()
-    first = np.searchsorted(cause_s, answer_s - MAX_DELAY_S)
-    count = np.searchsorted(cause_s, answer_s + MAX_DELAY_S) - first
-    number = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
-    lags = np.repeat(answer_s, count) - cause_s[np.repeat(first, count) + number]
-    if not len(lags):
-        return _Responses()
-    edges = np.arange(-MAX_DELAY_S, MAX_DELAY_S + BIN_S / 2, BIN_S)
-    near = np.convolve(np.histogram(lags, edges)[0], np.ones(3), "same")
-    chance = 3 * len(lags) / (len(edges) - 1)
-    peak = int(near.argmax())
-    if near[peak] < max(MIN_SAME_DELAY, chance + CHANCE * np.sqrt(chance)):
-        return _Responses()
-    middle = float(edges[peak]) + BIN_S / 2
-    alike = lags[np.abs(lags - middle) <= 1.5 * BIN_S]
-    return _Responses(float(np.median(alike)), len(alike))
-
-
-def _left(changes: SignalChanges, value: str) -> Vector:
-    """Return the times at which a signal changes from a value to another one, shape (K,), s."""
-    return np.asarray(changes.t_s[1:][(changes.value[:-1] == value) & (changes.value[1:] != value)])
-
-
-def _flips(changes: SignalChanges) -> Vector:
-    return np.asarray(changes.t_s[1:][changes.value[1:] != changes.value[:-1]])
-
-
-def _mirrors(flips_s: Vector, own_s: Vector) -> bool:
-    """Return whether a signal changes with a constant delay after signals that the robot sets."""
-    if not len(flips_s) or not len(own_s):
-        return False
-    before = np.searchsorted(own_s, flips_s + 1e-6) - 1
-    after_s = np.where(before >= 0, flips_s - own_s[np.maximum(before, 0)], np.inf)
-    usual = np.median(after_s)
-    return bool(usual < MIRROR_S and (np.abs(after_s - usual) <= SAME_S).mean() >= MIRRORS)
 
 
 def _of_program(evidence: SignalEvidence, on: Bools) -> bool:

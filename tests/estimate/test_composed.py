@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
-from cyclekit.estimate.joint.composed import composed_orders, pairs_of
+from cyclekit.estimate.joint.composed import composed_orders, continued, pairs_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,3 +60,23 @@ def test_each_coupled_place_of_the_robot_has_one_place_of_the_operator() -> None
     assert pairs_of(CouplingCard(gates=(*both, gate("operator", "desk", "robot", "fixture")))) == {}
     assert pairs_of(CouplingCard(gates=(*both, gate("robot", "other", "operator", "bench")))) == {}
     assert pairs_of(None) == {}
+
+
+COUPLED = CouplingCard(gates=(gate("robot", "fixture", "operator", "bench"),))
+
+
+def test_an_operator_goes_on_from_the_place_where_the_execution_ended_too_early() -> None:
+    """A robot with more work afterwards would else find him there until its end."""
+    short = (("home", "fixture", "home"), ("rest", "bench"))
+    assert continued([TWO, ONE, short], COUPLED) == [TWO[1], ONE[1], ("rest", "bench", "shelf")]
+    elsewhere = (ONE[0], ("rest", "bench", "shelf"))
+    assert continued([elsewhere, short], COUPLED)[0] == elsewhere[1]  # he stands where nobody waits for him
+    assert continued([short], COUPLED) == [short[1]]  # never seen to leave
+    assert continued([short, ONE], None) == [short[1], ONE[1]]
+
+
+def test_an_operator_comes_to_the_last_coupled_visit_although_the_execution_ended_before() -> None:
+    late = (TWO[0], ("rest", "bench", "shelf"))
+    assert continued([late, *[TWO] * 9], COUPLED)[0][:4] == ("rest", "bench", "shelf", "bench")
+    seldom = [(TWO[0], ("rest", "shelf"))] * 5  # he often stays away: then nobody knows
+    assert continued([late, *seldom], COUPLED)[0] == late[1]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, OwnWorkCard
 from cyclekit.estimate.joint.legs import Gates, operator_agenda
 from cyclekit.estimate.joint.visits import OperatorVisit, Segments, parted_stays
 
@@ -22,6 +23,23 @@ def test_who_begins_at_a_place_leaves_it_as_late_as_he_did_in_the_logs() -> None
     assert [float(leg.own_s[0]) for leg in agenda.legs[1:]] == [0.7, 1.0, 0.0]  # at the end nothing is left to do
     known = operator_agenda(("rest",), Gates(None), {"rest": np.ones(1)}, {"rest": np.full(1, 0.7)})
     assert float(known.legs[1].own_s[0]) == 1.0  # of a place where he works the whole work is asked for
+
+
+def test_who_begins_in_the_middle_of_his_work_has_the_rest_of_it_left_except_in_a_plan() -> None:
+    needs = ConditionCard(agent="robot", place="fixture", event="leaves", lag_s=(0.5,))
+    rest = OwnWorkCard(side="before", place="", own_s=(2.0,))
+    gates = (
+        GateCard(agent="operator", at="leave", place="bench", own_s=(8.0,), own_by=(rest,)),
+        GateCard(agent="operator", at="approach", place="fixture", conditions=(needs,)),
+    )
+    ask = Gates(CouplingCard(gates=gates)), {"bench": np.full(1, 8.0), "fixture": np.ones(1)}, {}
+    own_s = [
+        [float(leg.own_s[0]) for leg in operator_agenda(("bench", "fixture", "bench"), *ask, begun=begun).legs
+         if leg.task >= 0 and not leg.hold]
+        for begun in (True, False)
+    ]  # fmt: skip
+    assert [one[0] for one in own_s] == [2.0, 8.0]
+    assert [one[2] for one in own_s] == [8.0, 8.0]
 
 
 @pytest.mark.slow

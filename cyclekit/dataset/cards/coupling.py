@@ -84,12 +84,12 @@ class OwnWorkCard(Card, frozen=True, kw_only=True):
 
     Attributes:
         side: Whether `place` is the next one or the one before.
-        place: See `side`.
+        place: See `side`; empty before him: he began the execution here, with the rest of his own work.
         own_s: Time from arrival to the end of the own work then.
     """
 
     side: Literal["next", "before"]
-    place: Name
+    place: str
     own_s: Quantiles
 
 

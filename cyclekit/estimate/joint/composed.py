@@ -6,14 +6,14 @@ Between two of them, the operator goes where he went between the same two in som
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from cyclekit.dataset.cards import CouplingCard
 
@@ -39,6 +39,63 @@ def pairs_of(coupling: CouplingCard | None) -> dict[str, str]:
     return pairs if len(set(pairs.values())) == len(pairs) else {}
 
 
+def operator_anchors(coupling: CouplingCard | None) -> set[str]:
+    """Return the places of the operator at which one agent waits for the other."""
+    gates = [(gate, one) for gate in (coupling.gates if coupling else ()) for one in gate.conditions]
+    both = [(gate, one) for gate, one in gates if {gate.agent, one.agent} == {"robot", "operator"}]
+    return {one.place if gate.agent == "robot" else gate.place for gate, one in both}
+
+
+def continued(logged: Sequence[tuple[Sequence[str], Order]], coupling: CouplingCard | None) -> list[Order]:
+    """Return the operator's orders, each with what he did not come to because the execution ended.
+
+    A robot with more work after its last coupled visit than was logged would else find him standing at his place there
+    until the end, or would not find him at all. He comes to each coupled visit, and goes on from the last one as in
+    some execution in which he left that place, up to the next coupled visit, which belongs to other work.
+
+    Args:
+        logged: Places of robot and operator in each logged execution.
+        coupling: Who waits for whom.
+    """
+    anchors, pairs = operator_anchors(coupling), pairs_of(coupling)
+    missing = _missing(logged, pairs)
+    tails: dict[str, list[Order]] = defaultdict(list)
+    for _, order in logged:
+        for number, place in enumerate(order[:-1]):
+            later = order[number + 1 :]
+            ends = next((n for n, other in enumerate(later) if other in anchors), len(later))
+            tails[place].append(later[:ends])
+    turns: Counter[str] = Counter()
+    found = []
+    for (_, order), more in zip(logged, missing, strict=True):
+        order += more
+        last = order[-1] if order else ""
+        some = [tail for tail in tails[last] if tail] if last in anchors else []
+        found.append(order + some[turns[last] % len(some)] if some else order)
+        turns[last] += 1
+    return found
+
+
+def _missing(logged: Sequence[tuple[Sequence[str], Order]], pairs: Mapping[str, str]) -> list[Order]:
+    """Return the operator's coupled visits that an execution ended before; none if he does not come to each anyway."""
+    anchors = set(pairs.values())
+    found, fits = [], 0
+    for robot, order in logged:
+        mine, expected = _coupled(order, anchors), [pairs[place] for place in robot[1:] if place in pairs]
+        fits += (fit := _all_but_last(mine, expected))
+        found.append(tuple(expected[len(mine) :]) if fit else ())
+    return found if fits >= PAIRED * len(logged) else [()] * len(logged)
+
+
+def _all_but_last(mine: Sequence[str], expected: Sequence[str]) -> bool:
+    """Return whether the operator made the expected coupled visits; the execution may have ended before the last."""
+    return list(mine) == list(expected[: len(mine)]) and len(mine) >= len(expected) - 1
+
+
+def _coupled(order: Sequence[str], anchors: Collection[str]) -> list[str]:
+    return [place for place in order if place in anchors]
+
+
 def composed_orders(
     asked: Sequence[str], logged: Sequence[tuple[Sequence[str], Sequence[str]]], pairs: Mapping[str, str]
 ) -> list[Order]:
@@ -57,7 +114,7 @@ def composed_orders(
         at = [number for number, place in enumerate(operator) if place in anchors]
         mine = [operator[number] for number in at]
         expected = [pairs[place] for place in robot[1:] if place in pairs]
-        if mine != expected[: len(mine)]:
+        if not _all_but_last(mine, expected):
             continue
         fits += 1
         whole = len(mine) == len(expected)  # else the execution ended before his last visit

@@ -283,6 +283,7 @@ def operator_agenda(
     *,
     precedence: Mapping[int, tuple[Need, ...]] | None = None,
     not_before_s: Sequence[float] | None = None,
+    begun: bool = True,
 ) -> Agenda:
     """Return the legs of an operator who visits places one after the other.
 
@@ -293,12 +294,14 @@ def operator_agenda(
         first_stays_s: Quantiles of stays at the start of an execution, for places where he is at no other time.
         precedence: Tasks that each must follow (`after`), by number.
         not_before_s: Earliest start of each task.
+        begun: Whether he has begun his work at the first place before the cycle begins, as in the logs.
     """
     builder = _Builder("operator", "", np.empty((0, 3)), gates, places)
     for number, place in enumerate(places):
         own = gates.own_s("operator", place) if gates.waits("operator") else None
         own = work_s.get(place, NONE) if own is None or place not in work_s else own
-        around = places[number - 1] if number else None, places[number + 1] if number + 1 < len(places) else None
+        before = places[number - 1] if number else "" if begun else None
+        around = before, places[number + 1] if number + 1 < len(places) else None
         by_place = gates.own_by_s(place, *around) if place in work_s else None
         own = own if by_place is None else by_place
         own = first_stays_s.get(place, own) if number == 0 and place not in work_s else own

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.joint.composed import composed_orders, pairs_of
+from cyclekit.estimate.joint.composed import composed_orders, continued, pairs_of
 from cyclekit.estimate.joint.legs import Agenda, operator_agenda, precedence_needs, robot_agenda
 from cyclekit.estimate.joint.roll import Plan
 from cyclekit.estimate.program import lay_out
@@ -42,6 +42,8 @@ class Planner:
         self._orders: dict[tuple[str, ...], Agenda] = {}
         self.waited_for = _waited_for(cell)
         self._went = {one.execution: one.places for one in cell.dataset.card.executions if one.execution in cell.logged}
+        logged = [(went, tuple(visit.place for visit in cell.logged[name])) for name, went in self._went.items()]
+        self._operator = dict(zip(self._went, continued(logged, cell.coupling), strict=True))
 
     def plan(self, sequence: TaskSequence) -> Plan:
         """Return the plan of both agents.
@@ -105,7 +107,7 @@ class Planner:
                 f"{seen}, so the operator's tasks during this work are unknown",
                 cure='Name his places, operator = ["...", "..."], or plan for both: [[sequence.task]].',
             )
-        return [tuple(visit.place for visit in self._cell.logged[name]) for name in found], False
+        return [self._operator[name] for name in found], False
 
     def _composed(self, places: Sequence[str]) -> list[tuple[str, ...]]:
         return composed_orders(places, self.logged_orders, pairs_of(self._cell.coupling))
@@ -119,8 +121,7 @@ class Planner:
     @property
     def logged_orders(self) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
         """Places of robot and operator in each execution whose operator order a sequence may use."""
-        orders = self._cell.logged
-        return [(went, tuple(visit.place for visit in orders[name])) for name, went in self._went.items()]
+        return [(went, self._operator[name]) for name, went in self._went.items()]
 
     def _counted(self, places: Sequence[str]) -> Counter[str]:
         return Counter(place for place in places[1:] if place in self.waited_for)
@@ -154,6 +155,7 @@ class Planner:
                     self._cell.first_stays_s,
                     precedence=operator.precedence,
                     not_before_s=operator.not_before_s,
+                    begun=False,
                 ),
             ),
             both=True,

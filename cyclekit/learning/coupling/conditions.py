@@ -33,8 +33,9 @@ NEEDED, MIN_PART = 0.15, 2.0
 EARLY_S, EARLY_LEAVING_S = 0.25, 1.0
 """Tolerance, s: a departure may precede its event by this much (clock error); the second value is for an operator who
 leaves, because he finishes before his motion is visible."""
-MIN_DECIDED = 5
-"""Minimum number of departures that a condition must decide."""
+MIN_DECIDED, FEW_DECIDED, SURE = 5, 3, 2.0
+"""Minimum number of departures that a condition must decide; the second value suffices if its gain in log-likelihood is
+SURE times the required one: where few passages need the event, a few long waits that end with it tell enough."""
 GAIN_TOLERANCE, GAIN_TOLERANCE_SHARE = 3.0, 0.1
 """Maximum difference in gain, absolute and relative, at which two conditions count as equally good; then the one whose
 event is nearest to the departures is chosen."""
@@ -42,9 +43,9 @@ SIMILAR_GAIN = 0.8
 """Minimum gain of a condition at its usual gate, relative to that at the gate where it was found."""
 SAME = 0.7
 """Minimum overlap (share of departures) at which two gates count as one."""
-FOLLOWS = 0.8
-"""Maximum share of departures that own work decided and that follow the event as closely as those it decided; above it,
-the event is a consequence of own work."""
+FOLLOWS, USUALLY_FOLLOWS, CLOSE = 0.8, 0.5, 0.75
+"""Maximum share of departures that own work decided and that follow the event as closely as all those it decided, and
+as the share CLOSE of those; above both, the event is a consequence of own work."""
 PULSE_S = 1.0
 """Penalty, s, on the end of a button's pulse, so that the press is chosen as the event."""
 PAIRED = 0.9
@@ -264,14 +265,14 @@ def _best_of(
             continue
         since = _later(condition, since)
         causes = gate.causes(since)
-        decided = causes.share[-1].sum() * gate.weight >= MIN_DECIDED
+        gain, decides = float(causes.log_likelihood.sum()) - before, causes.share[-1].sum() * gate.weight
         if (
-            decided
+            decides >= (MIN_DECIDED if condition.partly or gain < SURE * least else FEW_DECIDED)
             and not (follows and _follows(causes, since[gate.seen]))
             and not _ahead(gate, condition, causes, since[gate.seen])
             and (condition.event.agent != gate.gate.agent or is_steady(gate, causes, since[gate.seen]))
         ):
-            tried.append((condition, since, float(causes.log_likelihood.sum()) - before))
+            tried.append((condition, since, gain))
     tried.sort(key=lambda each: -each[2])
     good = [each for each in tried if each[2] >= least]
     if not good or good[0][2] - _by_chance(gate, times, good[0][0]) + before < least:
@@ -288,7 +289,8 @@ def _follows(causes: Causes, since: Vector) -> bool:
     own = own[np.isfinite(own)]
     if len(own) < MIN_DECIDED or not len(by_event):
         return False
-    return bool(np.mean(own <= by_event.max() + EARLY_S) > FOLLOWS)
+    most, usual = (float(np.mean(own <= np.quantile(by_event, level) + EARLY_S)) for level in (1.0, CLOSE))
+    return most > FOLLOWS and usual > USUALLY_FOLLOWS  # some are assigned to the event by mistake
 
 
 def _ahead(gate: Departures, condition: Condition, causes: Causes, since: Vector) -> bool:
@@ -340,7 +342,8 @@ def _holds(gate: Departures, condition: Condition, since: Vector) -> bool:
     held = known & (since >= -early_s(condition))
     share = np.count_nonzero(held) / np.count_nonzero(known)
     enough = NEEDED <= share < HELD if condition.partly else share >= HELD
-    return bool(enough and np.count_nonzero(late & (held if condition.partly else known)) >= MIN_DECIDED)
+    decided = np.count_nonzero(late & (held if condition.partly else known))
+    return bool(enough and decided >= (MIN_DECIDED if condition.partly else FEW_DECIDED))
 
 
 def _later(condition: Condition, since: Vector) -> Vector:

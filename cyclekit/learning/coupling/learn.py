@@ -8,12 +8,13 @@ import numpy as np
 import polars as pl
 from msgspec.structs import replace
 
-from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard, SourceCard
+from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard, OwnWorkCard, SourceCard
 from cyclekit.errors import DatasetError
 from cyclekit.learning.coupling.alike import find_with_alike, number_of
 from cyclekit.learning.coupling.answers import is_own_tool
 from cyclekit.learning.coupling.circles import in_circles
 from cyclekit.learning.coupling.conditions import (
+    FEW_DECIDED,
     KEPT,
     MIN_DECIDED,
     decided_by,
@@ -23,7 +24,7 @@ from cyclekit.learning.coupling.conditions import (
 )
 from cyclekit.learning.coupling.departures import Condition, Departures, Gate
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
-from cyclekit.learning.coupling.own_work import own_work_by_place
+from cyclekit.learning.coupling.own_work import own_work_by_place, rest_at_start
 from cyclekit.learning.coupling.sources import find_sources
 from cyclekit.learning.coupling.together import NeededTogether, needed_together
 from cyclekit.learning.coupling.trips import parted_courses, trip_places, waits_before_s, with_trips
@@ -171,17 +172,21 @@ def _gate(
         return None
     by_file = any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in given)
     own_s, cards = _parts(courses, found, usual_s, together)
-    cards = [
-        card for card in cards if by_file or max(card.decided, card.alike) >= MIN_DECIDED
-    ]  # redundant given the others
+    least = MIN_DECIDED if len(found.since_s) > 1 else FEW_DECIDED  # one of several may be redundant given the others
+    cards = [card for card in cards if by_file or max(card.decided, card.alike) >= least]
     if gate.at == "approach" and not cards:
         return None
+    own_by: tuple[OwnWorkCard, ...] = ()
+    if gate.at == "leave" and gate.agent == "operator":
+        begun = rest_at_start(courses, found, own_s)
+        own_s, own_by = (begun[0], (begun[1],)) if begun else (own_s, ())
+        own_by += own_work_by_place(courses, found, own_s)
     return GateCard(
         agent=gate.agent,
         at=gate.at,
         place=gate.place,
         own_s=own_s if gate.at == "leave" else (0.0,),
-        own_by=own_work_by_place(courses, found, own_s) if gate.at == "leave" and gate.agent == "operator" else (),
+        own_by=own_by,
         conditions=tuple(cards),
         told=by_file,
         passages=len(found.left_s),

@@ -78,7 +78,7 @@ def part_trips(
     """
     if not places:
         return Parted(list(visits), {})
-    found, trips, number = list[PlaceVisit](), dict[int, Trip](), 0
+    found, trips, number = list[PlaceVisit](), dict[int, Trip](), _begins(visits, places)
     while number < len(visits):
         here, last = visits[number], number
         while last + 1 < len(visits) and here.place not in places and _goes_on(visits[number : last + 2], places):
@@ -91,11 +91,19 @@ def part_trips(
             trip = trip._replace(left_s=max(trip.left_s - after_s, here.arrived_s))
             trips[len(found)] = trip
             found.append(here._replace(left_s=left_s, away_s=trip.back_s - trip.left_s))
+        elif next_ is None and last > number:  # the execution ends during a trip or after it
+            away_s = visits[last].arrived_s - here.left_s if home else 0.0
+            found.append(here._replace(left_s=visits[last].left_s if home else here.left_s, away_s=away_s))
         else:
             last = number
             found.append(here)
         number = last + 1
     return Parted(found, trips)
+
+
+def _begins(visits: Sequence[PlaceVisit], places: Collection[str]) -> int:
+    """Return the number of the first visit that is not of a trip that began before the execution; 0 if all are."""
+    return next((number for number, visit in enumerate(visits) if visit.place not in places), 0)
 
 
 def _goes_on(visits: Sequence[PlaceVisit], places: Collection[str]) -> bool:

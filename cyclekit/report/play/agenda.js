@@ -15,6 +15,11 @@ const needsOf = (agent, at, place, turn, asked) => conditionsOf(gateOf(agent, at
   const event = [one.agent, one.place, one.kind, number].join(APART);
   return [{ event, said: one.said, lag_s: one.lag_s, needed: one.needed, together: one.together, passage: Math.floor(turn / every) }];
 });
+const ownByOf = (place, before, next, asked) => { // Gates.own_by_s: own work by the places around it
+  const gate = gateOf("operator", "leave", place);
+  const mine = gate && gate.own_by.find((one) => one.place === (one.side === "before" ? before : next));
+  return mine ? mine.own_s.map((seconds) => seconds / asked.pace) : null;
+};
 const ownOf = (agent, place, asked) => {
   const gate = gateOf(agent, "leave", place);
   if (!gate || !(Math.max(...gate.own_s) > 0)) return null;
@@ -125,7 +130,8 @@ const operatorAgenda = (places, asked, told) => {
   const waits = facts.gates.some((gate) => gate.agent === "operator" && conditionsOf(gate, asked).length);
   places.forEach((place, number) => {
     const stays = facts.work_s[place];
-    const own = waits ? ownOf("operator", place, asked) : null;
+    const before = number ? places[number - 1] : told ? null : "";
+    const own = ownByOf(place, before, places[number + 1], asked) || (waits ? ownOf("operator", place, asked) : null);
     const first = number ? null : facts.first_stays_s[place];
     const work = (stays && own) || (stays || first || NOTHING_S).map((seconds) => seconds / asked.pace);
     agenda.go(number, place, { place, start: number ? places[number - 1] : "", own_s: work, name: place }, told ? told[number] : AS_LEARNED);

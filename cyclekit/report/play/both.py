@@ -63,8 +63,8 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     if cell.unseen:
         seen = "no log shows the operator, and without his places other orders cannot be played here"
         raise EstimateError(seen, cure="Ask estimate, plan and whatif.")
-    if any(gate.trip is not None or gate.own_by for gate in card.gates):
-        seen = "trips of the operator while he waits, and work that depends on where he goes next, are not played here"
+    if any(gate.trip is not None for gate in card.gates):
+        seen = "trips of the operator while he waits are not played here"
         raise EstimateError(seen, cure="Ask estimate, plan and whatif.")
     arrays: Arrays = {}
     planner = Planner(cell, legs)
@@ -194,7 +194,8 @@ def _gates(card: CouplingCard) -> list[dict[str, Any]]:
             for one in gate.conditions
         ]
         fields = {name: getattr(gate, name) for name in ("agent", "at", "place", "phase", "own_s")}
-        found.append({**fields, "name": wait_name(gate), "conditions": conditions})
+        own_by = [{"side": one.side, "place": one.place, "own_s": one.own_s} for one in gate.own_by]
+        found.append({**fields, "own_by": own_by, "name": wait_name(gate), "conditions": conditions})
     return found
 
 

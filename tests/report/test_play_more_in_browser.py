@@ -12,6 +12,8 @@ from played import LONG, ORDERS, classifier, order, staircase
 
 from cyclekit.config.sequences import TaskSequence, load_sequences
 from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.whatif import what_if
+from cyclekit.estimate.whatif.change import Change
 from cyclekit.report import compose_report
 
 __all__ = ["logged", "products"]
@@ -20,6 +22,9 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(browser.why_not() is not None, reason=str(browser.why_not())),
 ]
+
+
+SLOW = Change("slow recovery", dynamics={"ramp_up_per_s": 0.2})
 
 
 def opened(tab, page):
@@ -57,6 +62,9 @@ def test_each_product_has_its_own_process_times(tab, products, tmp_path):
         found = asked(tab, each.places)
         same(found, given[each.name])
         assert found["ofAll"] == (each is other)
+    for each in made[:2]:
+        (slower,) = what_if(staircase(), products, [each], [SLOW], check=given["P"].check)
+        same(asked(tab, each.places, {"ramp": 0.2}), slower.after)
     tab.ask(CHOOSE % "P")
     doubts = "document.querySelector('#play [data-play=thin]').textContent"
     assert "Fewer than" not in tab.ask(doubts)
@@ -122,3 +130,18 @@ def test_an_answer_that_takes_longer_comes_in_parts(tab, networked):
     assert after["walked"] == whole["walked"]
     opened(tab, page)
     assert asked(tab, given.places, {"ramp": 0.2})["durations_s"] == after["durations_s"]
+
+
+def test_on_a_busy_machine_the_page_says_of_how_many_cycles_the_numbers_are_and_goes_on(tab, networked):
+    page, given = networked
+    opened(tab, page)
+    tab.ask("(() => { let now = 0; performance.now = () => (now += 50); })()")
+    move = "(s => { s.value = '-0.5'; s.dispatchEvent(new Event('input')); })"
+    slide = f"{move}(document.querySelector('.play-slider input'))"
+    so_far = "(n => n.hidden ? '' : n.textContent)(document.querySelector('#play [data-play=so_far]'))"
+    assert tab.ask(f"{slide}, {so_far}") == f"From 12 of {len(given.durations_s)} cycles so far."
+    whole = "new Promise(done => { const look = () => %s ? setTimeout(look, 5) : done('whole'); look(); })"
+    assert tab.ask(whole % so_far) == "whole"
+    wanted = tab.ask(f"cyclekitPlay.answer({json.dumps(list(given.places))}, {{ramp: 10 ** -0.5}}, null).expected_s")
+    mean = tab.ask("document.querySelector('#play [data-play=mean]').textContent")
+    assert mean.replace("\u00a0", " ") == f"{wanted:.1f} s"

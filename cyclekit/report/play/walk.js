@@ -148,7 +148,8 @@ const walkerOf = (legs, dynamics, crowd, samples) => { // walks until told to st
     return { ...Object.fromEntries([...some, ...means]), which, known, looked, walked };
   };
   return (deadline) => { // null: a cycle does not end on its track
-    while (walked < COUNT && (walked < FEWEST || performance.now() < deadline)) {
+    const least = walked + FEWEST; // it goes on each time, however late it is
+    while (walked < COUNT && (walked < least || performance.now() < deadline)) {
       if (!one(order[walked])) return null;
       walked += 1;
     }

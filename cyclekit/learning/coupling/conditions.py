@@ -33,9 +33,10 @@ NEEDED, MIN_PART = 0.15, 2.0
 EARLY_S, EARLY_LEAVING_S = 0.25, 1.0
 """Tolerance, s: a departure may precede its event by this much (clock error); the second value is for an operator who
 leaves, because he finishes before his motion is visible."""
-MIN_DECIDED, FEW_DECIDED, SURE = 5, 3, 2.0
+MIN_DECIDED, FEW_DECIDED, FEW_LATE, SURE = 5, 3, 2, 2.0
 """Minimum number of departures that a condition must decide; the second value suffices if its gain in log-likelihood is
-SURE times the required one: where few passages need the event, a few long waits that end with it tell enough."""
+SURE times the required one: where few passages need the event, a few long waits that end with it tell enough. In
+FEW_LATE of them the event must come after all else."""
 GAIN_TOLERANCE, GAIN_TOLERANCE_SHARE = 3.0, 0.1
 """Maximum difference in gain, absolute and relative, at which two conditions count as equally good; then the one whose
 event is nearest to the departures is chosen."""
@@ -343,7 +344,7 @@ def _holds(gate: Departures, condition: Condition, since: Vector) -> bool:
     share = np.count_nonzero(held) / np.count_nonzero(known)
     enough = NEEDED <= share < HELD if condition.partly else share >= HELD
     decided = np.count_nonzero(late & (held if condition.partly else known))
-    return bool(enough and decided >= (MIN_DECIDED if condition.partly else FEW_DECIDED))
+    return bool(enough and decided >= (MIN_DECIDED if condition.partly else FEW_LATE))
 
 
 def _later(condition: Condition, since: Vector) -> Vector:

@@ -46,7 +46,7 @@ def init(
         terminal.remark(f"not read: {line}")
     terminal.warnings(grouped(found.warnings))
     if found.unread_bytes:
-        terminal.remark(f"not read yet: {found.unread_bytes / 1e9:.1f} GB; cyclekit inspect shows the warnings")
+        terminal.remark(f"not read yet: {found.unread_bytes / 1e9:.1f} GB; their warnings: cyclekit inspect LOGS")
     terminal.done(found.to_dict(), _said(found))
 
 

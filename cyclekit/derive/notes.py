@@ -12,7 +12,8 @@ from cyclekit.people.silence import is_empty
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.dataset.cards import Note
+    from cyclekit.dataset.cards import Note, OperatorSignalCard
+    from cyclekit.dataset.cards.notes import Value
     from cyclekit.derive.causes import Evidence
     from cyclekit.derive.last_pass import LastPassResult
     from cyclekit.derive.operator_signals import FoundSignals
@@ -44,18 +45,15 @@ def signal_notes(found: FoundSignals) -> list[Note]:
     if found.follow:
         names, late_s = zip(*found.follow, strict=True)
         return [note("signals-follow", signals=", ".join(names), late_s=max(late_s))]
-    return [
-        note(
-            "operator-signal" if one.reset is None else "operator-stop",
-            signal=one.signal,
-            occupied=one.occupied,
-            delay_s=one.delay_s,
-            explained=one.explained,
-            **({} if one.reset is None else {"reset": one.reset, "reset_at": one.reset_at}),
-        )
-        for one in found.cards
-        if not one.told
-    ]
+    return [_signal_note(one) for one in found.cards if not one.told]
+
+
+def _signal_note(one: OperatorSignalCard) -> Note:
+    how: dict[str, Value] = {"delay_s": one.delay_s, "explained": one.explained}
+    if one.reset is None:
+        return note("operator-signal", signal=one.signal, occupied=one.occupied, **how)
+    stop: dict[str, Value] = {"reset": one.reset, "reset_at": one.reset_at}
+    return note("operator-stop", signal=one.signal, occupied=one.occupied, **how, **stop)
 
 
 def unseen_notes(finished: Sequence[LastPassResult]) -> list[Note]:

@@ -35,14 +35,15 @@ const inResamples = (values, which) => { // the mean of the values of these trac
   });
 };
 
-const resampledMeans = (cycles) => { // Rolled.resampled_means
+const resampledMeans = (cycles) => { // Rolled.resampled_means, times LogLevel.resampled
+  const at = (values) => (tables.level ? values.map((value, row) => value * tables.level[row]) : values);
   const usual = mean(cycles.ownLoss_s) / Math.max(mean(cycles.ownBase_s), NOTHING);
   const resampled = (values) => inResamples(values, cycles.which);
-  if (usual <= 0) return resampled(cycles.duration_s);
+  if (usual <= 0) return at(resampled(cycles.duration_s));
   const [loss, base] = [resampled(cycles.ownLoss_s), resampled(cycles.ownBase_s)];
   const free = resampled(cycles.duration_s.map((value, n) => value - cycles.lost_s[n]));
   const lost = mean(cycles.lost_s);
-  return free.map((value, row) => value + (lost * (loss[row] / Math.max(base[row], NOTHING))) / usual);
+  return at(free.map((value, row) => value + (lost * (loss[row] / Math.max(base[row], NOTHING))) / usual));
 };
 
 const modelError = () => Math.hypot(facts.check.network_error, facts.check.unseen_error);

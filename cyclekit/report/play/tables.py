@@ -275,6 +275,8 @@ def _corrected(
     if check is None:
         alone = {"factor": 1.0, "network_error": 0.0, "unseen_error": 0.0, "spread": 1.0, "doubted_bias": 0.0}
         return {**alone, "order_error": None, "history": {}}
+    if check.level is not None:
+        arrays["level"] = check.level.resampled(tracks, SEED).astype(np.float32)
     arrays["residuals"] = check.residuals_of(len(tracks.executions)).astype(np.float32)
     names = ("factor", "network_error", "unseen_error", "spread", "doubted_bias", "order_error")
     fields = {name: getattr(check, name) for name in names}

@@ -74,7 +74,7 @@ def test_init_shows_what_reading_the_logs_warns_of(
     monkeypatch.setattr("cyclekit.api.init.READ_BYTES", 10)
     large = cyclekit("init", "logs", "--yes")
     assert "warning: " not in large.err
-    assert "cyclekit inspect shows the warnings" in large.err
+    assert "their warnings: cyclekit inspect LOGS" in large.err
 
 
 def test_the_help_names_arguments_without_their_types(cyclekit: Shell) -> None:

@@ -23,7 +23,6 @@ from cyclekit.estimate.joint.visits import Segments
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.estimate.whatif.coupled import altered_coupling
-from cyclekit.report.play.both import tables_of_both
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
@@ -147,10 +146,14 @@ def test_own_work_of_a_plan_is_that_before_the_next_place() -> None:
     assert [one.own_s for gate in quicker.gates for one in gate.own_by] == [(1.0,), (3.0,), (4.5,)]
 
 
-def test_a_cell_with_trips_is_not_played_in_the_page(logged: Dataset) -> None:
-    """The script in the page draws no trips: it would show another number than the estimate."""
+def test_without_a_wait_the_operators_work_is_what_it_was_and_so_are_his_orders(logged: Dataset) -> None:
+    """His logged stays held the wait, which now is none, and he comes as often to the same work of the robot."""
     cell = _cell(logged, TRIP)
-    model = Constant(1.0)
-    object.__setattr__(model, "card", SimpleNamespace(coupling=cell.coupling, operator_signals=()))
-    with pytest.raises(EstimateError, match="trips of the operator"):
-        tables_of_both(SimpleNamespace(dataset=logged), model, ())  # type: ignore[arg-type]  # a stub
+    change = Change(name="no wait", without_waits=("operator approach out_left_1",))
+    card = altered_coupling(change, cell.coupling)
+    altered = JointCell(Constant(1.0), logged, card, as_logged=cell.coupling)
+    before, after = (Planner(each, nominal_tasks(logged)) for each in (cell, altered))
+    assert before.waited_for == after.waited_for == {"home"}
+    agenda = after.operator(("inbound", "out_left_1"), "test")
+    assert [leg.hold for leg in agenda.legs] == [False, False, False]
+    assert float(agenda.legs[1].own_s[0]) == 1.0

@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from importlib.resources import files
-from itertools import pairwise
 
 import browser
 import numpy as np
 import pytest
 from known_cells import logged
 from msgspec import structs
-from played import STAIRS, network, staircase
+from played import STAIRS, ask, both, network, same, staircase
 
 from cyclekit import TaskSequence, estimate_cycles, train_task_times, what_if, write_report
 from cyclekit.config.sequences import PlannedTask, load_sequences
@@ -59,11 +58,6 @@ CARD = CouplingCard(
     ),
     sources=(SourceCard(signal="part", gap_s=(4.0, 5.0, 9.0), first_s=(0.5, 2.0), buffer=2, taken_by="conveyor"),),
 )  # fmt: skip
-
-
-def both(robot: tuple[str, ...], operator: tuple[str, ...], name: str) -> TaskSequence:
-    goals = [PlannedTask("robot", f"{a}->{b}") for a, b in pairwise(robot)]
-    return TaskSequence.of_plan(name, [*goals, *(PlannedTask("operator", place) for place in operator)])
 
 
 TURNED = ("home", "conveyor", "left_4", "conveyor", "left_2", "conveyor", "right_3")
@@ -115,27 +109,6 @@ def cell(request, logged, tmp_path_factory):
     facts = compose_report(data, model, page, estimates=estimates, check=check, takt_s=TAKT_S)
     assert facts.missing == ()
     return page, given, changed, (model, data)
-
-
-def ask(tab, played, changes, takt_s="null"):
-    script = f"JSON.stringify(cyclekitPlay.answer({json.dumps(played)}, {json.dumps(changes)}, {takt_s}))"
-    return json.loads(tab.ask(script))
-
-
-def same(found, wanted, *, within=2e-3):
-    """Mean, intervals and quantiles, the takt, and every task's start, end and wait; part of the cycle time."""
-    assert "unknown" not in found
-    means = [wanted.expected_s, wanted.expected_low_s, wanted.expected_high_s, *wanted.quantiles_s.values()]
-    assert [found[name] for name in ("expected_s", "low_s", "high_s")] + found["quantiles_s"] == pytest.approx(
-        means, rel=within
-    )
-    if wanted.takt_probability is not None:
-        assert found["takt"] == pytest.approx(list(wanted.takt_probability), abs=0.02)
-    mine = [(task["name"], task["start_s"], task["end_s"], task["wait_s"], *task["ends_s"]) for task in found["tasks"]]
-    theirs = [(t.task, t.start_s, t.end_s, t.wait_s, t.end_low_s, t.end_high_s) for t in wanted.plan]
-    assert [task[0] for task in mine] == [task[0] for task in theirs]
-    for one, other in zip(mine, theirs, strict=True):
-        assert one[1:] == pytest.approx(other[1:], abs=2 * within * wanted.expected_s)
 
 
 def test_orders_and_changes_of_both_agents_have_the_numbers_of_the_library(tab, cell):

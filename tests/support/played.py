@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pytest
 from msgspec import structs
 from ruled import box, near, ruled
 
-from cyclekit.config.sequences import TaskSequence
+from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.cards.rule import PoseCard
 from cyclekit.estimate.whatif.change import Change, LimitChange
@@ -19,9 +22,11 @@ from cyclekit.learning.networks.weights import Weights
 from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
+    from browser import Tab
     from numpy.typing import ArrayLike
 
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.result import CycleEstimate
     from cyclekit.schema import Singles
 
 SHORT = ("left_2", "right_3", "left_4")
@@ -76,6 +81,12 @@ def classifier() -> TrainedModel:
     levels, thresholds_m, width_m = (0.0, 0.25, 0.5, 0.75, 1.0), [0.0, 1.2, 1.5, 1.9, 2.4], 0.01
     logits = of_distance(np.arange(5) / width_m, -np.cumsum(thresholds_m) / width_m)
     return TrainedModel("now", "classifier", 0.0, levels, Weights((logits,), softmax_after=0, distance=9.0))
+
+
+def both(robot: tuple[str, ...], operator: tuple[str, ...], name: str) -> TaskSequence:
+    """Return a plan for both agents."""
+    goals = [PlannedTask("robot", f"{a}->{b}") for a, b in pairwise(robot)]
+    return TaskSequence.of_plan(name, [*goals, *(PlannedTask("operator", place) for place in operator)])
 
 
 def of_distance(weight: ArrayLike, bias: ArrayLike) -> tuple[Singles, Singles]:
@@ -141,3 +152,26 @@ LINKED = {
 }
 WITHOUT_RULE = {name: STAIRS[name] for name in ("ramp", "seldom")}
 """What the script is asked with, and the same change in the library, by name."""
+
+
+def ask(tab: Tab, played: object, changes: dict[str, object], takt_s: object = "null") -> dict[str, Any]:
+    """Return the page's answer to what is played, with changes."""
+    script = f"JSON.stringify(cyclekitPlay.answer({json.dumps(played)}, {json.dumps(changes)}, {takt_s}))"
+    found: dict[str, Any] = json.loads(tab.ask(script))
+    return found
+
+
+def same(found: dict[str, Any], wanted: CycleEstimate, *, within: float = 2e-3) -> None:
+    """Check mean, intervals and quantiles, the takt, and every task's start, end and wait; part of the cycle time."""
+    assert "unknown" not in found
+    means = [wanted.expected_s, wanted.expected_low_s, wanted.expected_high_s, *wanted.quantiles_s.values()]
+    assert [found[name] for name in ("expected_s", "low_s", "high_s")] + found["quantiles_s"] == pytest.approx(
+        means, rel=within
+    )
+    if wanted.takt_probability is not None:
+        assert found["takt"] == pytest.approx(list(wanted.takt_probability), abs=0.02)
+    mine = [(task["name"], task["start_s"], task["end_s"], task["wait_s"], *task["ends_s"]) for task in found["tasks"]]
+    theirs = [(t.task, t.start_s, t.end_s, t.wait_s, t.end_low_s, t.end_high_s) for t in wanted.plan]
+    assert [task[0] for task in mine] == [task[0] for task in theirs]
+    for one, other in zip(mine, theirs, strict=True):
+        assert one[1:] == pytest.approx(other[1:], abs=2 * within * wanted.expected_s)

@@ -90,7 +90,8 @@ def estimate_both(
     altered = ask.altered
     nominal = altered.tasks(nominal) if altered else nominal
     card = altered.coupling if altered else ask.model.card.coupling
-    cell = JointCell(ask.model, dataset, card, dynamics=altered.dynamics if altered else None)
+    dynamics = altered.dynamics if altered else None
+    cell = JointCell(ask.model, dataset, card, dynamics=dynamics, as_logged=ask.model.card.coupling)
     cell.pace = 1.0 / altered.pace if altered else 1.0
     answers = JointAnswers(ask, cell, nominal)
     judged = ask.check if isinstance(ask.check, JointCheck) else None

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.dataset.cards import CouplingCard
 from cyclekit.errors import UnknownName
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from cyclekit.config.sequences import PlannedTask
-    from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, TripCard
+    from cyclekit.dataset.cards import ConditionCard, GateCard, TripCard
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.schema import Floats, Vector
 
@@ -103,9 +104,10 @@ class Agenda:
 class Gates:
     """The gates of a cell by agent and place: points where an agent may have to wait."""
 
-    def __init__(self, coupling: CouplingCard | None) -> None:
-        """Store the learned gates; None = no gates."""
+    def __init__(self, coupling: CouplingCard | None, as_logged: CouplingCard | None = None) -> None:
+        """Store the gates, and those of the logs if they were changed since; None = no gates."""
         self._gates = {(gate.agent, gate.at, gate.place): gate for gate in (coupling.gates if coupling else ())}
+        self._logged = (as_logged or coupling or CouplingCard()).gates
 
     def at(self, agent: str, at: str, place: str) -> GateCard | None:
         """Return a gate, or None."""
@@ -117,8 +119,8 @@ class Gates:
         return needs_of(gate.conditions if gate else (), turn)
 
     def waits(self, agent: str) -> bool:
-        """Return whether an agent ever waits; if so, its stays are longer than its work."""
-        return any(gate.conditions for gate in self._gates.values() if gate.agent == agent)
+        """Return whether an agent ever waited in the logs; if so, its stays there are longer than its work."""
+        return any(gate.conditions for gate in self._logged if gate.agent == agent)
 
     def own_s(self, agent: str, place: str) -> Vector | None:
         """Return the quantiles of an agent's own work at a place, if learned."""

@@ -43,7 +43,7 @@ class Planner:
         self.waited_for = _waited_for(cell)
         self._went = {one.execution: one.places for one in cell.dataset.card.executions if one.execution in cell.logged}
         logged = [(went, tuple(visit.place for visit in cell.logged[name])) for name, went in self._went.items()]
-        self._operator = dict(zip(self._went, continued(logged, cell.coupling), strict=True))
+        self._operator = dict(zip(self._went, continued(logged, cell.as_logged), strict=True))
 
     def plan(self, sequence: TaskSequence) -> Plan:
         """Return the plan of both agents.
@@ -110,7 +110,7 @@ class Planner:
         return [self._operator[name] for name in found], False
 
     def _composed(self, places: Sequence[str]) -> list[tuple[str, ...]]:
-        return composed_orders(places, self.logged_orders, pairs_of(self._cell.coupling))
+        return composed_orders(places, self.logged_orders, pairs_of(self._cell.as_logged))
 
     def composed(self, sequence: TaskSequence) -> list[tuple[str, ...]]:
         """Return the composed orders of the operator that a sequence uses; none if it uses logged ones."""
@@ -189,7 +189,7 @@ def _of_agent(agent: str, tasks: Sequence[PlannedTask], precedence: Mapping[int,
 
 def _waited_for(cell: JointCell) -> set[str]:
     """Return the robot's places at which one agent waits for the other."""
-    pairs = [(gate, one) for gate in (cell.coupling.gates if cell.coupling else ()) for one in gate.conditions]
+    pairs = [(gate, one) for gate in (cell.as_logged.gates if cell.as_logged else ()) for one in gate.conditions]
     others = [(gate, one) for gate, one in pairs if gate.agent != one.agent]  # a robot may wait for its own machine
     found = {gate.place for gate, _ in others if gate.agent == "robot"}
     return found | {one.place for _, one in others if one.agent == "robot"}

@@ -94,16 +94,31 @@ class JointCell:
     """Inputs of joint rollouts: safety function, wait conditions, the operator's logged tracks."""
 
     def __init__(
-        self, model: SafetyModel, dataset: Dataset, coupling: CouplingCard | None, *, dynamics: Dynamics | None = None
+        self,
+        model: SafetyModel,
+        dataset: Dataset,
+        coupling: CouplingCard | None,
+        *,
+        dynamics: Dynamics | None = None,
+        as_logged: CouplingCard | None = None,
     ) -> None:
         """Read the operator's visits.
+
+        Args:
+            model: Safety function.
+            dataset: The logs.
+            coupling: Who waits for whom.
+            dynamics: Response of s to the safety function; None: as logged.
+            as_logged: Who waited for whom in the logs, if that was changed: it tells what of a stay was work, and which
+                work of the operator belongs to which work of the robot.
 
         Raises:
             EstimateError: There is no operator in the logs, or he never stays at a place; and it is not known that the
                 robot alone waits.
         """
         self.model, self.dataset, self.coupling = on_states_of(model, dataset), dataset, coupling
-        self.gates, self.segments = Gates(coupling), Segments(dataset, coupling)
+        self.as_logged = as_logged or coupling
+        self.gates, self.segments = Gates(coupling, self.as_logged), Segments(dataset, coupling)
         self.dynamics = dynamics or Dynamics.of(dataset.card.dynamics, model)
         self.pace = 1.0  # factor on the logged durations of the operator
         if not self.segments.orders and not self.unseen:

@@ -13,7 +13,8 @@ const needsOf = (agent, at, place, turn, asked) => conditionsOf(gateOf(agent, at
   if (turn % every !== first || passage < back) return [];
   const number = (passage - back) * eventEvery + eventFirst;
   const event = [one.agent, one.place, one.kind, number].join(APART);
-  return [{ event, said: one.said, lag_s: one.lag_s, needed: one.needed, together: one.together, passage: Math.floor(turn / every) }];
+  const { said, lag_s, soonest_s, needed, together } = one;
+  return [{ event, said, lag_s, soonest_s, needed, together, passage }];
 });
 const ownByOf = (place, before, next, asked) => { // Gates.own_by_s: own work by the places around it
   const gate = gateOf("operator", "leave", place);
@@ -27,8 +28,12 @@ const ownOf = (agent, place, asked) => {
 };
 const NOTHING_S = [0];
 
-const agendaOf = (agent, start, at, asked) => { // _Builder: legs one behind the other
-  const blank = { task: -1, path: null, way_s: 0, start: null, own_s: NOTHING_S, name: "", needs: [], notBefore_s: 0, arrives: [], passes: [], hold: false };
+const agendaOf = (agent, start, at, asked, planned = []) => { // _Builder: legs one behind the other
+  const blank = {
+    task: -1, path: null, way_s: 0, start: null, own_s: NOTHING_S, name: "", needs: [], notBefore_s: 0, arrives: [], passes: [],
+    hold: false, trip: null,
+  };
+  const tripOf = (gate) => (gate && gate.trip && !gate.trip.places.some((place) => planned.includes(place)) ? gate.trip : null);
   const legs = [{ ...blank, place: start, path: at }];
   const visits = new Map(start ? [[start, 1]] : []);
   const done = new Map();
@@ -45,12 +50,14 @@ const agendaOf = (agent, start, at, asked) => { // _Builder: legs one behind the
     if (before.length || asks.notBefore_s > 0) {
       const { path } = legs[legs.length - 1];
       const stays = path && { ...path, low: path.high };
-      legs.push({ ...blank, task, place: here, path: stays, name: `hold ${place}`, needs: before, notBefore_s: asks.notBefore_s, passes: [], hold: true });
+      const hold = { name: `hold ${place}`, needs: before, notBefore_s: asks.notBefore_s, hold: true, trip: tripOf(gate) };
+      if (gate && gate.trip) legs[legs.length - 1].trip = null; // no second trip before it leaves here
+      legs.push({ ...blank, task, place: here, path: stays, ...hold, passes: [] });
     }
     if (here) for (const what of ["leaves", "cleared"]) passes(what, here);
     const times = done.get(name) || 0;
     const last = {
-      ...blank, ...told, task, needs: needsOf(agent, "leave", place, turn, asked),
+      ...blank, ...told, task, needs: needsOf(agent, "leave", place, turn, asked), trip: tripOf(gateOf(agent, "leave", place)),
       arrives: [[agent, place, "arrives", turn].join(APART)],
       passes: [[agent, name, "done", times].join(APART), [agent, place, "set", turn].join(APART)],
     };
@@ -100,7 +107,7 @@ const askedOf = (robot, tasks) => { // legs.told_needs, by what the tasks are ca
         .filter((key) => count.has(key) && key !== whose(task));
       if (!able.length) missing.add(called);
       return able.map((key) => ({
-        event: [key, "done", Math.min(task.turn, count.get(key) - 1)].join(APART), said: key, lag_s: NOTHING_S, needed: 1,
+        event: [key, "done", Math.min(task.turn, count.get(key) - 1)].join(APART), said: key, lag_s: NOTHING_S, soonest_s: 0, needed: 1,
       }));
     });
     task.notBefore_s = task.not_before_s;
@@ -126,8 +133,8 @@ const robotAgenda = (places, asked, told) => { // told: what a plan says of each
 };
 
 const operatorAgenda = (places, asked, told) => {
-  const agenda = agendaOf("operator", "", null, asked);
-  const waits = facts.gates.some((gate) => gate.agent === "operator" && conditionsOf(gate, asked).length);
+  const agenda = agendaOf("operator", "", null, asked, places);
+  const waits = facts.gates.some((gate) => gate.agent === "operator" && gate.conditions.length); // in the logs
   places.forEach((place, number) => {
     const stays = facts.work_s[place];
     const before = number ? places[number - 1] : told ? null : "";
@@ -148,7 +155,7 @@ const sourceAgenda = (source, robot, asked) => { // JointCell.source
     task: part, place: "", path: null, way_s: 0, start: null, hold: false, name: source.signal, notBefore_s: 0,
     own_s: part ? source.gap_s : source.first_s,
     needs: part < buffer ? [] : [{
-      event: ["robot", source.taken_by, "leaves", part - buffer].join(APART), said: source.said, lag_s: NOTHING_S, needed: 1,
+      event: ["robot", source.taken_by, "leaves", part - buffer].join(APART), said: source.said, lag_s: NOTHING_S, soonest_s: 0, needed: 1,
     }],
     arrives: [],
     passes: [["signal", source.signal, source.kind, part].join(APART)],
@@ -185,6 +192,10 @@ const drawnOf = (agenda, number) => { // Drawn: levels of own work, lags, walks 
     const again = turnOf(way);
     if (leg.start !== null) [found.walks, found.walking] = [facts.walks[leg.start][leg.place], levelsOf(way, again)];
     if (leg.place) [found.stays, found.staying] = [facts.stays[leg.place], levelsOf(`stay ${way}`, again)];
+    if (leg.trip) {
+      found.trips = facts.trips[leg.place].length ? facts.trips[leg.place] : null;
+      [found.tripping, found.going] = [`trip from ${leg.name}`, `goes from ${leg.name}`].map((key) => levelsOf(key, again));
+    }
     return found;
   });
 };

@@ -13,8 +13,34 @@ const rowsOf = (drawn, cycle, events, asked) => { // what is drawn for one cycle
     walk_s: leg.walks ? (facts.segments[chosen(leg.walks, leg.walking, cycle)][1] - 1) * STEP_S / asked.pace : 0,
     walk: leg.walks ? chosen(leg.walks, leg.walking, cycle) : 0,
     stay: leg.stays ? chosen(leg.stays, leg.staying, cycle) : 0,
+    ...(leg.trip ? tripRowOf(leg, cycle) : NO_TRIP),
     arrives_s: Infinity, works_s: Infinity, passes_s: Infinity, lost_s: 0,
   }));
+};
+const NO_TRIP = { level: 0, waiting: false, free: false, trip: -1, goes: false };
+const tripRowOf = (leg, cycle) => { // which trip he may make before he departs, and whether he makes it
+  const level = leg.tripping[cycle];
+  const trip = leg.trips ? chosen(leg.trips, leg.tripping, cycle) : -1; // -1: he stays
+  return { level, waiting: leg.going[cycle] < leg.trip.waiting, free: leg.going[cycle] < leg.trip.free, trip, goes: false };
+};
+const afterTrip = (row, events, open_s, pace) => { // UnslowedAgent._after_trips: when he may depart after it
+  let late_s = -Infinity;
+  for (let n = 0; n < row.lags.length; n += 1) {
+    const { event, soonest_s } = row.leg.due[n];
+    if (row.lags[n] !== -Infinity) late_s = Math.max(late_s, events[event] + soonest_s);
+  }
+  late_s -= row.works_s;
+  row.goes = late_s > 0 ? row.waiting : row.free;
+  return row.goes ? Math.max(open_s, row.works_s + tookOf(row.leg.trip, late_s, row.level) / pace) : open_s;
+};
+const tookOf = (trip, late_s, level) => { // TripTimes.took_s: of the logged trips with about the same wait
+  const count = trip.late_s.length;
+  const near = Math.min(facts.near_trips, count);
+  let first = 0;
+  while (first < count && trip.late_s[first] < late_s) first += 1;
+  first = Math.min(Math.max(first - Math.floor(near / 2), 0), count - near);
+  const some = trip.took_s.slice(first, first + near).sort((a, b) => a - b);
+  return some[Math.min(Math.floor(level * near), near - 1)];
 };
 const opensAt = (row, events, works_s) => { // when it may go on; infinite: not known yet
   let latest = Math.max(works_s, row.leg.notBefore_s);
@@ -24,7 +50,7 @@ const opensAt = (row, events, works_s) => { // when it may go on; infinite: not 
   return latest;
 };
 
-const unhindered = (rows, events) => { // the operator, or a source of parts: he goes on as far as is known
+const unhindered = (rows, events, pace) => { // the operator, or a source of parts: he goes on as far as is known
   let at = 0;
   let ended = false;
   const arrive = (departs_s) => {
@@ -38,8 +64,9 @@ const unhindered = (rows, events) => { // the operator, or a source of parts: he
     let moved = false;
     while (!ended) {
       const row = rows[at];
-      const open_s = opensAt(row, events, row.works_s);
+      let open_s = opensAt(row, events, row.works_s);
       if (open_s === Infinity) break;
+      if (row.leg.trip) open_s = afterTrip(row, events, open_s, pace);
       row.passes_s = open_s;
       set(events, row.leg.passes, open_s);
       moved = true;
@@ -58,9 +85,13 @@ const operatorAt = (rows, pace) => { // OperatorPositions.at: between which samp
     const row = rows[at];
     const still = at < starts;
     const walks = t_s < row.arrives_s;
-    const segment = still ? rows[starts].walk : (walks ? row.walk : row.stay);
+    let segment = still ? rows[starts].walk : (walks ? row.walk : row.stay);
     const departs_s = at > 0 ? rows[at - 1].passes_s : 0;
-    const since_s = still ? 0 : (walks ? (t_s - departs_s) * pace : t_s - row.arrives_s);
+    let since_s = still ? 0 : (walks ? (t_s - departs_s) * pace : t_s - row.arrives_s);
+    if (row.leg.trip && !still && !walks && t_s >= row.works_s && (row.passes_s < Infinity ? row.goes : row.waiting)) {
+      since_s = (t_s - row.works_s) * pace; // on a trip, or back from one
+      if (row.trip >= 0) segment = row.trip;
+    }
     const [first, count] = facts.segments[segment];
     const place = Math.min(since_s / STEP_S, count - 1);
     const whole = Math.floor(place);
@@ -77,7 +108,7 @@ const walkBoth = (robot, operator, sources, events, asked, until_s) => { // one 
   const follows = facts.follows || Object.values(dynamics).some((value) => value);
   const asksAfter = facts.often ? 1 : Math.round(step.coarse_s / step_s);
   const looksAfter = Math.round(step.support_s / step_s);
-  const others = [operator, ...sources].map((rows) => unhindered(rows, events));
+  const others = [operator, ...sources].map((rows) => unhindered(rows, events, asked.pace));
   const settle = () => { while (others.map((goOn) => goOn()).some(Boolean) && others.length > 1); };
   const person = operatorAt(operator, asked.pace);
   const follow = follows ? followerOf(dynamics, step_s) : null;

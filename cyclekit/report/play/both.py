@@ -16,12 +16,14 @@ from cyclekit.dataset.cards import CouplingCard
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.answer import CYCLES, RESAMPLES, resample_counts
 from cyclekit.estimate.joint.check import JointCheck
+from cyclekit.estimate.joint.draws import NEAR
 from cyclekit.estimate.joint.legs import Gates, event_kind, precedence_needs
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, TIMES, JointCell
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.whatif.coupled import shown as wait_name
+from cyclekit.learning.coupling.trips import soonest_s
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.report.play.tables import SEED, scaling_source, settings_of
 
@@ -63,9 +65,6 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     if cell.unseen:
         seen = "no log shows the operator, and without his places other orders cannot be played here"
         raise EstimateError(seen, cure="Ask estimate, plan and whatif.")
-    if any(gate.trip is not None for gate in card.gates):
-        seen = "trips of the operator while he waits are not played here"
-        raise EstimateError(seen, cure="Ask estimate, plan and whatif.")
     arrays: Arrays = {}
     planner = Planner(cell, legs)
     sequences = [_sequence(each, planner) for each in shown]
@@ -76,7 +75,9 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     if None in orders:
         places |= {place for each in went for place in each["operator"]}
     walks, stays = _drawn(cell.segments, sorted(places))
-    xyz_m, segments = _used(cell.segments, walks, stays)
+    trips = _trips(cell.segments, places, card)
+    ways = [numbers for goals in walks.values() for numbers in goals.values()]
+    xyz_m, segments = _used(cell.segments, [*ways, *stays.values(), *trips.values()])
     nothing = np.zeros((1, len(xyz_m)), np.int64)
     tracks = OperatorTracks(xyz_m[None], nothing, (), np.array([len(xyz_m)]), ("",), 1.0 / dataset.rate_hz)
     facts = settings_of(page, model, dataset, tracks) | {
@@ -94,6 +95,8 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
         "first_stays_s": {place: np.round(stays, 4).tolist() for place, stays in cell.first_stays_s.items()},
         "walks": walks,
         "stays": stays,
+        "trips": trips,
+        "near_trips": NEAR,
         "segments": segments,
         "went": went if None in orders else [],
         "waited_for": sorted(planner.waited_for),
@@ -155,12 +158,17 @@ def _drawn(segments: Segments, places: list[str]) -> tuple[dict[str, dict[str, l
     return walks, {place: segments.stay(place).tolist() for place in places}
 
 
-def _used(
-    segments: Segments, walks: dict[str, dict[str, list[int]]], stays: dict[str, list[int]]
-) -> tuple[Floats, list[list[int]]]:
-    """Return the positions of these walks and stays (M, 3), with first row and count of each; renumber them."""
+def _trips(segments: Segments, places: Sequence[str], card: CouplingCard) -> dict[str, list[int]]:
+    """Return the numbers of the trips from each place, the shortest first; empty where he makes none."""
+    if all(gate.trip is None for gate in card.gates):
+        return {}
+    found = {place: segments.trip(place) for place in places}
+    return {place: some[np.argsort(segments.durations_s(some))].tolist() for place, some in found.items()}
+
+
+def _used(segments: Segments, lists: Sequence[list[int]]) -> tuple[Floats, list[list[int]]]:
+    """Return the positions of these segments (M, 3), with first row and count of each; renumber them."""
     xyz_m, first, count = segments.table()
-    lists = [*(numbers for goals in walks.values() for numbers in goals.values()), *stays.values()]
     used = sorted({0, *(number for numbers in lists for number in numbers)})
     anew = {number: n for n, number in enumerate(used)}
     for numbers in lists:
@@ -187,6 +195,7 @@ def _gates(card: CouplingCard) -> list[dict[str, Any]]:
         conditions = [
             {
                 **{name: getattr(one, name) for name in ("agent", "place", "back", "needed", "together", "lag_s")},
+                "soonest_s": soonest_s(one.lag_s),
                 "kind": event_kind(one),
                 "said": _said(one.agent, one.place, event_kind(one)),
                 "turns": {name: getattr(one.turns, name) for name in ("every", "first", "event_every", "event_first")},
@@ -195,7 +204,9 @@ def _gates(card: CouplingCard) -> list[dict[str, Any]]:
         ]
         fields = {name: getattr(gate, name) for name in ("agent", "at", "place", "phase", "own_s")}
         own_by = [{"side": one.side, "place": one.place, "own_s": one.own_s} for one in gate.own_by]
-        found.append({**fields, "own_by": own_by, "name": wait_name(gate), "conditions": conditions})
+        told = ("places", "waiting", "free", "took_s", "late_s")
+        trip = gate.trip and {name: getattr(gate.trip, name) for name in told}
+        found.append({**fields, "own_by": own_by, "name": wait_name(gate), "conditions": conditions, "trip": trip})
     return found
 
 

@@ -7,7 +7,9 @@ from itertools import chain
 from typing import TYPE_CHECKING, Protocol, TypeAlias, cast
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from cyclekit.plots import colours
@@ -25,6 +27,10 @@ if TYPE_CHECKING:
 _GAP_PX = 9.0
 """Distance from a place to its name, px."""
 _MARKER_PX = 5.0
+_OFF_PX = 8.0
+"""Cost of a name that lies farther from its place, px2 of overlap per px."""
+SHADE = 0.85
+"""Opacity of squares in the colour of the speed, and of their scale."""
 _MAX_COVERED = 0.3
 """Maximum covered share of a name; with more the name is left out, and only the tooltip of its place has it."""
 _Box: TypeAlias = tuple[float, float, float, float]
@@ -63,8 +69,11 @@ def square(axes: Axes, x: float, y: float, side: float, colour: str, alpha: floa
 
 def outline(axes: Axes, shape: Shape, text: str) -> FloorNote | None:
     """Draw a limit of the rule: solid for the region to enter, dashed for the region to leave."""
+    wide, dashes = (1.0, (0, (4, 3))) if shape.leaving else (2.0, "-")
     line = Polygon(shape.outline_m, closed=True, fill=False, edgecolor=colours.scaling_hex(shape.level), zorder=4)
-    line.set(linewidth=1.0 if shape.leaving else 2.0, linestyle=(0, (4, 3)) if shape.leaving else "-")
+    line.set(linewidth=wide, linestyle=dashes)
+    if not shape.leaving:  # on squares of its own colour the line would be lost
+        line.set_path_effects([withStroke(linewidth=4.0, foreground="white")])
     axes.add_artist(line)
     speed = f"{100 * shape.level:.4g}"
     tip(_figure(axes), line, text.format(speed=speed))
@@ -90,7 +99,9 @@ def draw_cell(axes: Axes, cell: CellOnFloor, base: str | None) -> list[FloorNote
                 *place.xyz_m[:2], marker, markersize=5.5, color=colour, markeredgecolor="white", zorder=6
             )
             tip(_figure(axes), dot, place.shown)
-        notes += [FloorNote(label.text, [label.xyz_m[:2]], colour) for label in place_labels(places)]
+        notes += [
+            FloorNote(label.text, [place[:2] for place in label.places_m], colour) for label in place_labels(places)
+        ]
     return notes
 
 
@@ -112,7 +123,7 @@ def _scale_bar(axes: Axes, label: str) -> None:
     inset = axes.inset_axes((0.0, 1.03, 0.42, 0.03))
     edges = np.linspace(0.0, 1.0, 41)
     for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        colour = colours.scaling_hex((low + high) / 2)
+        colour = [1.0 - SHADE * (1.0 - part) for part in to_rgb(colours.scaling_hex((low + high) / 2))]  # on white
         inset.add_artist(Rectangle((low, 0), high - low + 0.004, 1, color=colour, linewidth=0))
     inset.set(xlim=(0, 1), ylim=(0, 1), yticks=[])
     inset.set_xticks([0, 0.5, 1], ["0", "50", "100 %"])
@@ -127,7 +138,8 @@ def _write(axes: Axes, notes: Sequence[FloorNote]) -> None:
     figure = _figure(axes)
     figure.draw_without_rendering()  # sets the limits of the axes
     frame = axes.get_window_extent().extents
-    points = axes.transData.transform([note.points_m[0] for note in notes if not note.on_line] or np.empty((0, 2)))
+    marked = [point for note in notes if not note.on_line for point in note.points_m]
+    points = axes.transData.transform(marked or np.empty((0, 2)))
     markers = [_around(x, y, 2 * _MARKER_PX, 2 * _MARKER_PX) for x, y in points.tolist()]
     taken: list[_Box] = []
     halo = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
@@ -137,12 +149,12 @@ def _write(axes: Axes, notes: Sequence[FloorNote]) -> None:
         size = text.get_window_extent()
         wide, high = size.width + 5, size.height + 3
         best, cost = None, np.inf
-        for at, middle in _spots(axes, note, wide, high):
+        for at, middle, off in _spots(axes, note, wide, high):
             box = _around(*middle, wide, high)
             names = sum(_common(box, other) for other in taken)
             outside = wide * high - _common(box, frame)
-            this = 3 * names + 6 * outside + sum(_common(box, marker) for marker in markers)
-            this += 1e6 * (names > _MAX_COVERED * wide * high or outside > _MAX_COVERED * wide * high)
+            this = 3 * names + 6 * outside + 2 * sum(_common(box, marker) for marker in markers)
+            this += _OFF_PX * off + 1e6 * (names > _MAX_COVERED * wide * high or outside > _MAX_COVERED * wide * high)
             if this < cost - 4.0:
                 best, cost = (at, middle, box), this
         if best is None or cost >= 1e6:
@@ -157,18 +169,18 @@ def _write(axes: Axes, notes: Sequence[FloorNote]) -> None:
 
 def _spots(
     axes: Axes, note: FloorNote, wide: float, high: float
-) -> Iterator[tuple[tuple[float, float], tuple[float, float]]]:
-    """Return the points of a note and the centres of its text, px, by preference at equal overlap."""
+) -> Iterator[tuple[tuple[float, float], tuple[float, float], float]]:
+    """Return the points of a note, the centres of its text and how far it lies off, px, by preference."""
     for point in note.points_m:
         x, y = axes.transData.transform(point).tolist()
         if note.on_line:
-            yield point, (x, y)
+            yield point, (x, y), 0.0
             continue
         for gap in (_GAP_PX, 2.2 * _GAP_PX, 4.0 * _GAP_PX):
             right, up = wide / 2 + gap, high / 2 + gap
             sides = [(0, up), (0, -up), (right, 0), (-right, 0)]
             corners = [(a * wide / 2, b * up) for a in (1, -1) for b in (1, -1)]
-            yield from ((point, (x + a, y + b)) for a, b in chain(sides, corners))
+            yield from ((point, (x + a, y + b), gap - _GAP_PX) for a, b in chain(sides, corners))
 
 
 def _common(one: _Box, other: _Box) -> float:

@@ -24,10 +24,11 @@ _NUMBERED = re.compile(r"^(?P<stem>.*?)[ _-]?(?P<number>\d+)$")
 
 @dataclass(frozen=True)
 class PlaceLabel:
-    """A text and its position, m, base frame."""
+    """A text, its position, and its places, the middle one first, m, base frame."""
 
     text: str
     xyz_m: tuple[float, float, float]
+    places_m: tuple[tuple[float, float, float], ...] = ()
 
 
 class ShownPlace(Protocol):
@@ -65,7 +66,9 @@ def _labels(family: list[ShownPlace]) -> list[PlaceLabel]:
     points = np.array([place.xyz_m for place in family])
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if len(family) < 2 or steps.max() > CLOSE_M:
-        return [PlaceLabel(place.shown, place.xyz_m) for place in family]
+        return [PlaceLabel(place.shown, place.xyz_m, (place.xyz_m,)) for place in family]
     x_m, y_m, z_m = points.mean(axis=0).tolist()
+    far = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    places_m = tuple(family[number].xyz_m for number in np.argsort(far, kind="stable").tolist())
     last = _NUMBERED.match(family[-1].shown)
-    return [PlaceLabel(f"{family[0].shown} … {last['number'] if last else ''}", (x_m, y_m, z_m))]
+    return [PlaceLabel(f"{family[0].shown} … {last['number'] if last else ''}", (x_m, y_m, z_m), places_m)]

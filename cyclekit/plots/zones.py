@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.ticker import PercentFormatter
 
 from cyclekit.plots import colours
-from cyclekit.plots.floor import draw_cell, label_axes, outline, square
+from cyclekit.plots.floor import SHADE, draw_cell, label_axes, outline, square
 from cyclekit.plots.style import INK, MUTED, RULE
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def draw_floor(
         cell: Places and furniture.
     """
     for x, y, speed in squares.tolist():
-        square(axes, x, y, side_m, colours.scaling_hex(speed), alpha=0.6)
+        square(axes, x, y, side_m, colours.scaling_hex(speed), alpha=SHADE)
     whole = [squares[:, :2] - side_m / 2, squares[:, :2] + side_m / 2]
     whole += [np.array(shape.outline_m) for shape in shapes if "TCP to" not in shape.name]
     axes.update_datalim(np.concatenate(whole))

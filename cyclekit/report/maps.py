@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import PercentFormatter
 
 from cyclekit.plots import colours
-from cyclekit.plots.floor import draw_cell, label_axes, outline, square
+from cyclekit.plots.floor import SHADE, draw_cell, label_axes, outline, square
 from cyclekit.plots.style import INK, MUTED, RULE, tip
 from cyclekit.report.findings import DISTANCE_BIN_M, SCALING_BIN
 from cyclekit.report.pictures import WIDE_IN
@@ -94,7 +94,7 @@ def lost_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Fig
         if seconds < _FAINTEST * most:
             continue
         side = plan.cell_m * float(np.sqrt(seconds / most))
-        drawn = square(axes, x, y, side, colours.scaling_hex(scaling))
+        drawn = square(axes, x, y, side, colours.scaling_hex(scaling), alpha=SHADE)
         values = {"x": f"{x:.1f}", "y": f"{y:.1f}", "seconds": f"{seconds:.2f}", "speed": f"{100 * scaling:.0f}"}
         tip(figure, drawn, labels["tip_lost"].format(**values))
     _finish(axes, plan, labels, [])
@@ -105,7 +105,7 @@ def zone_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Fig
     """Floor plan: mean robot speed for an operator in each square."""
     figure, axes = _floor(width_in, plan)
     for x, y, scaling in plan.zones.tolist():
-        drawn = square(axes, x, y, plan.cell_m, colours.scaling_hex(scaling), alpha=0.85)
+        drawn = square(axes, x, y, plan.cell_m, colours.scaling_hex(scaling), alpha=SHADE)
         tip(figure, drawn, labels["tip_zone"].format(x=f"{x:.1f}", y=f"{y:.1f}", speed=f"{100 * scaling:.0f}"))
     _finish(axes, plan, labels, [outline(axes, shape, labels["tip_rule"]) for shape in plan.shapes])
     return figure

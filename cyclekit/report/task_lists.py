@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass, replace
 from importlib.metadata import version as installed
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from cyclekit.estimate.baseline import listed_cycle, listed_cycles
@@ -52,7 +53,7 @@ _WHICH = {
     "most": "Mean times of the order that was run most.",
     "middle": "Every order was run once: the shortest, the median and the longest execution.",
 }
-_NUMBER = re.compile(rf"[-−]?\d|-$|{UNKNOWN}$")
+_NUMBER = re.compile(rf"(over |under )?[-−]?\d|-$|{UNKNOWN}$")
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,9 @@ def report_tasks(
         content = _markdown(name, made, [headline, *said], parts)
     else:
         texts_of = {"cell": name, "made": made, "headline": headline, "version": installed("cyclekit")}
-        content = look.render(page=PAGE, said=said, parts=parts, play=played, **texts_of) + f"\n{MARK}\n"
+        sections = [part for part in parts if part.chart or not part.folded]
+        content = look.render(page=PAGE, said=said, parts=parts, sections=sections, play=played, **texts_of)
+        content += f"\n{MARK}\n"
     write_text(out, content)
     return ReportFacts(out, out.stat().st_size, headline, content.count("<figure"), tuple(missing), len(found))
 
@@ -159,7 +162,7 @@ def _logged(texts: ReportTexts, dataset: Dataset, takt_s: float | None) -> list[
             turn[task.agent] += 1
             times = [fixed(task.start_s, 1), fixed(task.end_s, 1), _ends(task), fixed(task.wait_s, 1)]
             rows.append([one.name, task.agent, str(turn[task.agent]), task.task, *times])
-    heads = ["cycle", "agent", "no.", "task", "start, s", "end, s", "end in 90 % of cycles, s", "wait, s"]
+    heads = ["Cycle", "Agent", "No.", "Task", "Start, s", "End, s", "End in 90 % of cycles, s", "Wait, s"]
     said = next(text for which, text in _WHICH.items() if which in found) if found else ""
     chart = time_chart(texts, list(found.values()), takt_s) if found else None
     return [Part("Logged executions", [said], heads, rows, chart, folded=True)] if found else []
@@ -187,8 +190,8 @@ def _logged_in_words(dataset: Dataset, takt_s: float | None) -> str:
 
 
 def _ranking(found: Sequence[CycleEstimate], takt_s: float | None) -> list[Part]:
-    heads = ["plan", "expected, s", "95 % CI, s", "90 % of cycles, s", "robot waits, s"]
-    heads += [f"within {given(takt_s)} s"] if takt_s is not None else []
+    heads = ["Plan", "Mean, s", "95 % CI, s", "90 % of cycles, s", "Robot waits, s"]
+    heads += [f"Within {given(takt_s)} s"] if takt_s is not None else []
     rows = [
         [
             one.name,
@@ -211,7 +214,7 @@ def _plan(one: CycleEstimate) -> Part:
         waits = [fixed(task.wait_s, 1), f"{cause} ({percent(task.decided[cause])})"]
         named = [task.agent, str(turn[task.agent]), task.task]
         rows.append([*named, fixed(task.start_s, 1), fixed(task.end_s, 1), *waits])
-    heads = ["agent", "no.", "task", "start, s", "end, s", "wait, s", "starts after"]
+    heads = ["Agent", "No.", "Task", "Start, s", "End, s", "Wait, s", "Starts after"]
     return Part(one.name, heads=heads, rows=rows, folded=True)
 
 
@@ -221,10 +224,13 @@ def _order(planned: TaskOrderPlan | None) -> list[Part]:
     saved, low, high = planned.saves_s
     said = (
         f"The order found takes {fixed(planned.estimate.expected_s, 1)} s; {planned.against} take "
-        f"{fixed(planned.against_s, 1)} s on average. It saves {fixed(saved, 1)} s ({fixed(low, 1)} to "
-        f"{fixed(high, 1)} s, 95 %)."
+        f"{fixed(planned.against_s, 1)} s on average. It saves {fixed(saved, 1)} s (95 % CI {fixed(low, 1)} to "
+        f"{fixed(high, 1)} s)."
     )
-    return [Part("Order found", [said], ["agent", "task"], [[task.agent, task.name] for task in planned.tasks])]
+    agents = list(dict.fromkeys(task.agent for task in planned.tasks))
+    lines = [[task.name for task in planned.tasks if task.agent == agent] for agent in agents]
+    rows = [[str(number), *names] for number, names in enumerate(zip_longest(*lines, fillvalue=""), start=1)]
+    return [Part("Order found", [said], ["No.", *agents], rows)]
 
 
 def _changes(changed: Sequence[WhatIf]) -> list[Part]:
@@ -233,7 +239,7 @@ def _changes(changed: Sequence[WhatIf]) -> list[Part]:
         saved, low, high = one.saves_s
         times = [fixed(one.before.expected_s, 1), fixed(one.after.expected_s, 1)]
         rows.append([one.change, one.after.name, *times, f"{fixed(saved, 1)} ({fixed(low, 1)} to {fixed(high, 1)})"])
-    heads = ["change", "plan", "before, s", "after, s", "saves, s (95 %)"]
+    heads = ["Change", "Plan", "Before, s", "After, s", "Saves, s (95 % CI)"]
     return [Part("What if", heads=heads, rows=rows)] if rows else []
 
 
@@ -256,7 +262,7 @@ def _learned(card: TaskModelCard) -> Part:
     said = [f"{pace.said(agent)}." for agent, pace in card.pace.items()]
     if any(row[-1] != "-" for row in rows):
         said.append("Speed: during a task of the other agent 1.20 means 1.2 times as fast as alone.")
-    heads = ["agent", "task", "times", "mean, s", "waits for", "speed"]
+    heads = ["Agent", "Task", "Times", "Mean, s", "Waits for", "Speed"]
     return Part("Who waits for what", said, heads, rows)
 
 

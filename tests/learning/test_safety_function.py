@@ -29,6 +29,7 @@ from cyclekit.learning.safety_function.fit import (
     thresholds,
 )
 from cyclekit.plots.colours import scaling_hex
+from cyclekit.plots.floor import SHADE
 from cyclekit.plots.labels import place_labels
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def test_the_cell_of_the_paper_is_read_back_and_drawn(logged: Dataset, staircase
     assert curve.get_xlabel() == f"{NAME}, m"
     assert [label.get_text() for label in curve.get_xticklabels()] == [f"{metres:.2f}" for metres in THRESHOLDS_M]
     drawn = {kind: [one for one in floor.get_children() if isinstance(one, kind)] for kind in (Rectangle, Polygon)}
-    assert len([one for one in drawn[Rectangle] if one.get_alpha() == 0.6]) == len(found.floor_m)
+    assert len([one for one in drawn[Rectangle] if one.get_alpha() == SHADE]) == len(found.floor_m)
     # the rule as shapes: a line around the tool's path for each threshold, in the colour of its speed
     assert [to_hex(one.get_edgecolor()) for one in drawn[Polygon]] == [scaling_hex(s) for s in reversed(LEVELS[:-1])]
     texts = {one.get_text() for one in floor.texts}

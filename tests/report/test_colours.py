@@ -3,9 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from fabricated import LEVELS
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
+from cyclekit.dataset.dataset import Place
 from cyclekit.plots import colours
-from cyclekit.plots.labels import place_labels
+from cyclekit.plots.floor import SHADE, draw_cell, label_axes, square
+from cyclekit.plots.labels import CellOnFloor, place_labels
 
 
 def _seen_by(rgb, kind):
@@ -49,8 +53,6 @@ def test_words_on_the_page_stand_out_from_white(colour):
 def test_close_places_of_one_family_share_a_label_and_distant_ones_do_not(dataset):
     from dataclasses import replace
 
-    from cyclekit.dataset.dataset import Place
-
     row = {f"left_{n}": Place(f"left_{n}", (0.2 * n, 1.0, 0.0), 0.1, inferred=False) for n in (1, 2, 3)}
     assert [label.text for label in place_labels(row)] == ["left_1 … 3"]
     named = {n: replace(place, label=f"Left table, slot {n[-1]}") for n, place in row.items()}
@@ -58,3 +60,34 @@ def test_close_places_of_one_family_share_a_label_and_distant_ones_do_not(datase
     far = {f"table_{n}": Place(f"table_{n}", (2.0 * n, 1.0, 0.0), 0.1, inferred=False) for n in (1, 2)}
     assert [label.text for label in place_labels(far)] == ["table_1", "table_2"]
     assert [label.text for label in place_labels(dataset.places)] == list(dataset.places)
+
+
+def _floor(places, side_in=2.6):
+    figure = Figure(figsize=(side_in, side_in))
+    axes = figure.add_subplot()
+    axes.update_datalim([(-1.0, -1.0), (3.0, 3.0)])
+    named = {name: Place(name, (x, y, 0.0), 0.1, inferred=False) for name, (x, y) in places.items()}
+    label_axes(axes, "x, m", "y, m", "speed", draw_cell(axes, CellOnFloor(places=named), "robot"))
+    figure.draw_without_rendering()
+    return axes, {text.get_text(): text for text in axes.texts}
+
+
+def test_the_label_of_several_places_covers_neither_the_robot_nor_a_place_and_stays_beside_them():
+    row = {f"rack_{n}": at for n, at in enumerate([(-0.12, -0.6), (0.02, -0.62), (0.05, -0.48), (0.46, -0.45)], 1)}
+    others = {"home": (0.4, 0.0), "fixture": (0.55, 0.3), "feeder": (0.6, -0.1), "tray": (0.3, -0.6)}
+    axes, texts = _floor(others | row)
+    box = texts["rack_1 … 4"].get_window_extent()
+    marks = axes.transData.transform([(0.0, 0.0), *row.values()])
+    assert not any(box.contains(x, y) for x, y in marks.tolist())
+    away = [max(box.x0 - x, x - box.x1, box.y0 - y, y - box.y1) for x, y in marks[1:].tolist()]
+    assert min(away) < 20
+
+
+def test_the_scale_of_the_speed_has_the_colours_of_the_squares():
+    axes, _ = _floor({"home": (0.4, 0.0)})
+    drawn = square(axes, 1.0, 1.0, 0.2, colours.scaling_hex(1.0), alpha=SHADE)
+    red, green, blue, alpha = drawn.get_facecolor()
+    on_white = [1.0 - alpha * (1.0 - part) for part in (red, green, blue)]
+    (bar,) = axes.child_axes
+    last = max((each for each in bar.get_children() if isinstance(each, Rectangle)), key=lambda each: each.get_x())
+    assert last.get_facecolor()[:3] == pytest.approx(on_white, abs=0.05)

@@ -190,12 +190,13 @@ def test_the_contents_lead_to_every_section(desk):
     assert shown in ([True, True], [False, False], [None, None])  # this model cannot be played
 
 
-def test_printed_captions_are_smaller_than_the_text_and_maps_stand_side_by_side(tab, page):
+def test_printed_captions_are_as_large_as_the_text_and_maps_stand_side_by_side(tab, page):
     tab.show(page, width=680, height=1000)
     tab.call("Emulation.setEmulatedMedia", media="print")
     size = "parseFloat(getComputedStyle(document.querySelector('{}')).fontSize)"
     text = tab.ask(size.format("p.lead"))
-    assert tab.ask(size.format("figcaption")) < text
+    for each in ("figcaption", "caption", ".note"):
+        assert tab.ask(size.format(each)) == text
     assert tab.ask(size.format("td")) < text
     tops = tab.ask("[...document.querySelectorAll('#why .half')].map(e => Math.round(e.getBoundingClientRect().top))")
     assert len(tops) == 2
@@ -221,6 +222,40 @@ def test_printed_every_chart_lies_whole_on_one_page(tab, page):
     assert hidden
     tab.call("Emulation.setEmulatedMedia", media="")
     assert 5 <= pages_of(tab.pdf()) <= 14
+
+
+def test_printed_sections_keep_away_from_the_foot_and_the_statement_does_not_drag_what_follows_along(tab, page):
+    tab.show(page, width=680, height=1000)
+    tab.call("Emulation.setEmulatedMedia", media="print")
+    room = tab.ask("[...document.querySelectorAll('h2')].map(h => parseFloat(getComputedStyle(h, '::after').height))")
+    assert min(room) > 40 / 25.4 * 96 - 1.0
+    assert tab.ask("getComputedStyle(document.querySelector('.statement > p')).breakAfter") == "auto"
+    tab.call("Emulation.setEmulatedMedia", media="")
+
+
+def test_the_printed_contents_name_the_page_of_each_section(tab, page, tmp_path, monkeypatch):
+    tab.show(page, width=680, height=1000)
+    printed_pages, printing = [], pdf._print
+    monkeypatch.setattr(pdf, "_print", lambda browser, file, folder: (
+        printed_pages.append(file.read_text("utf-8")), printing(browser, file, folder))[1])  # fmt: skip
+    write_pdf(page, tmp_path / "report.pdf")
+    printed = (tmp_path / "report.pdf").read_bytes()
+    found = pdf.pages_of_sections(printed)
+    sections = [name for name in tab.ask("[...document.querySelectorAll('section')].map(s => s.id)") if name != "play"]
+    assert sorted(found) == sorted(sections)
+    assert [found[name] for name in sections] == sorted(found.values())
+    assert found["answer"] == 1
+    assert found["trust"] > 2
+    said = re.findall(r'<span data-page-of="(\w+)">(\d*)</span>', printed_pages[1])
+    assert said == [(name, str(found[name])) for name in sections]
+    assert 'data-page-of="trust"></span>' in page.read_text("utf-8")  # the page itself stays as it is
+    assert b"/Outlines" in printed
+
+
+def test_a_pdf_that_hides_its_structure_is_printed_without_page_numbers():
+    assert pdf.pages_of_sections(b"%PDF-1.7 ...") == {}
+    text = '<span data-page-of="answer"></span>'
+    assert pdf.with_page_numbers(text, {}) == text
 
 
 def test_the_pdf_is_a4_with_text_that_can_be_searched(page, tmp_path):

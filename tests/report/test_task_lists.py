@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +13,7 @@ from cyclekit import train_task_times, write_report
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.baseline import listed_cycle, listed_cycles
 from cyclekit.ingest.ingest import ingest
-from cyclekit.report.task_lists import _learned
+from cyclekit.report.task_lists import _learned, _order
 
 ROBOT, OPERATOR = ("robot", "arm"), ("operator", "worker")
 
@@ -90,6 +91,28 @@ def test_the_page_of_logs_alone_shows_the_logged_executions_and_how_to_learn_mor
     write_report(logged, tmp_path / "page.json")
     (part, _) = json.loads((tmp_path / "page.json").read_text(encoding="utf-8"))["parts"]
     assert part["rows"][0][1:6] == ["arm", "1", "bring", "0.0", "5.0"]
+
+
+def test_the_page_has_contents_and_numbered_sections(logged: Dataset, tmp_path) -> None:
+    write_report(logged, tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    titles = ["Logged executions", "How reliable are these numbers?"]
+    for number, title in enumerate(titles, start=1):
+        assert f'<a href="#part-{number}">{number} {title}</a><span data-page-of="part-{number}"></span>' in page
+        assert re.search(rf'<section id="part-{number}">\s*<h2><span class="number">{number}</span> {title}', page)
+
+
+def test_the_order_found_has_a_column_for_each_agent() -> None:
+    tasks = [SimpleNamespace(agent=agent, name=name) for agent, name in
+             (("arm", "bring"), ("worker", "mount"), ("arm", "weld"))]  # fmt: skip
+    planned = SimpleNamespace(
+        saves_s=(3.0, 2.0, 4.0), estimate=SimpleNamespace(expected_s=40.0), against="logged orders",
+        against_s=43.0, tasks=tasks,
+    )  # fmt: skip
+    (part,) = _order(planned)
+    assert part.heads == ["No.", "arm", "worker"]
+    assert part.rows == [["1", "bring", "mount"], ["2", "weld", ""]]
+    assert "saves 3.0 s (95 % CI 2.0 to 4.0 s)" in part.sentences[0]
 
 
 def test_with_a_model_today_stands_above_the_plans_and_the_page_is_played_with(tmp_path: Path) -> None:

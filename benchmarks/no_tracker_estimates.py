@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.estimate.result import CycleEstimate
 
-WITHOUT_TRACKER = ("scanner-fields", "light-curtain")
+WITHOUT_TRACKER = ("scanner-fields", "light-curtain", "guard-door")
 """Scenes whose logs contain signals of people and no tracker."""
 BY_SIGNALS = SimulationOptions(people="signals", latency_s=0.1, ramp_down_per_s=1.5, ramp_up_per_s=1.5)
 """Options of the other scenes with `--signals`."""
@@ -49,13 +49,18 @@ def robot_alone(cell: Path) -> Dataset:
     if not (cell / "blind" / "dataset.json").is_file():
         logs = cell / "robot-logs"
         shutil.copytree(cell / "logs", logs, ignore=shutil.ignore_patterns(*OF_PEOPLE))
-        head, *sources = (logs / "cell.toml").read_text().split("[[sources]]")
-        rest = sources[-1].partition("\n[places")
-        robot = [f"[[sources]]{text.partition(chr(10) + '[places')[0]}" for text in sources if 'role = "robot"' in text]
-        (logs / "cell.toml").write_text("".join([head, *robot, *rest[1:]]))
+        (logs / "cell.toml").write_text(of_robot((logs / "cell.toml").read_text()))
         ingest([logs], cell / "blind")
         shutil.rmtree(logs)
     return Dataset.open(cell / "blind")
+
+
+def of_robot(cell: str) -> str:
+    """Return the text of a cell file with the robot's sources alone."""
+    head, *sources = cell.split("[[sources]]")
+    rest = sources[-1].partition("\n[places")
+    robot = [f"[[sources]]{text.partition(chr(10) + '[places')[0]}" for text in sources if 'role = "robot"' in text]
+    return "".join([head, *robot, *rest[1:]])
 
 
 def row(name: str, found: Mapping[str, tuple[float, float, float]], took: Mapping[str, np.ndarray]) -> str:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.schema import Bools, Floats, Vector
 
 
@@ -87,7 +88,7 @@ class Check:
         coverage_held_out: `coverage` of the held-out executions; None without any.
         levels: The outer quantile levels of these coverages.
         order_error: Error of sums of logged task durations due to the order of tasks, as a share of the duration of an
-            order of one task (`history.order_error`); None with few executions.
+            order of one task (`history.order_error`); None with few executions, or with a `level`.
         operator: Comparison of the operator model with the logged tracks; None if the model is these tracks.
         unseen_error: Standard deviation of the model's error because the logs do not show people, or what the robot
             waits for.
@@ -278,18 +279,29 @@ def check_rollout(
     means = np.full(len(sequences), np.nan)
     means[some] = np.nanmean(others[some], axis=1) * found.factor
     unseen_error, spread = unseen_people(part, logged / means, others[some])
-    times, chance = TaskTimes(dataset), np.zeros(len(sequences))
-    if isinstance(model, OnStates):  # few operator tracks are simulated, so chance causes most of the difference
-        together = TOGETHER if tracks.runs_on else 1
-        moved = 1.0 if level is None else level.resampled(tracks, 0)
-        chance = chance_of_logs(times, sequences, others, tracks.executions, together, moved)
     return replace(
         found,
-        order_error=order_error(times, sequences, means, chance),
+        order_error=_order_error(model, dataset, sequences, others, means, tracks) if level is None else None,
         operator=operator_model([sequence.name for sequence in sequences], began, entered, entries),
         unseen_error=unseen_error,
         spread=spread,
     )
+
+
+def _order_error(
+    model: SafetyModel,
+    dataset: Dataset,
+    sequences: Sequence[TaskSequence],
+    others_s: Floats,
+    means_s: Vector,
+    tracks: OperatorTracks,
+) -> float | None:
+    """Return the error of history due to the order: see `order_error`."""
+    times, chance = TaskTimes(dataset), np.zeros(len(sequences))
+    if isinstance(model, OnStates):  # few operator tracks are simulated, so chance causes most of the difference
+        together = TOGETHER if tracks.runs_on else 1
+        chance = chance_of_logs(times, sequences, others_s, tracks.executions, together)
+    return order_error(times, sequences, means_s, chance)
 
 
 def unseen_people(part: float, off: Vector, others_s: Floats) -> tuple[float, float]:

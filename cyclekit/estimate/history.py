@@ -133,7 +133,6 @@ def chance_of_logs(
     others_s: Floats,
     executions: Sequence[str],
     together: int,
-    moved: Vector | float = 1.0,
 ) -> Vector:
     """Return the variance of history over rollout over resampled executions, shape (E,); NaN if unknown.
 
@@ -143,7 +142,6 @@ def chance_of_logs(
         others_s: Their durations with the operator tracks of others, shape (E, K), s; NaN if not simulated.
         executions: Execution of each of the K operator tracks.
         together: Number of neighbouring executions drawn as one block.
-        moved: Factor on the rollout in each resample (`LogLevel.resampled`), shape (resamples,).
     """
     operators = resampled(executions, 0, together=together)
     drawn = resampled_alike(executions, times.executions, 0, together=together)
@@ -154,7 +152,7 @@ def chance_of_logs(
             weight = operators[:, walked]
             total, some = weight @ mine_s[walked], weight.sum(axis=1)
             history_s = times.resampled_s(sequence.tasks, drawn)
-            found[row] = (history_s * some / np.maximum(total, 1e-12) / moved)[some > 0.0].var()
+            found[row] = (history_s * some / np.maximum(total, 1e-12))[some > 0.0].var()
     return found
 
 

@@ -51,7 +51,13 @@ class Means:
 
 
 def history_of(ask: Question, tracks: OperatorTracks | None) -> History | None:
-    """Return logged task durations and their resamples; None if they do not apply to the question."""
+    """Return logged task durations and their resamples; None if they do not apply to the question.
+
+    A rollout with the level of the logs (`log_level`) is not combined with them. Both then have the mean of the same
+    logged executions, and differ by the scatter of rarely logged tasks. Resamples cannot show which is better: a weight
+    from them costs more than it gains, as often with weights that are estimated (Smith and Wallis, A simple explanation
+    of the forecast combination puzzle, Oxford Bulletin of Economics and Statistics 71, 2009).
+    """
     if tracks is None or ask.estimator != "rollout" or ask.altered is not None:
         return None
     if ask.check is None or ask.check.order_error is None:
@@ -107,10 +113,10 @@ def _combined(alone: Means, rollout_s: float, sequence: TaskSequence, history: H
     share = history_share(
         alone.resampled_s / alone.resampled_s.mean(),
         resampled_s / resampled_s.mean(),
-        model_error=check.network_error,  # the error due to unseen people affects both alike
+        model_error=check.network_error,
         order_error=float(np.hypot(order, apart)),
     )
     both = Combined(rollout_s, history_s, share)
     mean_s = (1.0 - share) * alone.resampled_s + share * resampled_s
-    error = float(np.hypot(np.hypot((1.0 - share) * check.network_error, share * order), check.unseen_error))
+    error = float(np.hypot((1.0 - share) * check.network_error, share * order))
     return Means(alone.factor * both.expected_s / rollout_s, mean_s, error, alone.judged, both)

@@ -79,16 +79,24 @@ def test_estimates_have_the_level_of_the_logs(
 ) -> None:
     orders = [TaskSequence(f"{number}", route) for number, route in enumerate(dict.fromkeys(routes))]
     found = estimate(unseen[0], robot_alone, orders)
-    mean_s = np.mean([one.combined.rollout_s if one.combined else one.expected_s for one in found])
+    mean_s = np.mean([one.expected_s for one in found])
     assert mean_s == pytest.approx(robot_alone.executions["duration_s"].mean(), rel=0.005)
     check = found[0].check
     assert check is not None
     assert check.level is not None
     longer = replace(check.level, logged_s=tuple(1.05 * s for s in check.level.logged_s))
-    moved = estimate(unseen[0], robot_alone, orders[:1], check=replace(check, level=longer, order_error=None))
-    usual = estimate(unseen[0], robot_alone, orders[:1], check=replace(check, order_error=None))
+    moved = estimate(unseen[0], robot_alone, orders[:1], check=replace(check, level=longer))
+    usual = estimate(unseen[0], robot_alone, orders[:1], check=check)
     assert moved[0].expected_s == pytest.approx(1.05 * usual[0].expected_s)
     assert moved[0].expected_high_s == pytest.approx(1.05 * usual[0].expected_high_s)
+
+
+def test_a_rollout_with_the_level_of_the_logs_takes_no_part_of_history(
+    robot_alone: Dataset, unseen: tuple[UnseenOperator, Path], routes: list[tuple[str, ...]]
+) -> None:
+    for found in estimate(unseen[0], robot_alone, [TaskSequence(f"{n}", route) for n, route in enumerate(routes[:3])]):
+        assert found.combined is None
+        assert "logged durations" not in found.why
 
 
 def test_tracks_hold_states_in_place_of_positions(robot_alone: Dataset, unseen: tuple[UnseenOperator, Path]) -> None:

@@ -37,7 +37,7 @@ from cyclekit.estimate.plan.jobs import ROW, Jobs
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times import learn
-from cyclekit_sim import COUPLED, SimulationOptions, fresh_cycles, random_orders
+from cyclekit_sim import COUPLED, SimulationOptions, fresh_cycles, orders_beside, random_orders
 from cyclekit_sim.coupled_list import listed_conditions, task_plan
 from cyclekit_sim.coupled_scenes import JOINT_TIMES, wired
 from cyclekit_sim.coupled_truth import conditions
@@ -97,11 +97,11 @@ def fresh(asked: argparse.Namespace, scene: str, order: Order, number: int, stre
 def fresh_alone(
     asked: argparse.Namespace, scene: str, order: Order, number: int, strength: float
 ) -> NDArray[np.float64]:
-    """As `fresh`, of the robot alone, each beside an operator in another order of his."""
-    file = asked.work / "fresh-coupled" / f"{scene}-alone-{strength:g}-{number}-{asked.fresh}.npy"
+    """As `fresh`, of the robot alone, each beside an operator in another order of his, with the same joint tasks."""
+    file = asked.work / "fresh-coupled" / f"{scene}-beside-{strength:g}-{number}-{asked.fresh}.npy"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
-        others = [each["operator"] for each in random_orders(scene, JUDGED_SEED + 7, asked.fresh)]
+        others = orders_beside(scene, order["robot"], JUDGED_SEED + 7, asked.fresh)
         options, seed = SimulationOptions(coupling=strength), JUDGED_SEED + number
         found = fresh_cycles(scene, order, cycles=asked.fresh, seed=seed, options=options, operators=others)
         np.save(file, np.array([found.robot_s, found.robot_waits_s, np.zeros(asked.fresh)]))

@@ -4,7 +4,7 @@ It imports nothing of cyclekit, because a test may not share code with what it t
 """
 
 from cyclekit_sim.causes import MixedCauses
-from cyclekit_sim.coupled import FreshCycles, fresh_cycles, random_orders
+from cyclekit_sim.coupled import FreshCycles, fresh_cycles, orders_beside, random_orders
 from cyclekit_sim.coupled_scenes import COUPLED
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.options import SimulationOptions
@@ -21,6 +21,7 @@ __all__ = [
     "SimulationError",
     "SimulationOptions",
     "fresh_cycles",
+    "orders_beside",
     "random_orders",
     "random_sequence",
     "read_rule",

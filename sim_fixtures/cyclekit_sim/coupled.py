@@ -9,7 +9,7 @@ import numpy as np
 
 from cyclekit_sim.arm import Array
 from cyclekit_sim.choices import FRESH, LOGGED, ROBOT, SEQUENCE, stream
-from cyclekit_sim.coupled_program import Order, check_order, plan_all, random_order
+from cyclekit_sim.coupled_program import Order, check_order, order_beside, plan_all, random_order
 from cyclekit_sim.coupled_run import CoupledTrace, make_cell, run_cells
 from cyclekit_sim.coupled_scenes import COUPLED, Coupled, wired
 from cyclekit_sim.errors import SimulationError
@@ -101,6 +101,16 @@ def random_orders(scene: str, seed: int, count: int) -> list[Order]:
     """
     cell = _cell(scene)
     return [random_order(cell, stream(seed, cell.scene, SEQUENCE, number)) for number in range(count)]
+
+
+def orders_beside(scene: str, robot: Sequence[str], seed: int, count: int) -> list[tuple[str, ...]]:
+    """Return orders of the operator as drawn by the scene beside this order of the robot, with the same joint tasks.
+
+    Raises:
+        SimulationError: The scene has no waits.
+    """
+    cell = _cell(scene)
+    return [order_beside(cell, robot, stream(seed, cell.scene, SEQUENCE, number)) for number in range(count)]
 
 
 @dataclass(frozen=True)

@@ -218,6 +218,18 @@ def random_order(cell: Coupled, rng: np.random.Generator) -> Order:
             return found
 
 
+def order_beside(cell: Coupled, robot: Sequence[str], rng: np.random.Generator) -> tuple[str, ...]:
+    """Return an order of the operator as drawn by the scene beside this order of the robot."""
+    jobs = list(cell.robot_jobs.values())[: cell.joint]
+    done = Counter(robot)
+    chosen = np.repeat(np.arange(len(jobs)), [done[places[-1]] for places in jobs])
+    while True:
+        names = _shuffled(cell.operator_jobs, cell.joint, chosen, rng)
+        found = (REST, *(place for name in names for place in cell.operator_jobs[name]), REST)
+        if cell.joint == 1 or _ends(cell, {"robot": tuple(robot), "operator": found}):
+            return found
+
+
 def _shuffled(
     jobs: Mapping[str, tuple[str, ...]], joint: int, chosen: NDArray[np.int64], rng: np.random.Generator
 ) -> list[str]:

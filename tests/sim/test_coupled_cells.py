@@ -11,7 +11,15 @@ import numpy as np
 import polars as pl
 import pytest
 
-from cyclekit_sim import COUPLED, SimulationError, SimulationOptions, fresh_cycles, random_orders, simulate
+from cyclekit_sim import (
+    COUPLED,
+    SimulationError,
+    SimulationOptions,
+    fresh_cycles,
+    orders_beside,
+    random_orders,
+    simulate,
+)
 from cyclekit_sim.coupled import coupled_work
 from cyclekit_sim.coupled_list import listed_conditions, task_plan
 
@@ -97,6 +105,15 @@ def test_of_four_fixtures_any_are_used_in_an_order_without_deadlock() -> None:
     assert used != mounted
     for order in orders[:20]:
         assert fresh_cycles("four-fixtures", order, cycles=1, seed=1).durations_s.max() < 200.0
+
+
+def test_orders_of_an_operator_beside_one_of_the_robot_do_its_joint_tasks_and_end() -> None:
+    for scene in COUPLED:
+        (order,) = random_orders(scene, 8, 1)
+        beside = orders_beside(scene, order["robot"], 2, 12)
+        assert len(set(beside)) > 6
+        assert {tuple(sorted(each)) for each in beside} == {tuple(sorted(order["operator"]))}
+        assert fresh_cycles(scene, order, cycles=12, seed=1, operators=beside).durations_s.max() < 200.0
 
 
 @pytest.mark.slow

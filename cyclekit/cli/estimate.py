@@ -195,7 +195,7 @@ def ranking(found: Sequence[CycleEstimate]) -> str:
 
     works = by_work(found)
     rows = [
-        [f"{first.name} before {name}", percent(chance)]
+        [f"“{first.name}” shorter than “{name}”", percent(chance)]
         for first, *_ in works.values()
         for name, chance in list(first.beats.items())[:20]
     ]

@@ -32,7 +32,7 @@ def evaluate(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure a model on held-out executions, beside baselines.
+    """Measure a model on held-out executions, against baselines.
 
     On newer logs, --trained-on shows whether the safety function or the operator's habits have changed.
     """

@@ -164,6 +164,6 @@ def coupling_table(found: CouplingCard | None) -> str:
         lag = [f"{middle_s:.1f}", f"{low_s:.1f} to {high_s:.1f}"]
         rows.append([row.who, row.until, *lag, percent(row.condition.held), row.had_to_wait])
     if not rows:
-        return f"no waits for each other found in {found.executions} executions"
+        return f"waits of robot and operator for each other: none found in {found.executions} executions"
     heads = ["who waits ", "until ", "lag, s", "5-95%", "obeyed", "had to wait"]
     return "\n".join([table(heads, rows), *habit_lines(found)])

@@ -318,7 +318,13 @@ def _unmatched(cell: Cell, logs: Sequence[Log]) -> list[Note]:
     used = {id(log.source) for log in logs}
     unused = [source.path for source in cell.sources if id(source) not in used]
     unused += [glob for glob in cell.reference if not any(matches(log.shown, log.path, glob) for log in logs)]
-    return [note("source-without-log", path=path) for path in unused]
+    in_folders = {f"*{Path(path).name}" for path in unused if any(log.path.name == Path(path).name for log in logs)}
+    return [
+        note("source-in-folders", path=path, glob=glob)
+        if (glob := f"*{Path(path).name}") in in_folders
+        else note("source-without-log", path=path)
+        for path in unused
+    ]
 
 
 def _copied(logs: Sequence[LogCard]) -> list[Note]:

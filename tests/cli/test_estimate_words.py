@@ -37,7 +37,7 @@ def test_sequences_of_the_same_work_are_ranked_within_it() -> None:
     shown = estimates_table(found)
     assert "1. four" in shown
     assert "2. turned" in shown
-    assert "four before turned" in ranking(found)
+    assert "“four” shorter than “turned”" in ranking(found)
     same = found[1:]
     assert "visits" not in estimates_table(same)
     assert "per visit" not in ranking(same)

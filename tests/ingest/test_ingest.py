@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -272,6 +273,21 @@ def test_a_source_that_means_no_log_is_said_aloud(three_runs: Path, tmp_path: Pa
         "source 'trakcer/*.csv' of the cell file matches no log",
         "source 'empty/*' of the cell file matches no log",
     ]
+
+
+def test_a_source_without_the_folder_of_its_logs_is_told_the_pattern(three_runs: Path, tmp_path: Path):
+    for number in range(3):
+        (three_runs / f"shift_{number}").mkdir()
+        (three_runs / f"run_{number}.csv").rename(three_runs / f"shift_{number}" / "robot.csv")
+    source = Source("robot.csv", clock_offset_s=1.0)
+    (text,) = [
+        text
+        for text in ingest([three_runs], tmp_path / "dataset", cell=Cell(sources=(source,))).warnings
+        if "matches no log" in text
+    ]
+    assert text.endswith('the logs of that name lie in folders; write path = "*robot.csv"')
+    done = ingest([three_runs], tmp_path / "other", cell=Cell(sources=(replace(source, path="*robot.csv"),)))
+    assert not [text for text in done.warnings if "matches no log" in text]
 
 
 def test_a_forced_adapter_that_does_not_exist_is_refused_with_the_nearest(three_runs: Path, tmp_path: Path):

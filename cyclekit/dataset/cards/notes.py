@@ -200,6 +200,9 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "made-anew": "the existing dataset was damaged, or of another version, and was made again",
     "repaired": "made again, because files had changed since they were written: {files}",
     "source-without-log": "source {path!r} of the cell file matches no log",
+    "source-in-folders": (
+        'source {path!r} of the cell file matches no log: the logs of that name lie in folders; write path = "{glob}"'
+    ),
     "no-positions": ("no positions of robot and people, so no motion or safety can be learned"),
     "no-robot-log": (
         "there is no robot log, which training and estimates need: put the robot controller's log into the session's "

@@ -48,7 +48,7 @@ def as_json(cell: str, made: str, page: PageInputs, sections: Mapping[str, Any])
         "evaluation": None if page.evaluation is None else page.judged,
         "check": None if page.check is None else page.check.to_dict(),
         "to_log": None if page.to_log is None else page.to_log.to_dict(),
-        "provenance": asdict(provenance(page.dataset, {})),
+        "provenance": asdict(provenance(page.dataset, {}, advise=page.may_regress)),
         "sentences": {key: list(section.get("sentences", ())) for key, section in sections.items()},
     }
     return json_text(document) + "\n"

@@ -10,6 +10,7 @@ from cyclekit.config.sequences import PLAN, TaskSequence
 from cyclekit.errors import DatasetError
 from cyclekit.estimate.what_to_log import what_to_log
 from cyclekit.learning.coupling.words import wait_rows, waited_s
+from cyclekit.learning.networks.kinds import is_classifier
 from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.report import findings
@@ -83,6 +84,11 @@ class PageInputs:
     def answers(self) -> Predicts | None:
         """The rule of the model if it has one, else its network."""
         return predictor_of(self.model) if isinstance(self.model, TrainedModel) else self.model
+
+    @property
+    def may_regress(self) -> bool:
+        """Whether the answers are of no model yet, or of a network that knows levels only."""
+        return self.answers is None or (isinstance(self.answers, TrainedModel) and is_classifier(self.answers.network))
 
     @cached_property
     def response(self) -> LoggedResponse | None:

@@ -9,8 +9,6 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cyclekit.dataset.cards import texts
-
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -69,13 +67,13 @@ class Provenance:
     versions: tuple[tuple[str, str], ...]
 
 
-def provenance(dataset: Dataset, versions: Mapping[str, str]) -> Provenance:
-    """Gather the provenance of `dataset`."""
+def provenance(dataset: Dataset, versions: Mapping[str, str], *, advise: bool = True) -> Provenance:
+    """Gather the provenance of `dataset`; without `advise`, warnings do not say how to train."""
     groups: dict[tuple[str, ...], list[RecordingCard]] = defaultdict(list)
     for record in dataset.recordings:
         groups[_kind(record)].append(record)
     aside: Counter[str] = Counter()
-    warned: Counter[str] = Counter(texts(dataset.card.warnings))
+    warned = Counter(one.text if advise else one.finding for one in dataset.card.warnings)
     files: list[tuple[str, str]] = []
     for record in dataset.recordings:
         for part in record.rows_set_aside:

@@ -40,7 +40,7 @@ def section(page: PageInputs) -> dict[str, Any]:
     versions[texts("trust.layout")] = str(dataset.card.schema_version)
     if model is not None:
         versions[texts("trust.made_model")] = f"cyclekit {model.card.cyclekit or 'unknown'}"
-    origin = provenance(dataset, versions)
+    origin = provenance(dataset, versions, advise=page.may_regress)
     unmeasured = bool(page.ranked) and (check is None or check.coverage is None)
     said = [*_network_and_baselines(page), *([texts("trust.no_coverage")] if unmeasured else [])]
     tables = [*basis.tables(texts, page.ranked, check), *basis.to_log(page), *_unseen(texts, page.samples)]

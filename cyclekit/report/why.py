@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.learning.rules.safety import RuleSafety
-from cyclekit.learning.rules.words import kind_of
+from cyclekit.learning.rules.safety import RuleSafety, asks_signals
+from cyclekit.learning.rules.words import field_rows, kind_of
 from cyclekit.learning.rules.words import sentences as in_words
 from cyclekit.report.figures import charts_of
 from cyclekit.report.floor import has_robot
 from cyclekit.report.numbers import count, percent
+from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
     import polars as pl
 
-    from cyclekit.report.findings import LoggedResponse
+    from cyclekit.report.findings import LoggedResponse, Predicts
     from cyclekit.report.inputs import PageInputs
     from cyclekit.report.texts import ReportTexts
 
@@ -40,7 +41,26 @@ def section(page: PageInputs) -> dict[str, Any]:
         rule = page.answers.rule
         explained = f"{kind_of(rule)}, {rule.explained:.1%} of held-out samples"
         sentences.append(texts("why.rule", verdict=explained, sentences="; ".join(in_words(rule))))
-    return {"sentences": sentences + missing, "charts": charts_of("why", page), "missing": missing}
+    shown = {"sentences": sentences + missing, "charts": charts_of("why", page), "missing": missing}
+    return shown | {"tables": _fields(texts, page.answers)}
+
+
+def _fields(texts: ReportTexts, answers: Predicts | None) -> list[ReportTable]:
+    """Return which field slows the robot to which speed, and where on its path; empty without a rule on signals."""
+    if not isinstance(answers, RuleSafety) or not asks_signals(answers.rule):
+        return []
+    names = "why.field_signal", "why.field_value", "why.field_tool", "why.field_speed"
+    return [
+        ReportTable(
+            heads=[texts(name) for name in names],
+            rows=field_rows(answers.rule),
+            numeric=frozenset({3}),
+            caption=texts("why.fields"),
+            silent=True,
+            title=texts("why.fields"),
+            text=texts("why.fields_text"),
+        )
+    ]
 
 
 def _missing(texts: ReportTexts, samples: pl.DataFrame, found: LoggedResponse | None) -> list[str]:

@@ -19,6 +19,7 @@ from cyclekit.estimate.joint.draws import TripTimes
 from cyclekit.estimate.joint.legs import Gates, operator_agenda
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, RolledBoth
+from cyclekit.estimate.joint.shares import planned_shares
 from cyclekit.estimate.joint.visits import Segments
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.whatif.change import Change
@@ -66,6 +67,21 @@ def test_trips_are_made_in_their_share_of_the_waits_and_end_before_he_goes_on(lo
         assert went.mean() == pytest.approx(0.5, abs=0.02)
         assert stood_s[went] == pytest.approx(40.0)
         assert operator.times.passes_s[~went, hold] == pytest.approx(robot_s + 0.5, abs=0.1)
+
+
+def test_tasks_of_the_operator_end_with_the_cycle_of_places_and_with_his_own_in_a_plan(logged: Dataset) -> None:
+    """The robot is done long before him: a plan waits for him, a sequence of places does not."""
+    cell = _cell(logged, TRIP)
+    planner = Planner(cell, nominal_tasks(cell.dataset))
+    order = ("inbound", "out_left_1", "inbound", "out_left_1")
+    both = _rolled(cell, _plan(cell, 0.0, order))
+    alone = _rolled(cell, planner.plan(TaskSequence("places", ("home", "conveyor"), order)))
+    ends, cut = ([one.end_s for one in planned_shares(each) if one.agent == "operator"] for each in (both, alone))
+    assert len(ends) == 4
+    assert max(ends) == pytest.approx(float(both.duration_s.mean()))
+    assert 1 <= len(cut) < 4
+    assert max(cut) <= float(alone.duration_s.mean()) + 1e-9
+    assert max(ends) > float(alone.duration_s.mean()) + 1.0
 
 
 def test_no_trips_are_added_to_a_plan_that_goes_there_itself(logged: Dataset) -> None:

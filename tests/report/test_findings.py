@@ -15,8 +15,11 @@ from report_pages import DistanceModel
 from ruled import box, near, ruled
 
 from cyclekit.config import Cell, Furniture
+from cyclekit.dataset.cards import TrainingCard
+from cyclekit.dataset.cards.rule import LimitCard, MetresCard, RectangleCard, RegionCard, RuleCard, SignalCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.baseline import logged_cycle
+from cyclekit.learning.rules.safety import RuleSafety
 from cyclekit.plots.colours import scaling_hex
 from cyclekit.report import findings
 from cyclekit.report.calibration import calibration
@@ -43,6 +46,24 @@ def test_a_robot_that_never_stood_for_safety_is_said_to_be_so_in_words(dataset):
     for halted, said in ((0.0, "and never at speed 0 %."), (0.1, "and at speed 0 % for 10 %.")):
         page.__dict__["seen"] = replace(page.seen, slowed=0.5, halted=halted)
         assert section(page)["sentences"][0].replace("\N{NO-BREAK SPACE}", " ").endswith(said)
+
+
+def test_a_rule_on_fields_is_a_table_of_field_place_and_speed(dataset):
+    left = RectangleCard(along=(None, None), across=(MetresCard(value=0.2), None))
+    stop, slow = SignalCard(signal="protective", value="0", robot=left), SignalCard(signal="warning", value="1")
+    limits = (
+        LimitCard(scaling=0.0, within=RegionCard(signals=(stop,))),
+        LimitCard(scaling=0.5, within=RegionCard(signals=(slow,))),
+    )
+    rule = RuleCard(family="signals", levels=(0.0, 0.5, 1.0), limits=limits, explained=1.0)
+    page = PageInputs(load_texts(), dataset)
+    page.__dict__["answers"] = page.__dict__["response"] = None
+    assert section(page)["tables"] == []
+    page.__dict__["answers"] = RuleSafety(rule, TrainingCard())
+    (table,) = section(page)["tables"]
+    rows = [("protective", "0", "at y above 0.200 m", "0 %"), ("warning", "1", "anywhere", "50 %")]
+    assert [tuple(row) for row in table.rows] == rows
+    assert table.heads == ["Field (signal)", "Occupied at", "While the tool is", "Speed at most"]
 
 
 def test_where_speed_does_not_follow_distance_the_page_says_so(dataset, tmp_path):

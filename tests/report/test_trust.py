@@ -3,12 +3,16 @@ from __future__ import annotations
 import dataclasses
 import json
 
+import msgspec
 import numpy as np
 import pytest
+from played import classifier, network
 from report_pages import DistanceModel, Page, estimate
 
 from cyclekit.cli.estimate import validation
 from cyclekit.config.sequences import PLAN
+from cyclekit.dataset.cards.notes import note
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.check import compare
 from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.result import TaskShare
@@ -41,6 +45,16 @@ def test_how_often_the_intervals_held_is_told_as_measured(dataset, tmp_path):
     assert "Of these, unseen by the model 10" in text
     assert "was not measured for this report" not in text
     assert "the error of the model in the backtest on logged executions" in text
+
+
+def test_who_has_learned_by_regression_is_not_told_to_do_so(dataset, tmp_path):
+    warned = Dataset(dataset.path, msgspec.structs.replace(dataset.card, warnings=(note("levels-many", levels=40),)))
+    texts = {}
+    for name, model in (("none", None), ("classifier", classifier()), ("regressor", network())):
+        facts = compose_report(warned, model, tmp_path / f"{name}.html", estimates=[estimate("A first")])
+        texts[name] = Page(facts.path.read_text("utf-8")).text
+    assert all("40 levels are too many for discrete levels" in text for text in texts.values())
+    assert [name for name, text in texts.items() if "learn it by regression" in text] == ["none", "classifier"]
 
 
 def test_a_check_of_both_agents_names_their_orders_and_no_operator_tracks(dataset, tmp_path):

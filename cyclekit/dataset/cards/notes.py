@@ -38,7 +38,12 @@ class Note(Card, frozen=True, kw_only=False):
 
     @property
     def text(self) -> str:
-        """The sentence."""
+        """The sentence, with its advice."""
+        return f"{self.finding}; {ADVICE[self.code]}" if self.code in ADVICE else self.finding
+
+    @property
+    def finding(self) -> str:
+        """The sentence without its advice, which may have been followed already."""
         if (sentence := SENTENCES.get(self.code)) is not None:
             try:
                 return sentence(self.values) if callable(sentence) else _FORMAT.vformat(sentence, (), self.values)
@@ -117,7 +122,11 @@ def _events(values: Mapping[str, Value]) -> str:
     return f"its clock is aligned on only {many}, too few to check it: record three or more"
 
 
-_REGRESSION = "learn it by regression: --network regressor"
+ADVICE = dict.fromkeys(
+    ("levels-none", "levels-many", "levels-wide", "scaling-continuous", "levels-not-held"),
+    "learn it by regression: --network regressor",
+)
+"""Advice for training, by the code of its note."""
 
 SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     TEXT: "{text}",
@@ -274,20 +283,13 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "operator counts as occluded, not as absent"
     ),
     "scaling-nowhere": "the scaling is unknown everywhere",
-    "levels-none": (
-        "no value of the scaling is held long enough to be a level: a continuous function, or none at all; "
-        f"{_REGRESSION}"
-    ),
+    "levels-none": "no value of the scaling is held long enough to be a level: a continuous function, or none at all",
     "levels-one": "only one level, {level:.2f}: the logs show no slow-down, or no full speed",
-    "levels-many": f"{{levels}} levels are too many for discrete levels: a continuous function; {_REGRESSION}",
-    "levels-wide": f"values around {{values}} form no clear level: a continuous function; {_REGRESSION}",
+    "levels-many": "{levels} levels are too many for discrete levels: a continuous function",
+    "levels-wide": "values around {values} form no clear level: a continuous function",
     "levels-left": "{unknown:.0%} of the known samples are on no level: ramps, or no discrete levels",
-    "scaling-continuous": (
-        f"{{varied:.0%}} of the known samples lie on slopes of many rates: a continuous function; {_REGRESSION}"
-    ),
-    "levels-not-held": (
-        f"only {{held:.0%}} of the known samples stay on one value: probably a continuous function; {_REGRESSION}"
-    ),
+    "scaling-continuous": "{varied:.0%} of the known samples lie on slopes of many rates: a continuous function",
+    "levels-not-held": "only {held:.0%} of the known samples stay on one value: probably a continuous function",
     "levels-with-slider": (
         "the values are levels times an operator slider ({sliders}); the levels are given without it"
     ),

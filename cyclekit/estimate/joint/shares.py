@@ -38,7 +38,8 @@ def planned_shares(
 ) -> list[PlannedShare]:
     """Return start, end and cause of the start of each task; a task that waits midway has two rows.
 
-    If the operator's agenda differs between cycles, his tasks have no mean times and are left out.
+    If the operator's agenda differs between cycles, his tasks have no mean times and are left out. Where the cycle ends
+    with the robot, his tasks are cut there, and those that begin later in most cycles are left out.
 
     Args:
         rolled: The cycles.
@@ -49,6 +50,10 @@ def planned_shares(
     whose, found = _whose(rolled), list[PlannedShare]()
     for agent in agents:
         for span in _spans(agent, rolled):
+            if agent is not rolled.robot and not rolled.plan.both:
+                span = _in_cycle(span, rolled.duration_s[agent.rows])
+                if span is None:
+                    continue
             first, last, wait = (factor * float(at.mean()) for at in (span.start_s, span.end_s, span.wait_s))
             name, decided = agent.agenda.agent, _decided(span.decided, whose)
             ends = band(factor * span.end_s)
@@ -105,6 +110,15 @@ def _spans(agent: OneAgent, rolled: RolledBoth) -> Iterator[_Span]:
             wait = np.maximum(start - works, 0.0)
             yield _Span(name, start - begin_s, end - begin_s, wait, times.decided[:, gates])
             before = leg
+
+
+def _in_cycle(span: _Span, cycle_s: Vector) -> _Span | None:
+    """Return a task cut at the ends of the cycles, shape (rows,), s; None if it begins later in most of them."""
+    if (span.start_s < cycle_s).mean() < 0.5:
+        return None
+    start_s, end_s = np.minimum(span.start_s, cycle_s), np.minimum(span.end_s, cycle_s)
+    wait_s = np.maximum(start_s - (span.start_s - span.wait_s), 0.0)
+    return span._replace(start_s=start_s, end_s=end_s, wait_s=wait_s)
 
 
 def _decided(columns: Ints, whose: dict[int, str]) -> dict[str, float]:

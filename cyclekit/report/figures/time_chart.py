@@ -39,6 +39,7 @@ _WORDS = {
     "from what ended it. A label is the number of the task and where it leads.",
     "course": "Line “tasks done”: expected course; its band holds {share} of the cycles.",
     "lane": "Operator: share of the cycles in which the operator is at each place or on the way to it.",
+    "cut": "The cycle of a sequence of places ends when the robot is done: the operator’s tasks are cut there.",
     "picture": "Time chart of {count} cycles. {name}: {mean} s; largest safety loss at {task}, {loss} s.",
     "more": "{count} more are in the tables.",
     "today": "today, {executions} logged executions",
@@ -109,6 +110,8 @@ def _said(texts: ReportTexts, drawn: Sequence[CycleEstimate], left: int) -> Iter
     levels = sorted(drawn[-1].quantiles_s)
     if len(levels) > 1:
         yield texts("time_chart.course", share=f"{100 * (levels[-1] - levels[0]):.0f} %")
+    if any(each.plan and each.operator and not each.asked for each in drawn):
+        yield texts("time_chart.cut")
     if any(each.operator_at for each in drawn):
         yield texts("time_chart.lane")
     if left:

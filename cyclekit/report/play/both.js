@@ -1,27 +1,34 @@
 // ---- one cycle of both agents: `joint.walk`; times of legs and events, s
 
 const set = (events, numbers, time_s) => { for (const number of numbers) events[number] = time_s; };
-const rowsOf = (drawn, cycle, events, asked) => { // what is drawn for one cycle of one agent
-  for (const leg of drawn) {
+const rowsOf = (drawn) => drawn.map((leg) => ({ // of one agent: one cycle after the other is put into them
+  leg, lags: new Float64Array(leg.due.length), own_s: 0, walk_s: 0, walk: 0, stay: 0,
+  level: 0, waiting: false, free: false, trip: -1, goes: false, // trip -1: he stays
+  arrives_s: Infinity, works_s: Infinity, passes_s: Infinity, lost_s: 0,
+}));
+const drawInto = (rows, cycle, events, asked) => { // what is drawn for one cycle
+  for (const row of rows) {
+    const { leg } = row;
     set(events, leg.arrives, Infinity);
     set(events, leg.passes, Infinity);
+    row.own_s = Math.max(drawnFrom(leg.own_s, leg.work, cycle), 0);
+    leg.due.forEach((need, n) => {
+      row.lags[n] = need.chance && need.chance[cycle] >= need.needed ? -Infinity : drawnFrom(need.lag_s, need.level, cycle);
+    });
+    if (leg.walks) {
+      row.walk = chosen(leg.walks, leg.walking, cycle);
+      row.walk_s = (facts.segments[row.walk][1] - 1) * STEP_S / asked.pace;
+    }
+    if (leg.stays) row.stay = chosen(leg.stays, leg.staying, cycle);
+    if (leg.trip) {
+      row.level = leg.tripping[cycle];
+      [row.waiting, row.free] = [leg.going[cycle] < leg.trip.waiting, leg.going[cycle] < leg.trip.free];
+      row.trip = leg.trips ? chosen(leg.trips, leg.tripping, cycle) : -1;
+      row.goes = false;
+    }
+    row.arrives_s = row.works_s = row.passes_s = Infinity;
+    row.lost_s = 0;
   }
-  return drawn.map((leg) => ({
-    leg,
-    own_s: Math.max(drawnFrom(leg.own_s, leg.work, cycle), 0),
-    lags: leg.due.map((need) => (need.chance && need.chance[cycle] >= need.needed ? -Infinity : drawnFrom(need.lag_s, need.level, cycle))),
-    walk_s: leg.walks ? (facts.segments[chosen(leg.walks, leg.walking, cycle)][1] - 1) * STEP_S / asked.pace : 0,
-    walk: leg.walks ? chosen(leg.walks, leg.walking, cycle) : 0,
-    stay: leg.stays ? chosen(leg.stays, leg.staying, cycle) : 0,
-    ...(leg.trip ? tripRowOf(leg, cycle) : NO_TRIP),
-    arrives_s: Infinity, works_s: Infinity, passes_s: Infinity, lost_s: 0,
-  }));
-};
-const NO_TRIP = { level: 0, waiting: false, free: false, trip: -1, goes: false };
-const tripRowOf = (leg, cycle) => { // which trip he may make before he departs, and whether he makes it
-  const level = leg.tripping[cycle];
-  const trip = leg.trips ? chosen(leg.trips, leg.tripping, cycle) : -1; // -1: he stays
-  return { level, waiting: leg.going[cycle] < leg.trip.waiting, free: leg.going[cycle] < leg.trip.free, trip, goes: false };
 };
 const afterTrip = (row, events, open_s, pace) => { // UnslowedAgent._after_trips: when he may depart after it
   let late_s = -Infinity;

@@ -75,7 +75,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     if None in orders:
         places |= {place for each in went for place in each["operator"]}
     walks, stays = _drawn(cell.segments, sorted(places))
-    trips = _trips(cell.segments, places, card)
+    trips = _trips(cell.segments, sorted(places), card)
     ways = [numbers for goals in walks.values() for numbers in goals.values()]
     xyz_m, segments = _used(cell.segments, [*ways, *stays.values(), *trips.values()])
     nothing = np.zeros((1, len(xyz_m)), np.int64)

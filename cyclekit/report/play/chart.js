@@ -203,7 +203,9 @@ const showChart = (entry, before) => {
     for (const item of block.list.children) {
       const visit = block.visits[Number(item.dataset.visit)];
       if (!visit.on) continue;
-      lane(item.querySelector(".play-lane"), tasks.slice(first, first + visit.places.length).flat(), whole);
+      const mine = tasks.slice(first, first + visit.places.length).flat();
+      lane(item.querySelector(".play-lane"), mine, whole);
+      if (!mine.length) item.querySelector(".play-lane").append(made("small", "", say("after_end")));
       first += visit.places.length;
     }
     if (block.end !== null) lane(block.last.querySelector(".play-lane"), tasks.slice(first).flat(), whole);

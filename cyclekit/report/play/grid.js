@@ -57,7 +57,8 @@ const gridField = () => {
     const found = looked(who);
     if (found >= 0) return book[found];
     const out = network(r, who);
-    const value = classifies ? book.reduce((sum, level, n) => sum + level * out[n], 0) : out[0];
+    let value = classifies ? 0 : out[0];
+    if (classifies) for (let n = 0; n < book.length; n += 1) value += book[n] * out[n];
     return Math.min(Math.max(value, 0), 1);
   };
   const levelAt = (who) => { // likeliest_of: the level, and whether it is sure

@@ -17,9 +17,9 @@ const rollerOf = (places, operators, both, asked, told) => { // JointCell.roll: 
   const sources = facts.sources.map((source) => sourceAgenda(source, robot, asked)).filter(Boolean);
   const numbers = new Map();
   const number = (event) => numbers.get(event) ?? numbers.set(event, numbers.size).get(event);
-  const drawn = [robot, ...sources].map((agenda) => drawnOf(agenda, number));
+  const [mine, ...parts] = [robot, ...sources].map((agenda) => rowsOf(drawnOf(agenda, number)));
   const theirs = operators.map((order) => order.join("\n"));
-  const theirDrawn = new Map([...agendas].map(([name, agenda]) => [name, drawnOf(agenda, number)]));
+  const theirRows = new Map([...agendas].map(([name, agenda]) => [name, rowsOf(drawnOf(agenda, number))]));
   const first = agendas.get(theirs[0]);
   const work_s = [robot, first].flatMap((agenda) => agenda.legs)
     .reduce((sum, leg) => sum + Math.max(...leg.own_s, 0) + leg.way_s + 5, 0);
@@ -33,14 +33,18 @@ const rollerOf = (places, operators, both, asked, told) => { // JointCell.roll: 
   const endOf = (rows) => rows[rows.length - 1].passes_s;
   const one = (cycle) => {
     events.fill(-Infinity);
-    const [mine, ...parts] = drawn.map((each) => rowsOf(each, cycle, events, asked));
-    const operator = rowsOf(theirDrawn.get(theirs[cycle % theirs.length]), cycle, events, asked);
+    const operator = theirRows.get(theirs[cycle % theirs.length]);
+    for (const rows of [mine, operator, ...parts]) drawInto(rows, cycle, events, asked);
     const walked = walkBoth(mine, operator, parts, events, asked, until_s);
     const begins_s = Math.min(beginOf(mine), beginOf(operator));
     const begin_s = begins_s === Infinity ? 0 : begins_s;
     const duration_s = both ? Math.max(endOf(mine), endOf(operator)) - begin_s : endOf(mine);
-    return { ...walked, robot: mine, operator, begin_s, duration_s };
+    note(log.robot, mine, cycle);
+    if (log.operator) note(log.operator, operator, cycle);
+    return { ...walked, cycle, begin_s, duration_s };
   };
+  const alone = agendas.size === 1; // the same tasks in all cycles
+  let log = { robot: logOf(robot), operator: alone ? logOf(first) : null };
   let cycles = [];
   let entry = null;
   return (deadline) => {
@@ -49,48 +53,66 @@ const rollerOf = (places, operators, both, asked, told) => { // JointCell.roll: 
       cycles.push(one(cycles.length));
     }
     if (entry) return entry;
-    const found = summedUp(cycles, robot.tasks, agendas.size === 1 ? first.tasks : null);
-    if (cycles.length === facts.cycles) [entry, cycles] = [found, []];
+    const found = summedUp(cycles, log, robot.tasks, alone ? first.tasks : null, both);
+    if (cycles.length === facts.cycles) [entry, cycles, log] = [found, [], null];
     return found;
   };
 };
-const summedUp = (all, robot, operator) => {
+const TIMES_S = ["arrives_s", "works_s", "passes_s", "lost_s"];
+const logOf = (agenda) => agenda.legs.map((leg) => ({ // times of each leg in each cycle
+  leg, ...Object.fromEntries(TIMES_S.map((name) => [name, new Float64Array(facts.cycles)])),
+}));
+const note = (log, rows, cycle) => {
+  for (let n = 0; n < log.length; n += 1) {
+    const [times, row] = [log[n], rows[n]];
+    times.arrives_s[cycle] = row.arrives_s;
+    times.works_s[cycle] = row.works_s;
+    times.passes_s[cycle] = row.passes_s;
+    times.lost_s[cycle] = row.lost_s;
+  }
+};
+const summedUp = (all, log, robot, operator, both) => {
   const going = all.filter((each) => !each.stuck);
   if (!going.length) return { unknown: say("stuck") };
   const cycles = going.filter((each) => each.duration_s < Infinity);
   if (cycles.length < (1 - facts.endless) * going.length) return { unknown: say("endless") };
-  return { ...entryOfBoth({ cycles, robot, operator }), walked: all.length };
+  return { ...entryOfBoth({ cycles, log, robot, operator, both }), walked: all.length };
 };
 
-const spansOf = (cycles, who, tasks, tell) => { // shares._spans: start, end and wait of each task in each cycle
-  const legs = cycles[0][who].map((row) => row.leg);
-  const last = legs.length - 1;
+const spansOf = (cycles, log, who, tasks, tell, cut = false) => { // shares._spans: start, end and wait of each task
+  const last = log.length - 1;
   let before = 0;
   const found = [];
-  legs.forEach((leg, n) => {
+  log.forEach(({ leg, works_s, passes_s }, n) => {
     if (leg.task < 0 || leg.hold) return;
-    const from = before;
-    const at = (choose) => cycles.map((each) => choose(each[who], each.begin_s));
-    const start_s = at((rows, begin_s) => rows[n - 1].passes_s - begin_s);
-    const end_s = at((rows, begin_s) => (n === last ? rows[n].passes_s : rows[n].works_s) - begin_s);
-    const wait_s = at((rows, begin_s) => Math.max(rows[n - 1].passes_s - Math.max(rows[from].works_s, begin_s), 0));
-    found.push({ agent: who, name: tasks[leg.task], task: leg.task, ...tell(start_s, end_s, wait_s) });
+    const at = (choose) => Float64Array.from(cycles, ({ cycle, begin_s }) => choose(cycle, begin_s));
+    const [departs_s, done_s, ready_s] = [log[n - 1].passes_s, n === last ? passes_s : works_s, log[before].works_s];
+    let start_s = at((cycle, begin_s) => departs_s[cycle] - begin_s);
+    let end_s = at((cycle, begin_s) => done_s[cycle] - begin_s);
+    let wait_s = at((cycle, begin_s) => Math.max(departs_s[cycle] - Math.max(ready_s[cycle], begin_s), 0));
     before = n;
+    if (cut) { // shares._in_cycle: at the ends of the cycles
+      if (2 * start_s.filter((value, k) => value < cycles[k].duration_s).length < cycles.length) return;
+      const till = (values) => values.map((value, k) => Math.min(value, cycles[k].duration_s));
+      wait_s = till(start_s).map((value, k) => Math.max(value - (start_s[k] - wait_s[k]), 0));
+      [start_s, end_s] = [till(start_s), till(end_s)];
+    }
+    found.push({ agent: who, name: tasks[leg.task], task: leg.task, ...tell(start_s, end_s, wait_s) });
   });
   return found;
 };
 
-const sharesOf = (cycles, factor) => { // shares.task_shares, as `answer._slowed` corrects them
-  const rows = cycles[0].robot;
+const sharesOf = (cycles, log, factor) => { // shares.task_shares, as `answer._slowed` corrects them
   const found = [];
-  rows.forEach(({ leg }, n) => {
+  const meanOf = (choose) => cycles.reduce((sum, { cycle }) => sum + choose(cycle), 0) / cycles.length;
+  log.forEach(({ leg, arrives_s, works_s, passes_s, lost_s }) => {
     if (leg.task < 0) return;
     const share = found[leg.task] || { nominal_s: 0, lost_s: 0, dwell_s: 0, wait_s: 0 };
     found[leg.task] = share;
     share.nominal_s += leg.way_s;
-    share.lost_s += mean(cycles.map((each) => each.robot[n].lost_s));
-    share.dwell_s += mean(cycles.map((each) => each.robot[n].works_s - each.robot[n].arrives_s));
-    share.wait_s += mean(cycles.map((each) => each.robot[n].passes_s - each.robot[n].works_s));
+    share.lost_s += meanOf((cycle) => lost_s[cycle]);
+    share.dwell_s += meanOf((cycle) => works_s[cycle] - arrives_s[cycle]);
+    share.wait_s += meanOf((cycle) => passes_s[cycle] - works_s[cycle]);
   });
   const sum = (part) => found.reduce((all, share) => all + part(share), 0);
   const open_s = sum((share) => share.lost_s + share.wait_s);
@@ -114,7 +136,7 @@ const inDraws = (values) => Float64Array.from(tables.errors, (_, row) => { // as
   return sum / count;
 });
 
-const entryOfBoth = ({ cycles, robot, operator }) => { // JointAnswers._entry
+const entryOfBoth = ({ cycles, log, robot, operator, both }) => { // JointAnswers._entry
   const { factor, model_error: error, doubted_bias: bias } = facts.check;
   const durations = Float64Array.from({ length: facts.cycles }, (_, n) => cycles[n % cycles.length].duration_s * factor);
   const expected = mean(durations);
@@ -123,9 +145,9 @@ const entryOfBoth = ({ cycles, robot, operator }) => { // JointAnswers._entry
     start_s: factor * mean(start_s), end_s: factor * mean(end_s), wait_s: factor * mean(wait_s),
     ends_s: [0.05, 0.95].map((level) => conformalOf(end_s.map((value) => value * factor), level)),
   });
-  const shares = sharesOf(cycles, factor);
-  const mine = spansOf(cycles, "robot", robot, tell);
-  const theirs = operator ? spansOf(cycles, "operator", operator, tell) : [];
+  const shares = sharesOf(cycles, log.robot, factor);
+  const mine = spansOf(cycles, log.robot, "robot", robot, tell);
+  const theirs = operator ? spansOf(cycles, log.operator, "operator", operator, tell, !both) : [];
   const [knownLooks, looks] = ["known", "looked"].map((part) => cycles.reduce((sum, each) => sum + each[part], 0));
   return {
     expected_s: expected,

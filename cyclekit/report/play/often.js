@@ -1,12 +1,12 @@
 // ---- the operator comes more or less often: `whatif.alter._as_often`
 
 const kept = new Map();
-const remembered = (key, make) => {
-  if (!kept.has(key)) {
-    if (kept.size > 20) kept.clear();
-    kept.set(key, make());
-  }
-  return kept.get(key);
+const remembered = (key, make) => { // the twenty that were asked for last
+  const found = kept.has(key) ? kept.get(key) : make();
+  kept.delete(key);
+  kept.set(key, found);
+  if (kept.size > 20) kept.delete(kept.keys().next().value);
+  return found;
 };
 
 const lookedAt = (names) => { // points of the motions, evenly spread

@@ -6,14 +6,22 @@ const NOBODY = 65535;
 const TO_TCP = "distance TCP to operator";
 const TO_TCP_FLAT = "distance TCP to operator on the floor";
 const TO_LINK = "distance nearest link to operator";
-const within = (rectangle, out, x, y) => {
-  const cos = Math.cos(rectangle.angle_rad || 0);
-  const sin = Math.sin(rectangle.angle_rad || 0);
-  const along = x * cos + y * sin;
-  const across = y * cos - x * sin;
+const withinOf = (rectangle, out) => { // a test of x and y
+  const [cos, sin] = [Math.cos(rectangle.angle_rad || 0), Math.sin(rectangle.angle_rad || 0)];
   const bound = (edge, side, axis) => (edge === null ? side * Infinity : edge.value + side * out[axis]);
-  return along > bound(rectangle.along[0], -1, 0) && along < bound(rectangle.along[1], 1, 0)
-    && across > bound(rectangle.across[0], -1, 1) && across < bound(rectangle.across[1], 1, 1);
+  const [[left, right], [front, back]] = [rectangle.along, rectangle.across]
+    .map(([low, high], axis) => [bound(low, -1, axis), bound(high, 1, axis)]);
+  return (x, y) => {
+    const [along, across] = [x * cos + y * sin, y * cos - x * sin];
+    return along > left && along < right && across > front && across < back;
+  };
+};
+const polygonOf = (polygon) => {
+  const sides = polygon.sides.map((side) => [Math.cos(side.angle_rad), Math.sin(side.angle_rad), side.metres.value]);
+  return (x, y) => {
+    for (let n = 0; n < sides.length; n += 1) if (x * sides[n][0] + y * sides[n][1] >= sides[n][2]) return false;
+    return true;
+  };
 };
 const STAYS = [0, 0];
 
@@ -68,17 +76,20 @@ const apart = (name, r, h) => { // r: TCP, h: operator, his height that of the T
   return name === TO_TCP_FLAT ? Math.hypot(r[0] - h[0], r[1] - h[1]) : Math.hypot(h[0], h[1]);
 };
 
-const inside = (region, move, r, h) => {
-  const there = !region.robot || within(region.robot, STAYS, r[0], r[1]);
-  if (!there) return false;
-  const asks = region.anywhere || region.nearer.length || region.rectangles.length || region.polygons.length;
-  if (!asks) return Boolean(region.robot);
-  if (Number.isNaN(h[0])) return false;
-  return region.anywhere
-    || region.nearer.some((near) => apart(near.distance, r, h) < near.metres.value + move.threshold_m)
-    || region.rectangles.some((rectangle) => within(rectangle, move.zone, h[0], h[1]))
-    || region.polygons.some((polygon) => polygon.sides.every(
-      (side) => h[0] * Math.cos(side.angle_rad) + h[1] * Math.sin(side.angle_rad) < side.metres.value));
+const insideOf = (region, move) => { // a test of both positions
+  const robot = region.robot && withinOf(region.robot, STAYS);
+  const nearer = region.nearer.map((near) => [near.distance, near.metres.value + move.threshold_m]);
+  const areas = [...region.rectangles.map((rectangle) => withinOf(rectangle, move.zone)), ...region.polygons.map(polygonOf)];
+  const asks = region.anywhere || nearer.length > 0 || areas.length > 0;
+  return (r, h) => {
+    if (robot && !robot(r[0], r[1])) return false;
+    if (!asks) return Boolean(robot);
+    if (Number.isNaN(h[0])) return false;
+    if (region.anywhere) return true;
+    for (let n = 0; n < nearer.length; n += 1) if (apart(nearer[n][0], r, h) < nearer[n][1]) return true;
+    for (let n = 0; n < areas.length; n += 1) if (areas[n](h[0], h[1])) return true;
+    return false;
+  };
 };
 
 const filled = (region) => region && {
@@ -93,7 +104,8 @@ const safetyOf = (moved) => { // moved: by how much each of `rule.moves` is move
       if (each.kind === "zone") for (const axis of each.axes) move.zone[axis] = moved[index];
       else move.threshold_m = moved[index];
     });
-    return { scaling: limit.scaling, move, within: filled(limit.within), until: filled(limit.until) || filled(limit.within) };
+    const [rises, falls] = [filled(limit.until) || filled(limit.within), filled(limit.within)];
+    return { scaling: limit.scaling, move, within: falls, enters: insideOf(falls, move), leaves: insideOf(rises, move) };
   });
   const simple = limits.every(({ within: one }) => one.nearer.length === 1 && one.nearer[0].distance === TO_TCP
     && !one.anywhere && !one.rectangles.length && !one.polygons.length && !one.robot) && !rule.lags && !rule.law;
@@ -115,8 +127,8 @@ const safetyOf = (moved) => { // moved: by how much each of `rule.moves` is move
       return rule.fastest;
     }
     if (rule.law) return lawful(r, h);
-    for (const limit of limits) {
-      if (inside(leaving ? limit.until : limit.within, limit.move, r, h)) return limit.scaling;
+    for (let n = 0; n < limits.length; n += 1) {
+      if (leaving ? limits[n].leaves(r, h) : limits[n].enters(r, h)) return limits[n].scaling;
     }
     return rule.fastest;
   };

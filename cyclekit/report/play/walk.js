@@ -4,7 +4,8 @@ const followerOf = (dynamics, step_s, start) => { // Follower: s of one cycle ov
   const { latency_s: latency, hold_s: holds, ramp_down_per_s: down, ramp_up_per_s: up } = dynamics;
   const delay = halfToEven((latency || 0) / step_s);
   const hold = 1 + halfToEven((holds || 0) / step_s);
-  const [recent, queue] = [[], []];
+  const [recent, queue] = [new Float64Array(hold).fill(Infinity), new Float64Array(delay)];
+  let step = 0;
   let held, s, told;
   return (asks) => {
     if (asks) {
@@ -18,14 +19,15 @@ const followerOf = (dynamics, step_s, start) => { // Follower: s of one cycle ov
     }
     let wanted = told;
     if (hold > 1) {
-      recent.push(wanted);
-      if (recent.length > hold) recent.shift();
-      wanted = Math.min(...recent);
+      recent[step % hold] = wanted;
+      for (let n = 0; n < hold; n += 1) if (recent[n] < wanted) wanted = recent[n];
     }
     if (delay > 0) {
-      queue.push(wanted);
-      wanted = queue.length > delay ? queue.shift() : queue[0];
+      const late = step < delay ? (step ? queue[0] : wanted) : queue[step % delay];
+      queue[step % delay] = wanted;
+      wanted = late;
     }
+    step += 1;
     if (s === undefined) s = typeof start === "number" ? Math.min(start, wanted) : wanted;
     if (down && wanted < s - down * step_s) wanted = s - down * step_s;
     if (up && wanted > s + up * step_s) wanted = s + up * step_s;

@@ -54,7 +54,6 @@ def _fields(texts: ReportTexts, answers: Predicts | None) -> list[ReportTable]:
         ReportTable(
             heads=[texts(name) for name in names],
             rows=field_rows(answers.rule),
-            numeric=frozenset({3}),
             caption=texts("why.fields"),
             silent=True,
             title=texts("why.fields"),

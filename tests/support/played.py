@@ -51,7 +51,7 @@ def zoned() -> RuleSafety:
     flat = "distance TCP to operator on the floor"
     return ruled(
         (0.0, near(1.03, flat), near(1.23, flat)),
-        (0.3, box(-1.33, 1.42, -1.58, 1.51), box(-1.43, 1.52, -1.68, 1.61)),
+        (0.3, box(-1.33, 1.42, -1.58, None), box(-1.43, 1.52, -1.68, None)),
         (0.6, near(2.2), near(2.5)),
     )
 
@@ -133,7 +133,7 @@ STAIRS = {
 ZONED = {
     "zone": (
         {"moved": [0, 0.2, 0]},
-        Change("z", limits=(LimitChange(0.3, x_m=(-1.53, 1.62), y_m=(-1.78, 1.71)),)),
+        Change("z", limits=(LimitChange(0.3, x_m=(-1.53, 1.62), y_m=(-1.78, math.inf)),)),
     ),
     "at once": ({"ramp": math.inf}, Change("o", dynamics={"ramp_up_per_s": math.inf})),
     "all": (

@@ -7,6 +7,7 @@ times away are shortened or stretched; his visits are unchanged.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -187,7 +188,8 @@ def _numbers(wanted: LimitChange) -> Iterator[tuple[str, int, str, float]]:
         yield "nearer", 0, "threshold_m", wanted.threshold_m
     for first, name, edges in ((0, "x_m", wanted.x_m), (2, "y_m", wanted.y_m)):
         for number, metres in enumerate(edges or ()):
-            yield "rectangle", first + number, name, metres
+            if math.isfinite(metres):  # else it is of an edge that was never crossed
+                yield "rectangle", first + number, name, metres
 
 
 def altered_tasks(change: Change, tasks: Mapping[str, NominalTask], dataset: Dataset) -> dict[str, NominalTask]:

@@ -70,7 +70,7 @@ _CURE = "docs/commands.md shows every key of a change."
 
 def _refuse_edges(what: str, x_m: tuple[float, float] | None, y_m: tuple[float, float] | None) -> None:
     for name, edges in (("x_m", x_m), ("y_m", y_m)):
-        if edges is not None and edges[0] >= edges[1]:
+        if edges is not None and not edges[0] < edges[1]:
             msg = f"{what}: {name} {edges}: the first must be less than the second"
             raise ValueError(msg)
 
@@ -97,13 +97,13 @@ class LimitChange:
     """New numbers of one limit of the model's rule, m: where the robot slows down to `level`.
 
     Numbers that are None are unchanged, and so is the hysteresis of the limit. Edges of a rotated rectangle are along
-    its own axes.
+    its own axes; an edge that was never crossed stays unknown: -inf or inf.
     """
 
     level: float
     threshold_m: Number | None = None
-    x_m: tuple[Number, Number] | None = None
-    y_m: tuple[Number, Number] | None = None
+    x_m: tuple[float, float] | None = None
+    y_m: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Refuse an empty change, a negative threshold, or a rectangle without extent.

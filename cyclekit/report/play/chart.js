@@ -98,7 +98,7 @@ const tomlOf = () => {
 
 const fixed = (seconds) => seconds.toFixed(1);
 const apartFrom = (value, before) => {
-  const by = value - before;
+  const by = fixed(value) - fixed(before); // as both are shown
   if (Math.abs(by) < 0.05) return say("same");
   return say(by < 0 ? "shorter" : "longer", { by: fixed(Math.abs(by)) });
 };

@@ -144,6 +144,8 @@ const line = (text, bar, asked = []) => {
   return found;
 };
 const lay = () => { // each agent's lines: what it begins with, its visits, and where it ends
+  const persons = section.querySelector(".play-key .play-person");
+  if (persons) persons.parentElement.hidden = facts.kind !== "both" || !state.blocks.some(({ agent }) => agent === "operator");
   part("agents").replaceChildren(...state.blocks.map((block) => {
     const found = made("div", "play-agent");
     const alone = facts.kind === "robot";
@@ -235,7 +237,7 @@ const allSliders = () => {
   }
   ofSafety();
   part("fixed").hidden = !facts.rule.fixed;
-  if (facts.rule.fixed) part("fixed").textContent = say(facts.kind === "both" ? "fixed_both" : facts.rule.fixed);
+  if (facts.rule.fixed) part("fixed").textContent = say(facts.kind === "both" && facts.rule.fixed === "fixed_table" ? "fixed_both" : facts.rule.fixed);
   if (facts.kind === "both") {
     slider(say("pace", { agent: "operator" }), facts.paces, 0.01, 1, times, (by) => { state.asked.pace = by || 1; });
     for (const source of facts.sources) {

@@ -161,6 +161,7 @@ def _positions(
 def _rule(model: RuleSafety) -> dict[str, Any]:
     """Return the rule, and which of its thresholds and zones a slider moves."""
     rule, without = model.rule, model.card.scaling_without_operator
+    moves = [move for limit in rule.limits for move in _moves(limit.scaling, quantities(rule.limits))]
     return {
         "limits": msgspec.to_builtins(rule.limits),
         "law": msgspec.to_builtins(rule.law),
@@ -168,7 +169,8 @@ def _rule(model: RuleSafety) -> dict[str, Any]:
         "lags": model.lags,
         "slows_alone": model.slows_alone,
         "alone": 1.0 if without is None else without,
-        "moves": [move for limit in rule.limits for move in _moves(limit.scaling, quantities(rule.limits))],
+        "moves": moves,
+        "fixed": None if moves else "fixed_rule",
     }
 
 
@@ -182,9 +184,11 @@ def _moves(level: float, known: Mapping[RulePlace, Any]) -> list[dict[str, Any]]
         found.append({"level": level, "kind": "threshold_m", "value": value, "bounds": bounds})
     edges = [known.get(RulePlace(level, until=False, kind="rectangle", item=0, edge=edge)) for edge in range(4)]
     alone = RulePlace(level, until=False, kind="rectangle", item=1)
-    axes = [axis for axis in (0, 1) if edges[2 * axis] is not None and edges[2 * axis + 1] is not None]
+    sides = [(edges[0], edges[1]), (edges[2], edges[3])]  # an edge that was never crossed stays where it is
+    axes = [axis for axis, (low, high) in enumerate(sides) if low is not None or high is not None]
     if axes and not any(alone._replace(edge=edge) in known for edge in range(4)):
-        narrow = min(edges[2 * axis + 1].value - edges[2 * axis].value for axis in axes)  # type: ignore[union-attr]
+        wide_m = [high.value - low.value for low, high in sides if low is not None and high is not None]
+        narrow = min(wide_m, default=np.inf)
         least = max(-MOVED_M, -0.45 * narrow)
         found.append({"level": level, "kind": "zone", "value": 0.0, "bounds": [least, MOVED_M], "axes": axes})
     return found

@@ -8,10 +8,10 @@ const asLogged = () => ({
 }[facts.kind])();
 const SLICE_MS = 40; // then what is known so far is shown, and the rest is rolled out afterwards
 let turn = 0;
-const show = () => {
+const show = (slice_ms = SLICE_MS) => {
   const began = performance.now();
-  const entry = ANSWERS[facts.kind](played(state.blocks), structuredClone(state.asked), state.takt_s, began + SLICE_MS);
-  const before = ANSWERS[facts.kind](played(blocksOf(given())), asLogged(), state.takt_s, began + SLICE_MS);
+  const entry = ANSWERS[facts.kind](played(state.blocks), structuredClone(state.asked), state.takt_s, began + slice_ms);
+  const before = ANSWERS[facts.kind](played(blocksOf(given())), asLogged(), state.takt_s, began + slice_ms);
   showNumbers(entry, before);
   showChart(entry, before);
   showAsked();
@@ -23,7 +23,7 @@ const show = () => {
   section.dataset.took = String(performance.now() - began);
   section.dataset.whole = whole ? "yes" : "no";
   const mine = turn;
-  if (!whole) setTimeout(() => { if (mine === turn) show(); }, 0);
+  if (!whole) setTimeout(() => { if (mine === turn) show(2 * SLICE_MS); }, 0);
 };
 const update = () => {
   turn += 1;

@@ -85,7 +85,11 @@ const spansOf = (cycles, log, who, tasks, tell, cut = false) => { // shares._spa
   const found = [];
   log.forEach(({ leg, works_s, passes_s }, n) => {
     if (leg.task < 0 || leg.hold) return;
-    const at = (choose) => Float64Array.from(cycles, ({ cycle, begin_s }) => choose(cycle, begin_s));
+    const at = (choose) => {
+      const found_s = new Float64Array(cycles.length);
+      for (let k = 0; k < found_s.length; k += 1) found_s[k] = choose(cycles[k].cycle, cycles[k].begin_s);
+      return found_s;
+    };
     const [departs_s, done_s, ready_s] = [log[n - 1].passes_s, n === last ? passes_s : works_s, log[before].works_s];
     let start_s = at((cycle, begin_s) => departs_s[cycle] - begin_s);
     let end_s = at((cycle, begin_s) => done_s[cycle] - begin_s);
@@ -126,15 +130,27 @@ const conformalOf = (values, level) => { // JointCheck.quantile
   if (!tables.scores) return quantile(sorted(values), level);
   return mean(values) + quantile(sorted(tables.scores), level, true) * spreadOf(values);
 };
-const inDraws = (values) => Float64Array.from(tables.errors, (_, row) => { // as finite logs give them, drawn again
-  let [sum, count] = [0, 0];
-  for (let n = 0; n < values.length; n += 1) {
-    const drawn = tables.drawn[row * values.length + n];
-    sum += drawn * values[n];
-    count += drawn;
+const fewDrawn = () => { // of each row of `drawn`, which is nearly empty: the cycles that were drawn
+  const [first, which] = [[0], []];
+  for (let row = 0; row < tables.errors.length; row += 1) {
+    for (let n = 0; n < facts.cycles; n += 1) if (tables.drawn[row * facts.cycles + n]) which.push(n);
+    first.push(which.length);
   }
-  return sum / count;
-});
+  return { first, which: Int32Array.from(which) };
+};
+const inDraws = (values) => { // as finite logs give them, drawn again
+  tables.few = tables.few || fewDrawn();
+  const { first, which } = tables.few;
+  return Float64Array.from(tables.errors, (_, row) => {
+    let [sum, count] = [0, 0];
+    for (let at = first[row]; at < first[row + 1]; at += 1) {
+      const drawn = tables.drawn[row * facts.cycles + which[at]];
+      sum += drawn * values[which[at]];
+      count += drawn;
+    }
+    return sum / count;
+  });
+};
 
 const entryOfBoth = ({ cycles, log, robot, operator, both }) => { // JointAnswers._entry
   const { factor, model_error: error, doubted_bias: bias } = facts.check;
@@ -161,7 +177,15 @@ const entryOfBoth = ({ cycles, log, robot, operator, both }) => { // JointAnswer
   };
 };
 
-const withinOfBoth = (durations, takt_s) => { // share_within
+const TAKTS = new WeakMap(); // of each answer, the last takt and the share within it
+const withinOfBoth = (entry, takt_s) => { // share_within
+  const [known, found] = TAKTS.get(entry) || [];
+  if (known === takt_s) return found;
+  const within = sharesWithin(entry.durations_s, takt_s);
+  TAKTS.set(entry, [takt_s, within]);
+  return within;
+};
+const sharesWithin = (durations, takt_s) => {
   const within = (by) => durations.map((value) => Number(value * (1 + by) <= takt_s));
   const bias = facts.check.doubted_bias;
   const [slower, quicker] = [bias, -bias].map((by) => sorted(inDraws(within(by))));
@@ -182,5 +206,5 @@ const answerBoth = (asked_for, asked, takt_s, deadline = Infinity) => {
   const entry = roll(deadline);
   if (entry.unknown) return entry;
   if (entry.support !== null && entry.support < 0.5) return { unknown: say("thin", { share: percent(entry.support) }) };
-  return { ...entry, takt: takt_s > 0 ? withinOfBoth(entry.durations_s, takt_s) : null };
+  return { ...entry, takt: takt_s > 0 ? withinOfBoth(entry, takt_s) : null };
 };

@@ -1,6 +1,10 @@
 // ---- statistics: `resample`, `history`, `means`, `conformal`
 
-const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
+const mean = (values) => {
+  let sum = 0;
+  for (let n = 0; n < values.length; n += 1) sum += values[n];
+  return sum / values.length;
+};
 const covariance = (one, other) => {
   const [a, b] = [mean(one), mean(other)];
   let sum = 0;

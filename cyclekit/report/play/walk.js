@@ -5,12 +5,13 @@ const followerOf = (dynamics, step_s, start) => { // Follower: s of one cycle ov
   const delay = halfToEven((latency || 0) / step_s);
   const hold = 1 + halfToEven((holds || 0) / step_s);
   const [recent, queue] = [new Float64Array(hold).fill(Infinity), new Float64Array(delay)];
+  const { lags } = facts.rule;
   let step = 0;
   let held, s, told;
   return (asks) => {
     if (asks) {
       told = field.scaling(false);
-      if (facts.rule.lags) {
+      if (lags) {
         const rising = field.scaling(true);
         told = Math.max(told, rising);
         held = held === undefined ? told : Math.min(Math.max(held, rising), told);
@@ -28,6 +29,7 @@ const followerOf = (dynamics, step_s, start) => { // Follower: s of one cycle ov
       wanted = late;
     }
     step += 1;
+    if (wanted === s) return s;
     if (s === undefined) s = typeof start === "number" ? Math.min(start, wanted) : wanted;
     if (down && wanted < s - down * step_s) wanted = s - down * step_s;
     if (up && wanted > s + up * step_s) wanted = s + up * step_s;

@@ -49,11 +49,7 @@ def planned_shares(
     agents = [rolled.robot, *(rolled.operators if len(rolled.operators) == 1 else ())]
     whose, found = _whose(rolled), list[PlannedShare]()
     for agent in agents:
-        for span in _spans(agent, rolled):
-            if agent is not rolled.robot and not rolled.plan.both:
-                span = _in_cycle(span, rolled.duration_s[agent.rows])
-                if span is None:
-                    continue
+        for span in _told(agent, rolled):
             first, last, wait = (factor * float(at.mean()) for at in (span.start_s, span.end_s, span.wait_s))
             name, decided = agent.agenda.agent, _decided(span.decided, whose)
             ends = band(factor * span.end_s)
@@ -110,6 +106,15 @@ def _spans(agent: OneAgent, rolled: RolledBoth) -> Iterator[_Span]:
             wait = np.maximum(start - works, 0.0)
             yield _Span(name, start - begin_s, end - begin_s, wait, times.decided[:, gates])
             before = leg
+
+
+def _told(agent: OneAgent, rolled: RolledBoth) -> Iterator[_Span]:
+    """Yield the tasks of an agent within the cycles."""
+    for span in _spans(agent, rolled):
+        ends_here = agent is rolled.robot or rolled.plan.both
+        found = span if ends_here else _in_cycle(span, rolled.duration_s[agent.rows])
+        if found is not None:
+            yield found
 
 
 def _in_cycle(span: _Span, cycle_s: Vector) -> _Span | None:

@@ -16,9 +16,10 @@ from known_cells import logged
 from played import ORDERS, network, staircase, zoned
 from report_pages import DistanceModel
 from report_pages import estimate as made_up
+from ruled import box, ruled
 
 from cyclekit.config.sequences import PlannedTask
-from cyclekit.dataset.cards.rule import LimitCard
+from cyclekit.dataset.cards.rule import LimitCard, MetresCard, PolygonCard, RegionCard, SideCard
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.rollout import estimate
@@ -29,6 +30,7 @@ from cyclekit.report.inputs import PageInputs
 from cyclekit.report.play import PlayPart, part, play_part, scaling_grid
 from cyclekit.report.play import packed as packing
 from cyclekit.report.play.packed import FINEST, UNKNOWN, in_steps, in_units, packed, units_per_metre
+from cyclekit.report.play.tables import _rule
 from cyclekit.report.texts import load_texts
 
 __all__ = ["logged"]
@@ -104,6 +106,14 @@ def test_the_tables_give_the_rolled_out_cycles_of_the_library(logged, model):
         legs = tuple(tasks[task.task] for task in programs[each.name].tasks)
         (cycles,) = roll_all(model, [Program(legs, programs[each.name].edges_s)], tracks, None)
         assert cycles.duration_s.mean() == pytest.approx(each.expected_s, rel=5e-4)
+
+
+def test_a_rule_with_nothing_to_move_says_so():
+    sides = tuple(SideCard(angle_rad=0.5 * np.pi * n, metres=MetresCard(value=1.0)) for n in range(3))
+    area = RegionCard(polygons=(PolygonCard(sides=sides),))
+    assert _rule(ruled((0.3, area, None)))["fixed"] == "fixed_rule"
+    told = _rule(ruled((0.3, box(None, 1.0, None, None), None)))  # one edge was crossed, and that can be moved
+    assert (told["fixed"], told["moves"][0]["axes"], told["moves"][0]["bounds"]) == (None, [0], [-0.5, 0.5])
 
 
 def test_a_page_says_why_it_cannot_be_played_with(logged, monkeypatch):

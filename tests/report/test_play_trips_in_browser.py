@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import browser
@@ -46,13 +47,28 @@ CARD = CouplingCard(
 ROBOT = ("home", "conveyor", "left_2", "conveyor", "right_3")
 OPERATOR = ("inbound", "out_right_1", "inbound", "out_right_2", "inbound")
 THERE = ("inbound", "out_left_1", "inbound", "out_right_2", "inbound")
-ORDERS = [both(ROBOT, OPERATOR, "given"), TaskSequence("places", ROBOT, OPERATOR), both(ROBOT, THERE, "goes there")]
-ASKED = {"given": (OPERATOR, True), "places": (OPERATOR, False), "goes there": (THERE, True)}
+LATE = (*OPERATOR, *("out_right_1", "inbound") * 4)
+ORDERS = [
+    both(ROBOT, OPERATOR, "given"),
+    TaskSequence("places", ROBOT, OPERATOR),
+    both(ROBOT, THERE, "goes there"),
+    TaskSequence("late", ROBOT, LATE),
+]
+ASKED = {"given": (OPERATOR, True), "places": (OPERATOR, False), "goes there": (THERE, True), "late": (LATE, False)}
 CHANGES = {
     "faster": ({"pace": 1.3}, Change("p", faster={"operator": 1.3})),
     "no wait": ({"without": ["operator leave inbound"]}, Change("n", without_waits=("operator leave inbound",))),
     "ramp": STAIRS["ramp"],
 }
+
+
+def begin(name):
+    """Return a script that chooses a sequence of the page."""
+    chosen = f"[...s.options].find(o => o.text === {json.dumps(name)}).value"
+    return (
+        f"(s => {{ s.value = {chosen}; s.dispatchEvent(new Event('change')); }})"
+        "(document.querySelector('#play select'))"
+    )
 
 
 def test_trips_are_drawn_as_in_the_library(tab, logged, tmp_path):
@@ -70,6 +86,10 @@ def test_trips_are_drawn_as_in_the_library(tab, logged, tmp_path):
     tab.ask("cyclekitPlay.ready.then(() => 1)")
     for name, (operator, plan) in ASKED.items():
         same(ask(tab, {"robot": ROBOT, "operator": operator, "both": plan}, {}, 60), given[name], within=1e-5)
+    assert sum(task.agent == "operator" for task in given["late"].plan) < len(LATE)  # the others begin after the cycle
+    script = "[...document.querySelectorAll('#play .play-lane')].filter(bar => bar.textContent).length"
+    counts = {name: tab.ask(f"{begin(name)}, {script}") for name in given}
+    assert counts["given"] == counts["goes there"] == 0 < counts["late"]
     played = {"robot": ROBOT, "operator": OPERATOR, "both": True}
     for changes, change in CHANGES.values():
         (found,) = what_if(model, data, ORDERS[:1], [change], check=given["given"].check, **asked)

@@ -233,7 +233,7 @@ def first_sequence(dataset: Dataset) -> tuple[TaskSequence, int, int]:
     if dataset.holds_task_lists_alone:
         orders: list[Any] = _listed(dataset)
     else:
-        orders = [one.places for one in dataset.card.executions if one.complete and len(one.places) > 1]
+        orders = [one.places for one in dataset.card.executions if one.whole and len(one.places) > 1]
     if not orders:
         cure = "Log at least one execution from its start to its end."
         raise DatasetError(f"{dataset.place}: no complete execution in it, so no order was logged", cure=cure)

@@ -150,9 +150,11 @@ class Dataset:
 
     @cached_property
     def executions(self) -> pl.DataFrame:
-        """One row per execution: execution, session, start_s, end_s, duration_s, complete (Bool)."""
-        columns = ("execution", "session", "start_s", "end_s", "complete")
-        rows = [[getattr(one, name) for name in columns] for one in self.card.executions]
+        """One row per execution: execution, session, start_s, end_s, duration_s, complete (Bool).
+
+        `complete`: the log shows all of it, and it was not interrupted.
+        """
+        rows = [[one.execution, one.session, one.start_s, one.end_s, one.whole] for one in self.card.executions]
         types = {"execution": schema.TEXT, "session": schema.TEXT, "start_s": schema.F64, "end_s": schema.F64}
         frame = pl.DataFrame(rows, schema={**types, "complete": schema.FLAG}, orient="row")
         return frame.with_columns(duration_s=pl.col("end_s") - pl.col("start_s"))
@@ -265,6 +267,12 @@ class Dataset:
     def tasks(self) -> pl.DataFrame:
         """Return one row per task found in the robot's motion (table TASKS)."""
         return self.every_task().filter(pl.col("start_place").is_not_null())
+
+    def uninterrupted_tasks(self) -> pl.DataFrame:
+        """Return `tasks` without those of interrupted executions, except for tasks that no other execution has."""
+        some = [one.execution for one in self.card.executions if one.interrupted_s]
+        other = ~pl.col("execution").is_in(some)
+        return self.tasks().filter(other | ~other.any().over("task")) if some else self.tasks()
 
     def every_task(self) -> pl.DataFrame:
         """Return one row per task of either agent, found in motion or from a task list (table TASKS)."""

@@ -22,6 +22,7 @@ from cyclekit.derive.cause_samples import TwoStateSignal, joined, rows_of
 from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
 from cyclekit.derive.first_pass import first_pass
 from cyclekit.derive.found_slider import sliders_of, without_slider_loss
+from cyclekit.derive.interruptions import interruption_notes, with_interruptions
 from cyclekit.derive.last_pass import LastPassInput, last_pass
 from cyclekit.derive.notes import empty_tracker_notes, input_notes, signal_notes, unseen_notes
 from cyclekit.derive.operator_tasks import operator_tasks
@@ -248,12 +249,14 @@ def _derived(
     if response.latency_s is None and response.changes and any(map(is_tracked, some)):
         response = replace(response, latency_s=reaction_time(some, levels, response, folder))
     tasks = partial(_tasks, sampled, [one.lost_s for one in finished], human_places)
+    robot_tasks = tasks()
+    cards = with_interruptions([card for one in sampled for card in one.cards], robot_tasks)
     return Derived(
         recordings=[recording for one in sampled for recording in one.recordings],
         samples=sum(one.samples for one in some),
-        tasks=without_slider_loss(tasks(), sliders),
+        tasks=without_slider_loss(robot_tasks, sliders),
         tasks_to_next=without_slider_loss(tasks(to_next=True), sliders),
-        executions=[card for one in sampled for card in one.cards],
+        executions=cards,
         places=robot.places,
         human_places=human_places,
         levels=levels,
@@ -263,6 +266,7 @@ def _derived(
         warnings=[
             *robot.warnings,
             *(staircase.warnings if some or not sampled else []),
+            *interruption_notes(cards),
             *input_notes(evidence),
             *signal_notes(presence.found),
             *restart_notes(presence),

@@ -153,7 +153,7 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     absent = samples.filter(nobody_there()).height / max(samples.height, 1)
     if absent > 0.01 and not isinstance(model, OnStates) and model.card.scaling_without_operator is None:
         found.append(f"in {absent:.0%} of the samples there is no operator: full speed assumed")
-    ran = {one.execution for one in dataset.card.executions if one.complete and not one.reference}
+    ran = {one.execution for one in dataset.card.executions if one.whole and not one.reference}
     away = samples.group_by("execution").agg(away=(pl.col("human_gap") == "absent").fill_null(value=False).all())
     alone = ran & set(away.filter("away")["execution"].to_list())
     if alone:
@@ -171,6 +171,7 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
             f"in {len(slider)} executions the speed slider was below 100 %, which cost up to {max(slider):.1%} of them"
         )
         found.append(f"{most}; the estimate is for full slider")
+    found += [one.text for one in dataset.card.warnings if one.code == "executions-interrupted"]
     if any(one.code == "frame-doubtful" for one in dataset.card.warnings) and not isinstance(model, OnStates):
         found.append("the tracker's frame is probably wrong (`cyclekit inspect DATASET` proposes another one)")
     if any(record.clock.method == ASSUMED for record in dataset.recordings):

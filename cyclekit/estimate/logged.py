@@ -56,7 +56,7 @@ def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> li
     found = []
     turned_down = {name for name, part in slider_losses(dataset).items() if part > SLIDER_LOSS}
     for one in dataset.card.executions:
-        if one.complete and len(one.places) > 1 and one.execution not in turned_down:
+        if one.whole and len(one.places) > 1 and one.execution not in turned_down:
             sequence = TaskSequence(one.execution, one.places)
             if all(task in nominal for task in sequence.tasks):
                 found.append(sequence)

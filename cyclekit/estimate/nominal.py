@@ -69,7 +69,7 @@ def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> di
 
     `wanted`: return only these tasks, if all of them were logged with known scaling.
     """
-    tasks = dataset.tasks().filter(pl.col("nominal_s").is_not_null())
+    tasks = dataset.uninterrupted_tasks().filter(pl.col("nominal_s").is_not_null())
     if tasks.height == 0:
         return {}
     if wanted is not None and set(tasks["task"]).issuperset(wanted):

@@ -289,7 +289,7 @@ def logged_courses(dataset: Dataset, model: SafetyModel) -> tuple[list[str], dic
 
 
 def _names_and_tracks(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, LoggedTrack]]:
-    """Return the names of the operator's tasks, and his log in each execution."""
+    """Return the names of the operator's tasks, and his log in each execution that was not interrupted."""
     columns = [f"human_{part}{axis}_m" for part in (("", "goal_") if goals else ("",)) for axis in "xyz"]
     samples = dataset.samples(columns=["execution", "t_s", "human_task", "human_gap", *columns])
     names = sorted(name for name in samples["human_task"].unique().to_list() if name is not None)
@@ -302,12 +302,15 @@ def _names_and_tracks(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict
     hidden = outside | occluded
     rows = samples.select("execution", row=pl.int_range(pl.len())).group_by("execution", maintain_order=True)
     tracks: dict[str, LoggedTrack] = {}
+    stopped = {one.execution for one in dataset.card.executions if one.interrupted_s}
     for execution, first, last, count in rows.agg(
         first=pl.col("row").first(), last=pl.col("row").last(), count=pl.len()
     ).iter_rows():
         if count != last - first + 1:
             msg = f"{dataset.path}: the samples of execution {execution} do not lie together"
             raise DatasetError(msg, cure="Ingest the logs again into a new folder.")
+        if execution in stopped:
+            continue
         mine = slice(first, last + 1)
         if hidden[mine].any():
             _bridge(t_s[mine], where[mine, :3], hidden[mine])
@@ -320,8 +323,8 @@ def _names_and_tracks(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict
 
 
 def _in_states(dataset: Dataset, model: OnStates) -> tuple[list[str], dict[str, LoggedTrack]]:
-    """Return the names of the states, and the states in each execution that is not a reference run without operator."""
-    alone = {one.execution for one in dataset.card.executions if one.reference}
+    """Return the names of the states, and the states in each execution but reference runs and interrupted ones."""
+    alone = {one.execution for one in dataset.card.executions if one.reference or one.interrupted_s}
     tracks = {}
     for name, (t_s, state) in model.logged_states(dataset).items():
         if name not in alone:

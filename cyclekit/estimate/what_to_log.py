@@ -165,7 +165,7 @@ def _half_width(dataset: Dataset) -> tuple[int, float | None]:
     whole = dataset.executions.filter("complete").select("execution", "duration_s")
     if whole.height < 2:
         return whole.height, None
-    took_s = dataset.tasks().with_columns(took_s=pl.col("end_s") - pl.col("start_s"))
+    took_s = dataset.uninterrupted_tasks().with_columns(took_s=pl.col("end_s") - pl.col("start_s"))
     usual_s = took_s.with_columns(usual_s=pl.col("took_s").mean().over("task")).group_by("execution")
     beside = whole.join(usual_s.agg(pl.col("usual_s").sum()), on="execution", how="left")
     spreads = (whole["duration_s"].std(), (beside["duration_s"] - beside["usual_s"]).drop_nulls().std())
@@ -192,7 +192,7 @@ def _one_tour(dataset: Dataset, counts: Mapping[str, int], lacking: Mapping[str,
     """Return one order of logged tasks that covers the rare ones, nearest first, to the usual end if possible."""
     if not lacking:
         return []
-    whole = [one.places for one in dataset.card.executions if one.complete and len(one.places) > 1]
+    whole = [one.places for one in dataset.card.executions if one.whole and len(one.places) > 1]
     ends = Counter((places[0], places[-1]) for places in whole).most_common(1)
     (start, end), _ = ends[0] if ends else ((next(iter(lacking)).partition("->")[0], ""), 0)
     ways = [(a, b) for a, _, b in (task.partition("->") for task in counts)]

@@ -141,7 +141,7 @@ def _grouped(dataset: Dataset) -> tuple[pl.DataFrame, list[Group]]:
     """Return the tasks of complete executions with the number of their group, and the groups."""
     rows = dataset.tasks().filter(pl.col("nominal_s").is_not_null() & pl.col("dwell_s").is_not_null())
     logged = set(rows["execution"])
-    went = [one for one in dataset.card.executions if one.complete and len(one.places) > 1 and one.execution in logged]
+    went = [one for one in dataset.card.executions if one.whole and len(one.places) > 1 and one.execution in logged]
     levels = list(zip(*(groups_of(one.places) for one in went), strict=True)) or [()]
     mine = max(levels, key=_repeated)
     groups = list(dict.fromkeys(mine))

@@ -158,7 +158,7 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
         sources=sum(len(record.sources) for record in records),
         set_aside=_set_aside(records),
         executions=executions.height,
-        executions_complete=int(executions["complete"].sum()),
+        executions_complete=sum(one.complete for one in dataset.card.executions),
         duration_s=duration_s,
         samples=samples.height,
         rate_hz=dataset.rate_hz,

@@ -56,7 +56,7 @@ def test_executions_of_different_work_say_nothing_of_the_spread() -> None:
     rows = [(str(n), f"task {k}", 0.0, s) for n, tasks in enumerate(took_s) for k, s in enumerate(tasks)]
     tasks = pl.DataFrame(rows, schema=["execution", "task", "start_s", "end_s"], orient="row")
     executions = tasks.group_by("execution").agg(duration_s=pl.col("end_s").sum(), complete=pl.lit(True))
-    dataset = cast("Dataset", SimpleNamespace(executions=executions, tasks=lambda: tasks))
+    dataset = cast("Dataset", SimpleNamespace(executions=executions, uninterrupted_tasks=lambda: tasks))
     count, half = _half_width(dataset)
     assert count == 16
     assert half == pytest.approx(1.96 * 0.235 / 4.0 / 15.0, rel=0.1)  # by durations alone it were 0.17
@@ -90,7 +90,7 @@ def test_the_sequences_bring_every_task_to_enough(orders: list[list[str]], logge
 
 @given(st.lists(PLACES, min_size=1, max_size=5))
 def test_a_tour_drives_logged_tasks_alone_and_holds_every_rare_one_it_can_reach(orders: list[list[str]]) -> None:
-    executions = [SimpleNamespace(complete=True, places=tuple(places)) for places in orders]
+    executions = [SimpleNamespace(complete=True, whole=True, places=tuple(places)) for places in orders]
     counts = Counter(f"{a}->{b}" for places in orders for a, b in pairwise(places))
     lacking = {task: count for task, count in counts.items() if count < ENOUGH}
     for order in _one_tour(SimpleNamespace(card=SimpleNamespace(executions=executions)), counts, lacking):
@@ -115,7 +115,7 @@ def stand_in(orders: list[tuple[str, ...]], *, inferred: bool = True) -> Dataset
         for number, places in enumerate(orders) for a, b in pairwise(places)
     ]  # fmt: skip
     places = {name: SimpleNamespace(inferred=inferred) for name in set().union(*orders)}
-    executions = [SimpleNamespace(complete=True, places=order) for order in orders]
+    executions = [SimpleNamespace(complete=True, whole=True, places=order) for order in orders]
     durations = pl.DataFrame({"execution": ["0", "1"], "complete": [True, True], "duration_s": [10.0, 10.0]})
     found = {"tasks": lambda: pl.DataFrame(rows), "require_positions": lambda: None, "executions": durations,
              "positions": ("robot",), "holds_task_lists_alone": False}  # fmt: skip

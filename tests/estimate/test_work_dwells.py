@@ -103,7 +103,7 @@ def rows(cycles: Sequence[tuple[Sequence[str], dict[str, float]]]) -> Any:
     """Return what is asked of a dataset, with one execution per cycle: its places, and the dwell at some."""
     table, cards = [], []
     for number, (places, dwell_s) in enumerate(cycles):
-        cards.append(SimpleNamespace(execution=str(number), places=tuple(places), complete=True))
+        cards.append(SimpleNamespace(execution=str(number), places=tuple(places), whole=True))
         for start, goal in pairwise(places):
             stand = dwell_s.get(goal, 1.0) + 0.01 * (number % 3)
             table.append((str(number), f"{start}->{goal}", goal, 1.0, stand, 0.0))

@@ -37,6 +37,7 @@ class ExecutionCard(Card, frozen=True, kw_only=True):
         part: Name of its sample file, without the suffix; None = the name of the session.
         start_s, end_s: Session time.
         complete: Whether the log shows all of it.
+        interrupted_s: Time for which it was interrupted by what is no part of a cycle; estimates leave it out then.
         reference: Whether it was recorded without an operator, according to the cell file.
         places: Places where the robot stopped, in order.
         logged_as: Its name in a task list; None without one.
@@ -48,6 +49,7 @@ class ExecutionCard(Card, frozen=True, kw_only=True):
     start_s: Seconds
     end_s: Seconds
     complete: bool
+    interrupted_s: Seconds = 0.0
     reference: bool = False
     places: tuple[str, ...] = ()
     logged_as: str | None = None
@@ -61,6 +63,11 @@ class ExecutionCard(Card, frozen=True, kw_only=True):
         if self.end_s < self.start_s:
             msg = "end_s must not be before start_s"
             raise ValueError(msg)
+
+    @property
+    def whole(self) -> bool:
+        """Whether it shows a whole cycle: complete and not interrupted."""
+        return self.complete and not self.interrupted_s
 
 
 class PlaceCard(Card, frozen=True, kw_only=True):

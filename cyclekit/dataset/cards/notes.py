@@ -243,6 +243,11 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "input-slows": (
         "while {signal} is {state}, the robot runs at {percent} % speed at most, independent of the operator's position"
     ),
+    "executions-interrupted": (
+        "{count} of {all} executions were interrupted: the program was paused, or the robot stood for longer than a "
+        "usual execution takes, for no reason that the logs show (longest: {longest_s:.0f} s in {execution}). "
+        "Estimates are for cycles without interruptions; with them, a cycle takes {mean_s:.1f} s longer on average"
+    ),
     "operator-signal": (
         "{signal} = {occupied} is taken as a person's presence: the speed responds {delay_s:.2f} s later, and "
         "{explained:.0%} of the lost time is explained; if that is wrong, name the right signals: "

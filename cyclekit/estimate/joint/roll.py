@@ -136,7 +136,7 @@ class JointCell:
         """What the operator did in each logged execution that it rests on, by its name; nothing where he is unseen."""
         if not self.unseen:
             return self.segments.orders
-        return {one.execution: () for one in self.dataset.card.executions if one.complete and not one.reference}
+        return {one.execution: () for one in self.dataset.card.executions if one.whole and not one.reference}
 
     @cached_property
     def motions(self) -> LoggedMotions:

@@ -65,7 +65,7 @@ class Segments:
         self._after_s = max((gate.trip.after_s for gate in gates if gate.trip is not None), default=0.0)
         self.trip_places = {place for gate in gates if gate.trip is not None for place in gate.trip.places}
         self._visits: dict[str, tuple[OperatorVisit, ...]] = {}
-        complete = {one.execution for one in dataset.card.executions if one.complete and not one.reference}
+        complete = {one.execution for one in dataset.card.executions if one.whole and not one.reference}
         tracks = logged_tracks(dataset)
         mine = dataset.every_task().filter((pl.col("agent") == "operator") & pl.col("agent_name").is_null())
         every: dict[str, list[PlaceVisit]] = {}

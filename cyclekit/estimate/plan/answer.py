@@ -267,7 +267,7 @@ def _basis(dataset: Dataset, jobs: Jobs, seed: int) -> tuple[str, list[Order]]:
     found = []
     for one in dataset.card.executions:
         order = tuple(place for place in one.places if place in jobs.visit)
-        if not one.complete or sorted(order) != sorted(jobs.visit) or not jobs.allowed(order):
+        if not one.whole or sorted(order) != sorted(jobs.visit) or not jobs.allowed(order):
             continue
         went, wanted = one.places, jobs.places(order)
         if went[: len(wanted)] == wanted and len(went) - len(wanted) <= (jobs.end is None):

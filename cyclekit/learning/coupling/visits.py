@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.dataset.signals import INPUT, OUTPUT, switches
+from cyclekit.learning.coupling.repeated import without_repeats
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -102,18 +103,17 @@ def courses_of(
         bits: Returns the inputs and outputs of a recording, in its own clock.
         fields: Signals that show people: their cost is safety loss, not a wait.
     """
-    cards = {card.execution: card for card in executions if card.complete}
+    cards = {card.execution: card for card in executions if card.whole}
     mine = tasks.filter(pl.col("agent_name").is_null(), pl.col("execution").is_in(list(cards)))
     people = "operator" in mine["agent"]
     sessions = {card.session for card in cards.values()}
     by_session = {session: _signals(recordings, session, read) for session in sessions}
     logged = {one.id: bits(one) for one in recordings if one.session in sessions and one.rows.get("robot")}
     copied = copies(recordings, by_session, logged, (OUTPUT,) if people else (OUTPUT, INPUT))
-    by_session = {
-        session: {key: at for key, at in some.items() if key[0] not in copied} for session, some in by_session.items()
-    }
+    uncopied = {one: {key: at for key, at in some.items() if key[0] not in copied} for one, some in by_session.items()}
     answers = _answers(list(logged.values()))
-    inputs = {session: _inputs(recordings, session, logged, answers) for session in sessions}
+    by_session = without_repeats(uncopied)
+    inputs = without_repeats({session: _inputs(recordings, session, logged, answers) for session in sessions})
     states = {} if people else {session: _states(recordings, session, logged) for session in sessions}
     known = {name for some in (*inputs.values(), *by_session.values()) for name, state in some if state == "set"}
     found: list[ExecutionVisits] = []

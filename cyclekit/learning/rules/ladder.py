@@ -46,6 +46,9 @@ FAR_M, FAR_NOISE, FAR_PART = 0.05, 4.0, 0.005
 """Noise causes errors only near edges: within FAR_M, or FAR_NOISE times the noise if larger. A rule is rejected if its
 errors farther away exceed the share FAR_PART of the held-out samples. If no rule remains, those within one standard
 error over executions are accepted, because label errors of an inferred scaling are correlated."""
+FEWER = 0.5
+"""Maximum ratio of a rule's errors to the network's at which the rule answers although it was rejected: it does not
+explain everything, for example where people are hidden, but the network explains even less."""
 TEST_PART = 0.2
 """Share of executions held out for the comparison."""
 LAGS = ", with hysteresis"
@@ -277,7 +280,7 @@ def _simplest(
 ) -> _Fit | None:
     """Return the simplest rule that no other rule, and not the network, beats by more than chance.
 
-    With noise, any hysteresis seems useful because it stabilises a flickering level. It is accepted only if the level
+    If all are rejected, but the network is wrong far more often than one of them, that one answers. With noise, any hysteresis seems useful because it stabilises a flickering level. It is accepted only if the level
     measurably rises farther out than it falls.
     """
     steps = {level: step for step, level in enumerate(levels)}
@@ -290,7 +293,15 @@ def _simplest(
             explains = _part(fit.correct, judge) >= NOISY_EXPLAINS
             if explains and not any(_better(other, fit.correct, judge) for other in rivals):
                 return fit
-    return None
+    return None if rival is None else _least_wrong(found, judge, rival)
+
+
+def _least_wrong(fits: Sequence[_Fit], judge: RuleRows, rival: NDArray[np.float64]) -> _Fit | None:
+    """Return the simplest rule that no other one beats by more than chance, if the network is wrong far more often."""
+    wrong = FEWER * (1.0 - _part(rival, judge))
+    able = [fit for fit in fits if 1.0 - _part(fit.correct, judge) <= min(wrong, 1.0 - NOISY_EXPLAINS)]
+    able = [fit for fit in able if _better(fit.correct, rival, judge)]
+    return next((fit for fit in able if not any(_better(one.correct, fit.correct, judge) for one in able)), None)
 
 
 def _better(one: NDArray[np.float64], other: NDArray[np.float64], judge: RuleRows) -> bool:

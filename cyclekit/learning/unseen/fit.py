@@ -90,10 +90,10 @@ def learn_unseen(dataset: Dataset, *, seed: int = 0, progress: Progress | None =
 
 
 def _usable(dataset: Dataset) -> tuple[tuple[float, ...], dict[str, Course]]:
-    """Return the levels, and the courses of executions that are not references without people."""
+    """Return the levels, and the courses of executions that are no references without people, and not interrupted."""
     levels, courses = courses_of(dataset)
-    alone = {one.execution for one in dataset.card.executions if one.reference}
-    courses = {name: one for name, one in courses.items() if name not in alone and (one.level >= 0).any()}
+    other = {one.execution for one in dataset.card.executions if one.reference or one.interrupted_s}
+    courses = {name: one for name, one in courses.items() if name not in other and (one.level >= 0).any()}
     if len(levels) < 2:
         msg = f"{dataset.path}: the speed scaling is {levels[0] if levels else 1.0:.2f} everywhere"
         raise DatasetError(msg, cure="Log executions in which the operator is near enough to slow the robot.")

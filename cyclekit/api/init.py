@@ -16,7 +16,7 @@ from cyclekit.config.project import PROJECT_FILE, Project, load_project, project
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.config.write import sequence_to_toml
 from cyclekit.dataset.dataset import CARD, Dataset
-from cyclekit.errors import DatasetError, LogError, OutputError, command_line
+from cyclekit.errors import ConfigError, DatasetError, LogError, OutputError, command_line
 from cyclekit.estimate.what_to_log import doubtful_places
 from cyclekit.ingest.discover import CELL_FILE, cell_for, find_all, suggest_cell
 from cyclekit.inspect.describe import describe
@@ -192,7 +192,7 @@ def _warnings(
     for root in roots:
         try:
             read = describe(root, cell=cell if cell.is_file() else None, follow_links=follow_links, progress=progress)
-        except LogError:  # a draft that cannot be read yet: `run` names what is wrong
+        except (ConfigError, LogError):  # a draft that cannot be read yet: `run` names what is wrong
             continue
         if isinstance(read, LogsDescription):
             found += [(_shown(log.path, root), text) for log in read.logs for text in log.warnings]

@@ -76,5 +76,14 @@ def interruption_notes(cards: Sequence[ExecutionCard]) -> list[Note]:
         return []
     most = max(some, key=lambda card: card.interrupted_s)
     mean_s = sum(card.interrupted_s for card in some) / len(cards)
-    values = {"longest_s": most.interrupted_s, "execution": most.execution, "mean_s": mean_s}
-    return [note("executions-interrupted", count=len(some), all=len(cards), **values)]
+    longest_s, name = most.interrupted_s, most.execution
+    return [
+        note(
+            "executions-interrupted",
+            count=len(some),
+            all=len(cards),
+            longest_s=longest_s,
+            execution=name,
+            mean_s=mean_s,
+        )
+    ]

@@ -96,6 +96,23 @@ def test_init_counts_the_tables_whose_map_it_drafts(
     assert re.search(r"csv, by the map drafted in cell.toml +2\n", done.out)
 
 
+def test_init_says_where_a_drafted_map_is_not_sure(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell
+) -> None:
+    shutil.copytree(logs, tmp_path / "logs", ignore=shutil.ignore_patterns("truth", "cell.toml"))
+    rows = "".join(
+        f"{row * 40};3;{row / 10:.1f};{2.0 + row / 90:.3f};{row / 10 + 0.1:.1f};{row / 90:.3f}\n" for row in range(50)
+    )
+    head = "time_ms;body_id;pelvis_x;pelvis_y;head_x;head_y\n"
+    (tmp_path / "logs" / "skeletons.csv").write_text(head + rows, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    done = cyclekit("init", "logs", "--yes")
+    assert done.code == 0
+    assert 'look for "# ?" in cell.toml' in done.out + done.err
+    failed = cyclekit("run")
+    assert 'choose among the lines that begin with "# ?"' in " ".join((failed.out + failed.err).split())
+
+
 def test_init_with_a_dataset_writes_the_order_that_was_logged_most_often(begun: Path, dataset: Path) -> None:
     from cyclekit.dataset.dataset import Dataset
 

@@ -52,33 +52,33 @@ def stopped(tasks: pl.DataFrame) -> dict[str, float]:
 USUAL = [20.0] * 19
 
 
-def test_a_long_break_interrupts_its_execution():
+def test_a_long_break_interrupts_its_execution() -> None:
     assert stopped(of([*USUAL, 20.0 + BREAK_S])) == {"19": pytest.approx(BREAK_S)}
 
 
-def test_a_break_shorter_than_a_cycle_is_part_of_the_work():
+def test_a_break_shorter_than_a_cycle_is_part_of_the_work() -> None:
     assert not stopped(of([*USUAL, 28.0]))
 
 
-def test_a_person_who_stops_the_robot_for_long_is_no_interruption():
+def test_a_person_who_stops_the_robot_for_long_is_no_interruption() -> None:
     assert not stopped(of([*USUAL, 20.0 + BREAK_S], lost_s=BREAK_S))
 
 
-def test_waits_of_all_lengths_are_no_interruptions():
+def test_waits_of_all_lengths_are_no_interruptions() -> None:
     assert not stopped(of([*USUAL, 35.0, 48.0, 75.0]))
 
 
-def test_long_repetitions_that_come_often_are_another_product():
+def test_long_repetitions_that_come_often_are_another_product() -> None:
     assert not stopped(of([20.0, 20.0, 20.0, 200.0] * 5))
 
 
-def test_a_paused_program_is_told_by_its_state_however_often():
+def test_a_paused_program_is_told_by_its_state_however_often() -> None:
     often = of([20.0, 20.0, 20.0, 220.0])
     assert not stopped(often)
     assert stopped(often.with_columns(lost_pause_s=pl.when(pl.col("end_s") > 200.0).then(200.0).otherwise(0.0)))
 
 
-def test_the_note_says_how_many_and_what_they_would_add():
+def test_the_note_says_how_many_and_what_they_would_add() -> None:
     marked = with_interruptions(cards(20), of([*USUAL, 20.0 + BREAK_S]))
     (said,) = interruption_notes(marked)
     assert said.text.startswith("1 of 20 executions were interrupted")
@@ -113,7 +113,7 @@ def interrupted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, Data
     return before, Dataset.open(folder / "after")
 
 
-def test_a_break_in_a_log_is_found_and_said(interrupted: tuple[Dataset, Dataset]):
+def test_a_break_in_a_log_is_found_and_said(interrupted: tuple[Dataset, Dataset]) -> None:
     _, after = interrupted
     (card,) = [one for one in after.card.executions if one.interrupted_s]
     assert card.interrupted_s == pytest.approx(BREAK_S, abs=5.0)
@@ -121,7 +121,7 @@ def test_a_break_in_a_log_is_found_and_said(interrupted: tuple[Dataset, Dataset]
     assert after.executions["complete"].sum() == 11
 
 
-def test_a_break_in_a_log_changes_no_estimate(interrupted: tuple[Dataset, Dataset]):
+def test_a_break_in_a_log_changes_no_estimate(interrupted: tuple[Dataset, Dataset]) -> None:
     before, after = interrupted
     order = TaskSequence("order", before.card.executions[4].places)
     (usual,), (found,) = (estimate(Constant(1.0), one, [order], estimator="history") for one in interrupted)

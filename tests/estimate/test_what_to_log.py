@@ -117,8 +117,9 @@ def stand_in(orders: list[tuple[str, ...]], *, inferred: bool = True) -> Dataset
     places = {name: SimpleNamespace(inferred=inferred) for name in set().union(*orders)}
     executions = [SimpleNamespace(complete=True, whole=True, places=order) for order in orders]
     durations = pl.DataFrame({"execution": ["0", "1"], "complete": [True, True], "duration_s": [10.0, 10.0]})
-    found = {"tasks": lambda: pl.DataFrame(rows), "require_positions": lambda: None, "executions": durations,
-             "positions": ("robot",), "holds_task_lists_alone": False}  # fmt: skip
+    tasks = pl.DataFrame(rows)
+    found = {"tasks": lambda: tasks, "uninterrupted_tasks": lambda: tasks, "require_positions": lambda: None,
+             "executions": durations, "positions": ("robot",), "holds_task_lists_alone": False}  # fmt: skip
     return cast("Dataset", SimpleNamespace(**found, card=SimpleNamespace(executions=executions, places=places)))
 
 

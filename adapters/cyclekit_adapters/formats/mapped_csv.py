@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from cyclekit.adapter import ClockKind
 
 _SLACK = 1e-3
+_BOTH = 'Name the columns of both; in a drafted map choose among the lines that begin with "# ?".'
 
 
 class _MappedCsv:
@@ -154,10 +155,10 @@ def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[st
         texts = [*text_time, *columns, *mapping.tags, *([mapping.quality] if mapping.quality else [])]
         return number_time, list(dict.fromkeys(texts)), [*time, *columns[:1]]
     if places and not {"x", "y"}.issubset(places):
-        raise ConfigError(f"{WHERE}: a position needs at least x and y", cure="Name the columns of both.")
+        raise ConfigError(f"{WHERE}: a position needs at least x and y", cure=_BOTH)
     if role == "people":
         if not places:
-            raise ConfigError(f"{WHERE}: people need the keys x and y", cure="Name the columns of both.")
+            raise ConfigError(f"{WHERE}: people need the keys x and y", cure=_BOTH)
         person = [mapping.person] if mapping.person else []
         numbers = [*number_time, *places.values(), *([mapping.confidence] if mapping.confidence else [])]
         return list(dict.fromkeys(numbers)), [*text_time, *person], [*time, *person]

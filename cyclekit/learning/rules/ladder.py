@@ -280,8 +280,9 @@ def _simplest(
 ) -> _Fit | None:
     """Return the simplest rule that no other rule, and not the network, beats by more than chance.
 
-    If all are rejected, but the network is wrong far more often than one of them, that one answers. With noise, any hysteresis seems useful because it stabilises a flickering level. It is accepted only if the level
-    measurably rises farther out than it falls.
+    If all are rejected, but the network is wrong far more often than one of them, that one answers. With noise, any
+    hysteresis seems useful because it stabilises a flickering level. It is accepted only if the level measurably rises
+    farther out than it falls.
     """
     steps = {level: step for step, level in enumerate(levels)}
     found = [fit for fit in fits if fit.limits and fit.lag == lags(fit.limits, learn, steps)]

@@ -27,22 +27,22 @@ def kept(*sessions: np.ndarray) -> list[list[float]]:
     return [found[str(n)]["press", "set"].tolist() for n in range(len(sessions))]
 
 
-def test_a_second_press_within_seconds_is_left_out_in_every_log():
+def test_a_second_press_within_seconds_is_left_out_in_every_log() -> None:
     regular = np.arange(20) * 30.0
     assert kept(np.sort(np.append(regular, [31.0, 60.8, 301.2])), np.array([5.0, 6.1])) == [regular.tolist(), [5.0]]
 
 
-def test_parts_that_come_at_all_intervals_all_count():
+def test_parts_that_come_at_all_intervals_all_count() -> None:
     parts = np.cumsum(np.random.default_rng(1).exponential(8.0, 200))
     assert kept(parts) == [parts.tolist()]
 
 
-def test_a_signal_that_always_comes_twice_means_it_so():
+def test_a_signal_that_always_comes_twice_means_it_so() -> None:
     twice = np.sort(np.concatenate([np.arange(20) * 30.0, np.arange(20) * 30.0 + 1.0]))
     assert kept(twice) == [twice.tolist()]
 
 
-def test_few_changes_show_no_repetition():
+def test_few_changes_show_no_repetition() -> None:
     assert kept(np.array([0.0, 30.0, 31.0, 60.0])) == [[0.0, 30.0, 31.0, 60.0]]
 
 
@@ -72,7 +72,7 @@ def conditions(folder: Path) -> list[tuple[str, str, int]]:
     return [(gate.place, one.place, one.back) for gate in card.gates for one in gate.conditions]
 
 
-def test_a_robot_that_waits_for_a_button_goes_on_at_its_first_press(tmp_path: Path):
+def test_a_robot_that_waits_for_a_button_goes_on_at_its_first_press(tmp_path: Path) -> None:
     options = SimulationOptions(people="none")
     simulate("shared-fixture", tmp_path / "logs", executions=16, seed=31, options=options)
     rng = np.random.default_rng(3)

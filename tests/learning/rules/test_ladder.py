@@ -309,6 +309,20 @@ def test_labels_that_are_wrong_together_in_one_execution_hide_no_rule() -> None:
     assert find_rule(replace(rows, level=all_over), LEVELS, held_out=held_out).rule is None
 
 
+@pytest.mark.parametrize(("wrong", "family"), [(0.08, TO_TCP), (0.005, None)], ids=["worse", "better"])
+def test_a_rule_that_explains_not_all_answers_where_the_network_explains_far_less(
+    wrong: float, family: str | None
+) -> None:
+    """People whom the tracker misses stop the robot in every execution: no rule can know that."""
+    rows, rng = rows_by(by_distance, noise_m=0.02), np.random.default_rng(5)
+    level = rows.level.copy()
+    level[(rows.apart_m[TO_TCP] > 1.6) & (rng.random(len(rows)) < 0.03)] = 0
+    network = np.where(rng.random(len(rows)) < wrong, (level + 1) % 3, level)
+    found = find_rule(replace(rows, level=level), LEVELS, network=network).rule
+    assert (None if found is None else found.family) == family
+    assert find_rule(replace(rows, level=level), LEVELS).rule is None
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_no_rule_is_named_where_the_level_follows_the_floor_smoothly(seed: int) -> None:
     robot, human, execution = walks()

@@ -25,25 +25,27 @@ ORDERS = 40
 Order = tuple[str, ...]
 
 
-def pairs_of(coupling: CouplingCard | None) -> dict[str, str]:
-    """Return the place of the operator that belongs to each coupled place of the robot, if there is one for each."""
-    found: dict[str, set[str]] = defaultdict(set)
+def coupled_places(coupling: CouplingCard | None) -> list[tuple[str, str | None]]:
+    """Return the places of robot and operator of each wait of one for the other.
+
+    Where the robot waits for a signal that the operator does not give, he has no place. Its waits for its own machine
+    are left out.
+    """
+    found: list[tuple[str, str | None]] = []
     for gate in coupling.gates if coupling else ():
         for one in gate.conditions:
-            if {gate.agent, one.agent} == {"robot", "operator"}:
-                robot, operator = (gate, one) if gate.agent == "robot" else (one, gate)
-                found[robot.place].add(operator.place)
-    if any(len(places) > 1 for places in found.values()):
-        return {}
-    pairs = {robot: next(iter(places)) for robot, places in found.items()}
-    return pairs if len(set(pairs.values())) == len(pairs) else {}
+            if gate.agent == "robot" and one.agent != "robot":
+                found.append((gate.place, one.place if one.agent == "operator" else None))
+            elif gate.agent == "operator" and one.agent == "robot":
+                found.append((one.place, gate.place))
+    return found
 
 
-def operator_anchors(coupling: CouplingCard | None) -> set[str]:
-    """Return the places of the operator at which one agent waits for the other."""
-    gates = [(gate, one) for gate in (coupling.gates if coupling else ()) for one in gate.conditions]
-    both = [(gate, one) for gate, one in gates if {gate.agent, one.agent} == {"robot", "operator"}]
-    return {one.place if gate.agent == "robot" else gate.place for gate, one in both}
+def pairs_of(coupling: CouplingCard | None) -> dict[str, str]:
+    """Return the place of the operator that belongs to each coupled place of the robot, if there is one for each."""
+    both = {(robot, operator) for robot, operator in coupled_places(coupling) if operator is not None}
+    pairs = dict(both)
+    return pairs if len(both) == len(pairs) == len(set(pairs.values())) else {}
 
 
 def continued(logged: Sequence[tuple[Sequence[str], Order]], coupling: CouplingCard | None) -> list[Order]:
@@ -57,7 +59,8 @@ def continued(logged: Sequence[tuple[Sequence[str], Order]], coupling: CouplingC
         logged: Places of robot and operator in each logged execution.
         coupling: Who waits for whom.
     """
-    anchors, pairs = operator_anchors(coupling), pairs_of(coupling)
+    anchors = {operator for _, operator in coupled_places(coupling) if operator is not None}
+    pairs = pairs_of(coupling)
     missing = _missing(logged, pairs)
     tails: dict[str, list[Order]] = defaultdict(list)
     for _, order in logged:

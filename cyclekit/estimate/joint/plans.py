@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.joint.composed import composed_orders, continued, pairs_of
+from cyclekit.estimate.joint.composed import composed_orders, continued, coupled_places, pairs_of
 from cyclekit.estimate.joint.legs import Agenda, operator_agenda, precedence_needs, robot_agenda
 from cyclekit.estimate.joint.roll import Plan
 from cyclekit.estimate.program import lay_out
@@ -40,7 +40,7 @@ class Planner:
         """Set the cell and its nominal tasks; agendas of the operator are built once per order."""
         self._cell, self.nominal = cell, nominal
         self._orders: dict[tuple[str, ...], Agenda] = {}
-        self.waited_for = _waited_for(cell)
+        self.waited_for = {robot for robot, _ in coupled_places(cell.as_logged)}
         self._went = {one.execution: one.places for one in cell.dataset.card.executions if one.execution in cell.logged}
         logged = [(went, tuple(visit.place for visit in cell.logged[name])) for name, went in self._went.items()]
         self._operator = dict(zip(self._went, continued(logged, cell.as_logged), strict=True))
@@ -185,14 +185,6 @@ def _of_agent(agent: str, tasks: Sequence[PlannedTask], precedence: Mapping[int,
         {mine: precedence[number] for mine, (number, _) in enumerate(some)},
         tuple(task.not_before_s or 0.0 for _, task in some),
     )
-
-
-def _waited_for(cell: JointCell) -> set[str]:
-    """Return the robot's places at which one agent waits for the other."""
-    pairs = [(gate, one) for gate in (cell.as_logged.gates if cell.as_logged else ()) for one in gate.conditions]
-    others = [(gate, one) for gate, one in pairs if gate.agent != one.agent]  # a robot may wait for its own machine
-    found = {gate.place for gate, _ in others if gate.agent == "robot"}
-    return found | {one.place for _, one in others if one.agent == "robot"}
 
 
 def legs_of_tasks(agenda: Agenda) -> list[list[int]]:

@@ -269,7 +269,7 @@ def _best_of(
         gain, decides = float(causes.log_likelihood.sum()) - before, causes.share[-1].sum() * gate.weight
         if (
             decides >= (MIN_DECIDED if condition.partly or gain < SURE * least else FEW_DECIDED)
-            and not (follows and _follows(causes, since[gate.seen]))
+            and not (follows and _follows(gate, causes, since))
             and not _ahead(gate, condition, causes, since[gate.seen])
             and (condition.event.agent != gate.gate.agent or is_steady(gate, causes, since[gate.seen]))
         ):
@@ -283,15 +283,21 @@ def _best_of(
     return found[0], found[1], found[2] * gate.weight
 
 
-def _follows(causes: Causes, since: Vector) -> bool:
-    """Return whether an event is a consequence of own work: departures decided by own work follow it as closely."""
-    decided = causes.share.argmax(axis=0)
-    own, by_event = since[decided == 0], since[decided == len(causes.share) - 1]
+def _follows(gate: Departures, causes: Causes, since: Vector) -> bool:
+    """Return whether an event is a consequence of own work: departures decided by own work follow it as closely.
+
+    An agent who always waits has no such departures: some are assigned to own work by mistake.
+    """
+    decided, seen = causes.share.argmax(axis=0), since[gate.seen]
+    own, by_event = seen[decided == 0], seen[decided == len(causes.share) - 1]
     own = own[np.isfinite(own)]
     if len(own) < MIN_DECIDED or not len(by_event):
         return False
     most, usual = (float(np.mean(own <= np.quantile(by_event, level) + EARLY_S)) for level in (1.0, CLOSE))
-    return most > FOLLOWS and usual > USUALLY_FOLLOWS  # some are assigned to the event by mistake
+    if most <= FOLLOWS or usual <= USUALLY_FOLLOWS:  # some are assigned to the event by mistake
+        return False
+    waits = gate.waits(since).log_likelihood
+    return float((causes.log_likelihood - waits).sum()) >= least_gain(len(seen))
 
 
 def _ahead(gate: Departures, condition: Condition, causes: Causes, since: Vector) -> bool:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards.coupling import Agent
     from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit
-    from cyclekit.schema import Bools, Ints, Vector
+    from cyclekit.schema import Bools, Floats, Ints, Vector
 
     Names = NDArray[np.str_]
 
@@ -99,9 +99,15 @@ class Departures:
 
     def causes(self, more: Vector | None = None) -> Causes:
         """Return which cause decided each departure (at most SEEN): own work first, then conditions as in `since_s`."""
+        return deciding_causes(self._since(more))
+
+    def waits(self, more: Vector) -> Causes:
+        """Return the same as `causes` if own work never decides."""
+        return deciding_causes(self._since(more)[1:])
+
+    def _since(self, more: Vector | None) -> Floats:
         columns = [self.left_s - self.own_s, *self.since_s.values(), *([] if more is None else [more])]
-        seen = self.seen
-        return deciding_causes(np.array([column[seen] for column in columns]))
+        return np.array([column[self.seen] for column in columns])
 
 
 class Alike(NamedTuple):

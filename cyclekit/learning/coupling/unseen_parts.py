@@ -3,19 +3,21 @@
 If the robot waited for a part, the part arrived at the end of the wait; otherwise it arrived before the robot. Each
 part arrives a gap after the previous one, provided there is room. So the gap is observed after each part that the robot
 waited for: exactly, or left-censored by the robot's absence. Unobserved arrivals are sampled (particle filter); the
-likelihood of the other standstills gives the buffer size.
+likelihood of the other standstills gives the buffer size. With that, `part_gaps` learns the gaps from all visits.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.dataset.cards.coupling import SourceCard
 from cyclekit.learning.coupling.departures import least_gain
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.part_gaps import part_gaps
+from cyclekit.learning.coupling.part_visits import ANY, WAITED_S, PartVisits, Times, part_visits
 from cyclekit.learning.coupling.visits import Event
 
 if TYPE_CHECKING:
@@ -24,10 +26,8 @@ if TYPE_CHECKING:
     from cyclekit.learning.coupling.visits import ExecutionVisits
     from cyclekit.schema import Bools, Floats, Vector
 
-WAITED_S = 0.3
-"""A standstill is a wait if it exceeds the 10 % quantile of standstills by more than this, s."""
-MIN_WAITS = 10
-"""Minimum number of waits, of standstills without a wait, and of observed gaps."""
+MIN_WAITS, MIN_GAPS = 10, 5
+"""Minimum number of waits and of standstills without a wait, and of observed gaps."""
 LONG_S = 10.0
 """Assumed lead, s, of a part that was present before the robot."""
 BUFFERS = (1, 2, 3, 4, 5)
@@ -36,57 +36,6 @@ GAIN_TOLERANCE = 0.5
 """Tolerance in log-likelihood: the smallest buffer within this of the best is chosen."""
 PARTICLES = 100
 """Number of particles per execution."""
-ANY, ANY_S = 0.01, 100.0
-"""Share of outliers among gaps and waits, and the range of their uniform density, s."""
-
-
-@dataclass(frozen=True)
-class PartVisits:
-    """Visits of the robot to one place, by execution and number, shape (E, K), padded with NaN; s.
-
-    Attributes:
-        came, left: Arrival and departure, since the start of the execution.
-        own_s: Own work at the place.
-    """
-
-    came: Floats
-    left: Floats
-    own_s: float
-
-    @property
-    def waited(self) -> Bools:
-        """Whether the robot waited, shape (E, K)."""
-        return np.asarray(self.left - self.came > self.own_s + WAITED_S)
-
-    @property
-    def part_s(self) -> Floats:
-        """Arrival time of the part if the robot waited for it, shape (E, K), s; otherwise NaN."""
-        return np.where(self.waited, self.left - self.own_s, np.nan)
-
-
-class _Times(NamedTuple):
-    """A distribution: times, some only known as upper bounds, and their probability mass."""
-
-    at: Vector
-    mass: Vector
-
-    def density(self, at: Floats) -> Floats:
-        """Return the kernel density at given times, leaving out observations at exactly these times."""
-        some = self.mass > 0.0
-        times, mass = self.at[some], self.mass[some]
-        low, high = np.quantile(times, (0.25, 0.75))
-        width = max(0.05, 0.8 * (high - low) * len(times) ** -0.2)
-        off = np.abs(at[..., None] - times)
-        kernel = np.where(off < 1e-9, 0.0, np.exp(-0.5 * (off / width) ** 2) / (width * np.sqrt(2.0 * np.pi)))
-        left = np.maximum(mass.sum() - np.where(off < 1e-9, mass, 0.0).sum(axis=-1), 1e-9)
-        return np.asarray((1.0 - ANY) * mass.sum() * (kernel @ mass) / left + ANY / ANY_S)
-
-    def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-        """Return random times; mass below all observed times is assigned to the shortest."""
-        some = self.mass > 0.0
-        times, mass = self.at[some], self.mass[some].copy()
-        mass[times.argmin()] += max(0.0, 1.0 - mass.sum())
-        return np.asarray(rng.choice(times, shape, p=mass / mass.sum()))
 
 
 def find_unseen_parts(courses: Sequence[ExecutionVisits], place: str) -> SourceCard | None:
@@ -97,16 +46,18 @@ def find_unseen_parts(courses: Sequence[ExecutionVisits], place: str) -> SourceC
         return None
     first = _times(visits, np.zeros(len(visits.came)), visits.came[:, 0], visits.left[:, 0])
     gaps = _times(visits, visits.part_s[:, :-1].ravel(), visits.came[:, 1:].ravel(), visits.left[:, 1:].ravel())
-    if min((gaps.mass > 0.0).sum(), (first.mass > 0.0).sum()) < MIN_WAITS:
+    if min((gaps.mass > 0.0).sum(), (first.mass > 0.0).sum()) < MIN_GAPS:
         return None
     found = [_likelihood(visits, first, gaps, buffer) for buffer in BUFFERS]
     if max(found) - _by_chance(visits) < least_gain(int(seen.sum())):
         return None
+    buffer = next(n for n, each in zip(BUFFERS, found, strict=True) if each >= max(found) - GAIN_TOLERANCE)
+    at, to_first, to_next = part_gaps(visits, first, gaps, buffer)
     return SourceCard(
         signal=f"part at {place}",
-        gap_s=quantiles(gaps.at, gaps.mass),
-        first_s=quantiles(first.at, first.mass),
-        buffer=next(n for n, each in zip(BUFFERS, found, strict=True) if each >= max(found) - GAIN_TOLERANCE),
+        gap_s=quantiles(at, to_next),
+        first_s=quantiles(at, to_first),
+        buffer=buffer,
         taken_by=place,
         inferred=True,
     )
@@ -129,29 +80,16 @@ def _came(course: ExecutionVisits, place: str, own_s: float) -> Vector:
     return np.where(left - came > own_s + WAITED_S, left - own_s, came - LONG_S)
 
 
-def part_visits(courses: Sequence[ExecutionVisits], place: str) -> PartVisits:
-    """Return the visits of the robot to a place; own work is the 10 % quantile of the standstills."""
-    begins = [course.visits["robot"][0].left_s for course in courses]
-    some = [[visit for visit in course.visits["robot"][1:] if visit.place == place] for course in courses]
-    came, left = np.full((2, len(courses), max(map(len, some), default=0)), np.nan)
-    for row, (begin_s, mine) in enumerate(zip(begins, some, strict=True)):
-        known = [visit for visit in mine if np.isfinite(visit.left_s - visit.arrived_s)]
-        came[row, : len(known)] = [visit.arrived_s - begin_s for visit in known]
-        left[row, : len(known)] = [visit.left_s - begin_s for visit in known]
-    stays = (left - came)[np.isfinite(left)]
-    return PartVisits(came, left, float(np.quantile(stays, 0.1)) if len(stays) else 0.0)
-
-
-def _times(visits: PartVisits, since: Vector, came: Vector, left: Vector) -> _Times:
+def _times(visits: PartVisits, since: Vector, came: Vector, left: Vector) -> Times:
     """Return the times from given instants to a part's arrival, left-censored if the robot did not wait for it."""
     known = np.isfinite(since) & np.isfinite(left)
     waited = left - came > visits.own_s + WAITED_S
     at = np.where(waited, left - visits.own_s, came)[known] - since[known]
     mass = reverse_kaplan_meier(at, waited[known].astype(np.float64), np.ones(len(at), np.bool_))
-    return _Times(at, mass)
+    return Times(at, mass)
 
 
-def _likelihood(visits: PartVisits, first: _Times, gaps: _Times, buffer: int) -> float:
+def _likelihood(visits: PartVisits, first: Times, gaps: Times, buffer: int) -> float:
     """Return the log-likelihood of the standstills for a buffer size."""
     rng, total, waited = np.random.default_rng(0), 0.0, visits.waited
     came, part_s = visits.came[..., None], visits.part_s[..., None]
@@ -184,5 +122,5 @@ def _by_chance(visits: PartVisits) -> float:
     seen, waited = np.isfinite(visits.left), visits.waited
     waits_s = (visits.left - visits.came - visits.own_s)[waited]
     share = waited.sum() / seen.sum()
-    density = _Times(waits_s, np.full(len(waits_s), 1.0 / len(waits_s))).density(waits_s)
+    density = Times(waits_s, np.full(len(waits_s), 1.0 / len(waits_s))).density(waits_s)
     return float(np.log(share * density).sum() + (seen & ~waited).sum() * np.log(1.0 - share))

@@ -75,6 +75,33 @@ def _handed_over(rng: np.random.Generator, name: str) -> ExecutionVisits:
     return ExecutionVisits(name, visits, events_of(visits))
 
 
+def _taken(rng: np.random.Generator, name: str) -> ExecutionVisits:
+    """Return one in which the operator takes each part in a second or two; at half of them he is there before."""
+    robot, operator, at, gone = [PlaceVisit("home", 0.0, 0.0)], [PlaceVisit("bench", 0.0, 3.0)], 0.0, 0.0
+    for _ in range(3):
+        there = at + 4.6
+        came = gone + 2.0 + rng.uniform(2.5, 4.5) + (0.0 if rng.random() < 0.5 else rng.uniform(3.0, 14.0))
+        taken = max(came, there + rng.uniform(0.3, 0.8)) + rng.uniform(1.0, 2.0)
+        gone = taken + rng.uniform(0.1, 0.4)
+        robot.append(PlaceVisit("bin", at + 2.0, at + 2.6))
+        robot.append(PlaceVisit("handover", there, taken + rng.uniform(0.1, 0.2) + 0.4))
+        operator += [PlaceVisit("handover", came, gone), PlaceVisit("bench", gone + 2.0, gone + 4.0)]
+        at = robot[-1].left_s + rng.uniform(0.0, 6.0)
+    robot.append(PlaceVisit("home", at + 2.0, np.nan))
+    visits: dict[Agent, list[PlaceVisit]] = {"robot": robot, "operator": operator}
+    return ExecutionVisits(name, visits, events_of(visits))
+
+
+def test_short_waits_of_a_robot_that_always_waits_are_no_own_work() -> None:
+    """Some waits are as long as each other by chance: then his departure seemed to follow the robot's work."""
+    rng = np.random.default_rng(4)
+    found = learn_courses([_taken(rng, str(number)) for number in range(40)])
+    (gate,) = (gate for gate in found.gates if (gate.agent, gate.place) == ("robot", "handover"))
+    (condition,) = gate.conditions
+    assert (condition.agent, condition.place, condition.event, condition.back) == ("operator", "handover", "leaves", 0)
+    assert (condition.decided, gate.passages) == (120, 120)
+
+
 def _half_handed_over(rng: np.random.Generator, name: str, together: bool) -> ExecutionVisits:
     """Return one in which both wait for each other at half of the parts, at the same ones if they do so `together`."""
     robot, operator, at, free_s = [PlaceVisit("home", 0.0, 0.0)], [PlaceVisit("bench", 0.0, 1.0)], 3.0, 1.0

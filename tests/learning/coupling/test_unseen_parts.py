@@ -9,6 +9,8 @@ import pytest
 from cyclekit import schema
 from cyclekit.dataset.cards.coupling import Agent
 from cyclekit.learning.coupling.learn import learn_courses
+from cyclekit.learning.coupling.part_gaps import part_gaps
+from cyclekit.learning.coupling.part_visits import PartVisits, Times
 from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.waits import with_waits_named
 
@@ -63,12 +65,30 @@ def test_parts_are_learned_from_standstills_alone(buffer: int) -> None:
     assert source.buffer == buffer
 
 
+def test_few_executions_show_parts() -> None:
+    rng = np.random.default_rng(3)
+    card = learn_courses([_fed(rng, str(number), 2) for number in range(9)])
+    assert [source.signal for source in card.sources] == ["part at belt"]
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_dwell_that_merely_varies_is_no_wait_for_parts(seed: int) -> None:
     rng = np.random.default_rng(seed)
     card = learn_courses([_fed(rng, str(number), None) for number in range(40)])
     assert card.sources == ()
     assert not card.coupled
+
+
+def test_gaps_after_parts_that_the_robot_did_not_wait_for_count() -> None:
+    """After a wait the robot is away for too long to see the short gaps; else it comes back soon."""
+    rng = np.random.default_rng(0)
+    came_s = np.array([(1.0, 16.1) if number % 3 == 0 else (10.0, 12.6) for number in range(120)])
+    parts_s = np.cumsum(np.column_stack([rng.uniform(2.7, 3.3, 120), rng.choice([11.0, 14.0], 120)]), axis=1)
+    visits = PartVisits(came_s, np.maximum(came_s, parts_s) + 0.6, 0.6)
+    at, first, gaps = part_gaps(visits, Times(np.array([3.0]), np.ones(1)), Times(np.array([14.0]), np.ones(1)), 2)
+    assert first[(at > 2.5) & (at < 3.5)].sum() == pytest.approx(1.0, abs=0.01)
+    assert gaps[(at > 10.0) & (at < 12.0)].sum() == pytest.approx(0.5, abs=0.1)
+    assert gaps[(at > 13.0) & (at < 15.0)].sum() == pytest.approx(0.5, abs=0.1)
 
 
 def test_a_wait_for_such_a_part_is_named() -> None:

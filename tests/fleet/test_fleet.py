@@ -297,6 +297,7 @@ def test_the_page_ranks_cells_and_names_those_that_need_a_look() -> None:
     ]
     page = fleet_page("Line 4", cells, TODAY)
     order = [page.index(f">{name}<", page.index("<tbody>")) for name in ("worst", "dirty", "good", "&lt;b&gt;")]
+    assert page.count('<td class="date" data-head="Newest log">') == len(cells)  # a date stays on one line
     assert order == sorted(order)
     look = page[page.index('id="look"') : page.index('id="cells"')]
     assert "worst loses most to safety: 50" in look

@@ -133,6 +133,7 @@ class GateCard(Card, frozen=True, kw_only=True):
         told: Whether it is from the cell file.
         passages: Number of logged passages.
         trip: Trips of the operator from here.
+        wait_at: Place where the operator stands if he has to wait before he goes on to `place`; None = where he is.
     """
 
     agent: Agent
@@ -145,6 +146,7 @@ class GateCard(Card, frozen=True, kw_only=True):
     told: bool = False
     passages: Count = 0
     trip: TripCard | None = None
+    wait_at: Name | None = None
 
 
 class SourceCard(Card, frozen=True, kw_only=True):
@@ -184,11 +186,13 @@ class CouplingCard(Card, frozen=True, kw_only=True):
         gates: Gates of both agents, with conditions or only with the agents' own work.
         sources: Sources of parts.
         executions: Number of executions behind them.
+        errands: Places to which the operator goes in the middle of his work; that is part of his work.
     """
 
     gates: tuple[GateCard, ...] = ()
     sources: tuple[SourceCard, ...] = ()
     executions: Count = 0
+    errands: tuple[Name, ...] = ()
 
     @property
     def coupled(self) -> bool:

@@ -100,6 +100,8 @@ class CycleDraws:
         arrives, passes: Columns of the events that a leg sets, shape (agendas, legs, events).
         walk, stay: Numbers of the operator's segments, shape (N, legs).
         walk_s: Duration of the walks, shape (N, legs).
+        straight, straight_s: The walk that leaves out the leg before, if nobody waits there, and its duration.
+        if_waits: Legs to which the operator goes only if he has to wait, shape (agendas, legs).
         trip: Numbers of the operator's trips before departure, shape (N, legs).
         trip_level: Levels of their durations, shape (N, legs).
         trips: How long trips of each kind take.
@@ -133,6 +135,8 @@ class CycleDraws:
         self.own_s, self.lag_s = np.zeros((rows, legs)), np.zeros((rows, legs, self.needs.shape[2]))
         self.walk, self.stay = np.zeros((rows, legs), dtype=np.int64), np.zeros((rows, legs), dtype=np.int64)
         self.walk_s = np.zeros((rows, legs))
+        self.straight, self.straight_s = np.zeros((rows, legs), dtype=np.int64), np.zeros((rows, legs))
+        self.if_waits = np.zeros((len(agendas), legs), dtype=np.bool_)
         self.trip, self.trip_level = np.zeros((rows, legs), dtype=np.int64), np.zeros((rows, legs))
         self.trips: dict[TripCard, TripTimes] = {}
         self.trip_kind = np.full((len(agendas), legs), -1)
@@ -141,6 +145,7 @@ class CycleDraws:
         self._rows = [np.flatnonzero(which == number) for number in range(len(agendas))]
         for number, agenda in enumerate(agendas):
             self.not_before_s[number, : len(agenda.legs)] = [leg.not_before_s for leg in agenda.legs]
+            self.if_waits[number, : len(agenda.legs)] = [leg.if_waits for leg in agenda.legs]
             self._draw_work(number, agenda)
 
     def _draw_work(self, which: int, agenda: Agenda) -> None:
@@ -166,12 +171,12 @@ class CycleDraws:
             for n, leg in enumerate(agenda.legs):
                 key = f"walk {leg.start}->{leg.place}"
                 if leg.start is not None:
-                    walks = segments.walk(leg.start, leg.place)
-                    self.walk[rows, n] = chosen(walks, self._level(rows, key, turns[key]))
-                    self.walk_s[rows, n] = (
-                        pace
-                        * segments.durations_s(walks)[chosen(np.arange(len(walks)), self._level(rows, key, turns[key]))]
-                    )
+                    level = self._level(rows, key, turns[key])
+                    self.walk[rows, n], self.walk_s[rows, n] = _walks(segments, leg.start, leg.place, level, pace)
+                    before = agenda.legs[n - 1]
+                    if before.if_waits and before.start is not None:
+                        way = _walks(segments, before.start, leg.place, level, pace)
+                        self.straight[rows, n], self.straight_s[rows, n] = way
                 if leg.place:
                     self.stay[rows, n] = chosen(segments.stay(leg.place), self._level(rows, f"stay {key}", turns[key]))
                 if leg.trip is not None:
@@ -202,6 +207,12 @@ class CycleDraws:
         """Return a level in (0, 1) per row: spread evenly over the cycles of a question, and shuffled."""
         rng = np.random.default_rng([self._seed, crc32(key.encode()), turn])
         return np.asarray(rng.permutation((np.arange(self._count) + 0.5) / self._count)[self._turn[rows]])
+
+
+def _walks(segments: Segments, start: str, goal: str, level: Vector, pace: float) -> tuple[Ints, Vector]:
+    """Return the walks between two places that levels in (0, 1) choose, and how long they take, s."""
+    walks = chosen(segments.walk(start, goal), level)
+    return walks, pace * segments.durations_s(walks)
 
 
 def quantile(values: Vector, level: Vector) -> Vector:

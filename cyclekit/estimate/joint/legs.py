@@ -64,6 +64,7 @@ class AgendaLeg:
         arrives, passes: Events set at the end of the way, and at departure.
         hold: Whether it is a wait before the task begins.
         trip: Trips that the operator makes before departure, mostly while he waits.
+        if_waits: Whether he goes there only if he has to wait; otherwise straight to the place of the next leg.
     """
 
     task: int
@@ -79,6 +80,7 @@ class AgendaLeg:
     passes: tuple[Event, ...] = ()
     hold: bool = False
     trip: TripCard | None = None
+    if_waits: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,14 +209,19 @@ class _Builder:
         phase = gate.phase if gate is not None else 0.0
         midway = approach if split is not None and phase > 0.0 else ()
         needs = (*precedence, *(() if midway else approach))
-        if needs or not_before_s > 0.0:
+        spot = gate.wait_at if gate is not None and approach and here != gate.wait_at else None
+        if spot is not None:
+            leg = replace(leg, start=spot)
+            self._left(here)
+            hold = AgendaLeg(task, spot, leg.path_m, start=here, needs=needs, not_before_s=not_before_s)
+            self.legs.append(replace(hold, name=f"hold {place}", hold=True, if_waits=True))
+        elif needs or not_before_s > 0.0:
             if gate is not None and gate.trip is not None:  # no second trip before it leaves here
                 self.legs[-1] = replace(self.legs[-1], trip=None)
             hold = AgendaLeg(task, here, self.legs[-1].path_m[-1:], needs=needs, not_before_s=not_before_s)
             self.legs.append(replace(hold, name=f"hold {place}", hold=True, trip=self._trip(gate)))
-        if here:
-            self._passes((self.agent, here, "leaves", self._visits[here] - 1))
-            self._passes((self.agent, here, "cleared", self._visits[here] - 1))
+        if spot is None:
+            self._left(here)
         leave = self._gates.needs(self.agent, "leave", place, turn)
         done = (self.agent, name, "done", self._done[name]), (self.agent, place, "set", turn)
         trip = self._trip(self._gates.at(self.agent, "leave", place))
@@ -229,6 +236,12 @@ class _Builder:
         here = self.legs[-1].place
         self._passes((self.agent, here, "leaves", self._visits[here] - 1))
         return Agenda(self.agent, tuple(self.legs), tuple(tasks))
+
+    def _left(self, here: str) -> None:
+        """Set the events of leaving a place at the end of the last leg."""
+        if here:
+            self._passes((self.agent, here, "leaves", self._visits[here] - 1))
+            self._passes((self.agent, here, "cleared", self._visits[here] - 1))
 
     def _trip(self, gate: GateCard | None) -> TripCard | None:
         """Return the trips from a gate; none to places that the plan goes to anyway."""

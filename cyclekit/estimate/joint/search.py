@@ -66,6 +66,8 @@ def mean_times(cell: JointCell, robots: Sequence[Agenda], operators: Sequence[Ag
     slowed = _slowed(cell)
     robot = _usual(robots, columns, [[slowed * leg.way_s for leg in agenda.legs] for agenda in robots])
     operator = _usual(operators, columns, [_walks_s(cell, agenda) for agenda in operators])
+    for row, agenda in enumerate(operators):
+        operator.straight_s[row, : len(agenda.legs)] = _straight_s(cell, agenda)
     _set_trips(operator, cell.pace)
     parts = [_usual([source], columns, [[0.0] * len(source.legs)]) for source in sources]
     events = [
@@ -111,11 +113,20 @@ def _slowed(cell: JointCell) -> float:
 
 
 def _walks_s(cell: JointCell, agenda: Agenda) -> list[float]:
-    durations = [
-        0.0 if leg.start is None else float(cell.segments.durations_s(cell.segments.walk(leg.start, leg.place)).mean())
-        for leg in agenda.legs
-    ]
-    return [cell.pace * seconds for seconds in durations]
+    return [_walk_s(cell, leg.start, leg.place) for leg in agenda.legs]
+
+
+def _straight_s(cell: JointCell, agenda: Agenda) -> list[float]:
+    """Return how long the walk to each leg takes if the one before is left out because nobody waits there, s."""
+    starts = [None, *(leg.start if leg.if_waits else None for leg in agenda.legs[:-1])]
+    return [_walk_s(cell, start, leg.place) for start, leg in zip(starts, agenda.legs, strict=True)]
+
+
+def _walk_s(cell: JointCell, start: str | None, goal: str) -> float:
+    """Return the mean duration of the walk between two places, s; 0 without a start."""
+    if start is None:
+        return 0.0
+    return cell.pace * float(cell.segments.durations_s(cell.segments.walk(start, goal)).mean())
 
 
 def _set_trips(draws: CycleDraws, pace: float) -> None:
@@ -140,7 +151,18 @@ def _usual(agendas: Sequence[Agenda], columns: EventColumns, ways_s: Sequence[Se
 def _rows(draws: CycleDraws, rows: Ints) -> CycleDraws:
     """Return selected rows of draws; rows may repeat."""
     found = copy(draws)
-    for name in ("which", "own_s", "lag_s", "walk_s", "trip_level", "trips_waiting", "trips_free"):
+    for name in (
+        "which",
+        "own_s",
+        "lag_s",
+        "walk",
+        "walk_s",
+        "straight",
+        "straight_s",
+        "trip_level",
+        "trips_waiting",
+        "trips_free",
+    ):
         setattr(found, name, getattr(draws, name)[rows])
     return found
 

@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.estimate.tracks import logged_tracks
+from cyclekit.learning.coupling.errands import joined
 from cyclekit.learning.coupling.trips import part_trips, usual_walks_s
 from cyclekit.learning.coupling.visits import PlaceVisit
 
@@ -64,6 +65,8 @@ class Segments:
         self._trips_at = {(gate.at, gate.place) for gate in gates}
         self._after_s = max((gate.trip.after_s for gate in gates if gate.trip is not None), default=0.0)
         self.trip_places = {place for gate in gates if gate.trip is not None for place in gate.trip.places}
+        errands = coupling.errands if coupling is not None else ()
+        self._spots = {gate.wait_at for gate in coupling.gates if gate.wait_at} if coupling is not None else set()
         self._visits: dict[str, tuple[OperatorVisit, ...]] = {}
         complete = {one.execution for one in dataset.card.executions if one.whole and not one.reference}
         tracks = logged_tracks(dataset)
@@ -71,7 +74,7 @@ class Segments:
         every: dict[str, list[PlaceVisit]] = {}
         for (name,), visits in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
             if name in complete and str(name) in tracks and tracks[str(name)].seen:
-                every[str(name)] = self._seen(tracks[str(name)], visits)
+                every[str(name)] = joined(self._seen(tracks[str(name)], visits), errands)
         walks_s = usual_walks_s(list(every.values())) if gates else {}
         for name, seen in every.items():
             self._cut(name, tracks[name], seen, walks_s)
@@ -144,7 +147,9 @@ class Segments:
             most = max(sum(visit.place == place for visit in visits) for visits in found.values())
             for name, visits in found.items():
                 found[name] = parted_stays(visits, place, most, float(single.min()))
-        return found
+        return {
+            name: tuple(visit for visit in visits if visit.place not in self._spots) for name, visits in found.items()
+        }
 
     def first_stays_s(self, place: str) -> Vector:
         """Return durations of stays at a place at the start of an execution, ascending, shape (N,), s."""

@@ -88,6 +88,8 @@ class UnslowedAgent:
             rows, legs, open_s = rows[known], legs[known], open_s[known]
             if self.draws.trips:
                 open_s = self._after_trips(rows, legs, open_s)
+            if self.draws.if_waits.any():
+                open_s = self._straight(rows, legs, open_s)
             self.times.passes_s[rows, legs], self.times.decided[rows, legs] = open_s, decided[known]
             agenda = self.draws.which[rows]
             self._events_s[rows[:, None], self.draws.passes[agenda, legs]] = open_s[:, None]
@@ -97,6 +99,25 @@ class UnslowedAgent:
             self.leg[rows] += 1
             self._arrive(rows, open_s)
         return moved[(self.leg[moved] > first) | self.ended[moved]]
+
+    def _straight(self, rows: Ints, legs: Ints, open_s: Vector) -> Vector:
+        """Return when these rows depart from these legs, s.
+
+        Where the operator goes only if he has to wait, one who need not as he leaves the leg before goes straight on.
+        """
+        draws = self.draws
+        some = np.flatnonzero(draws.if_waits[draws.which[rows], legs])
+        row, leg = rows[some], legs[some]
+        ready_s = self.times.passes_s[row, leg - 1]
+        goes = departures(draws, self._events_s, row, leg, ready_s)[0] <= ready_s
+        some, row, leg, ready_s = some[goes], row[goes], leg[goes], ready_s[goes]
+        open_s[some] = ready_s
+        self.times.arrives_s[row, leg] = self.times.works_s[row, leg] = ready_s
+        draws.walk[row, leg + 1], draws.walk_s[row, leg + 1] = (
+            draws.straight[row, leg + 1],
+            draws.straight_s[row, leg + 1],
+        )
+        return open_s
 
     def _after_trips(self, rows: Ints, legs: Ints, open_s: Vector) -> Vector:
         """Return when these rows may depart from these legs after the trips that they make, s."""

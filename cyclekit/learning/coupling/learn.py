@@ -23,13 +23,16 @@ from cyclekit.learning.coupling.conditions import (
     times_of,
 )
 from cyclekit.learning.coupling.departures import Condition, Departures, Gate
+from cyclekit.learning.coupling.errands import errand_places, with_errands
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.logged_visits import courses_of
 from cyclekit.learning.coupling.own_work import own_work_by_place, rest_at_start
 from cyclekit.learning.coupling.sources import find_sources
 from cyclekit.learning.coupling.together import NeededTogether, needed_together
 from cyclekit.learning.coupling.trips import parted_courses, trip_places, waits_before_s, with_trips
 from cyclekit.learning.coupling.unseen_parts import find_unseen_parts, with_parts
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits, courses_of
+from cyclekit.learning.coupling.visits import Event, ExecutionVisits
+from cyclekit.learning.coupling.waiting_spots import is_spot, possible_spots, with_spots
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -89,7 +92,8 @@ def learn_executions(
 def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()) -> CouplingCard:
     """Return the wait conditions learned from executions, without the `phase` of the robot's approach gates.
 
-    Where the operator makes trips while he waits, these are parted from his visits first.
+    Where the operator makes trips while he waits, these are parted from his visits first. Errands in the middle of his
+    work are part of the visit that they interrupt, and visits to a place where he only waits are waits on the way.
     """
     if places := trip_places(courses):
         parted, trips = parted_courses(courses, places)
@@ -100,7 +104,30 @@ def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()
         known = with_trips(_without_trips(parted, given), parted, trips, places, after_s)
         if known is not None:
             return known
-    return _without_trips(courses, given)
+    errands = errand_places(courses)
+    courses = with_errands(courses, errands) if errands else courses
+    found = _at_spots(courses, _without_trips(courses, given), given)
+    return replace(found, errands=errands)
+
+
+def _at_spots(courses: Sequence[ExecutionVisits], found: CouplingCard, given: Sequence[Wait]) -> CouplingCard:
+    """Return the card learned with visits to places where the operator only waits as waits on the way."""
+    spots = {}
+    for place, goal in possible_spots(courses, found.gates).items():
+        tried = _without_trips(with_spots(courses, {place: goal}), given)
+        if is_spot(courses, place, next((gate for gate in tried.gates if _goes_on(gate, goal)), None)):
+            spots[place] = goal
+    if not spots:
+        return found
+    found = _without_trips(with_spots(courses, spots), given)
+    gates = list(found.gates)
+    for place, goal in spots.items():
+        gates = [replace(gate, wait_at=place) if _goes_on(gate, goal) else gate for gate in gates]
+    return replace(found, gates=tuple(gates))
+
+
+def _goes_on(gate: GateCard, goal: str) -> bool:
+    return (gate.agent, gate.at, gate.place) == ("operator", "approach", goal)
 
 
 def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait]) -> CouplingCard:

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import polars as pl
 
+from cyclekit.learning.coupling.errands import with_errands
 from cyclekit.learning.coupling.unseen_parts import with_parts
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits
+from cyclekit.learning.coupling.waiting_spots import with_spots
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard
 
@@ -40,7 +42,12 @@ def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], co
         courses: The executions of these tasks.
         coupling: Learned wait conditions.
     """
-    waits = [wait for course in with_parts(courses, coupling.sources) for wait in _waits(course, coupling)]
+    spots = {gate.wait_at: gate.place for gate in coupling.gates if gate.wait_at is not None}
+    parted = with_errands(courses, coupling.errands) if coupling.errands else courses
+    learned = with_spots(parted, spots) if spots else parted
+    stood = [{(visit.place, visit.arrived_s): visit.task for visit in one.visits["operator"]} for one in courses]
+    both = zip(with_parts(learned, coupling.sources), stood, strict=True)
+    waits = [wait for course, tasks_at in both for wait in _waits(course, coupling, tasks_at)]
     kinds = {name: tasks.schema[name] for name in ("execution", "index", "agent")}
     columns = kinds | {"ended_s": pl.Float64, "ended_by": pl.String, "short": pl.Boolean}
     ended = pl.DataFrame(waits, schema=columns, orient="row").unique(list(kinds), keep="first")
@@ -62,7 +69,10 @@ def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], co
     ).select(tasks.columns)
 
 
-def _waits(course: ExecutionVisits, coupling: CouplingCard) -> Iterator[_Wait]:
+def _waits(
+    course: ExecutionVisits, coupling: CouplingCard, tasks_at: Mapping[tuple[str, float], int]
+) -> Iterator[_Wait]:
+    """Yield the waits in one execution; `tasks_at`: numbers of the operator's tasks by place and arrival, s."""
     usual = {(gate.agent, gate.place): float(np.median(gate.own_s)) for gate in coupling.gates if gate.at == "leave"}
     for gate in coupling.gates:
         if not gate.conditions:
@@ -78,7 +88,12 @@ def _waits(course: ExecutionVisits, coupling: CouplingCard) -> Iterator[_Wait]:
                 short = (
                     agent == "robot" and np.isfinite(course.visits[agent][index].reached_s) and gate.at == "approach"
                 )
-                yield _Wait(course.name, index + first, agent, left_s - ready_s, condition_text(last), bool(short))
+                task = index + first
+                if agent == "operator":
+                    visit = course.visits[agent][index]
+                    spot = tasks_at.get((gate.wait_at, visit.reached_s), -1) if gate.wait_at else -1
+                    task = next((number for number in (spot, visit.task) if number >= 0), task)
+                yield _Wait(course.name, task, agent, left_s - ready_s, condition_text(last), bool(short))
 
 
 def _departures(

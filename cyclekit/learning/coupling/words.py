@@ -48,6 +48,7 @@ def wait_rows(found: CouplingCard | None, shown: Callable[[str], str] = str) -> 
     for gate in found.gates if found else ():
         for one in gate.conditions:
             who = f"{gate.agent} {_AT[gate.at]} {shown(gate.place)}" + (" (told)" if gate.told else "")
+            who += f", at {shown(gate.wait_at)}" if gate.wait_at else ""
             low_s, middle_s, high_s = (_quantile(one.lag_s, level) for level in (0.05, 0.5, 0.95))
             had_to_wait = f"{one.decided} of {gate.passages}" + (f" ({one.alike} at all alike)" if one.alike else "")
             until = condition_text(one, shown) + _passages(one)
@@ -71,6 +72,7 @@ def habit_lines(found: CouplingCard | None) -> list[str]:
     if found is None:
         return []
     lines = [line for source in found.sources for line in _source_lines(source)]
+    lines += [f"operator: goes to {place} in the middle of his work, and comes back to it" for place in found.errands]
     lines += [_trip_line(gate, gate.trip) for gate in found.gates if gate.trip is not None]
     return lines + [_own_work_line(gate) for gate in found.gates if gate.own_by]
 

@@ -65,6 +65,9 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     if cell.unseen:
         seen = "no log shows the operator, and without his places other orders cannot be played here"
         raise EstimateError(seen, cure="Ask estimate, plan and whatif.")
+    if any(gate.wait_at for gate in card.gates):
+        seen = "spots to which the operator goes only if he has to wait are not played here"
+        raise EstimateError(seen, cure="Ask estimate, plan and whatif.")
     arrays: Arrays = {}
     planner = Planner(cell, legs)
     sequences = [_sequence(each, planner) for each in shown]

@@ -15,7 +15,8 @@ from cyclekit.dataset.cards.coupling import Agent
 from cyclekit.dataset.cards.dataset import ExecutionCard
 from cyclekit.dataset.signals import SignalChanges
 from cyclekit.learning.coupling.learn import learn_courses, learn_executions
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, courses_of, events_of
+from cyclekit.learning.coupling.logged_visits import courses_of
+from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 
 if TYPE_CHECKING:
     from simulated_cells import Cells

@@ -12,7 +12,8 @@ from cyclekit import schema
 from cyclekit.dataset.cards.dataset import ExecutionCard
 from cyclekit.dataset.signals import SignalChanges
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits, courses_of
+from cyclekit.learning.coupling.logged_visits import courses_of
+from cyclekit.learning.coupling.visits import Event, ExecutionVisits
 
 EXECUTIONS, LONG_S = 24, 60.0
 RNG = np.random.default_rng(5)

@@ -1,0 +1,124 @@
+"""Spots to which the operator goes only if he has to wait, and errands in the middle of his work, in joint rollouts."""
+
+from __future__ import annotations
+
+import importlib
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+import polars as pl
+import pytest
+from known_cells import Constant
+
+from cyclekit.config.sequences import PlannedTask, TaskSequence
+from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
+from cyclekit.errors import EstimateError
+from cyclekit.estimate.joint.plans import Planner
+from cyclekit.estimate.joint.roll import JointCell, RolledBoth
+from cyclekit.estimate.joint.visits import Segments
+from cyclekit.estimate.nominal import nominal_tasks
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.joint.roll import Plan
+
+HOME_LEFT = ConditionCard(agent="robot", place="home", event="leaves", lag_s=(0.1,))
+WAITS = GateCard(agent="operator", at="approach", place="out_left_1", conditions=(HOME_LEFT,), wait_at="rest")
+OWN = GateCard(agent="operator", at="leave", place="inbound", own_s=(1.0,))
+
+
+def _cell(logged: Dataset) -> JointCell:
+    """Return a cell in which the operator stands at his rest place until the robot has left, if it has not yet."""
+    return JointCell(Constant(1.0), logged, CouplingCard(gates=(WAITS, OWN)))
+
+
+def _plan(cell: JointCell, robot_s: float, operator: tuple[str, ...]) -> Plan:
+    tasks = [PlannedTask("robot", "home->conveyor", not_before_s=robot_s)]
+    tasks += [PlannedTask("operator", place) for place in operator]
+    return Planner(cell, nominal_tasks(cell.dataset)).plan(TaskSequence.of_plan("both", tasks))
+
+
+def _rolled(cell: JointCell, plan: Plan) -> RolledBoth:
+    (found,) = cell.roll([plan], cycles=50, until_s=300.0)
+    if isinstance(found, EstimateError):
+        raise found
+    return found
+
+
+def _ways_s(cell: JointCell, start: str, goal: str) -> set[float]:
+    """Return how long logged walks between two places took, s."""
+    return set(cell.segments.durations_s(cell.segments.walk(start, goal)).round(4).tolist())
+
+
+@pytest.mark.parametrize("robot_s", [0.0, 40.0])
+def test_he_goes_to_a_spot_only_if_he_has_to_wait(logged: Dataset, robot_s: float) -> None:
+    cell = _cell(logged)
+    (operator,) = _rolled(cell, _plan(cell, robot_s, ("inbound", "out_left_1"))).operators
+    (hold,) = (n for n, leg in enumerate(operator.agenda.legs) if leg.hold)
+    left_s, there_s = operator.times.passes_s[:, hold - 1], operator.times.arrives_s[:, hold]
+    on_s, came_s = operator.times.passes_s[:, hold], operator.times.arrives_s[:, hold + 1]
+    if robot_s == 0.0:  # it has left before he is done: he goes straight on
+        assert on_s == pytest.approx(left_s)
+        assert set((came_s - left_s).round(4).tolist()) <= _ways_s(cell, "inbound", "out_left_1")
+    else:
+        assert set((there_s - left_s).round(4).tolist()) <= _ways_s(cell, "inbound", "rest")
+        assert on_s == pytest.approx(40.1, abs=0.1)
+        assert set((came_s - on_s).round(4).tolist()) <= _ways_s(cell, "rest", "out_left_1")
+
+
+def test_a_plan_that_begins_with_the_place_may_begin_at_the_spot(logged: Dataset) -> None:
+    cell = _cell(logged)
+    (operator,) = _rolled(cell, _plan(cell, 40.0, ("out_left_1",))).operators
+    (hold,) = (n for n, leg in enumerate(operator.agenda.legs) if leg.hold)
+    assert (operator.agenda.legs[hold].start, operator.agenda.legs[hold].place) == ("", "rest")
+    assert operator.times.passes_s[:, hold] == pytest.approx(40.1, abs=0.1)
+
+
+def test_a_plan_that_names_the_spot_waits_there(logged: Dataset) -> None:
+    cell = _cell(logged)
+    (operator,) = _rolled(cell, _plan(cell, 40.0, ("inbound", "rest", "out_left_1"))).operators
+    (hold,) = (n for n, leg in enumerate(operator.agenda.legs) if leg.hold)
+    assert not operator.agenda.legs[hold].if_waits
+    assert operator.times.passes_s[:, hold] == pytest.approx(40.1, abs=0.1)
+
+
+def test_the_search_goes_straight_where_he_need_not_wait(logged: Dataset) -> None:
+    importlib.import_module("cyclekit.estimate.plan")  # before its search
+    from cyclekit.estimate.joint.search import mean_times
+
+    stays = msgspec.structs.replace(WAITS, wait_at=None)
+    cell, plain = _cell(logged), JointCell(Constant(1.0), logged, CouplingCard(gates=(stays, OWN)))
+    plans = [_plan(each, 0.0, ("inbound", "out_left_1")) for each in (cell, plain)]
+    with_spot, without = (
+        float(mean_times(each, [plan.robot], list(plan.operators), both=True)[0, 0])
+        for each, plan in zip((cell, plain), plans, strict=True)
+    )
+    assert with_spot == pytest.approx(without, abs=1e-6)
+
+
+def test_logged_errands_are_part_of_a_stay_and_spots_of_no_order(
+    logged: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """He goes from inbound to a shelf and back, stands aside at his rest place, and goes to the next place."""
+    names = ("inbound", "out_left_2", "inbound", "rest", "out_left_1")
+    at_s, rows, where = 0.0, [], list[np.ndarray]()
+    for name, stays_s in zip(names, (3.0, 2.0, 1.0, 5.0, 4.0), strict=True):
+        rows.append(("operator", None, "1", len(rows), name, at_s, at_s + stays_s))
+        where += [np.array(logged.human_places[name].xyz_m)] * round((stays_s + 1.0) * logged.rate_hz)
+        at_s += stays_s + 1.0
+    columns = ("agent", "agent_name", "execution", "index", "goal_place", "arrival_s", "end_s")
+    visits = pl.DataFrame(rows, columns, orient="row")
+    execution = msgspec.structs.replace(logged.card.executions[0], execution="1", complete=True, reference=False)
+    card = msgspec.structs.replace(logged.card, executions=(execution,))
+    stub = SimpleNamespace(
+        rate_hz=logged.rate_hz, human_places=logged.human_places, card=card, every_task=lambda: visits
+    )
+    track = SimpleNamespace(where=np.array(where), begin_s=0.0, seen=True)
+    monkeypatch.setattr("cyclekit.estimate.joint.visits.logged_tracks", lambda _: {"1": track})
+    found = Segments(stub, CouplingCard(gates=(WAITS,), errands=("out_left_2",)))  # type: ignore[arg-type]  # a stub
+    assert [visit.place for visit in found.orders["1"]] == ["inbound", "out_left_1"]
+    assert found.durations_s(found.stay("inbound")) == pytest.approx([8.0])  # 3 + 1 + 2 + 1 + 1 s
+    assert found.durations_s(found.stay("rest")) == pytest.approx([5.0])
+    assert found.durations_s(found.walk("rest", "out_left_1")) == pytest.approx([1.0])

@@ -45,9 +45,9 @@ def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], co
     spots = {gate.wait_at: gate.place for gate in coupling.gates if gate.wait_at is not None}
     parted = with_errands(courses, coupling.errands) if coupling.errands else courses
     learned = with_spots(parted, spots) if spots else parted
-    stood = [{(visit.place, visit.arrived_s): visit.task for visit in one.visits["operator"]} for one in courses]
-    both = zip(with_parts(learned, coupling.sources), stood, strict=True)
-    waits = [wait for course, tasks_at in both for wait in _waits(course, coupling, tasks_at)]
+    tasks_at = [{(visit.place, visit.arrived_s): visit.task for visit in one.visits["operator"]} for one in courses]
+    both = zip(with_parts(learned, coupling.sources), tasks_at, strict=True)
+    waits = [wait for course, mine in both for wait in _waits(course, coupling, mine)]
     kinds = {name: tasks.schema[name] for name in ("execution", "index", "agent")}
     columns = kinds | {"ended_s": pl.Float64, "ended_by": pl.String, "short": pl.Boolean}
     ended = pl.DataFrame(waits, schema=columns, orient="row").unique(list(kinds), keep="first")

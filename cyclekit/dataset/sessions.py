@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 WITHOUT_PLACES = {"task_list", "safety"}
 """Tables without positions."""
-_OVERLAP_S = 1.0
+OVERLAP_S = 1.0
 """Maximum overlap of consecutive logs of one robot, s."""
 
 
@@ -184,7 +184,7 @@ def _clear(robots: Sequence[LogCard], others: Sequence[LogCard]) -> bool:
     if any(robot.clock.kind != "epoch" for robot in robots):
         return False
     spans = sorted((robot.first_s, robot.last_s) for robot in robots)
-    return all(later[0] >= earlier[1] - _OVERLAP_S for earlier, later in pairwise(spans))
+    return all(later[0] >= earlier[1] - OVERLAP_S for earlier, later in pairwise(spans))
 
 
 def _keys(log: LogCard) -> list[_Key]:

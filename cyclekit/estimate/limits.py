@@ -51,7 +51,8 @@ def no_answer(
     """Return why these cycles give no answer: they do not end, or they need extrapolation that was not allowed."""
     open_ended = float(np.mean(~np.isfinite(cycles.duration_s)))
     if open_ended:
-        seen = f"{sequence.shown}: {open_ended:.0%} of the cycles do not end within {until_s:.0f} s"
+        part = f"{open_ended:.0%}" if open_ended >= 0.01 else f"{open_ended:.1%}"
+        seen = f"{sequence.shown}: {part} of the cycles do not end within {until_s:.0f} s"
         return EstimateError(seen, cure=ENDLESS)
     if cycles.support < MIN_SUPPORT and not ask.extrapolate:
         seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through logged positions"

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -31,7 +32,7 @@ from cyclekit.dataset.cards import (
 from cyclekit.dataset.checksums import file_cards, with_checksum
 from cyclekit.dataset.dataset import CARD, TASKS, Dataset
 from cyclekit.dataset.guard import check_output
-from cyclekit.dataset.sessions import WITHOUT_PLACES, group_sessions, unpaired, with_empty
+from cyclekit.dataset.sessions import OVERLAP_S, WITHOUT_PLACES, group_sessions, unpaired, with_empty
 from cyclekit.dataset.shared_index import shared_rows
 from cyclekit.dataset.shared_tables import SharedTable, shared_frame
 from cyclekit.dataset.signals import logged_bits
@@ -232,6 +233,7 @@ def _build(
         by_id[name] = structs.replace(by_id[name], sources=by_id[log].sources)
     recordings = [by_id[name] for name in (*(one.id for one in read), *shared.copies)]
     warnings += _copied([by_id[one.id] for one in read])
+    warnings += _at_once([by_id[one.id] for one in read])
     if names is not None:
         recordings = take_out(recordings, names, staging, shared.copies)
         warnings = names.notes(warnings)
@@ -338,6 +340,14 @@ def _copied(logs: Sequence[LogCard]) -> list[Note]:
         if (same := first.setdefault(largest.blake3, log.shown)) != log.shown:
             copies.append((log.shown, same))
     return [note("log-copied", copies=len(copies), copy=copies[0][0], of=copies[0][1])] if copies else []
+
+
+def _at_once(logs: Sequence[LogCard]) -> list[Note]:
+    """Return a note if robot logs in epoch time overlap: they are of several robots, which are a dataset each."""
+    robots = [log for log in logs if "robot" in log.tables and log.clock.kind == "epoch"]
+    robots.sort(key=lambda log: log.first_s)
+    pairs = [(one, other) for one, other in pairwise(robots) if other.first_s < one.last_s - OVERLAP_S]
+    return [note("robots-at-once", one=pairs[0][0].shown, other=pairs[0][1].shown)] if pairs else []
 
 
 def _without_places(logs: Sequence[LogCard]) -> list[Note]:

@@ -284,6 +284,15 @@ def test_a_second_line_of_units_says_the_units(tmp_path):
     assert read.robot["tcp_x_m"][0] == pytest.approx(0.01)
 
 
+def test_columns_of_two_states_become_signals(tmp_path):
+    log, flips = tmp_path / "log.csv", [i // 9 % 2 for i in range(ROWS)]
+    bits = [("di_curtain", [1] * ROWS), ("do_gripper", flips), ("Fx", ["0.00"] * ROWS), ("part", [1] * ROWS)]
+    proposed = draft(log, lines(T, *((name, [f"{v:.4f}" for v in at]) for name, at in TCP), *bits))
+    assert values(proposed)["tags"] == ["di_curtain", "do_gripper"]
+    read = ingested(tmp_path, proposed, log)
+    assert set(read.events["signal"]) == {"di_curtain", "do_gripper"}
+
+
 @pytest.mark.parametrize("content", [b"", b"the gripper squeaks\nand slips\n", b"\0\1\2\3", b"a,b,c\n", b"{}\n"])
 def test_what_is_no_table_has_no_draft(tmp_path, content):
     log = tmp_path / "log.csv"

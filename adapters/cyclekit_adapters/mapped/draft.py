@@ -19,6 +19,8 @@ from cyclekit_adapters.mapped.draft_names import PERSON, ROBOT, TRACKER, Name, n
 from cyclekit_adapters.mapped.draft_times import FoundTime, counts_rows, found_times
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from cyclekit_adapters.mapped.draft_table import DraftTable
@@ -29,6 +31,7 @@ _DENSE = 0.1
 """Maximum median step of a path logged at short intervals, as a share of its span."""
 _MOVES = 0.05
 _LISTED = 40
+_IN_OUT = {"di", "do", "din", "dout", "in", "out", "io", "input", "inputs", "output", "outputs", "digital", "bit"}
 
 
 @dataclass
@@ -188,9 +191,22 @@ def _add_robot(lines: _Lines, table: DraftTable, names: dict[str, Name], found: 
         lines.add({"state": column, "states": meaning}, "" if sure else f"values: {', '.join(unknown[:12])}", sure=sure)
         if sure and unknown:
             lines.notes.append(f"unknown states: {', '.join(unknown[:12])}; map them in states")
+    rest = [name for name in table.names if name not in lines.used and name not in table.in_lists]
+    if table.headed and (bits := [name for name in rest if _is_bit(table.cells[name], names[name])]):
+        lines.add({"tags": bits}, "two states: inputs and outputs, a signal each")
     if found.others:
         shown = ", ".join(found.others[0].columns)
         lines.notes.append(f"a person: {shown}; to read it too, copy the file and add a source for the copy")
+
+
+def _is_bit(cells: Sequence[str], name: Name) -> bool:
+    """Return whether a column holds two states, or one of them and is named as an input or output.
+
+    Zeros with decimals are a measured value, such as a force.
+    """
+    states = {cell.strip().lower() for cell in cells} - {""}
+    either = states <= {"0", "1"} or states <= {"true", "false"}
+    return either and (len(states) == 2 or (len(states) == 1 and name.says(_IN_OUT)))
 
 
 def _add_scaling(lines: _Lines, names: dict[str, Name], found: list[FoundColumns]) -> None:

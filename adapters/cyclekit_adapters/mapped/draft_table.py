@@ -47,6 +47,7 @@ class DraftTable:
         titles: Header names of columns that `names` refers to by number.
         comma: Numbers have a decimal comma.
         headed: The table has a line of names.
+        in_lists: Columns that are numbers of a list in one cell.
     """
 
     names: tuple[str, ...]
@@ -56,6 +57,7 @@ class DraftTable:
     titles: dict[str, str] = field(default_factory=dict)
     comma: bool = False
     headed: bool = True
+    in_lists: frozenset[str] = frozenset()
 
     @cached_property
     def numbers(self) -> dict[str, NDArray[np.float64]]:
@@ -157,7 +159,8 @@ def _table(rows: _Rows, keys: dict[str, object]) -> DraftTable:
     apart = dict(pair for name in names for pair in _taken_apart(called[name], cells[name]))
     said_units = {called[name]: unit for name, unit in zip(names, units, strict=False)}
     titles = {called[name]: re.sub(r"(.)#\d+$", r"\1", name) for name in names if called[name] != name}
-    return DraftTable(tuple(apart), apart, said_units, keys, titles, comma, rows.header is not None)
+    in_lists = frozenset(apart) - frozenset(called.values())
+    return DraftTable(tuple(apart), apart, said_units, keys, titles, comma, rows.header is not None, in_lists)
 
 
 def _called(name: str, names: Sequence[str], at: int) -> str:

@@ -136,6 +136,10 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "{copies} log(s) are copies of others ({copy} of {of}): their executions count twice; remove the copies and "
         "ingest again"
     ),
+    "robots-at-once": (
+        "{one} and {other} are robot logs of the same time: several robots are taken for one, and a person's effect on "
+        "one for that on all; make a dataset of each, with the logs of the others under ignore in cell.toml"
+    ),
     # clocks
     "clock-assumed": (
         "the offset of its clock to the robot's is unknown: a common start is assumed; "

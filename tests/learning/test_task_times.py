@@ -172,13 +172,13 @@ def test_planned_starts_are_waited_for_only_where_they_decide(digits: int, lag_s
             at = begin + rng.uniform(3.0, 6.0)
             tasks.append(DoneTask("pick", begin, at, round(start, digits)))
         runs.append(Run(str(number), {"arm": tuple(tasks)}))
-    starts = learn_starts(runs, "arm", "pick")
+    starts = learn_starts(runs, "arm")["pick"]
     assert starts.planned
     assert starts.lags_s.max() < lag_s
     without = [
         Run(run.name, {"arm": tuple(DoneTask(t.task, t.start_s, t.end_s) for t in run.tasks["arm"])}) for run in runs
     ]
-    assert not learn_starts(without, "arm", "pick").planned
+    assert not learn_starts(without, "arm")["pick"].planned
 
 
 @given(st.floats(0.3, 2.5), st.integers(0, 10_000))

@@ -31,6 +31,7 @@ class NeedCard(Card, frozen=True, kw_only=True):
     Attributes:
         agent, task: The needed task.
         back: The k-th start of the waiting task needs the (k - back)-th end of this one.
+        after_s: Process time from that end until the waiting task may start, of an earlier task of its own agent.
         held: Share of the logged starts that came after it.
         decided: Number of logged starts decided by it: everything else had occurred before.
     """
@@ -38,6 +39,7 @@ class NeedCard(Card, frozen=True, kw_only=True):
     agent: Name
     task: Name
     back: Annotated[int, Meta(ge=0, le=100)] = 0
+    after_s: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
     held: Fraction = 1.0
     decided: Count = 0
 
@@ -76,8 +78,12 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
     def waits_for(self) -> list[str]:
         """What its start waits for, in words."""
         turns = ["", " of the turn before"]
-        needs = [f"{need.agent}: {need.task}{turns[min(need.back, 1)]}" for need in self.needs]
+        needs = [f"{_after(need)}{need.agent}: {need.task}{turns[min(need.back, 1)]}" for need in self.needs]
         return ["the agent's own task before it", *(["its planned start"] if self.planned else []), *needs]
+
+
+def _after(need: NeedCard) -> str:
+    return f"{need.after_s:.1f} s after " if need.after_s else ""
 
 
 class PaceCard(Card, frozen=True, kw_only=True):

@@ -16,7 +16,7 @@ from cyclekit.learning.task_times.pace import pace_drift
 from cyclekit.learning.task_times.rates import TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import Run, logged_runs
-from cyclekit.learning.task_times.starts import learn_starts
+from cyclekit.learning.task_times.starts import Starts, learn_starts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -104,7 +104,8 @@ def _learned(runs: Sequence[Run], agents: Mapping[str, str]) -> TaskModelCard:
     kinds = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
     paces = {agent: _pace(rates, agent) for agent, kind in kinds.items() if kind == "operator"}
     pace = {agent: found for agent, found in paces.items() if found}
-    tasks = tuple(_task(runs, *pair, rates[pair], pace.get(pair[0])) for pair in pairs)
+    starts = {agent: learn_starts(runs, agent) for agent in {agent for agent, _ in pairs}}
+    tasks = tuple(_task(*pair, starts[pair[0]][pair[1]], rates[pair], pace.get(pair[0])) for pair in pairs)
     return TaskModelCard(agents=kinds, tasks=tasks, pace=pace, executions=len(runs))  # type: ignore[arg-type]  # of these two
 
 
@@ -115,8 +116,7 @@ def _pace(rates: Mapping[tuple[str, str], TaskRates], agent: str) -> PaceCard | 
     return pace_drift(np.concatenate([each.number for each in mine]), np.concatenate(log_work))
 
 
-def _task(runs: Sequence[Run], agent: str, task: str, rates: TaskRates, pace: PaceCard | None) -> TaskTimesCard:
-    starts = learn_starts(runs, agent, task)
+def _task(agent: str, task: str, starts: Starts, rates: TaskRates, pace: PaceCard | None) -> TaskTimesCard:
     now = 1.0 / pace.factor(rates.number) if pace else np.ones(len(rates.number))
     return TaskTimesCard(
         agent=agent,

@@ -35,10 +35,13 @@ waiting   another agent waits after one of his tasks
 previous  the agent's previous task: the way to a task
 turn      the first, second ... time in an execution: the slot of a part
 """
-SPREADS_COUNT = 2.0
+SPREADS_COUNT = 0.1
 """Weight of these in the estimated spreads, as a number of effects."""
-ROUNDS = 4
+ROUNDS = 3
 """Number of times that rates and spreads are estimated in turn."""
+STEPS = 40
+"""Number of updates of the spreads each time."""
+_FREE = 1e-6
 _MIN_SPREAD = 1e-3
 ALONE = ""
 
@@ -164,27 +167,37 @@ def _density(at: Vector, parts: _Parts, prior: Vector) -> tuple[float, Vector]:
 
 
 def _spreads(fits: Sequence[tuple[_Parts, Vector]], spreads: Mapping[str, float]) -> dict[str, float]:
-    """Return the spread of each kind of effect over all tasks, given their best effects."""
-    total = {kind: SPREADS_COUNT * spread**2 for kind, spread in SPREADS.items()}
-    count = dict.fromkeys(SPREADS, SPREADS_COUNT)
+    """Return the spread of each kind of effect over all tasks that makes the logs most likely.
+
+    The likelihood of each task is taken as quadratic around its best effects.
+    """
+    now = dict(spreads)
+    quadratic = []
     for parts, at in fits:
-        variance = _variance(parts, at, np.array([spreads[kind] for kind in parts.kinds]))
-        for kind, each in zip(parts.kinds, at[2:] ** 2 + variance, strict=True):
-            total[kind] += float(each)
-            count[kind] += 1.0
-    return {kind: float(np.sqrt(total[kind] / count[kind])) for kind in SPREADS}
+        curved, prior = _curved(parts, at), np.array([spreads[kind] for kind in parts.kinds])
+        quadratic.append((parts.kinds, curved, curved[:, 1:] @ at[2:] + np.append(0.0, at[2:] / prior**2)))
+    for _ in range(STEPS):
+        total = {kind: SPREADS_COUNT * spread**2 for kind, spread in SPREADS.items()}
+        count = dict.fromkeys(SPREADS, SPREADS_COUNT)
+        for kinds, curved, pull in quadratic:
+            known = np.append(_FREE, [now[kind] ** -2 for kind in kinds])
+            variance = np.linalg.inv(curved + np.diag(known))
+            for kind, each in zip(kinds, ((variance @ pull) ** 2 + np.diag(variance))[1:], strict=True):
+                total[kind] += float(each)
+                count[kind] += 1.0
+        now = {kind: float(np.sqrt(total[kind] / count[kind])) for kind in SPREADS}
+    return now
 
 
-def _variance(parts: _Parts, at: Vector, prior: Vector) -> Vector:
-    """Return the posterior variance of each effect (Gauss-Newton)."""
+def _curved(parts: _Parts, at: Vector) -> Floats:
+    """Return the curvature of the log likelihood in the mean and the effects (Gauss-Newton)."""
     k, spread = parts.beside.shape[1], np.exp(at[1]) + _MIN_SPREAD
     done = np.exp(parts.beside @ at[2 : 2 + k]) * parts.dt_s
     share = done / np.bincount(parts.of, done)[parts.of]
     of_rate = np.zeros((len(parts.last), k))
     np.add.at(of_rate, parts.of, parts.beside * share[:, None])
     slope = np.hstack([np.ones((len(of_rate), 1)), -of_rate, parts.factors]) / spread
-    curved = slope.T @ slope + np.diag(np.concatenate([[1e-6], prior**-2]))
-    return np.asarray(np.diag(np.linalg.inv(curved))[1:])
+    return np.asarray(slope.T @ slope)
 
 
 def _rates(parts: _Parts, at: Vector) -> TaskRates:

@@ -66,7 +66,7 @@ class _Plan:
         before: Number of the agent's previous task; -1 = none.
         next: Number of the agent's next task; -1 = none.
         turn: Number of earlier occurrences of the same task.
-        needs: Numbers of the other tasks that must have ended.
+        needs: Numbers of the tasks that must have ended, and the process time since each, s.
         not_before_s: Earliest start, s.
         log_rate: Log rate of a task during another, shape (tasks, tasks); `alone` without another.
         log_later: Log ratio of that rate in the second and the first half of the other task.
@@ -77,7 +77,7 @@ class _Plan:
     before: list[int]
     next: list[int]
     turn: list[int]
-    needs: list[list[int]]
+    needs: list[list[tuple[int, float]]]
     not_before_s: Vector
     log_rate: Floats
     log_later: Floats
@@ -193,8 +193,11 @@ def _before(tasks: Sequence[PlannedTask]) -> list[int]:
 
 def _needs(
     cards: Sequence[TaskTimesCard], tasks: Sequence[PlannedTask], names: Sequence[str], where: str
-) -> list[list[int]]:
-    """Return the numbers of other tasks that each task waits for: learned ones, and those given in the plan."""
+) -> list[list[tuple[int, float]]]:
+    """Return the numbers of the tasks that each task waits for, and the process time since each, s.
+
+    These are the learned ones, and those given in the plan. No agent waits for a later task of its own.
+    """
     turns: dict[tuple[str, str], list[int]] = {}
     for number, (name, task) in enumerate(zip(names, tasks, strict=True)):
         turns.setdefault((name, task.name), []).append(number)
@@ -202,15 +205,16 @@ def _needs(
     for number, (name, task, card) in enumerate(zip(names, tasks, cards, strict=True)):
         nth = turns[name, task.name].index(number)
         mine = [
-            turns[need.agent, need.task][nth - need.back]
+            (turns[need.agent, need.task][nth - need.back], need.after_s)
             for need in card.needs
             if 0 <= nth - need.back < len(turns.get((need.agent, need.task), ()))
         ]
+        mine = [(other, after_s) for other, after_s in mine if names[other] != name or other < number]
         for told in task.after:
             able = [each for (_, other), some in turns.items() if other == told for each in some if each != number]
             if not able:
                 raise UnknownName(f"{where}: {task.shown}", "task", told, {each.name for each in tasks})
-            mine.append(able[min(nth, len(able) - 1)])
+            mine.append((able[min(nth, len(able) - 1)], 0.0))
         found.append(mine)
     return found
 
@@ -224,8 +228,13 @@ def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, 
         factor = card.after.get("" if before < 0 else plan.cards[before].task, 1.0)
         factor *= card.turns[turn] if turn < len(card.turns) else 1.0
         work[:, number] = factor * rng.choice(card.work_s, cycles)
-        lag[:, number] = np.maximum(rng.choice(card.lags_s, cycles), 0.0)
+        lag[:, number] = np.maximum(rng.choice(card.lags_s, cycles), least_lag_s(card))
     return work, lag
+
+
+def least_lag_s(card: TaskTimesCard) -> float:
+    """Return the least lag of a task, s: 0, as less is rounding; after a process time, which varies, any."""
+    return -np.inf if any(need.after_s for need in card.needs) else 0.0
 
 
 def _rates(plan: _Plan, start: Floats, end: Floats, late: Bools) -> Floats:
@@ -243,8 +252,8 @@ def _ready(plan: _Plan, end: Floats) -> Floats:
     ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
     ready = np.maximum(ends[:, plan.before], plan.not_before_s)
     for number, needs in enumerate(plan.needs):
-        if needs:
-            ready[:, number] = np.maximum(ready[:, number], end[:, needs].max(axis=1))
+        for need, after_s in needs:
+            ready[:, number] = np.maximum(ready[:, number], end[:, need] + after_s)
     return np.asarray(ready)
 
 
@@ -256,8 +265,8 @@ def _decides(plan: _Plan, end: Floats) -> Floats:
     found[later] = -2
     latest = np.maximum(latest, plan.not_before_s)
     for number, needs in enumerate(plan.needs):
-        for need in needs:
-            later_here = end[:, need] > latest[:, number]
+        for need, after_s in needs:
+            later_here = end[:, need] + after_s > latest[:, number]
             found[later_here, number] = need
-            latest[later_here, number] = end[later_here, need]
+            latest[later_here, number] = end[later_here, need] + after_s
     return found

@@ -1,7 +1,8 @@
 """Finds the conditions of a task's start: its agent's previous task, its planned start, tasks of other agents.
 
 A condition is accepted if the starts respect it, if it decides several of them, and if the lags between being ready and
-starting become more regular than chance among all candidates can explain.
+starting become more regular than chance among all candidates can explain. `alike` adds what only tasks of one kind show
+together, `process` a process time since an earlier task of the agent itself.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ MIN_DECIDED = 5
 """Minimum number of starts that a condition must decide alone."""
 DECIDED_S = 0.3
 """Minimum lead, s, of all other causes at a start that a condition decided."""
+EARLY_PART = 0.05
+"""The same for a process time, as a share of it, in addition: processes vary."""
 REGULAR_S = 0.05
 """Resolution of lags, s."""
 GAIN_PER_START, GAIN = 0.1, 6.0
@@ -53,7 +56,7 @@ class Starts:
     """Conditions of the starts of one task.
 
     Attributes:
-        needs: Tasks of other agents that must have ended.
+        needs: Tasks that must have ended.
         planned: Whether it waits for its planned start.
         lags_s: Lag of each logged start after its conditions, shape (N,), s.
     """
@@ -63,81 +66,150 @@ class Starts:
     lags_s: Vector
 
 
-def learn_starts(runs: Sequence[Run], agent: str, task: str) -> Starts:
-    """Return the conditions of one agent's task.
+@dataclass
+class Waiting:
+    """The logged starts of one task, and the conditions found so far.
+
+    Attributes:
+        agent, task: The waiting task.
+        seen: Its starts, N of them.
+        start_s: Their times, shape (N,), s.
+        free_s: End of the agent's previous task, shape (N,), s.
+        planned_s: Planned starts, shape (N,), s; NaN if not logged.
+        found: Conditions, None = the planned start.
+    """
+
+    agent: str
+    task: str
+    seen: list[_Start]
+    start_s: Vector
+    free_s: Vector
+    planned_s: Vector
+    found: list[NeedCard | None]
+
+    def ends_s(self, need: NeedCard | None) -> Vector:
+        """Return for each start when a condition allows it, shape (N,), s; NaN where there is none."""
+        return self.planned_s if need is None else _ends(self, need) + need.after_s
+
+    def ready_s(self, but: NeedCard | None = None) -> Vector:
+        """Return for each start when all conditions found allow it, shape (N,), s; without one of them if given."""
+        ready = self.free_s
+        for each in self.found:
+            if but is None or each is None or (each.agent, each.task) != (but.agent, but.task):
+                ready = np.fmax(ready, self.ends_s(each))
+        return ready
+
+
+def learn_starts(runs: Sequence[Run], agent: str) -> dict[str, Starts]:
+    """Return the conditions of one agent's tasks, by task.
 
     Args:
-        runs: Executions; at least one contains the task.
+        runs: Executions; at least one contains the agent.
         agent: Name of the agent.
-        task: Name of the task.
     """
-    seen = list(_starts(runs, agent, task))
-    start = np.array([each.start_s for each in seen])
-    ready = np.array([each.own_s for each in seen])
-    planned = np.array([each.planned_s for each in seen])
-    open_to: dict[NeedCard | None, Vector] = {None: planned}
-    open_to |= {need: _ends(seen, need) for need in _candidates(runs, agent)}
-    chosen: list[NeedCard | None] = []
-    while len(chosen) < MAX_CONDITIONS:
+    from cyclekit.learning.task_times.alike import find_with_alike
+    from cyclekit.learning.task_times.process import find_process_time
+
+    others = candidates(runs, agent)
+    tasks = sorted({done.task for run in runs for done in run.tasks.get(agent, ())})
+    every = [_waiting(runs, agent, task) for task in tasks]
+    for one in every:
+        _find(one, others)
+    find_with_alike(every, others)
+    for one in every:
+        find_process_time(one, tasks)
+    return {one.task: _told(one) for one in every}
+
+
+def _find(one: Waiting, others: Sequence[NeedCard]) -> None:
+    """Add the conditions that the starts of a task show alone."""
+    open_to: dict[NeedCard | None, Vector] = {need: one.ends_s(need) for need in (None, *others)}
+    while len(one.found) < MAX_CONDITIONS:
+        ready = one.ready_s()
         tried = {
-            need: _gain(start, ready, ends, EARLY_PLAN_S if need is None else EARLY_S)
+            need: gain([(one.start_s, ready, ends)], early_s(need))
             for need, ends in open_to.items()
-            if need not in chosen
+            if need not in one.found
         }
         best = max(tried, key=lambda need: tried[need], default=None)
-        least = GAIN + np.log(len(open_to)) + GAIN_PER_START * len(seen)
-        if not tried or tried[best] < least:
+        if not tried or tried[best] < least_gain(len(open_to), len(one.seen)):
             break
-        chosen.append(best)
-        ready = np.fmax(ready, open_to[best])
-    needs = [_told(need, start, ready, open_to) for need in chosen if need is not None]
-    return Starts(tuple(needs), None in chosen, start - ready)
+        one.found.append(best)
 
 
-def _starts(runs: Iterable[Run], agent: str, task: str) -> Iterable[_Start]:
+def _waiting(runs: Iterable[Run], agent: str, task: str) -> Waiting:
+    seen = []
     for run in runs:
         own_s, nth = 0.0, 0
         for done in run.tasks.get(agent, ()):
             if done.task == task:
-                yield _Start(run, nth, done.start_s, own_s, done.planned_s)
+                seen.append(_Start(run, nth, done.start_s, own_s, done.planned_s))
                 nth += 1
             own_s = done.end_s
+    times = np.array([[each.start_s, each.own_s, each.planned_s] for each in seen])
+    return Waiting(agent, task, seen, times[:, 0], times[:, 1], times[:, 2], [])
 
 
-def _candidates(runs: Sequence[Run], agent: str) -> list[NeedCard]:
+def candidates(runs: Sequence[Run], agent: str) -> list[NeedCard]:
+    """Return the tasks of other agents that a task of an agent may wait for."""
     pairs = {(name, done.task) for run in runs for name, some in run.tasks.items() if name != agent for done in some}
     return [NeedCard(agent=name, task=task, back=back) for name, task in sorted(pairs) for back in (0, 1)]
 
 
-def _ends(seen: Sequence[_Start], need: NeedCard) -> Vector:
-    """Return for each start the end of the task that a need names, shape (N,), s; NaN if there is none."""
-    found = np.full(len(seen), np.nan)
-    for row, each in enumerate(seen):
+def _ends(one: Waiting, need: NeedCard) -> Vector:
+    """Return for each start the end of the task that a need names, shape (N,), s; NaN if there is none.
+
+    A later task of the same agent is none.
+    """
+    found = np.full(len(one.seen), np.nan)
+    for row, each in enumerate(one.seen):
         ends = [done.end_s for done in each.run.tasks.get(need.agent, ()) if done.task == need.task]
         if 0 <= each.nth - need.back < len(ends):
-            found[row] = ends[each.nth - need.back]
+            end_s = ends[each.nth - need.back]
+            found[row] = end_s if need.agent != one.agent or end_s <= each.start_s else np.nan
     return found
 
 
-def _gain(start: Vector, ready: Vector, ends: Vector, early_s: float) -> float:
-    """Return the gain in regularity of the starts by a condition; minus infinity if the condition does not hold."""
+def early_s(need: NeedCard | None) -> float:
+    """Return how much a start may precede a condition, s; None = its planned start."""
+    return EARLY_PLAN_S if need is None else EARLY_S + EARLY_PART * need.after_s
+
+
+Times = tuple["Vector", "Vector", "Vector"]
+"""Starts of one task, when they were ready, and when a further condition allows them, each of shape (N,), s."""
+
+
+def least_gain(candidates: int, starts: int) -> float:
+    """Return the minimum gain in regularity of a condition that is the best of some candidates."""
+    return float(GAIN + np.log(max(candidates, 1)) + GAIN_PER_START * starts)
+
+
+def gain(some: Sequence[Times], early_s: float) -> float:
+    """Return the gain in regularity of the starts of some tasks by a condition; minus infinity if it does not hold."""
+    start, ready, ends = (np.concatenate(each) for each in zip(*some, strict=True))
     known = np.isfinite(ends)
     held = start >= ends - early_s
     decided = known & held & (ends > ready + DECIDED_S)
     if not known.any() or held[known].mean() < HELD or decided.sum() < MIN_DECIDED:
         return -np.inf
-    with_it = np.where(held, np.fmax(ready, ends), ready)
-    return len(start) * float(np.log(_deviation(start - ready) / _deviation(start - with_it)))
+    before = [start - ready for start, ready, _ in some]
+    after = [start - np.where(start >= ends - early_s, np.fmax(ready, ends), ready) for start, ready, ends in some]
+    return len(start) * float(np.log(_deviation(before) / _deviation(after)))
 
 
-def _deviation(lags_s: Vector) -> float:
-    return float(np.abs(lags_s - np.median(lags_s)).mean()) + REGULAR_S
+def _deviation(lags_s: Sequence[Vector]) -> float:
+    """Return the mean absolute deviation of lags from the median of each task, s, plus the resolution."""
+    return float(np.concatenate([np.abs(each - np.median(each)) for each in lags_s]).mean()) + REGULAR_S
 
 
-def _told(need: NeedCard, start: Vector, ready: Vector, open_to: dict[NeedCard | None, Vector]) -> NeedCard:
-    """Return a need with the share of starts that respect it, and the number that it decided."""
-    ends = open_to[need]
-    known = np.isfinite(ends)
-    decided = known & (ends >= ready - 1e-9)
-    held = float((start[known] >= ends[known] - EARLY_S).mean())
-    return structs.replace(need, held=held, decided=int(decided.sum()))
+def _told(one: Waiting) -> Starts:
+    """Return the conditions, each need with the share of starts that respect it, and the number that it decided."""
+    ready, needs = one.ready_s(), []
+    for need in one.found:
+        if need is not None:
+            ends = one.ends_s(need)
+            known = np.isfinite(ends)
+            decided = known & (ends >= ready - 1e-9)
+            held = float((one.start_s[known] >= ends[known] - early_s(need)).mean()) if known.any() else 1.0
+            needs.append(structs.replace(need, held=held, decided=int(decided.sum())))
+    return Starts(tuple(needs), None in one.found, one.start_s - ready)

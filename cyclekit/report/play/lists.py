@@ -63,7 +63,7 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
 
 
 def _need(need: NeedCard) -> dict[str, Any]:
-    return {name: getattr(need, name) for name in ("agent", "task", "back")}
+    return {name: getattr(need, name) for name in ("agent", "task", "back", "after_s")}
 
 
 def _plan(card: TaskModelCard, each: CycleEstimate) -> dict[str, Any]:

@@ -25,12 +25,14 @@ const laidOut = (tasks, asked) => {
     const mine = cards[number].needs.filter((need) => !asked.without.includes(waitName(cards[number], need))).flatMap((need) => {
       const theirs = turns.get(keyOf(need.agent, need.task)) || [];
       const which = nth - need.back;
-      return which >= 0 && which < theirs.length ? [theirs[which]] : [];
+      const there = which >= 0 && which < theirs.length;
+      const ofOwn = there && tasks[theirs[which]].agent === task.agent && theirs[which] > number; // no agent waits for its later task
+      return there && !ofOwn ? [[theirs[which], need.after_s]] : [];
     });
     for (const told of task.after) {
       const able = tasks.map((other, n) => n).filter((n) => tasks[n].name === told && n !== number);
       const ordered = [...turns.values()].flat().filter((n) => able.includes(n));
-      if (ordered.length) mine.push(ordered[Math.min(nth, ordered.length - 1)]);
+      if (ordered.length) mine.push([ordered[Math.min(nth, ordered.length - 1)], 0]);
       else unknown.push(told);
     }
     return mine;
@@ -89,7 +91,7 @@ const rolledPlan = (tasks, asked) => {
   const next = tasks.map((_, number) => plan.before.indexOf(number));
   const readyAt = (n) => {
     let ready = Math.max(plan.before[n] < 0 ? 0 : ends[plan.before[n]], plan.notBefore_s[n]);
-    for (const need of plan.needs[n]) ready = Math.max(ready, ends[need]);
+    for (const [need, after_s] of plan.needs[n]) ready = Math.max(ready, ends[need] + after_s);
     return ready;
   };
   for (let cycle = 0; cycle < cycles; cycle += 1) {
@@ -97,7 +99,7 @@ const rolledPlan = (tasks, asked) => {
     for (let n = 0; n < count; n += 1) {
       const card = plan.cards[n];
       work[n] = factor[n] * tables.values[card.first + draws[n][0][cycle]];
-      lag[n] = Math.max(tables.values[card.first + card.work + draws[n][1][cycle]], 0);
+      lag[n] = Math.max(tables.values[card.first + card.work + draws[n][1][cycle]], card.needs.some((need) => need.after_s) ? -Infinity : 0); // roll.least_lag_s
       half[n] = work[n] / 2;
       [begins[n], ends[n], running[n], late[n]] = [Infinity, Infinity, 0, Number(!halves)];
     }
@@ -133,7 +135,7 @@ const rolledPlan = (tasks, asked) => {
       [start[n][cycle], end[n][cycle]] = [begins[n], ends[n]];
       let [latest, who] = [plan.before[n] < 0 ? 0 : ends[plan.before[n]], -1];
       if (plan.notBefore_s[n] > latest) [latest, who] = [plan.notBefore_s[n], -2];
-      for (const need of plan.needs[n]) if (ends[need] > latest) [latest, who] = [ends[need], need];
+      for (const [need, after_s] of plan.needs[n]) if (ends[need] + after_s > latest) [latest, who] = [ends[need] + after_s, need];
       decides[n][cycle] = who;
     }
   }

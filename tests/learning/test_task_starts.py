@@ -1,0 +1,105 @@
+"""Conditions in task lists that no task shows alone: of tasks of one kind, and of processes of the agent itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from cyclekit.config.sequences import PlannedTask
+from cyclekit.dataset.cards.task_model import NeedCard, TaskModelCard, TaskTimesCard
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.task_times.learn import learn_runs
+from cyclekit.learning.task_times.roll import roll_plan
+from cyclekit.learning.task_times.runs import DoneTask, Run, logged_runs
+from cyclekit.learning.task_times.starts import learn_starts
+from cyclekit_sim import COUPLED, SimulationOptions, fresh_cycles, random_orders, simulate
+from cyclekit_sim.coupled_list import listed_conditions, task_plan
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cyclekit.learning.task_times.starts import Starts
+
+OWN_S = {"tend": 3.0, "sort": 4.0, "stack": 6.0}
+PROCESS_S = 12.0
+
+
+def listed(folder: Path, scene: str, coupling: float = 1.0) -> Dataset:
+    options = SimulationOptions(task_list=True, coupling=coupling)
+    simulate(scene, folder / "logs", executions=30, seed=3, options=options)
+    ingest([folder / "logs"], folder / "dataset")
+    return Dataset.open(folder / "dataset")
+
+
+def needs_of(dataset: Dataset) -> set[tuple[str, str, int]]:
+    runs, agents = logged_runs(dataset)
+    found = [(task, each) for agent in agents for task, each in learn_starts(runs, agent).items()]
+    return {(task, need.task, need.back) for task, each in found for need in each.needs}
+
+
+def true_needs(scene: str) -> set[tuple[str, str, int]]:
+    return {(str(each["task"]), str(each["needs"]), each["back"]) for each in listed_conditions(COUPLED[scene])}  # type: ignore[misc]
+
+
+def of_machine(rng: np.random.Generator, process_s: float, lag_s: float = 0.2) -> dict[str, Starts]:
+    """Return what is learned of a robot that tends a machine and does other tasks while it processes."""
+    runs = []
+    for number in range(25):
+        t, done_s, tasks = 0.0, 0.0, []
+        for task in rng.permutation(["tend"] * 4 + ["sort"] * 4 + ["stack"] * 2):
+            begin = max(t + lag_s * rng.uniform(0.5, 1.5), done_s if task == "tend" else 0.0)
+            t = begin + OWN_S[task] * np.exp(0.1 * rng.standard_normal())
+            done_s = t + process_s * rng.uniform(0.97, 1.03) if task == "tend" else done_s
+            tasks.append(DoneTask(str(task), begin, t))
+        runs.append(Run(str(number), {"arm": tuple(tasks)}, number))
+    return learn_starts(runs, "arm")
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_robot_that_waits_for_the_machine_it_loaded_is_learned_with_the_process_time(seed: int) -> None:
+    found = of_machine(np.random.default_rng(seed), PROCESS_S)
+    (need,) = found["tend"].needs
+    assert (need.agent, need.task, need.back) == ("arm", "tend", 1)
+    assert need.after_s == pytest.approx(PROCESS_S, abs=0.4)
+    assert not found["sort"].needs
+    assert not found["stack"].needs
+
+
+@pytest.mark.parametrize("lag_s", [0.2, 2.0])
+def test_nothing_is_found_where_the_robot_waits_for_no_process(lag_s: float) -> None:
+    assert not any(each.needs for each in of_machine(np.random.default_rng(3), 0.0, lag_s).values())
+
+
+def test_the_wait_for_a_machine_is_the_shorter_the_more_is_done_in_between(tmp_path: Path) -> None:
+    dataset, scene = listed(tmp_path, "machine-tending"), "machine-tending"
+    assert needs_of(dataset) == true_needs(scene)
+    model = learn_runs(*logged_runs(dataset), folds=2)
+    (need,) = (need for task in model.tasks for need in task.needs)
+    assert 12.6 < need.after_s < 13.4
+    for number, order in enumerate(random_orders(scene, 77, 3)):
+        plan = [PlannedTask(agent, task) for agent, task in task_plan(COUPLED[scene], order)]
+        true_s = fresh_cycles(scene, order, cycles=60, seed=number).durations_s.mean()
+        assert roll_plan(model, plan, cycles=300).duration_s.mean() == pytest.approx(true_s, rel=0.02)
+
+
+def test_fixtures_of_one_kind_show_together_what_the_robot_waits_for(tmp_path: Path) -> None:
+    assert needs_of(listed(tmp_path, "four-fixtures")) == true_needs("four-fixtures")
+
+
+@pytest.mark.parametrize("scene", ["machine-tending", "four-fixtures"])
+def test_nothing_is_found_where_nobody_waits_for_anybody(tmp_path: Path, scene: str) -> None:
+    assert not needs_of(listed(tmp_path, scene, coupling=0.0))
+
+
+def test_an_agent_does_not_wait_for_its_own_later_task() -> None:
+    need = NeedCard(agent="arm", task="load", after_s=5.0)
+    usual: dict[str, Any] = {"agent": "arm", "usual_s": 1.0, "work_s": (1.0,), "rates": {}, "after": {}, "lags_s": (0,)}
+    cards = TaskTimesCard(task="load", **usual), TaskTimesCard(task="unload", needs=(need,), **usual)
+    assert cards[1].waits_for[1:] == ["5.0 s after arm: load"]
+    model = TaskModelCard(agents={"arm": "robot"}, tasks=cards, executions=5)
+    load, unload = (PlannedTask("arm", card.task) for card in cards)
+    assert roll_plan(model, [load, unload], cycles=1).duration_s == pytest.approx([7.0])
+    assert roll_plan(model, [unload, load], cycles=1).duration_s == pytest.approx([2.0])

@@ -83,6 +83,21 @@ def test_what_changes_nothing_is_shrunk_to_nothing() -> None:
     assert np.abs(np.log(off)).mean() < 0.08
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_few_executions_of_tasks_that_depend_on_nothing_show_no_effects(seed: int) -> None:
+    rng, runs = np.random.default_rng(seed), []
+    for number in range(6):
+        tasks = {}
+        for agent, names in {"arm": "abc" * 2, "worker": "uvw" * 2}.items():
+            ends = np.cumsum(5.0 * np.exp(0.1 * rng.standard_normal(len(names))))
+            order, starts = rng.permutation(list(names)), [0.0, *ends[:-1]]
+            tasks[agent] = tuple(DoneTask(str(name), *at) for name, *at in zip(order, starts, ends, strict=True))
+        runs.append(Run(str(number), tasks, number))
+    found = fit_rates(runs, [*(("arm", name) for name in "abc"), *(("worker", name) for name in "uvw")])
+    every = [(*each.rates.values(), *each.after.values(), *each.turns) for each in found.values()]
+    assert np.abs(np.log(np.concatenate(every))).mean() < 0.03
+
+
 def test_a_plan_takes_longer_where_the_operator_waits_in_the_way() -> None:
     model = learn_runs(runs_of(150, waiting=0.3, shortest_s=1.0), AGENTS, folds=2)
     for packs, weld_s in ((MOUNT_S + 0.1, 5.0), (MOUNT_S + 3.0, 5.0 + 0.7 * 3.0), (60.0, 5.0 / 0.3)):

@@ -103,3 +103,12 @@ def test_an_agent_does_not_wait_for_its_own_later_task() -> None:
     load, unload = (PlannedTask("arm", card.task) for card in cards)
     assert roll_plan(model, [load, unload], cycles=1).duration_s == pytest.approx([7.0])
     assert roll_plan(model, [unload, load], cycles=1).duration_s == pytest.approx([2.0])
+
+
+def test_a_plan_that_seldom_decides_is_no_lag() -> None:
+    runs = []
+    for number in range(4):
+        late_s = 9.0 if number % 2 else 5.0
+        tasks = DoneTask("load", 0.0, 5.1, 0.0), DoneTask("weld", late_s + 0.1, late_s + 6.0, late_s)
+        runs.append(Run(str(number), {"arm": tasks}, number))
+    assert learn_starts(runs, "arm")["weld"].lags_s.max() < 0.2

@@ -41,6 +41,10 @@ ROUNDS = 3
 """Number of times that rates and spreads are estimated in turn."""
 STEPS = 40
 """Number of updates of the spreads each time."""
+MOST = 4.0
+"""Maximum absolute effect on the logarithm of a rate or of the work."""
+LIKE_OTHERS = 4.0
+"""Weight of all tasks' scatter in that of one, as a number of repetitions."""
 _FREE = 1e-6
 _MIN_SPREAD = 1e-3
 ALONE = ""
@@ -133,7 +137,10 @@ def fit_rates(runs: Sequence[Run], pairs: Iterable[tuple[str, str]]) -> dict[tup
     spreads, best = SPREADS, {pair: _begin(parts) for pair, parts in every.items()}
     for _ in range(ROUNDS):
         best = {pair: _best(parts, spreads, best[pair]) for pair, parts in every.items()}
-        spreads = _spreads([(parts, best[pair]) for pair, parts in every.items()], spreads)
+        fits = [(parts, best[pair]) for pair, parts in every.items()]
+        spreads, scatter = _spreads(fits, spreads)
+        for (_, at), each in zip(fits, scatter, strict=True):
+            at[1] = each
     return {pair: _rates(parts, best[pair]) for pair, parts in every.items()}
 
 
@@ -145,7 +152,7 @@ def _begin(parts: _Parts) -> Vector:
 def _best(parts: _Parts, spreads: Mapping[str, float], begin: Vector) -> Vector:
     """Return mean and log spread of the log work, and all effects, at the maximum of the posterior density."""
     spread = np.array([spreads[kind] for kind in parts.kinds])
-    bounds = [(None, None), (-8.0, 3.0), *[(-4.0, 4.0)] * len(spread)]
+    bounds = [(None, None), (begin[1], begin[1]), *[(-MOST, MOST)] * len(spread)]
     best = minimize(_density, begin, args=(parts, spread), jac=True, method="L-BFGS-B", bounds=bounds).x
     return np.asarray(best)
 
@@ -166,38 +173,66 @@ def _density(at: Vector, parts: _Parts, prior: Vector) -> tuple[float, Vector]:
     return float(value), np.concatenate([[-pull.sum(), of_spread], of_effects])
 
 
-def _spreads(fits: Sequence[tuple[_Parts, Vector]], spreads: Mapping[str, float]) -> dict[str, float]:
-    """Return the spread of each kind of effect over all tasks that makes the logs most likely.
+class _Quadratic:
+    """The likelihood of one task around its best mean and effects, where residuals are linear in them.
 
-    The likelihood of each task is taken as quadratic around its best effects.
+    Attributes:
+        kinds: Kind of each effect.
+        scatter: Variance of the log work.
+        left: Number of repetitions that the effects have not used up.
+        squares: Sum of the squared residuals.
     """
-    now = dict(spreads)
-    quadratic = []
-    for parts, at in fits:
-        curved, prior = _curved(parts, at), np.array([spreads[kind] for kind in parts.kinds])
-        quadratic.append((parts.kinds, curved, curved[:, 1:] @ at[2:] + np.append(0.0, at[2:] / prior**2)))
+
+    def __init__(self, parts: _Parts, at: Vector, spreads: Mapping[str, float]) -> None:
+        k, self.kinds = parts.beside.shape[1], parts.kinds
+        done = np.exp(parts.beside @ at[2 : 2 + k]) * parts.dt_s
+        work = np.bincount(parts.of, done)
+        of_rate = np.zeros((len(parts.last), k))
+        np.add.at(of_rate, parts.of, parts.beside * (done / work[parts.of])[:, None])
+        slope = np.hstack([np.ones((len(of_rate), 1)), -of_rate, parts.factors])
+        off = np.log(work) - at[0] - parts.factors @ at[2 + k :]
+        self._at, self._gram, self._off = np.delete(at, 1), slope.T @ slope, off @ off
+        self._pull, self._prior = slope.T @ off, self._known(spreads)
+        self._begin = self.scatter = (np.exp(at[1]) + _MIN_SPREAD) ** 2
+        self.squares, self.left = self._off, float(len(off))
+
+    def _known(self, spreads: Mapping[str, float]) -> Vector:
+        return np.append(_FREE, [spreads[kind] ** -2 for kind in self.kinds])
+
+    def squared(self, spreads: Mapping[str, float]) -> Vector:
+        """Return the expected square of each effect with other spreads; updates `squares` and `left`."""
+        ends = self._prior * self._at - self._pull / self._begin  # pull of the rates at the ends of repetitions
+        variance = np.linalg.inv(self._gram / self.scatter + np.diag(self._known(spreads)))
+        at = variance @ ((self._pull + self._gram @ self._at) / self.scatter + ends)
+        at[1:] = np.clip(at[1:], -MOST, MOST)
+        moved = at - self._at
+        self.squares = max(self._off - 2.0 * moved @ self._pull + moved @ self._gram @ moved, 0.0)
+        determined = np.trace(self._gram @ variance) / self.scatter
+        self.left = max(float(self._gram[0, 0] - determined), 0.0)
+        return np.asarray((at**2 + np.diag(variance))[1:])
+
+
+def _spreads(
+    fits: Sequence[tuple[_Parts, Vector]], spreads: Mapping[str, float]
+) -> tuple[dict[str, float], list[float]]:
+    """Return the spread of each kind of effect and the log scatter of each task's work that make the logs most likely.
+
+    The effects were fitted to the same repetitions, so the scatter is that of the residuals by the repetitions that are
+    left; with few of them, close to that of the other tasks.
+    """
+    now, tasks = dict(spreads), [_Quadratic(parts, at, spreads) for parts, at in fits]
     for _ in range(STEPS):
         total = {kind: SPREADS_COUNT * spread**2 for kind, spread in SPREADS.items()}
         count = dict.fromkeys(SPREADS, SPREADS_COUNT)
-        for kinds, curved, pull in quadratic:
-            known = np.append(_FREE, [now[kind] ** -2 for kind in kinds])
-            variance = np.linalg.inv(curved + np.diag(known))
-            for kind, each in zip(kinds, ((variance @ pull) ** 2 + np.diag(variance))[1:], strict=True):
+        for task in tasks:
+            for kind, each in zip(task.kinds, task.squared(now), strict=True):
                 total[kind] += float(each)
                 count[kind] += 1.0
         now = {kind: float(np.sqrt(total[kind] / count[kind])) for kind in SPREADS}
-    return now
-
-
-def _curved(parts: _Parts, at: Vector) -> Floats:
-    """Return the curvature of the log likelihood in the mean and the effects (Gauss-Newton)."""
-    k, spread = parts.beside.shape[1], np.exp(at[1]) + _MIN_SPREAD
-    done = np.exp(parts.beside @ at[2 : 2 + k]) * parts.dt_s
-    share = done / np.bincount(parts.of, done)[parts.of]
-    of_rate = np.zeros((len(parts.last), k))
-    np.add.at(of_rate, parts.of, parts.beside * share[:, None])
-    slope = np.hstack([np.ones((len(of_rate), 1)), -of_rate, parts.factors]) / spread
-    return np.asarray(slope.T @ slope)
+        usual = float(np.median([task.squares / max(task.left, 1.0) for task in tasks]))
+        for task in tasks:
+            task.scatter = (task.squares + LIKE_OTHERS * usual) / (task.left + LIKE_OTHERS) + _MIN_SPREAD**2
+    return now, [0.5 * float(np.log(task.scatter)) for task in tasks]
 
 
 def _rates(parts: _Parts, at: Vector) -> TaskRates:

@@ -122,8 +122,13 @@ def learn_starts(runs: Sequence[Run], agent: str) -> dict[str, Starts]:
 
 
 def _find(one: Waiting, others: Sequence[NeedCard]) -> None:
-    """Add the conditions that the starts of a task show alone."""
-    open_to: dict[NeedCard | None, Vector] = {need: one.ends_s(need) for need in (None, *others)}
+    """Add the conditions that the starts of a task show alone.
+
+    A planned start needs little evidence: a plan that is estimated is kept, so waits for it must not count as lags too.
+    """
+    if gain([(one.start_s, one.ready_s(), one.planned_s)], EARLY_PLAN_S, decided=1) > 0.0:
+        one.found.append(None)
+    open_to: dict[NeedCard | None, Vector] = {need: one.ends_s(need) for need in others}
     while len(one.found) < MAX_CONDITIONS:
         ready = one.ready_s()
         tried = {
@@ -184,13 +189,16 @@ def least_gain(candidates: int, starts: int) -> float:
     return float(GAIN + np.log(max(candidates, 1)) + GAIN_PER_START * starts)
 
 
-def gain(some: Sequence[Times], early_s: float) -> float:
-    """Return the gain in regularity of the starts of some tasks by a condition; minus infinity if it does not hold."""
+def gain(some: Sequence[Times], early_s: float, decided: int = MIN_DECIDED) -> float:
+    """Return the gain in regularity of the starts of some tasks by a condition; minus infinity if it does not hold.
+
+    It does not hold if too many starts precede it, or if it decided too few.
+    """
     start, ready, ends = (np.concatenate(each) for each in zip(*some, strict=True))
     known = np.isfinite(ends)
     held = start >= ends - early_s
-    decided = known & held & (ends > ready + DECIDED_S)
-    if not known.any() or held[known].mean() < HELD or decided.sum() < MIN_DECIDED:
+    alone = known & held & (ends > ready + DECIDED_S)
+    if not known.any() or held[known].mean() < HELD or alone.sum() < decided:
         return -np.inf
     before = [start - ready for start, ready, _ in some]
     after = [start - np.where(start >= ends - early_s, np.fmax(ready, ends), ready) for start, ready, ends in some]

@@ -95,7 +95,7 @@ def test_few_executions_of_tasks_that_depend_on_nothing_show_no_effects(seed: in
         runs.append(Run(str(number), tasks, number))
     found = fit_rates(runs, [*(("arm", name) for name in "abc"), *(("worker", name) for name in "uvw")])
     every = [(*each.rates.values(), *each.after.values(), *each.turns) for each in found.values()]
-    assert np.abs(np.log(np.concatenate(every))).mean() < 0.03
+    assert np.abs(np.log(np.concatenate(every))).mean() < 0.05
 
 
 def test_a_plan_takes_longer_where_the_operator_waits_in_the_way() -> None:

@@ -37,7 +37,9 @@ turn      the first, second ... time in an execution: the slot of a part
 """
 SPREADS_COUNT = 0.1
 """Weight of these in the estimated spreads, as a number of effects."""
-ROUNDS = 3
+MOST_SPREAD = 2.0
+"""Maximum estimated spread, as a multiple of these: tasks that always run alike determine none."""
+ROUNDS = 5
 """Number of times that rates and spreads are estimated in turn."""
 STEPS = 40
 """Number of updates of the spreads each time."""
@@ -135,12 +137,12 @@ def fit_rates(runs: Sequence[Run], pairs: Iterable[tuple[str, str]]) -> dict[tup
     """
     every = {pair: _parts(runs, *pair) for pair in pairs}
     spreads, best = SPREADS, {pair: _begin(parts) for pair, parts in every.items()}
+    least = dict.fromkeys(every, -8.0)
     for _ in range(ROUNDS):
-        best = {pair: _best(parts, spreads, best[pair]) for pair, parts in every.items()}
+        best = {pair: _best(parts, spreads, best[pair], least[pair]) for pair, parts in every.items()}
         fits = [(parts, best[pair]) for pair, parts in every.items()]
         spreads, scatter = _spreads(fits, spreads)
-        for (_, at), each in zip(fits, scatter, strict=True):
-            at[1] = each
+        least = dict(zip(every, scatter, strict=True))
     return {pair: _rates(parts, best[pair]) for pair, parts in every.items()}
 
 
@@ -149,10 +151,14 @@ def _begin(parts: _Parts) -> Vector:
     return np.concatenate([[np.median(usual), np.log(usual.std() + 0.05)], np.zeros(len(parts.kinds))])
 
 
-def _best(parts: _Parts, spreads: Mapping[str, float], begin: Vector) -> Vector:
-    """Return mean and log spread of the log work, and all effects, at the maximum of the posterior density."""
+def _best(parts: _Parts, spreads: Mapping[str, float], begin: Vector, least: float) -> Vector:
+    """Return mean and log spread of the log work, and all effects, at the maximum of the posterior density.
+
+    The log spread is at least `least`: effects fitted to few repetitions leave too little of it.
+    """
     spread = np.array([spreads[kind] for kind in parts.kinds])
-    bounds = [(None, None), (begin[1], begin[1]), *[(-MOST, MOST)] * len(spread)]
+    bounds = [(None, None), (least, 3.0), *[(-MOST, MOST)] * len(spread)]
+    begin = np.concatenate([begin[:1], [max(begin[1], least)], begin[2:]])
     best = minimize(_density, begin, args=(parts, spread), jac=True, method="L-BFGS-B", bounds=bounds).x
     return np.asarray(best)
 
@@ -174,16 +180,17 @@ def _density(at: Vector, parts: _Parts, prior: Vector) -> tuple[float, Vector]:
 
 
 class _Quadratic:
-    """The likelihood of one task around its best mean and effects, where residuals are linear in them.
+    """The likelihood of one task around its best effects.
 
     Attributes:
         kinds: Kind of each effect.
-        scatter: Variance of the log work.
+        squares: Sum of the squared residuals of the log work.
         left: Number of repetitions that the effects have not used up.
-        squares: Sum of the squared residuals.
+        scatter: Variance of the log work.
+        most: That without any effect.
     """
 
-    def __init__(self, parts: _Parts, at: Vector, spreads: Mapping[str, float]) -> None:
+    def __init__(self, parts: _Parts, at: Vector) -> None:
         k, self.kinds = parts.beside.shape[1], parts.kinds
         done = np.exp(parts.beside @ at[2 : 2 + k]) * parts.dt_s
         work = np.bincount(parts.of, done)
@@ -191,25 +198,17 @@ class _Quadratic:
         np.add.at(of_rate, parts.of, parts.beside * (done / work[parts.of])[:, None])
         slope = np.hstack([np.ones((len(of_rate), 1)), -of_rate, parts.factors])
         off = np.log(work) - at[0] - parts.factors @ at[2 + k :]
-        self._at, self._gram, self._off = np.delete(at, 1), slope.T @ slope, off @ off
-        self._pull, self._prior = slope.T @ off, self._known(spreads)
-        self._begin = self.scatter = (np.exp(at[1]) + _MIN_SPREAD) ** 2
-        self.squares, self.left = self._off, float(len(off))
-
-    def _known(self, spreads: Mapping[str, float]) -> Vector:
-        return np.append(_FREE, [spreads[kind] ** -2 for kind in self.kinds])
+        self._squares, self._gram, self.squares = at[2:] ** 2, slope.T @ slope, float(off @ off)
+        self.scatter, self.left = (np.exp(at[1]) + _MIN_SPREAD) ** 2, float(len(off))
+        self.most = float(np.exp(2.0 * _begin(parts)[1]))
 
     def squared(self, spreads: Mapping[str, float]) -> Vector:
-        """Return the expected square of each effect with other spreads; updates `squares` and `left`."""
-        ends = self._prior * self._at - self._pull / self._begin  # pull of the rates at the ends of repetitions
-        variance = np.linalg.inv(self._gram / self.scatter + np.diag(self._known(spreads)))
-        at = variance @ ((self._pull + self._gram @ self._at) / self.scatter + ends)
-        at[1:] = np.clip(at[1:], -MOST, MOST)
-        moved = at - self._at
-        self.squares = max(self._off - 2.0 * moved @ self._pull + moved @ self._gram @ moved, 0.0)
+        """Return the expected square of each effect, given the spreads; updates `left`."""
+        known = np.append(_FREE, [spreads[kind] ** -2 for kind in self.kinds])
+        variance = np.linalg.inv(self._gram / self.scatter + np.diag(known))
         determined = np.trace(self._gram @ variance) / self.scatter
         self.left = max(float(self._gram[0, 0] - determined), 0.0)
-        return np.asarray((at**2 + np.diag(variance))[1:])
+        return np.asarray(self._squares + np.diag(variance)[1:])
 
 
 def _spreads(
@@ -220,7 +219,7 @@ def _spreads(
     The effects were fitted to the same repetitions, so the scatter is that of the residuals by the repetitions that are
     left; with few of them, close to that of the other tasks.
     """
-    now, tasks = dict(spreads), [_Quadratic(parts, at, spreads) for parts, at in fits]
+    now, tasks = dict(spreads), [_Quadratic(parts, at) for parts, at in fits]
     for _ in range(STEPS):
         total = {kind: SPREADS_COUNT * spread**2 for kind, spread in SPREADS.items()}
         count = dict.fromkeys(SPREADS, SPREADS_COUNT)
@@ -228,10 +227,11 @@ def _spreads(
             for kind, each in zip(task.kinds, task.squared(now), strict=True):
                 total[kind] += float(each)
                 count[kind] += 1.0
-        now = {kind: float(np.sqrt(total[kind] / count[kind])) for kind in SPREADS}
+        now = {kind: min(float(np.sqrt(total[kind] / count[kind])), MOST_SPREAD * SPREADS[kind]) for kind in SPREADS}
         usual = float(np.median([task.squares / max(task.left, 1.0) for task in tasks]))
         for task in tasks:
-            task.scatter = (task.squares + LIKE_OTHERS * usual) / (task.left + LIKE_OTHERS) + _MIN_SPREAD**2
+            found = (task.squares + LIKE_OTHERS * usual) / (task.left + LIKE_OTHERS) + _MIN_SPREAD**2
+            task.scatter = min(found, task.most)
     return now, [0.5 * float(np.log(task.scatter)) for task in tasks]
 
 

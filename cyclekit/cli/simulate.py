@@ -68,6 +68,12 @@ def simulate(
     coupling: Annotated[
         float, typer.Option(min=0, max=1, help="Share of the joint tasks in which robot and operator wait.")
     ] = 1.0,
+    pace_drift: Annotated[
+        float,
+        typer.Option(
+            min=0, max=0.9, help="Share by which the operator's walks and work become shorter, in such cells."
+        ),
+    ] = 0.0,
     without_signals: Annotated[
         bool, typer.Option("--no-signals", help="Leave buttons and sensors out of the logs of cells with waits.")
     ] = False,
@@ -126,6 +132,7 @@ def simulate(
         "people": people,
         "plc_trace": plc_trace,
         "coupling": coupling,
+        "pace_drift": pace_drift,
         "signals": not without_signals,
         "task_list": task_list,
     }

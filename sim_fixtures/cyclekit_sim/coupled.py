@@ -63,8 +63,20 @@ class CoupledWork:
 
     def run(self, numbers: Sequence[int], progress: Callable[[float], None] | None = None) -> list[CoupledTrace]:
         """Run executions given by number."""
-        strength = self.options.coupling
-        cells = [make_cell(self.cell, self.executions[i], self.table, self.seed, i, strength, LOGGED) for i in numbers]
+        options, size = self.options, self.options.executions_per_session
+        cells = [
+            make_cell(
+                self.cell,
+                self.executions[i],
+                self.table,
+                self.seed,
+                i,
+                options.coupling,
+                LOGGED,
+                options.pace(i, i // size),
+            )
+            for i in numbers
+        ]
         return run_cells(self.cell, cells, self.table, self.options, logged=True, progress=progress)[1]
 
     def _signals(self, traces: Sequence[CoupledTrace], begins_s: Sequence[float]) -> tuple[tuple[float, str, str], ...]:
@@ -131,6 +143,7 @@ def fresh_cycles(
     seed: int,
     options: SimulationOptions = _DEFAULT,
     operators: Sequence[tuple[str, ...]] = (),
+    after: int = 0,
 ) -> FreshCycles:
     """Run one order of both agents repeatedly, without writing logs.
 
@@ -143,6 +156,7 @@ def fresh_cycles(
         seed: Of what is drawn.
         options: How strongly they are coupled, and the dynamics of the safety function.
         operators: Orders of the operator that take turns, in place of his in `order`.
+        after: Number of executions before them: they all have the operator's pace then. Several people take turns.
 
     Raises:
         SimulationError: The scene has no waits, or the order does not belong to it.
@@ -156,7 +170,16 @@ def fresh_cycles(
     for first in range(0, cycles, _FRESH_BATCH):
         numbers = range(first, min(first + _FRESH_BATCH, cycles))
         cells = [
-            make_cell(cell, orders[number % len(orders)], table, seed, number, options.coupling, FRESH)
+            make_cell(
+                cell,
+                orders[number % len(orders)],
+                table,
+                seed,
+                number,
+                options.coupling,
+                FRESH,
+                options.pace(after, number),
+            )
             for number in numbers
         ]
         done += run_cells(cell, cells, table, options)[0]

@@ -129,17 +129,20 @@ def _move(script: Script, table: MotionTable, pair: tuple[str, str], task: int, 
     return table.first_row[pair] + rows
 
 
-def operator_script(cell: Coupled, places: Sequence[str], index: int, rng: np.random.Generator) -> Script:
-    """Return the operator's script; rows refer to the consecutive legs."""
+def operator_script(
+    cell: Coupled, places: Sequence[str], index: int, rng: np.random.Generator, pace: float = 1.0
+) -> Script:
+    """Return the operator's script; rows refer to the consecutive legs. Walks and work take `pace` times as long."""
     script, stations = Script(Execution(index, tuple(places), ())), cell.scene.stations
     here = draw_goal(cell.scene, places[0], rng)
-    _stay(script, here, float(rng.uniform(*stations[places[0]].dwell_s)), -1, places[0])
+    _stay(script, here, pace * float(rng.uniform(*stations[places[0]].dwell_s)), -1, places[0])
     for task, place in enumerate(places[1:]):
         for gate in _gates(cell, "operator", "approach", place):
             script.add_gates([gate], _rows(script), max(task - 1, 0), places[task])
             script.legs.append(stand(here, 0.0))
         there = draw_goal(cell.scene, place, rng)
         leg = draw_walk(cell.scene, here, there, place, rng)
+        leg = replace(leg, t_s=pace * leg.t_s)
         length_s = float(leg.t_s[-1])
         number = script.add(MOVE, length_s, _rows(script), (len(leg.t_s) - 1) / length_s, task, place)
         script.moments[place, "arrives"].append(number)
@@ -149,9 +152,11 @@ def operator_script(cell: Coupled, places: Sequence[str], index: int, rng: np.ra
             for gate in _gates(cell, "operator", "work", place):
                 script.add_gates([gate], _rows(script), task, place)
                 script.legs.append(stand(here, 0.0))
-            work_s = float(rng.uniform(*stations[place].dwell_s))
+            work_s = pace * float(rng.uniform(*stations[place].dwell_s))
             script.moments[place, "done"].append(_stay(script, here, work_s, task, place))
-            script.moments[place, "leaves"].append(_stay(script, here, float(rng.uniform(*LINGER_S)), task, place))
+            script.moments[place, "leaves"].append(
+                _stay(script, here, pace * float(rng.uniform(*LINGER_S)), task, place)
+            )
     return script
 
 

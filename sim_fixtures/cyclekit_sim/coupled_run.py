@@ -112,9 +112,9 @@ def coupled_runs(session: Session) -> list[tuple[CoupledTrace, float]]:
 
 
 def make_cell(
-    cell: Coupled, order: Order, table: MotionTable, seed: int, index: int, coupling: float, domain: int
+    cell: Coupled, order: Order, table: MotionTable, seed: int, index: int, coupling: float, domain: int, pace: float
 ) -> Cell:
-    """Draw one execution."""
+    """Draw one execution; the operator's walks and work take `pace` times as long as in the scene."""
 
     def drawn(purpose: int) -> np.random.Generator:
         return stream(seed, cell.scene, purpose, index, domain=domain)
@@ -122,7 +122,7 @@ def make_cell(
     parts = 0 if cell.feed is None else order["robot"].count(cell.feed.place)
     scripts = {
         "robot": robot_script(cell, order["robot"], table, index),
-        "operator": operator_script(cell, order["operator"], index, drawn(OPERATOR)),
+        "operator": operator_script(cell, order["operator"], index, drawn(OPERATOR), pace),
         "source": source_script(cell, parts, index, drawn(SOURCE)),
     }
     rng = drawn(COUPLING)

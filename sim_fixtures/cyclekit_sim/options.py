@@ -6,6 +6,7 @@ All are off by default: perfect clocks, a noiseless tracker, a scaling without d
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -67,6 +68,10 @@ class SimulationOptions:
         plc_trace: The signals of the fields are in a PLC's trace instead of the robot's log (CSV), with one column per
             tag ("wide") or rows of tag, time and value ("long"); None: as in the scene.
         coupling: Share of joint tasks in which robot and operator wait, in cells with waits (CSV).
+        pace_drift: Share by which the operator's walks and work become shorter over many executions, in such cells.
+        pace_executions: Number of executions in which 63 % of that have happened (exponential).
+        paces: Durations of the operator's walks and work relative to the scene's, by session in turn: so many people
+            who come in turn, in such cells.
         signals: False omits buttons and sensors from the logs of such cells.
         task_list: The logs of such a cell are only starts and ends of tasks.
         products: Products of which the executions are, in turn; without any, each execution draws its places.
@@ -103,6 +108,9 @@ class SimulationOptions:
     people: Literal["tracker", "signals", "both", "none"] | None = None
     plc_trace: Literal["wide", "long"] | None = None
     coupling: float = 1.0
+    pace_drift: float = 0.0
+    pace_executions: float = 60.0
+    paces: tuple[float, ...] = (1.0,)
     signals: bool = True
     task_list: bool = False
     products: tuple[Product, ...] = ()
@@ -128,6 +136,9 @@ class SimulationOptions:
                 (min(self.pick_s or 1.0, self.place_s or 1.0) < 0, "pick_s and place_s are times: use 0 or more"),
                 (self.executions_per_session < 1, "executions_per_session must be 1 or more"),
                 (not 0 <= self.coupling <= 1, f"coupling is {self.coupling}: use a fraction from 0 to 1"),
+                (not 0 <= self.pace_drift < 1, f"pace_drift is {self.pace_drift}: use a fraction from 0 to below 1"),
+                (self.pace_executions <= 0, f"pace_executions is {self.pace_executions}: use more than 0"),
+                (not self.paces or min(self.paces, default=1.0) <= 0, f"paces is {self.paces}: use factors above 0"),
                 (self.causes is not None and self.logs == "mcap", "causes are written to CSV logs only"),
                 (self.people not in (None, "tracker") and self.logs == "mcap", "people is for CSV logs only"),
                 (
@@ -149,3 +160,8 @@ class SimulationOptions:
     def cycle_s(self) -> float:
         """Length of one control cycle, s."""
         return 1.0 / self.robot_rate_hz
+
+    def pace(self, execution: int, session: int) -> float:
+        """Return the durations of the operator's walks and work in an execution, relative to the scene's."""
+        done = 1.0 - math.exp(-execution / self.pace_executions)
+        return self.paces[session % len(self.paces)] * (1.0 - self.pace_drift * done)

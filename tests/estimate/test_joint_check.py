@@ -45,6 +45,7 @@ def test_cycles_that_vary_much_are_no_bias(monkeypatch: pytest.MonkeyPatch) -> N
     cell: Any = SimpleNamespace(
         dataset=None,
         logged=dict.fromkeys(names, ()),
+        paces={},
         model=SimpleNamespace(card=SimpleNamespace(held_out=())),
         roll=lambda plans, **_: rolled[: len(plans)],
     )

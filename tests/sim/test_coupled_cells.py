@@ -146,6 +146,28 @@ def test_fresh_executions_take_as_long_as_logged_ones() -> None:
     assert abs(waits_s.mean() - fresh.operator_waits_s.mean()) < 4 * waits_s.std() / 5
 
 
+def test_the_operators_pace_changes_his_walks_and_work_and_is_that_after_the_logged_executions() -> None:
+    (order,) = random_orders("handover", 1, 1)
+    quick = SimulationOptions(pace_drift=0.5, pace_executions=2.0)
+    begins, ends, half, usual = (
+        fresh_cycles("handover", order, cycles=2, seed=3, options=options, after=after).durations_s
+        for options, after in (
+            (quick, 0),
+            (quick, 100),
+            (SimulationOptions(paces=(0.5,)), 0),
+            (SimulationOptions(), 0),
+        )
+    )
+    assert begins == pytest.approx(usual)
+    assert ends == pytest.approx(half)
+    assert (ends < usual).all()
+    in_turn = SimulationOptions(pace_drift=0.5, pace_executions=2.0, paces=(1.0, 2.0))
+    assert [in_turn.pace(0, session) for session in (0, 1, 2)] == [1.0, 2.0, 1.0]
+    assert in_turn.pace(2, 1) == pytest.approx(2.0 * (1.0 - 0.5 * (1.0 - np.exp(-1.0))))
+    with pytest.raises(SimulationError, match="pace_drift"):
+        SimulationOptions(pace_drift=1.0)
+
+
 def test_the_order_of_both_must_be_one_of_the_scene() -> None:
     with pytest.raises(SimulationError, match="no place oven"):
         fresh_cycles("shared-fixture", {"robot": ("home", "oven", "home"), "operator": ()}, cycles=1, seed=0)

@@ -8,11 +8,15 @@ work and, for each condition, the event plus the lag of that condition.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
+import numpy as np
 from msgspec import Meta
 
 from cyclekit.dataset.cards.quantities import Card, Count, Fraction, Name, Seconds
+
+if TYPE_CHECKING:
+    from cyclekit.schema import Ints, Vector
 
 Agent = Literal["robot", "operator"]
 Quantiles = Annotated[tuple[Seconds, ...], Meta(min_length=1, max_length=1001)]
@@ -179,6 +183,71 @@ class SourceCard(Card, frozen=True, kw_only=True):
         return "arrives" if self.inferred else self.event
 
 
+class TrendCard(Card, frozen=True, kw_only=True):
+    """How the operator's work, or his walks, become quicker or slower over the executions.
+
+    Attributes:
+        change: Change of the logarithm of durations from the first execution to the last.
+        settles: Number of executions in which 63 % of the lasting change has happened; None: it is linear.
+        count: Number of executions.
+        error: Standard error of the logarithm of durations at the last execution.
+        chance: Probability of such a trend by chance.
+    """
+
+    change: Annotated[float, Meta(ge=-5.0, le=5.0)]
+    settles: Annotated[float, Meta(gt=0.0)] | None = None
+    count: Count
+    error: Annotated[float, Meta(ge=0.0)] = 0.0
+    chance: Fraction = 0.0
+
+    def passed(self, number: Ints) -> Vector:
+        """Return the share of the change that has happened at executions, given by number from 0, shape (N,)."""
+        last = max(self.count - 1, 1)
+        if self.settles is None:
+            return np.asarray(number / last)
+        return np.asarray(np.expm1(-number / self.settles) / np.expm1(-last / self.settles))
+
+    def factor(self, number: Ints) -> Vector:
+        """Return durations at executions relative to those at the last one, shape (N,)."""
+        return np.asarray(np.exp(self.change * (self.passed(number) - 1.0)))
+
+
+class OperatorPaceCard(Card, frozen=True, kw_only=True):
+    """How the operator's pace changes over the executions; durations in a card are then those at the last one.
+
+    Attributes:
+        executions: Names of the executions in their order.
+        work, walk: The trend of his own work and of his walks; None: no significant one.
+        work_share: Share of work in the time of both.
+    """
+
+    executions: tuple[Name, ...]
+    work: TrendCard | None = None
+    walk: TrendCard | None = None
+    work_share: Fraction = 1.0
+
+    def factors(self) -> dict[str, tuple[float, float]]:
+        """Return the durations of work and walks in each execution relative to those in the last, by its name."""
+        number = np.arange(len(self.executions))
+        both = [np.ones(len(number)) if one is None else one.factor(number) for one in (self.work, self.walk)]
+        return dict(zip(self.executions, zip(*(factor.tolist() for factor in both), strict=True), strict=True))
+
+    @property
+    def quicker(self) -> float:
+        """Share by which work and walks together became shorter; negative: longer."""
+        work, walk = (0.0 if one is None else float(np.expm1(one.change)) for one in (self.work, self.walk))
+        return -self.work_share * work - (1.0 - self.work_share) * walk
+
+    @property
+    def said(self) -> str:
+        """The trend as a sentence."""
+        how = "quicker" if self.quicker > 0 else "slower"
+        return (
+            f"the operator became {abs(self.quicker):.0%} {how} over {len(self.executions)} executions; "
+            "the estimate is for his pace in the last of them"
+        )
+
+
 class CouplingCard(Card, frozen=True, kw_only=True):
     """Learned wait conditions of robot and operator. Without any, operator tracks do not react to the robot.
 
@@ -187,12 +256,14 @@ class CouplingCard(Card, frozen=True, kw_only=True):
         sources: Sources of parts.
         executions: Number of executions behind them.
         errands: Places to which the operator goes in the middle of his work; that is part of his work.
+        pace: How the operator's pace changes; own work is that at his latest pace. None: no significant change.
     """
 
     gates: tuple[GateCard, ...] = ()
     sources: tuple[SourceCard, ...] = ()
     executions: Count = 0
     errands: tuple[Name, ...] = ()
+    pace: OperatorPaceCard | None = None
 
     @property
     def coupled(self) -> bool:

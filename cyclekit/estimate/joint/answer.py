@@ -92,7 +92,7 @@ def estimate_both(
     card = altered.coupling if altered else ask.model.card.coupling
     dynamics = altered.dynamics if altered else None
     cell = JointCell(ask.model, dataset, card, dynamics=dynamics, as_logged=ask.model.card.coupling)
-    cell.pace = 1.0 / altered.pace if altered else 1.0
+    cell.pace = cell.work_pace = 1.0 / altered.pace if altered else 1.0
     answers = JointAnswers(ask, cell, nominal)
     judged = ask.check if isinstance(ask.check, JointCheck) else None
     if judged is None and validate and altered is None:
@@ -103,13 +103,14 @@ def estimate_both(
     found = answers.found(sequences, judged, refuse, tell)
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, cell.model)]
     unseen = cell.model.doubts if isinstance(cell.model, OnStates) else ()
+    paced = [cell.coupling.pace.said] if cell.coupling is not None and cell.coupling.pace is not None else []
     entries = []
     for entry, _ in found:
         entry, of_other_work, of_work = with_work(entry, _process_tasks(entry.places, nominal, cell))
         doubts = (*unseen, *of_other_work, *entry.doubts, *extrapolation_of(entry), *(judged.doubts if judged else ()))
         doubts += unknown
         few = [few_tracks(entry)] if entry.executions < FEW_EXECUTIONS else []
-        entries.append(replace(entry, doubts=doubts, warnings=(*doubts, *of_work, *few, *limits)))
+        entries.append(replace(entry, doubts=doubts, warnings=(*doubts, *of_work, *few, *paced, *limits)))
     tell(1.0, "done")
     return ranked(entries, [means for _, means in found], [False] * len(found))
 
@@ -142,14 +143,32 @@ class JointAnswers:
         rolled = self._rolled(plans, refuse, tell)
         drawn = resample_counts(self._ask.seed, self._cell.executions)
         weights = drawn / drawn.sum(axis=1, keepdims=True)
+        pace_error = self._pace_errors(list(rolled))
         found = []
         for sequence, cycles in rolled.items():
             problem = no_answer(self._ask, sequence, cycles, longest_s(cycles.plan))
             if problem is not None:
                 refuse(sequence, problem)
                 continue
-            found.append(self._entry(sequence, cycles, check, weights))
+            found.append(self._entry(sequence, cycles, check, weights, pace_error.get(sequence, 0.0)))
         return found
+
+    def _pace_errors(self, sequences: Sequence[TaskSequence]) -> dict[TaskSequence, float]:
+        """Return the standard deviation of each mean because the operator's latest pace is uncertain, as a share."""
+        pace = self._cell.coupling.pace if self._cell.coupling is not None else None
+        if pace is None:
+            return {}
+        slower = self._cell.at_pace(
+            *(1.0 if one is None else float(np.exp(one.error)) for one in (pace.work, pace.walk))
+        )
+        found = []
+        for cell, planner in ((self._cell, self._planner), (slower, Planner(slower, self._planner.nominal))):
+            plans = [planner.plan(sequence) for sequence in sequences]
+            until_s = max((longest_s(plan) for plan in plans), default=0.0)
+            rolled = cell.roll(plans, cycles=OF_MANY, seed=self._ask.seed, until_s=until_s)
+            means = [float("nan") if isinstance(one, EstimateError) else one.duration_s.mean() for one in rolled]
+            found.append(np.array(means, float))
+        return dict(zip(sequences, np.nan_to_num(np.abs(found[1] / found[0] - 1.0)).tolist(), strict=True))
 
     def _plan(self, sequence: TaskSequence, refuse: _Refuse) -> Plan | None:
         try:
@@ -184,7 +203,12 @@ class JointAnswers:
         return found
 
     def _entry(
-        self, sequence: TaskSequence, cycles: RolledBoth, check: JointCheck | None, weights: Floats
+        self,
+        sequence: TaskSequence,
+        cycles: RolledBoth,
+        check: JointCheck | None,
+        weights: Floats,
+        pace_error: float,
     ) -> tuple[CycleEstimate, Vector]:
         ask, factor = self._ask, check.factor if check else 1.0
         durations = np.resize(cycles.duration_s, weights.shape[1]) * factor
@@ -192,8 +216,8 @@ class JointAnswers:
         means = weights @ durations
         low, high = interval_of_mean(
             means,
-            model_error=check.model_error if check else 0.0,
-            judged=len(check.residuals) if check else 2,
+            model_error=float(np.hypot(check.model_error if check else 0.0, pace_error)),
+            judged=len(check.residuals) if check else FEW_EXECUTIONS,
             bias_s=check.doubted_bias * expected if check else 0.0,
             seed=ask.seed,
         )

@@ -12,6 +12,7 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.bias import bias_of
 from cyclekit.estimate.check import FEW_EXECUTIONS, MAX_EXECUTIONS, MIN_EXECUTIONS, OWN_BIAS, Check, compare
 from cyclekit.estimate.conformal import conformal
+from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import longest_s
 from cyclekit.estimate.joint.unexplained import unexplained_waits
 from cyclekit.estimate.logged import logged_durations, logged_sequences
@@ -20,12 +21,14 @@ from cyclekit.estimate.safety import OnStates
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.estimate.joint.plans import Planner
-    from cyclekit.estimate.joint.roll import JointCell
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.estimate.joint.roll import JointCell, RolledBoth
     from cyclekit.schema import Vector
 
 DRAWS = 60
 """Number of cycles rolled out per logged execution."""
+SAME_PACE = 0.03
+"""Difference of the logarithms of paces of the operator that count as one."""
 
 
 @dataclass(frozen=True)
@@ -88,9 +91,8 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
     if len(sequences) > MAX_EXECUTIONS:
         sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, MAX_EXECUTIONS).astype(int)]
     orders = {each.name: tuple(visit.place for visit in cell.logged[each.name]) for each in sequences}
-    plans = [planner.plan(replace(each, operator=orders[each.name])) for each in sequences]
-    until_s = max((longest_s(plan) for plan in plans), default=0.0)
-    rolled = list(cell.roll(plans, cycles=DRAWS, seed=seed, until_s=until_s))
+    sequences = [replace(each, operator=orders[each.name]) for each in sequences]
+    rolled = _at_their_paces(cell, planner, sequences, seed)
     ended = [
         (sequence, np.resize(cycles.duration_s, DRAWS))
         for sequence, cycles in zip(sequences, rolled, strict=True)
@@ -113,6 +115,25 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
     unseen_s = float(np.hypot(waits.by_order_s, _unseen_people_s(cell, [each.name for each in sequences])))
     ours = {"scores": scores, "unexplained_s": waits.wait_s, "unseen_error": unseen_s / mean_s}
     return JointCheck(**{**vars(found), **ours})
+
+
+def _at_their_paces(
+    cell: JointCell, planner: Planner, sequences: Sequence[TaskSequence], seed: int
+) -> list[RolledBoth | EstimateError]:
+    """Return the cycles of logged executions, each at about the operator's pace in it."""
+    paces = [np.round(np.log(cell.paces.get(each.name, (1.0, 1.0))) / SAME_PACE).tolist() for each in sequences]
+    found: dict[str, RolledBoth | EstimateError] = {}
+    for pace in sorted({(work, walk) for work, walk in paces}):
+        mine = [each for each, its in zip(sequences, paces, strict=True) if tuple(its) == pace]
+        then, way = cell, planner
+        if any(pace):
+            then = cell.at_pace(*np.exp(SAME_PACE * np.array(pace)).tolist())
+            way = Planner(then, planner.nominal)
+        plans = [way.plan(each) for each in mine]
+        until_s = max((longest_s(plan) for plan in plans), default=0.0)
+        rolled = then.roll(plans, cycles=DRAWS, seed=seed, until_s=until_s)
+        found |= zip((each.name for each in mine), rolled, strict=True)
+    return [found[each.name] for each in sequences]
 
 
 def _unseen_people_s(cell: JointCell, executions: Sequence[str]) -> float:

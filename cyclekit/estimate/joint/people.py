@@ -31,7 +31,7 @@ class OperatorPositions:
 
     def __init__(self, operator: UnslowedAgent, *, segments: Segments, step_s: float, pace: float = 1.0) -> None:
         """Take what the operator does, his logged positions with the time between them, and how slow he walks."""
-        self._operator, self._pace = operator, pace
+        self._operator, self._pace = operator, pace * segments.stretch
         self._xyz_m, self._first, self._count = segments.table()
         self._step_s = step_s
         draws = operator.draws
@@ -65,11 +65,12 @@ class OperatorPositions:
         still = leg < starts  # before his first walk he is where that begins
         segment = np.where(walks, draws.walk[rows, leg], draws.stay[rows, leg])
         segment = np.where(still, draws.walk[rows, starts], segment)
-        since = np.where(still, 0.0, np.where(walks, (t_s - departs) / self._pace, t_s - arrives)) / self._step_s
+        pace = self._pace[segment]
+        since = np.where(still, 0.0, np.where(walks, (t_s - departs) / pace, t_s - arrives)) / self._step_s
         if draws.trips:
             trip = ~still & ~walks & self._operator.on_trip(t_s, rows, leg)
             segment = np.where(trip, draws.trip[rows, leg], segment)
-            since = np.where(trip, (t_s - times.works_s[rows, leg]) / self._pace / self._step_s, since)
+            since = np.where(trip, (t_s - times.works_s[rows, leg]) / self._pace[segment] / self._step_s, since)
         since = np.minimum(since, self._count[segment] - 1)
         whole = since.astype(np.int64)
         row = self._first[segment] + whole

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.draws import CycleDraws, EventColumns
@@ -21,7 +23,7 @@ from cyclekit.estimate.spread import logged_support
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from cyclekit.dataset.cards import CouplingCard, SourceCard
+    from cyclekit.dataset.cards import CouplingCard, GateCard, SourceCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.joint.legs import Event
     from cyclekit.estimate.joint.visits import OperatorVisit
@@ -117,13 +119,26 @@ class JointCell:
                 robot alone waits.
         """
         self.model, self.dataset, self.coupling = on_states_of(model, dataset), dataset, coupling
+        logs = dataset.card.coupling or coupling
+        self.paces = logs.pace.factors() if logs is not None and logs.pace is not None else {}
         self.as_logged = as_logged or coupling
-        self.gates, self.segments = Gates(coupling, self.as_logged), Segments(dataset, coupling)
+        self.gates, self.segments = Gates(coupling, self.as_logged), Segments(dataset, coupling, self.paces)
         self.dynamics = dynamics or Dynamics.of(dataset.card.dynamics, model)
-        self.pace = 1.0  # factor on the logged durations of the operator
+        self.pace = self.work_pace = 1.0  # factors on the durations of the operator's walks and trips, and of his work
         if not self.segments.orders and not self.unseen:
             seen = f"{dataset.path}: no complete execution has an operator who stays at one of his places"
             raise EstimateError(seen, cure="Ingest the tracker's log too; name [human_places.*] in the cell file.")
+
+    def at_pace(self, work: float, walk: float) -> JointCell:
+        """Return the cell with an operator whose work and walks take so many times as long."""
+        other = copy(self)
+        for name in ("work_s", "first_stays_s"):
+            vars(other).pop(name, None)
+        other.work_pace, other.pace = work * self.work_pace, walk * self.pace
+        if self.coupling is not None:
+            other.coupling = replace(self.coupling, gates=tuple(_slowed(gate, work) for gate in self.coupling.gates))
+            other.gates = Gates(other.coupling, self.as_logged)
+        return other
 
     @property
     def unseen(self) -> bool:
@@ -152,13 +167,13 @@ class JointCell:
     def work_s(self) -> dict[str, Vector]:
         """Logged durations of the operator's stays at each of his places."""
         found = {place: self.segments.work_s(place) for place in self.dataset.human_places}
-        return {place: self.pace * works for place, works in found.items() if len(works)}
+        return {place: self.work_pace * works for place, works in found.items() if len(works)}
 
     @cached_property
     def first_stays_s(self) -> dict[str, Vector]:
         """Logged durations of the operator's stays at the start of an execution, by place."""
         found = {place: self.segments.first_stays_s(place) for place in self.dataset.human_places}
-        return {place: self.pace * stays for place, stays in found.items() if len(stays)}
+        return {place: self.work_pace * stays for place, stays in found.items() if len(stays)}
 
     @cached_property
     def support(self) -> Logged | None:
@@ -243,6 +258,14 @@ class JointCell:
                 AgendaLeg(part, "", np.empty((0, 3)), own_s=own, name=source.signal, needs=needs, passes=passes)
             )
         return Agenda("signal", tuple(legs) or (AgendaLeg(-1, "", np.empty((0, 3))),), (source.signal,) * count)
+
+
+def _slowed(gate: GateCard, pace: float) -> GateCard:
+    """Return a gate of the operator with own work that takes `pace` times as long; one of the robot as it is."""
+    if gate.agent == "robot":
+        return gate
+    by = tuple(replace(one, own_s=tuple(pace * seconds for seconds in one.own_s)) for one in gate.own_by)
+    return replace(gate, own_s=tuple(pace * seconds for seconds in gate.own_s), own_by=by)
 
 
 def _of_one(

@@ -51,11 +51,24 @@ class Segments:
         orders: The visits in each execution, one for each task, by its name.
     """
 
-    def __init__(self, dataset: Dataset, coupling: CouplingCard | None = None) -> None:
-        """Cut the logged tracks of complete executions into walks, stays and the trips that are known."""
+    def __init__(
+        self,
+        dataset: Dataset,
+        coupling: CouplingCard | None = None,
+        paces: Mapping[str, tuple[float, float]] | None = None,
+    ) -> None:
+        """Cut the logged tracks of complete executions into walks, stays and the trips that are known.
+
+        Args:
+            dataset: The logs.
+            coupling: Who waits for whom.
+            paces: Duration of work and of walks in an execution relative to now, by its name; not named: as now.
+        """
+        self._paces_of = paces or {}
         self._step_s = 1.0 / dataset.rate_hz
         self._places = dataset.human_places
         self._parts: list[Floats] = []
+        self._stretch: list[float] = []
         self._ways: dict[tuple[str, str], list[int]] = defaultdict(list)
         self._stays: dict[str, list[int]] = defaultdict(list)
         self._begins: list[Floats] = []
@@ -108,7 +121,13 @@ class Segments:
 
     def durations_s(self, numbers: Ints) -> Vector:
         """Return the durations of segments, shape (N,), s."""
-        return np.array([(len(self._parts[number]) - 1) * self._step_s for number in numbers.tolist()])
+        steps = [(len(self._parts[number]) - 1) * self._stretch[number] for number in numbers.tolist()]
+        return self._step_s * np.array(steps)
+
+    @property
+    def stretch(self) -> Vector:
+        """Duration of each segment now relative to the logged one, shape (segments,)."""
+        return np.array(self._stretch)
 
     def work_s(self, place: str) -> Vector:
         """Return durations of stays at a place, ascending, shape (N,), s, except those cut by the ends of executions.
@@ -122,10 +141,10 @@ class Segments:
     def _single(self, place: str) -> tuple[Vector, Vector | None]:
         """Return all stays at a place, and those of executions with the most of them, if significantly shorter, s."""
         stays: list[tuple[int, float]] = []
-        for visits in self._visits.values():
-            times = sum(visit.place == place for visit in visits)
+        for name, visits in self._visits.items():
+            times, (pace, _) = sum(visit.place == place for visit in visits), self._pace_of(name)
             mine = [visit for visit in visits[:-1] if visit.place == place and visit.arrives_s > 0.0]
-            stays += [(times, visit.leaves_s - visit.arrives_s) for visit in mine]
+            stays += [(times, (visit.leaves_s - visit.arrives_s) / pace) for visit in mine]
         most, every = max((times for times, _ in stays), default=0), np.array([s for _, s in stays])
         single, others = (np.array([s for n, s in stays if (n == most) is alone]) for alone in (True, False))
         if min(len(single), len(others)) >= MIN_WALKS:
@@ -170,13 +189,16 @@ class Segments:
                 found.append(PlaceVisit(place, first_s, left_s))
         return found
 
+    def _pace_of(self, name: str) -> tuple[float, float]:
+        return self._paces_of.get(name, (1.0, 1.0))
+
     def _row(self, at_s: float) -> int:
         return round(at_s / self._step_s)
 
     def _cut(
         self, name: str, track: LoggedTrack, seen: Sequence[PlaceVisit], walks_s: Mapping[tuple[str, str], float]
     ) -> None:
-        where = track.where[:, :3]
+        where, (work, walk) = track.where[:, :3], self._pace_of(name)
         visits, trips = part_trips(seen, self.trip_places, walks_s, self._trips_at, self._after_s)
         spans = [(visit.place, self._row(visit.arrived_s), self._row(visit.left_s)) for visit in visits]
         for number, trip in trips.items():
@@ -191,50 +213,52 @@ class Segments:
             end = self._row(trips[number].left_s) if number in trips else left
             self._stays[place].append(self._add(where[first : end + 1]))
         there = at_s[0][1] <= AT_START_S
-        self._begin(where, spans, there=there)
-        self._ways["", spans[0][0]].append(self._add(where[spans[0][1] if there else 0 : spans[0][1] + 1]))
+        self._begin(where, spans, (work, walk), there=there)
+        self._ways["", spans[0][0]].append(self._add(where[spans[0][1] if there else 0 : spans[0][1] + 1], walk))
         if there and len(spans) > 1:  # a plan may begin with the second place
-            self._ways["", spans[1][0]].append(self._add(where[: spans[1][1] + 1]))
+            self._ways["", spans[1][0]].append(self._add(where[: spans[1][1] + 1], walk))
         for number, ((start, _, left), (goal, arrives, _)) in enumerate(pairwise(spans)):
             if number not in trips:  # he may have come from the trip, on another way
-                self._ways[start, goal].append(self._add(where[left : arrives + 1]))
+                self._ways[start, goal].append(self._add(where[left : arrives + 1], walk))
 
-    def _begin(self, where: Floats, spans: Sequence[tuple[str, int, int]], *, there: bool) -> None:
+    def _begin(
+        self, where: Floats, spans: Sequence[tuple[str, int, int]], pace: tuple[float, float], *, there: bool
+    ) -> None:
         """Store the initial stay, including one too short to be detected as a stay."""
         goal, arrives, left = spans[0]
         if there:
             if len(spans) > 1:
-                self._first_stays[goal].append(left * self._step_s)
+                self._first_stays[goal].append(left * self._step_s / pace[0])
             return
         for place, card in self._places.items():
             out = np.linalg.norm(where[: arrives + 1, :2] - np.array(card.xyz_m[:2]), axis=1) > card.radius_m
             if not out[0] and out.any():
                 left = int(out.argmax())
-                self._first_stays[place].append(left * self._step_s)
-                self._ways[place, goal].append(self._add(where[left : arrives + 1]))
+                self._first_stays[place].append(left * self._step_s / pace[0])
+                self._ways[place, goal].append(self._add(where[left : arrives + 1], pace[1]))
                 return
 
-    def _add(self, rows: Floats) -> int:
+    def _add(self, rows: Floats, pace: float = 1.0) -> int:
+        """Store a segment in an execution in which it took `pace` times as long as now; return its number."""
         self._parts.append(rows)
+        self._stretch.append(1.0 / pace)
         return len(self._parts) - 1
 
     def _paces(self) -> tuple[float, float, Vector]:
         """Return the duration of walks, s: constant part, time per metre, and quantiles of the residuals."""
-        walks = [(part[-1, :2] - part[0, :2], len(part) - 1) for part in self._logged_walks()]
-        far = np.array([float(np.linalg.norm(way)) for way, _ in walks])
-        took = np.array([steps * self._step_s for _, steps in walks])
+        walks = self._logged_walks()
+        parts = [self._parts[number] for number in walks]
+        far = np.array([float(np.linalg.norm(part[-1, :2] - part[0, :2])) for part in parts])
+        took = self.durations_s(np.array(walks, dtype=np.int64))
         if len(walks) < MIN_WALKS or far.std() < MIN_M:
             return 0.0, 1.0 / WALK_M_S, np.zeros(1)
         per_m = max(float(np.cov(far, took)[0, 1] / far.var(ddof=1)), 0.0)
         least = float(took.mean() - per_m * far.mean())
         return least, per_m, np.sort(took - least - per_m * far)
 
-    def _logged_walks(self) -> list[Floats]:
+    def _logged_walks(self) -> list[int]:
         return [
-            self._parts[number]
-            for (start, goal), numbers in self._ways.items()
-            if start and start != goal
-            for number in numbers
+            number for (start, goal), numbers in self._ways.items() if start and start != goal for number in numbers
         ]
 
     def _straight(self, start: str, goal: str) -> list[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace as dataclass_replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ from cyclekit.learning.coupling.errands import errand_places, with_errands
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
 from cyclekit.learning.coupling.logged_visits import courses_of
 from cyclekit.learning.coupling.own_work import own_work_by_place, rest_at_start
+from cyclekit.learning.coupling.pace import at_latest_pace, operator_pace, paces_beside
 from cyclekit.learning.coupling.sources import find_sources
 from cyclekit.learning.coupling.together import NeededTogether, needed_together
 from cyclekit.learning.coupling.trips import parted_courses, trip_places, waits_before_s, with_trips
@@ -58,12 +60,33 @@ def learn_coupling(dataset: Dataset) -> CouplingCard | None:
     if "robot" not in dataset.positions:
         return None
     try:
-        every, mine = dataset.every_task(), dataset.tasks()
+        mine = dataset.tasks()
     except DatasetError:  # without tasks the safety function can still be learned
         return None
+    return learn_executions(courses_of_dataset(dataset), mine, dataset.card.settings.waits)
+
+
+def courses_of_dataset(dataset: Dataset) -> list[ExecutionVisits]:
+    """Return the complete executions of a dataset, as `courses_of` does.
+
+    Raises:
+        DatasetError: It has no tasks.
+    """
     fields = [name for one in dataset.card.operator_signals for name in (one.signal, one.reset) if name]
-    courses = courses_of(dataset.card.executions, every, dataset.recordings, dataset.recorded, dataset.bits, fields)
-    return learn_executions(courses, mine, dataset.card.settings.waits)
+    every = dataset.every_task()
+    return courses_of(dataset.card.executions, every, dataset.recordings, dataset.recorded, dataset.bits, fields)
+
+
+def pace_before_and_after(older: Dataset, newer: Dataset) -> tuple[Vector, Vector] | None:
+    """Return the durations of the operator's work and walks per execution, relative to the usual ones in older logs.
+
+    Those of older logs are at his latest pace in them. None where he waits for nothing, or too little is known.
+    """
+    card = older.card.coupling
+    if card is None or not card.coupled or newer.card.coupling is None:
+        return None
+    before, after = (_without_known_trips(courses_of_dataset(each), card) for each in (older, newer))
+    return paces_beside(before, after, card)
 
 
 def learn_executions(
@@ -81,12 +104,27 @@ def learn_executions(
     """
     if len(courses) < MIN_EXECUTIONS:
         return None
-    found = learn_courses(courses[:: -(-len(courses) // MAX_EXECUTIONS)], given)
+    some = courses[:: -(-len(courses) // MAX_EXECUTIONS)]
+    found = learn_courses(some, given)
+    if (pace := operator_pace(_without_known_trips(courses, found), found)) is not None:
+        factors = pace.factors()
+        found = learn_courses([dataclass_replace(one, pace=factors[one.name][0]) for one in some], given)
+        found = replace(found, pace=pace)
     if not found.coupled and not any(course.visits["operator"] for course in courses):
         return None
     phases = _phases(tasks)
     gates = (replace(gate, phase=_phase(gate, phases)) if _approaches(gate) else gate for gate in found.gates)
     return replace(found, gates=tuple(gates))
+
+
+def _without_known_trips(courses: Sequence[ExecutionVisits], card: CouplingCard) -> Sequence[ExecutionVisits]:
+    """Return executions with the trips and errands of a card parted from the operator's visits."""
+    courses = with_errands(courses, card.errands) if card.errands else courses
+    gates = {(gate.at, gate.place): gate.trip for gate in card.gates if gate.trip is not None}
+    if not gates:
+        return courses
+    places = {place for trip in gates.values() for place in trip.places}
+    return parted_courses(courses, places, gates, max(trip.after_s for trip in gates.values()))[0]
 
 
 def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()) -> CouplingCard:
@@ -198,6 +236,7 @@ def _gate(
     if gate.at == "approach" and not found.found:
         return None
     by_file = any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in given)
+    found = at_latest_pace(found, courses)
     own_s, cards = _parts(courses, found, usual_s, together)
     least = MIN_DECIDED if len(found.since_s) > 1 else FEW_DECIDED  # one of several may be redundant given the others
     cards = [card for card in cards if by_file or max(card.decided, card.alike) >= least]

@@ -89,7 +89,7 @@ def courses_of(
             logged_states[card.execution] = every | states[card.session]
         events = {Event("signal", *key): at for key, at in changes.items()}
         visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
-        found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events))
+        found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events, card.session))
     if not people:
         waited = known - set(fields) - _within_visits(found, logged_states)
         begins = {card.execution: card.start_s for card in executions}

@@ -301,7 +301,7 @@ def _passages(
             if gate.at == "leave" and course.visits["operator"][number + 1].place in held:
                 continue
             trip = mine.get(number)
-            ready_s = visit.arrived_s + usual_s.get(visit.place, 0.0) if trip is None else trip.left_s
+            ready_s = visit.arrived_s + course.pace * usual_s.get(visit.place, 0.0) if trip is None else trip.left_s
             late_s = max((at - ready_s for at in _needed_s(course, gate, occurrence)), default=-np.inf)
             if np.isfinite(ready_s):
                 yield _Passage(visit, trip, late_s)

@@ -51,11 +51,14 @@ class ExecutionVisits:
         name: Name of the execution.
         visits: Visits of each agent in order; the first has the start of the execution as arrival.
         events: Times of each kind of event, ascending, s.
+        session, pace: Name of its session; duration of the operator's own work relative to the last execution.
     """
 
     name: str
     visits: Mapping[Agent, Sequence[PlaceVisit]]
     events: Mapping[Event, Vector] = field(default_factory=dict)
+    session: str = ""
+    pace: float = 1.0
 
 
 def events_of(visits: Mapping[Agent, Sequence[PlaceVisit]]) -> dict[Event, Vector]:

@@ -74,7 +74,8 @@ def habit_lines(found: CouplingCard | None) -> list[str]:
     lines = [line for source in found.sources for line in _source_lines(source)]
     lines += [f"operator: goes to {place} in the middle of his work, and comes back to it" for place in found.errands]
     lines += [_trip_line(gate, gate.trip) for gate in found.gates if gate.trip is not None]
-    return lines + [_own_work_line(gate) for gate in found.gates if gate.own_by]
+    lines += [_own_work_line(gate) for gate in found.gates if gate.own_by]
+    return [*lines, *([found.pace.said] if found.pace is not None else [])]
 
 
 def _trip_line(gate: GateCard, trip: TripCard) -> str:

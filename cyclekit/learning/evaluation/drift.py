@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import ModelError, command_line
+from cyclekit.learning.coupling.learn import pace_before_and_after
 from cyclekit.learning.labelling import as_learned
 from cyclekit.learning.signal_inputs import as_learned_by, learned_rows
 from cyclekit.learning.windows import build_samples
@@ -57,8 +58,9 @@ class Drift:
 
     Attributes:
         safety: Mean absolute error of the predicted scaling: everywhere, by robot task, and by operator's activity.
-        habits: Share of time per operator's activity (quarter of the floor if activities are unknown), and cycle time
-            relative to its mean before.
+        habits: Share of time per operator's activity (quarter of the floor if activities are unknown), cycle time
+            relative to its mean before, and, where he and the robot wait for each other, the duration of his work and
+            walks relative to the last of the older logs.
         executions: Number of executions before (held out in training) and after.
     """
 
@@ -137,6 +139,8 @@ def drift_between(
     if min(len(part) for part in cycles) > 1:
         usual = float(cycles[0].mean())
         habits.append(_shift("cycle time, part of its mean before", cycles[0] / usual, cycles[1] / usual, MIN_SHARE))
+    if (paces := pace_before_and_after(older, newer)) is not None:
+        habits.append(_shift("duration of the operator's work and walks, part of that before", *paces, MIN_SHARE))
     counts = (judged[0]["execution"].n_unique(), judged[1]["execution"].n_unique())
     return Drift(tuple(safety), tuple(habits), counts)
 

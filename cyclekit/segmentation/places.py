@@ -93,7 +93,7 @@ def _without_waits(runs: Sequence[Run], stops: Sequence[Standstill], xyz: Points
 
     At such a position, it passes without a stop if it need not wait, and its standstills vary widely.
     """
-    vary = [_evenness(runs, stops, group) < VARIES for group in groups]
+    vary = [evenness(runs, stops, group) < VARIES for group in groups]
     centres = np.array([np.median(xyz[group], axis=0) for group, yes in zip(groups, vary, strict=True) if yes])
     passes = iter(count_passes(runs, centres.reshape(-1, 3)).tolist())
     kept = []
@@ -104,7 +104,7 @@ def _without_waits(runs: Sequence[Run], stops: Sequence[Standstill], xyz: Points
     return kept
 
 
-def _evenness(runs: Sequence[Run], stops: Sequence[Standstill], group: Ints) -> float:
+def evenness(runs: Sequence[Run], stops: Sequence[Standstill], group: Ints) -> float:
     """Return the ratio of short (10 % quantile) to long (90 % quantile) standstills of a group, 0 to 1."""
     ends = [(runs[stops[i].run], stops[i]) for i in group.tolist()]
     short_s, long_s = np.quantile([run.time_at(stop.last) - run.time_at(stop.first) for run, stop in ends], (0.1, 0.9))
@@ -204,7 +204,7 @@ def _are_places(runs: Sequence[Run], stops: Sequence[Standstill], xyz: Points, g
             answers.append(bool(len(group) >= 0.1 * np.count_nonzero(near)))
         else:
             off_m = np.median(np.linalg.norm(xyz[group] - centre, axis=1))
-            even = len(group) >= OFTEN and off_m <= EXACT_M and _evenness(runs, stops, group) >= EVEN
+            even = len(group) >= OFTEN and off_m <= EXACT_M and evenness(runs, stops, group) >= EVEN
             answers.append(bool(len(group) >= 0.8 * next(passes) or even))
     return answers
 

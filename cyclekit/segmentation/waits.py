@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.segmentation.motion import lengths
-from cyclekit.segmentation.places import MERGE_M, cluster
+from cyclekit.segmentation.places import EXACT_M, MERGE_M, OFTEN, VARIES, cluster, evenness
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MIN_COUNT = 3
 """Minimum number of standstills at a waiting position."""
+EXACT_SHARE = 0.8
+"""Share of the standstills at a waiting position that must be within EXACT_M of it where the scaling was not logged."""
 
 
 def with_waits(executions: Sequence[Execution], stops: Sequence[Standstill], runs: Sequence[Run]) -> list[Execution]:
@@ -45,7 +47,7 @@ def with_waits(executions: Sequence[Execution], stops: Sequence[Standstill], run
     for execution in executions:
         for before, after in pairwise(execution.visits):
             on_way.setdefault(after.place, []).extend(between(execution.run, before, after))
-    spots = {place: found for place, some in on_way.items() if len(found := _spots(some))}
+    spots = {place: found for place, some in on_way.items() if len(found := _spots(some, runs))}
     if not spots:
         return list(executions)
     known = []
@@ -61,14 +63,35 @@ def with_waits(executions: Sequence[Execution], stops: Sequence[Standstill], run
     return known
 
 
-def _spots(stops: Sequence[Standstill]) -> Points:
-    """Return the waiting positions short of one place, shape (S, 3), m: standstills, half of them free to move."""
+def _spots(stops: Sequence[Standstill], runs: Sequence[Run]) -> Points:
+    """Return the waiting positions short of one place, shape (S, 3), m: standstills, half of them free to move.
+
+    Where the scaling was not logged, a program that waits stops at exactly one position, for times that vary; the
+    safety system stops a robot wherever it is.
+    """
     xyz = np.array([stop.xyz_m for stop in stops]).reshape(-1, 3)
     able = np.array([not stop.edge for stop in stops], bool)
     groups = cluster(xyz, np.flatnonzero(able), MERGE_M)
     free = np.array([stop.free is True for stop in stops], bool)
-    kept = [group for group in groups if len(group) >= MIN_COUNT and 2 * np.count_nonzero(free[group]) >= len(group)]
+    silent = np.array([stop.free is None for stop in stops], bool)
+    kept = [
+        group
+        for group in groups
+        if (len(group) >= MIN_COUNT and 2 * np.count_nonzero(free[group]) >= len(group))
+        or (
+            len(group) >= OFTEN
+            and silent[group].all()
+            and _is_exact(xyz[group])
+            and evenness(runs, stops, group) < VARIES
+        )
+    ]
     return np.array([np.median(xyz[group], axis=0) for group in kept]).reshape(-1, 3)
+
+
+def _is_exact(xyz_m: Points) -> bool:
+    """Return whether most positions, shape (N, 3), m, are one as exactly as a robot repeats it."""
+    off_m = lengths(xyz_m - np.median(xyz_m, axis=0))
+    return bool(np.quantile(off_m, EXACT_SHARE) <= EXACT_M)
 
 
 def _reached(

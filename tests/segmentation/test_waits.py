@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cyclekit.config import Executions
 from cyclekit.dataset.dataset import Place
+from cyclekit.scaling.infer.override import infer_overrides
 from cyclekit.segmentation.arrivals import place_standstills, unchanged
 from cyclekit.segmentation.dwell import usual_dwells
-from cyclekit.segmentation.executions import Execution, find_executions, find_visits
-from cyclekit.segmentation.motion import InferredScaling, RobotRun
+from cyclekit.segmentation.executions import Execution, Visit, find_executions, find_visits
+from cyclekit.segmentation.motion import STANDING, InferredScaling, RobotRun
 from cyclekit.segmentation.places import find_places
-from cyclekit.segmentation.standstills import find_standstills
+from cyclekit.segmentation.standstills import Standstill, find_standstills
 from cyclekit.segmentation.time_account import ExecutedTask, time_account
 from cyclekit.segmentation.waits import with_waits
 
@@ -107,3 +110,42 @@ def test_standstills_beside_no_changed_row_are_not_read_again() -> None:
     assert after[key].halted
     assert not longest.halted
     assert after[next(iter(known))] is known[next(iter(known))]
+
+
+def test_where_no_scaling_was_logged_a_wait_is_no_stop() -> None:
+    run = _run()
+    run = replace(run, scaling=np.full(run.rows, np.nan))
+    executions, places = _found(run)
+    parts, references = infer_overrides([run], executions)
+    assert references
+    scaled = run.with_scaling(parts[0])
+    spans = [visit.reached for visit in executions[0].visits if visit.reached is not None]
+    assert sum(last > first for first, last in spans) == sum(wait_s > 0.0 for wait_s in WAITS_S)
+    for first, last in spans:
+        if last > first:
+            there = scaled.window(first, last)
+            assert np.isnan(there.scaling).all()
+            assert there.gap is not None
+            assert (there.gap == STANDING).all()
+    assert float(np.nanmin(scaled.scaling)) > 0.9  # nor is it slowed where it brakes for the wait and starts after it
+    standstills = place_standstills([scaled], executions, places)
+    legs = time_account(scaled, executions[0], standstills, usual_dwells(executions, standstills))[::2]
+    assert [leg.wait_s for leg in legs] == pytest.approx(WAITS_S, abs=0.15)
+    assert [leg.safety_loss_s for leg in legs] == pytest.approx([0.0] * len(legs), abs=0.05)
+
+
+@pytest.mark.parametrize(("spread_m", "even"), [(0.004, False), (0.0, True)])
+def test_where_no_scaling_was_logged_other_stops_on_the_way_are_no_waits(spread_m: float, even: bool) -> None:
+    """A robot that safety stops does not stand at one position, and one that stops in passing stands equally long."""
+    rng = np.random.default_rng(1)
+    stops = [
+        Standstill(0, row, row + round((1.0 if even else rng.uniform(0.5, 6.0)) / STEP_S), (0.5 + off, 0.0, 0.0), None)
+        for row, off in zip(range(100, 9100, 900), rng.normal(0.0, 1.0, 10) * spread_m, strict=True)
+    ]
+    rows = 10_000
+    run = RobotRun(np.arange(rows) * STEP_S, np.full((rows, 3), 9.0), np.zeros(rows), np.full(rows, np.nan))
+    visits = [Visit("a", 0, 50)]
+    for stop in stops:
+        visits += [Visit("b", stop.last + 20, stop.last + 30), Visit("a", stop.last + 40, stop.last + 50)]
+    (found,) = with_waits([Execution(0, tuple(visits), complete=True)], stops, [run])
+    assert all(visit.reached is None for visit in found.visits)

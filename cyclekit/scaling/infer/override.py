@@ -30,7 +30,7 @@ from cyclekit.scaling.infer.reference import (
     takes_another,
     with_dynamics,
 )
-from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, TOO_SLOW, InferredScaling
+from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, STANDING, TOO_SLOW, InferredScaling
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -56,19 +56,23 @@ MIN_NOISE = 1e-6
 """Minimum noise of a coordinate, rad or m: the resolution of written logs."""
 HALTED, CRAWL_M_S = 0.02, 6e-3
 """Maximum scaling of a stopped robot; maximum TCP speed of one, m/s, or 2 * HALTED of its usual speed if larger."""
+BRAKING_S, BRAKES, SMOOTH = 1.0, 0.98, 5
+"""Maximum time, s, in which a robot brakes for a wait on its way, and starts after it; the scaling then lies below the
+second value; number of rows over which its speed is smoothed."""
 _NOISE_MOTIONS, _NOISE_ROWS = 40, 4000
 _AT_ONCE = 64
 _NONE, _NO_GAPS = np.empty(0), np.empty(0, np.int8)
 
 
 class _Motion(NamedTuple):
-    """A motion between two visits: rows `first` to `last` of a run, and its duration."""
+    """A motion between two visits: rows `first` to `last` of a run, its duration, and the rows of a wait on the way."""
 
     task: str
     run: int
     first: int
     last: int
     lasts_s: float
+    wait: tuple[int, int] | None = None
 
 
 def infer_overrides(
@@ -124,7 +128,11 @@ def _motions(runs: Sequence[Run], executions: Sequence[Execution]) -> list[_Moti
         for start, goal in pairwise(execution.visits):
             if goal.first - start.last >= 4:
                 lasts_s = run.time_at(goal.first) - run.time_at(start.last)
-                motions.append(_Motion(f"{start.place}->{goal.place}", execution.run, start.last, goal.first, lasts_s))
+                motions.append(
+                    _Motion(
+                        f"{start.place}->{goal.place}", execution.run, start.last, goal.first, lasts_s, goal.reached
+                    )
+                )
     return motions
 
 
@@ -248,7 +256,30 @@ def _inferred(run: Run, motion: _Motion, reference: Reference, noise: Mapping[in
     for halt in run.halts:
         gap[max(halt.first - motion.first, 0) : max(halt.last + 1 - motion.first, 0)] = halt.gap
     known = np.where(gap == 0, np.array([np.clip(rate, 0.0, 1.0), deviation]), np.nan).astype(np.float32)
+    if motion.wait is not None and motion.wait[0] < motion.wait[1]:  # unknown, as at a place
+        begin, end = motion.wait[0] - motion.first, motion.wait[1] - motion.first
+        rows = _around(begin, end, repetition.t_s, run.window(motion.first, motion.last).speed_m_s, rate)
+        known[:, rows], gap[rows] = np.nan, STANDING
     return InferredScaling(motion.first, known[0], known[1], gap)
+
+
+def _around(first: int, last: int, t_s: Vector, speed_m_s: Vector, rate: Vector) -> slice:
+    """Return the rows of a wait on the way, with those in which the robot brakes before it and starts after it.
+
+    Args:
+        first: First row of the standstill.
+        last: Its last row.
+        t_s: Times of the motion, shape (T,).
+        speed_m_s: Its TCP speeds, shape (T,).
+        rate: How fast nominal time advances, shape (T,): full where no repetition passes without a stop.
+    """
+    speed, slow = np.convolve(speed_m_s, np.ones(SMOOTH) / SMOOTH, "same"), rate < BRAKES
+    begin, end = first, last
+    while begin > 0 and slow[begin - 1] and speed[begin - 1] >= speed[begin] and t_s[first] - t_s[begin] < BRAKING_S:
+        begin -= 1
+    while end + 1 < len(speed) and slow[end + 1] and speed[end + 1] >= speed[end] and t_s[end] - t_s[last] < BRAKING_S:
+        end += 1
+    return slice(begin, end + 1)
 
 
 def _goes(speed_m_s: Vector) -> Bools:

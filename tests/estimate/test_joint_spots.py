@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import importlib
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import msgspec
-import numpy as np
-import polars as pl
 import pytest
 from known_cells import Constant
+from one_track import one_track
 
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, RolledBoth
-from cyclekit.estimate.joint.visits import Segments
 from cyclekit.estimate.nominal import nominal_tasks
 
 if TYPE_CHECKING:
@@ -102,22 +99,8 @@ def test_logged_errands_are_part_of_a_stay_and_spots_of_no_order(
     logged: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """He goes from inbound to a shelf and back, stands aside at his rest place, and goes to the next place."""
-    names = ("inbound", "out_left_2", "inbound", "rest", "out_left_1")
-    at_s, rows, where = 0.0, [], list[np.ndarray]()
-    for name, stays_s in zip(names, (3.0, 2.0, 1.0, 5.0, 4.0), strict=True):
-        rows.append(("operator", None, "1", len(rows), name, at_s, at_s + stays_s))
-        where += [np.array(logged.human_places[name].xyz_m)] * round((stays_s + 1.0) * logged.rate_hz)
-        at_s += stays_s + 1.0
-    columns = ("agent", "agent_name", "execution", "index", "goal_place", "arrival_s", "end_s")
-    visits = pl.DataFrame(rows, columns, orient="row")
-    execution = msgspec.structs.replace(logged.card.executions[0], execution="1", complete=True, reference=False)
-    card = msgspec.structs.replace(logged.card, executions=(execution,))
-    stub = SimpleNamespace(
-        rate_hz=logged.rate_hz, human_places=logged.human_places, card=card, every_task=lambda: visits
-    )
-    track = SimpleNamespace(where=np.array(where), begin_s=0.0, seen=True)
-    monkeypatch.setattr("cyclekit.estimate.joint.visits.logged_tracks", lambda _: {"1": track})
-    found = Segments(stub, CouplingCard(gates=(WAITS,), errands=("out_left_2",)))  # type: ignore[arg-type]  # a stub
+    stays = (("inbound", 3.0), ("out_left_2", 2.0), ("inbound", 1.0), ("rest", 5.0), ("out_left_1", 4.0))
+    found = one_track(logged, monkeypatch, stays, CouplingCard(gates=(WAITS,), errands=("out_left_2",)))
     assert [visit.place for visit in found.orders["1"]] == ["inbound", "out_left_1"]
     assert found.durations_s(found.stay("inbound")) == pytest.approx([8.0])  # 3 + 1 + 2 + 1 + 1 s
     assert found.durations_s(found.stay("rest")) == pytest.approx([5.0])

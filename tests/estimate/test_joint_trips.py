@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import importlib
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-import msgspec
 import numpy as np
-import polars as pl
 import pytest
 from known_cells import Constant
+from one_track import one_track
 
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, OwnWorkCard, TripCard
@@ -20,7 +18,6 @@ from cyclekit.estimate.joint.legs import Gates, operator_agenda
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, RolledBoth
 from cyclekit.estimate.joint.shares import planned_shares
-from cyclekit.estimate.joint.visits import Segments
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.estimate.whatif.coupled import altered_coupling
@@ -92,32 +89,17 @@ def test_no_trips_are_added_to_a_plan_that_goes_there_itself(logged: Dataset) ->
 
 def test_logged_trips_are_cut_out_of_the_visits(logged: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     """He goes from inbound to his rest place, two metres away, and back, and then to the next place."""
-    there, away, out = (np.array(logged.human_places[name].xyz_m) for name in ("inbound", "rest", "out_left_1"))
-    spans = [(there, 3.0), (away, 2.0), (there, 1.0), (out, 4.0)]
-    names, at_s, rows, where = ("inbound", "rest", "inbound", "out_left_1"), 0.0, [], list[np.ndarray]()
-    for name, (xyz_m, stays_s) in zip(names, spans, strict=True):
-        rows.append(("operator", None, "1", len(rows), name, at_s, at_s + stays_s))
-        where += [xyz_m] * round((stays_s + 1.0) * logged.rate_hz)
-        at_s += stays_s + 1.0
-    columns = ("agent", "agent_name", "execution", "index", "goal_place", "arrival_s", "end_s")
-    visits = pl.DataFrame(rows, columns, orient="row")
-    execution = msgspec.structs.replace(logged.card.executions[0], execution="1", complete=True, reference=False)
-    card = msgspec.structs.replace(logged.card, executions=(execution,))
-    stub = SimpleNamespace(
-        rate_hz=logged.rate_hz, human_places=logged.human_places, card=card, every_task=lambda: visits
-    )
-    track = SimpleNamespace(where=np.array(where), begin_s=0.0, seen=True)
-    monkeypatch.setattr("cyclekit.estimate.joint.visits.logged_tracks", lambda _: {"1": track})
+    stays = (("inbound", 3.0), ("rest", 2.0), ("inbound", 1.0), ("out_left_1", 4.0))
     gate = GateCard(agent="operator", at="approach", place="out_left_1", conditions=(HOME_LEFT,), trip=TRIP)
-    found = Segments(stub, CouplingCard(gates=(gate,)))  # type: ignore[arg-type]  # a stub
+    found = one_track(logged, monkeypatch, stays, CouplingCard(gates=(gate,)))
     assert [visit.place for visit in found.orders["1"]] == ["inbound", "out_left_1"]
     assert found.durations_s(found.trip("inbound")) == pytest.approx([4.0])  # from his leaving until he is back
     xyz_m, first, count = found.table()
     (number,) = found.trip("inbound")
     on_trip = xyz_m[first[number] : first[number] + count[number]]
-    assert np.linalg.norm(on_trip - away, axis=1).min() == 0.0
-    plain = Segments(stub, None)  # type: ignore[arg-type]
-    assert [visit.place for visit in plain.orders["1"]] == list(names)
+    assert np.linalg.norm(on_trip - np.array(logged.human_places["rest"].xyz_m), axis=1).min() == 0.0
+    plain = one_track(logged, monkeypatch, stays, None)
+    assert [visit.place for visit in plain.orders["1"]] == [place for place, _ in stays]
     assert len(plain.trip("inbound")) == 0
 
 

@@ -8,16 +8,14 @@ robot (`trip_places`). The two visits are then one, with the errand in it.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from cyclekit.learning.coupling.trips import MIN_TRIPS, trip_places
-from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
+from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
-    from cyclekit.dataset.cards.coupling import Agent
     from cyclekit.schema import Vector
 
 RETURNS = 0.9
@@ -45,10 +43,7 @@ def with_errands(courses: Sequence[ExecutionVisits], places: Collection[str]) ->
         for event, at in course.events.items():
             if event.agent == "operator" and event.signal is not None:
                 given.setdefault(event.place, []).append(at)
-        mine = joined(course.visits["operator"], places, given)
-        visits: Mapping[Agent, Sequence[PlaceVisit]] = {**course.visits, "operator": mine}
-        others = {key: at for key, at in course.events.items() if key.agent != "operator" or key.signal is not None}
-        found.append(replace(course, visits=visits, events=events_of({"operator": mine}) | others))
+        found.append(course.with_operator(joined(course.visits["operator"], places, given)))
     return found
 
 

@@ -34,7 +34,7 @@ from cyclekit.learning.coupling.together import NeededTogether, needed_together
 from cyclekit.learning.coupling.trips import parted_courses, trip_places, waits_before_s, with_trips
 from cyclekit.learning.coupling.unseen_parts import find_unseen_parts, with_parts
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits
-from cyclekit.learning.coupling.waiting_spots import is_spot, possible_spots, with_spots
+from cyclekit.learning.coupling.waiting_spots import is_spot, possible_spots, spots_of, with_spots
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -118,8 +118,9 @@ def learn_executions(
 
 
 def _without_known_trips(courses: Sequence[ExecutionVisits], card: CouplingCard) -> Sequence[ExecutionVisits]:
-    """Return executions with the trips and errands of a card parted from the operator's visits."""
+    """Return executions with the trips, errands and waits at spots of a card parted from the operator's visits."""
     courses = with_errands(courses, card.errands) if card.errands else courses
+    courses = with_spots(courses, spots) if (spots := spots_of(card)) else courses
     gates = {(gate.at, gate.place): gate.trip for gate in card.gates if gate.trip is not None}
     if not gates:
         return courses

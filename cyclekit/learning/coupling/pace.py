@@ -166,7 +166,8 @@ def _segments(
         name = (here.place, after.place)
         if n and free and here.left_s > here.arrived_s:
             yield "work", _Segment(number, name, here.left_s - here.arrived_s)
-        if here.away_s == 0.0 and here.place != after.place and after.arrived_s > here.left_s:
+        aside = after.reached_s > here.left_s  # he waited on his way
+        if here.away_s == 0.0 and here.place != after.place and after.arrived_s > here.left_s and not aside:
             yield "walk", _Segment(number, name, after.arrived_s - here.left_s)
 
 

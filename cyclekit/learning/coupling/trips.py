@@ -8,7 +8,6 @@ trip, and its own work does not count the trip.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,12 +15,11 @@ import numpy as np
 from msgspec import structs
 
 from cyclekit.dataset.cards.coupling import MAX_TRIPS, CouplingCard, GateCard, TripCard
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
+from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from cyclekit.dataset.cards.coupling import Agent
 
 MIN_TRIPS = 10
 """Minimum number of trips to learn from."""
@@ -185,9 +183,7 @@ def parted_courses(
     found, trips = [], []
     for course in courses:
         parted = part_trips(course.visits["operator"], places, walks_s, gates, after_s)
-        visits: dict[Agent, Sequence[PlaceVisit]] = {**course.visits, "operator": parted.visits}
-        others = {key: at for key, at in course.events.items() if key.agent != "operator" or key.signal is not None}
-        found.append(replace(course, visits=visits, events=events_of({"operator": parted.visits}) | others))
+        found.append(course.with_operator(parted.visits))
         trips.append(parted.trips)
     return found, trips
 

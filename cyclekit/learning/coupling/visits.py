@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -59,6 +59,12 @@ class ExecutionVisits:
     events: Mapping[Event, Vector] = field(default_factory=dict)
     session: str = ""
     pace: float = 1.0
+
+    def with_operator(self, visits: Sequence[PlaceVisit]) -> ExecutionVisits:
+        """Return the execution with other visits of the operator; the signals that he gives stay."""
+        others = {key: at for key, at in self.events.items() if key.agent != "operator" or key.signal is not None}
+        events = events_of({"operator": visits}) | others
+        return replace(self, visits={**self.visits, "operator": visits}, events=events)
 
 
 def events_of(visits: Mapping[Agent, Sequence[PlaceVisit]]) -> dict[Event, Vector]:

@@ -6,19 +6,19 @@ the robot waits short of a place.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.learning.coupling.trips import usual_walks_s
-from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
+from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from cyclekit.dataset.cards.coupling import Agent, GateCard
+    from cyclekit.dataset.cards import CouplingCard
+    from cyclekit.dataset.cards.coupling import GateCard
 
 NEXT = 0.95
 """Minimum share of the visits to a waiting spot after which he goes to the same place."""
@@ -63,16 +63,16 @@ def is_spot(courses: Sequence[ExecutionVisits], place: str, gate: GateCard | Non
     return gate is not None and max((one.decided for one in gate.conditions), default=0) >= DECIDED * visits
 
 
+def spots_of(card: CouplingCard) -> dict[str, str]:
+    """Return the waiting spots of a card, each with the place that he waits for."""
+    return {gate.wait_at: gate.place for gate in card.gates if gate.wait_at is not None}
+
+
 def with_spots(courses: Sequence[ExecutionVisits], spots: Mapping[str, str]) -> list[ExecutionVisits]:
     """Return executions in which a visit to a waiting spot is a wait on the way to the next place."""
-    found, walks_s = [], usual_walks_s([course.visits["operator"] for course in courses])
+    walks_s = usual_walks_s([course.visits["operator"] for course in courses])
     from_spot_s = {goal: walks_s.get((place, goal), np.inf) for place, goal in spots.items()}
-    for course in courses:
-        mine = _waited(course.visits["operator"], spots, from_spot_s)
-        visits: Mapping[Agent, Sequence[PlaceVisit]] = {**course.visits, "operator": mine}
-        others = {key: at for key, at in course.events.items() if key.agent != "operator" or key.signal is not None}
-        found.append(replace(course, visits=visits, events=events_of({"operator": mine}) | others))
-    return found
+    return [course.with_operator(_waited(course.visits["operator"], spots, from_spot_s)) for course in courses]
 
 
 def _waited(
@@ -100,4 +100,4 @@ def _waited(
     return found
 
 
-__all__ = ["is_spot", "possible_spots", "with_spots"]
+__all__ = ["is_spot", "possible_spots", "spots_of", "with_spots"]

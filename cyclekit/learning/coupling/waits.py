@@ -10,7 +10,7 @@ import polars as pl
 from cyclekit.learning.coupling.errands import with_errands
 from cyclekit.learning.coupling.unseen_parts import with_parts
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits
-from cyclekit.learning.coupling.waiting_spots import with_spots
+from cyclekit.learning.coupling.waiting_spots import spots_of, with_spots
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -42,9 +42,8 @@ def with_waits_named(tasks: pl.DataFrame, courses: Sequence[ExecutionVisits], co
         courses: The executions of these tasks.
         coupling: Learned wait conditions.
     """
-    spots = {gate.wait_at: gate.place for gate in coupling.gates if gate.wait_at is not None}
     parted = with_errands(courses, coupling.errands) if coupling.errands else courses
-    learned = with_spots(parted, spots) if spots else parted
+    learned = with_spots(parted, spots) if (spots := spots_of(coupling)) else parted
     tasks_at = [{(visit.place, visit.arrived_s): visit.task for visit in one.visits["operator"]} for one in courses]
     both = zip(with_parts(learned, coupling.sources), tasks_at, strict=True)
     waits = [wait for course, mine in both for wait in _waits(course, coupling, mine)]

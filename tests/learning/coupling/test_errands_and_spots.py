@@ -12,7 +12,7 @@ import pytest
 from cyclekit import schema
 from cyclekit.learning.coupling.errands import errand_places, joined
 from cyclekit.learning.coupling.givers import with_givers
-from cyclekit.learning.coupling.learn import learn_courses
+from cyclekit.learning.coupling.learn import learn_courses, learn_executions
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.waits import with_waits_named
 from cyclekit.learning.coupling.words import habit_lines, wait_rows
@@ -26,7 +26,13 @@ RESET = Event("signal", "button", "cleared")
 
 
 def _execution(
-    rng: np.random.Generator, name: str, *, errands: float = 0.0, short: float = 0.0, always_aside: bool = False
+    rng: np.random.Generator,
+    name: str,
+    *,
+    errands: float = 0.0,
+    short: float = 0.0,
+    always_aside: bool = False,
+    robot_s: float = 3.0,
 ) -> ExecutionVisits:
     """Return one in which the robot brings three parts to a fixture, and the operator, who works there, releases each.
 
@@ -39,12 +45,13 @@ def _execution(
         errands: Share of his tasks at the fixture in which he goes to the shelf in the middle.
         short: Share of these errands on which he does not stay long enough at the shelf to be seen there.
         always_aside: Whether he also stands aside where he need not wait.
+        robot_s: How long the robot takes to the fixture, s.
     """
     robot = [PlaceVisit("rack", 0.0, rng.uniform(0.5, 6.0))]
     operator = [PlaceVisit("bench", 0.0, rng.uniform(2.0, 9.0))]
     presses: list[float] = []
     for between in rng.permutation(["bench", "desk", ""]).tolist():
-        reached = robot[-1].left_s + 3.0
+        reached = robot[-1].left_s + robot_s
         on = max([reached, *presses[-1:]])
         robot.append(PlaceVisit("fixture", on + 1.0, on + 2.0, reached, on))
         ready, gone = operator[-1].left_s, robot[-1].left_s + rng.uniform(0.4, 0.7)
@@ -188,3 +195,15 @@ def test_logged_waits_are_named_also_with_errands_and_spots(errands: float) -> N
     assert operator["waited_for"].unique().to_list() == ["robot leaves fixture"]
     aside = sum(visit.place == "aside" for course in courses for visit in course.visits["operator"])
     assert operator.filter(pl.col("goal_place") == "aside").height >= 0.8 * aside
+
+
+def test_longer_waits_at_a_spot_are_no_other_pace_of_the_operator() -> None:
+    """The robot becomes slower, so he waits longer; he works as before."""
+    rng = np.random.default_rng(7)
+    slower = np.linspace(2.0, 9.0, 120).tolist()
+    courses = with_givers([_execution(rng, f"{n:03d}", robot_s=robot_s) for n, robot_s in enumerate(slower)], ())
+    tasks = schema.conform(pl.DataFrame({"reached_s": [None], "nominal_s": [1.0]}), schema.TASKS)
+    card = learn_executions(courses, tasks)
+    assert card is not None
+    assert _gate(card, "operator", "approach", "fixture").wait_at == "aside"
+    assert card.pace is None

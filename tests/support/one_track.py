@@ -1,0 +1,42 @@
+"""The operator's segments of one execution in which he stays at known places, one after the other."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+import polars as pl
+
+from cyclekit.estimate.joint.visits import Segments
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import pytest
+
+    from cyclekit.dataset.cards import CouplingCard
+    from cyclekit.dataset.dataset import Dataset
+
+COLUMNS = ("agent", "agent_name", "execution", "index", "goal_place", "arrival_s", "end_s")
+
+
+def one_track(
+    logged: Dataset, patch: pytest.MonkeyPatch, stays: Sequence[tuple[str, float]], coupling: CouplingCard | None
+) -> Segments:
+    """Return the segments of execution "1": stays at places of a dataset for some seconds each, one second between."""
+    at_s, rows, where = 0.0, list[tuple[object, ...]](), list[np.ndarray]()
+    for name, stays_s in stays:
+        rows.append(("operator", None, "1", len(rows), name, at_s, at_s + stays_s))
+        where += [np.array(logged.human_places[name].xyz_m)] * round((stays_s + 1.0) * logged.rate_hz)
+        at_s += stays_s + 1.0
+    visits = pl.DataFrame(rows, COLUMNS, orient="row")
+    execution = msgspec.structs.replace(logged.card.executions[0], execution="1", complete=True, reference=False)
+    card = msgspec.structs.replace(logged.card, executions=(execution,))
+    stub = SimpleNamespace(
+        rate_hz=logged.rate_hz, human_places=logged.human_places, card=card, every_task=lambda: visits
+    )
+    track = SimpleNamespace(where=np.array(where), begin_s=0.0, seen=True)
+    patch.setattr("cyclekit.estimate.joint.visits.logged_tracks", lambda _: {"1": track})
+    return Segments(stub, coupling)  # type: ignore[arg-type]  # a stub

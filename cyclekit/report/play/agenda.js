@@ -31,7 +31,7 @@ const NOTHING_S = [0];
 const agendaOf = (agent, start, at, asked, planned = []) => { // _Builder: legs one behind the other
   const blank = {
     task: -1, path: null, way_s: 0, start: null, own_s: NOTHING_S, name: "", needs: [], notBefore_s: 0, arrives: [], passes: [],
-    hold: false, trip: null,
+    hold: false, trip: null, ifWaits: false,
   };
   const tripOf = (gate) => (gate && gate.trip && !gate.trip.places.some((place) => planned.includes(place)) ? gate.trip : null);
   const legs = [{ ...blank, place: start, path: at }];
@@ -47,17 +47,22 @@ const agendaOf = (agent, start, at, asked, planned = []) => { // _Builder: legs 
     const phase = agent === "robot" && gate ? gate.phase : 0;
     const midway = phase > 0 ? approach : [];
     const before = [...asks.needs, ...(phase > 0 ? [] : approach)];
-    if (before.length || asks.notBefore_s > 0) {
+    const spot = gate && gate.wait_at && approach.length && here !== gate.wait_at ? gate.wait_at : null; // he goes there only if he has to wait
+    const leaves = () => { if (here) for (const what of ["leaves", "cleared"]) passes(what, here); };
+    const asked_for = { name: `hold ${place}`, needs: before, notBefore_s: asks.notBefore_s, hold: true };
+    if (spot) {
+      leaves();
+      legs.push({ ...blank, task, place: spot, start: here, ...asked_for, ifWaits: true, passes: [] });
+    } else if (before.length || asks.notBefore_s > 0) {
       const { path } = legs[legs.length - 1];
       const stays = path && { ...path, low: path.high };
-      const hold = { name: `hold ${place}`, needs: before, notBefore_s: asks.notBefore_s, hold: true, trip: tripOf(gate) };
       if (gate && gate.trip) legs[legs.length - 1].trip = null; // no second trip before it leaves here
-      legs.push({ ...blank, task, place: here, path: stays, ...hold, passes: [] });
+      legs.push({ ...blank, task, place: here, path: stays, ...asked_for, trip: tripOf(gate), passes: [] });
     }
-    if (here) for (const what of ["leaves", "cleared"]) passes(what, here);
+    if (!spot) leaves();
     const times = done.get(name) || 0;
     const last = {
-      ...blank, ...told, task, needs: needsOf(agent, "leave", place, turn, asked), trip: tripOf(gateOf(agent, "leave", place)),
+      ...blank, ...told, ...(spot && { start: spot }), task, needs: needsOf(agent, "leave", place, turn, asked), trip: tripOf(gateOf(agent, "leave", place)),
       arrives: [[agent, place, "arrives", turn].join(APART)],
       passes: [[agent, name, "done", times].join(APART), [agent, place, "set", turn].join(APART)],
     };
@@ -132,12 +137,12 @@ const robotAgenda = (places, asked, told) => { // told: what a plan says of each
   return agenda.ended(names);
 };
 
-const operatorAgenda = (places, asked, told) => {
+const operatorAgenda = (places, asked, told, begun) => { // begun: his first work, before the cycle begins
   const agenda = agendaOf("operator", "", null, asked, places);
   const waits = facts.gates.some((gate) => gate.agent === "operator" && gate.conditions.length); // in the logs
   places.forEach((place, number) => {
     const stays = facts.work_s[place];
-    const before = number ? places[number - 1] : told ? null : "";
+    const before = number ? places[number - 1] : begun ? "" : null;
     const own = ownByOf(place, before, places[number + 1], asked) || (waits ? ownOf("operator", place, asked) : null);
     const first = number ? null : facts.first_stays_s[place];
     const work = (stays && own) || (stays || first || NOTHING_S).map((seconds) => seconds / asked.pace);
@@ -172,7 +177,7 @@ const drawnOf = (agenda, number) => { // Drawn: levels of own work, lags, walks 
     turns.set(key, turn + 1);
     return turn;
   };
-  return agenda.legs.map((leg) => {
+  return agenda.legs.map((leg, n) => {
     const key = `${agenda.agent} ${leg.name}`;
     const turn = turnOf(key);
     const found = {
@@ -191,6 +196,7 @@ const drawnOf = (agenda, number) => { // Drawn: levels of own work, lags, walks 
     const way = `walk ${leg.start === null ? "None" : leg.start}->${leg.place}`;
     const again = turnOf(way);
     if (leg.start !== null) [found.walks, found.walking] = [facts.walks[leg.start][leg.place], levelsOf(way, again)];
+    if (n && agenda.legs[n - 1].ifWaits) found.straight = facts.walks[agenda.legs[n - 1].start][leg.place]; // past the spot
     if (leg.place) [found.stays, found.staying] = [facts.stays[leg.place], levelsOf(`stay ${way}`, again)];
     if (leg.trip) {
       found.trips = facts.trips[leg.place].length ? facts.trips[leg.place] : null;

@@ -2,10 +2,11 @@
 
 const set = (events, numbers, time_s) => { for (const number of numbers) events[number] = time_s; };
 const rowsOf = (drawn) => drawn.map((leg) => ({ // of one agent: one cycle after the other is put into them
-  leg, lags: new Float64Array(leg.due.length), own_s: 0, walk_s: 0, walk: 0, stay: 0,
+  leg, lags: new Float64Array(leg.due.length), own_s: 0, walk_s: 0, walk: 0, stay: 0, straight: 0,
   level: 0, waiting: false, free: false, trip: -1, goes: false, // trip -1: he stays
   arrives_s: Infinity, works_s: Infinity, passes_s: Infinity, lost_s: 0,
 }));
+const tookWalk_s = (walk, pace) => (facts.segments[walk][1] - 1) * STEP_S * facts.segments[walk][2] / pace;
 const drawInto = (rows, cycle, events, asked) => { // what is drawn for one cycle
   for (const row of rows) {
     const { leg } = row;
@@ -17,7 +18,8 @@ const drawInto = (rows, cycle, events, asked) => { // what is drawn for one cycl
     });
     if (leg.walks) {
       row.walk = chosen(leg.walks, leg.walking, cycle);
-      row.walk_s = (facts.segments[row.walk][1] - 1) * STEP_S / asked.pace;
+      row.walk_s = tookWalk_s(row.walk, asked.pace);
+      if (leg.straight) row.straight = chosen(leg.straight, leg.walking, cycle);
     }
     if (leg.stays) row.stay = chosen(leg.stays, leg.staying, cycle);
     if (leg.trip) {
@@ -74,6 +76,11 @@ const unhindered = (rows, events, pace) => { // the operator, or a source of par
       let open_s = opensAt(row, events, row.works_s);
       if (open_s === Infinity) break;
       if (row.leg.trip) open_s = afterTrip(row, events, open_s, pace);
+      if (row.leg.ifWaits && opensAt(row, events, rows[at - 1].passes_s) <= rows[at - 1].passes_s) { // he need not wait: straight on
+        open_s = row.arrives_s = row.works_s = rows[at - 1].passes_s;
+        rows[at + 1].walk = rows[at + 1].straight;
+        rows[at + 1].walk_s = tookWalk_s(rows[at + 1].walk, pace);
+      }
       row.passes_s = open_s;
       set(events, row.leg.passes, open_s);
       moved = true;
@@ -94,7 +101,7 @@ const operatorAt = (rows, pace) => { // OperatorPositions.at: between which samp
     const walks = t_s < row.arrives_s;
     let segment = still ? rows[starts].walk : (walks ? row.walk : row.stay);
     const departs_s = at > 0 ? rows[at - 1].passes_s : 0;
-    let since_s = still ? 0 : (walks ? (t_s - departs_s) * pace : t_s - row.arrives_s);
+    let since_s = still ? 0 : (walks ? (t_s - departs_s) * pace / facts.segments[segment][2] : t_s - row.arrives_s);
     if (row.leg.trip && !still && !walks && t_s >= row.works_s && (row.passes_s < Infinity ? row.goes : row.waiting)) {
       since_s = (t_s - row.works_s) * pace; // on a trip, or back from one
       if (row.trip >= 0) segment = row.trip;

@@ -65,9 +65,6 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     if cell.unseen:
         seen = "no log shows the operator, and without his places other orders cannot be played here"
         raise EstimateError(seen, cure="Ask estimate, plan and whatif.")
-    if any(gate.wait_at for gate in card.gates):
-        seen = "spots to which the operator goes only if he has to wait are not played here"
-        raise EstimateError(seen, cure="Ask estimate, plan and whatif.")
     arrays: Arrays = {}
     planner = Planner(cell, legs)
     sequences = [_sequence(each, planner) for each in shown]
@@ -77,6 +74,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     places = {place for order in orders for place in order or ()}
     if None in orders:
         places |= {place for each in went for place in each["operator"]}
+    places |= {gate.wait_at for gate in card.gates if gate.wait_at is not None}
     walks, stays = _drawn(cell.segments, sorted(places))
     trips = _trips(cell.segments, sorted(places), card)
     ways = [numbers for goals in walks.values() for numbers in goals.values()]
@@ -169,8 +167,11 @@ def _trips(segments: Segments, places: Sequence[str], card: CouplingCard) -> dic
     return {place: some[np.argsort(segments.durations_s(some))].tolist() for place, some in found.items()}
 
 
-def _used(segments: Segments, lists: Sequence[list[int]]) -> tuple[Floats, list[list[int]]]:
-    """Return the positions of these segments (M, 3), with first row and count of each; renumber them."""
+def _used(segments: Segments, lists: Sequence[list[int]]) -> tuple[Floats, list[list[float]]]:
+    """Return the positions of these segments (M, 3); renumber them.
+
+    Also returned are first row, count, and duration now relative to the logged one, of each.
+    """
     xyz_m, first, count = segments.table()
     used = sorted({0, *(number for numbers in lists for number in numbers)})
     anew = {number: n for n, number in enumerate(used)}
@@ -178,7 +179,9 @@ def _used(segments: Segments, lists: Sequence[list[int]]) -> tuple[Floats, list[
         numbers[:] = [anew[number] for number in numbers]
     rows = [xyz_m[first[number] : first[number] + count[number] + 1] for number in used]
     begins = np.cumsum([0, *(len(each) for each in rows[:-1])])
-    return np.concatenate(rows), [[int(begin), int(count[number])] for begin, number in zip(begins, used, strict=True)]
+    stretch = segments.stretch[used].tolist()
+    told = zip(begins.tolist(), count[used].tolist(), stretch, strict=True)
+    return np.concatenate(rows), [[begin, length, round(longer, 6)] for begin, length, longer in told]
 
 
 def _said(*event: str) -> str:
@@ -205,7 +208,7 @@ def _gates(card: CouplingCard) -> list[dict[str, Any]]:
             }
             for one in gate.conditions
         ]
-        fields = {name: getattr(gate, name) for name in ("agent", "at", "place", "phase", "own_s")}
+        fields = {name: getattr(gate, name) for name in ("agent", "at", "place", "phase", "own_s", "wait_at")}
         own_by = [{"side": one.side, "place": one.place, "own_s": one.own_s} for one in gate.own_by]
         told = ("places", "waiting", "free", "took_s", "late_s")
         trip = gate.trip and {name: getattr(gate.trip, name) for name in told}

@@ -13,7 +13,7 @@ const fittingOrders = (places) => { // Planner._fitting: what operators did whil
 const AT_LEAST = 100; // cycles before anything is said
 const rollerOf = (places, operators, both, asked, told) => { // JointCell.roll: walks until told to stop, goes on later
   const robot = robotAgenda(places, asked, told && told.robot);
-  const agendas = new Map(operators.map((order) => [order.join("\n"), operatorAgenda(order, asked, told && told.operator)]));
+  const agendas = new Map(operators.map((order) => [order.join("\n"), operatorAgenda(order, asked, told && told.operator, !both)]));
   const sources = facts.sources.map((source) => sourceAgenda(source, robot, asked)).filter(Boolean);
   const numbers = new Map();
   const number = (event) => numbers.get(event) ?? numbers.set(event, numbers.size).get(event);

@@ -13,6 +13,7 @@ from known_cells import Constant, TrueStaircase
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, OperatorPaceCard, OwnWorkCard, TrainingCard
 from cyclekit.dataset.cards.coupling import TrendCard
+from cyclekit.estimate.joint.answer import pace_errors
 from cyclekit.estimate.joint.check import judge_joint
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, RolledBoth
@@ -121,3 +122,10 @@ def test_the_answer_names_the_change_and_its_interval_has_the_doubt_about_the_la
         Quick(msgspec.structs.replace(card, pace=None)), logged, [PLAN], validate=False, extrapolate=True
     )
     assert not any("quicker" in warning for warning in plain.warnings)
+
+
+def test_cycles_that_do_not_end_tell_nothing_about_the_doubt(logged: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    cell, planner = _asked(cell_of(logged, card_of(logged, 0.2), monkeypatch))
+    assert pace_errors(cell, planner, [PLAN], seed=0)[PLAN] > 0.01
+    cell.model = Constant(0.0)
+    assert pace_errors(cell, planner, [PLAN], seed=0) == {PLAN: 0.0}

@@ -101,7 +101,7 @@ def test_spots_are_gone_to_as_in_the_library(tab, logged, tmp_path):
 
 def test_walks_have_the_latest_pace_of_an_operator_who_became_quicker(tab, logged, tmp_path):
     names = tuple(one.execution for one in logged.card.executions)
-    pace = OperatorPaceCard(executions=names, walk=TrendCard(change=-0.4, count=len(names)))
+    pace = OperatorPaceCard(executions=names, walk=TrendCard(change=-0.4, count=len(names), error=0.1))
     card = structs.replace(CARD, pace=pace)
     _, _, given = played_page(tab, logged, tmp_path / "page.html", card, ORDERS[:1])
     same(ask(tab, GIVEN, {}, 60), given["given"], within=1e-5)

@@ -123,6 +123,28 @@ def _process_tasks(places: Sequence[str], nominal: Mapping[str, NominalTask], ce
     return [task for task in tasks if cell.gates.own_s("robot", task.task.partition("->")[2]) is None]
 
 
+def pace_errors(
+    cell: JointCell, planner: Planner, sequences: Sequence[TaskSequence], *, seed: int
+) -> dict[TaskSequence, float]:
+    """Return the standard deviation of each mean because the operator's latest pace is uncertain, as a share.
+
+    It is 0 where his pace did not change, and where cycles do not end.
+    """
+    pace = cell.coupling.pace if cell.coupling is not None else None
+    if pace is None:
+        return {}
+    slower = cell.at_pace(*(1.0 if one is None else float(np.exp(one.error)) for one in (pace.work, pace.walk)))
+    means = np.full((2, len(sequences)), np.nan)
+    for each, makes, found in ((cell, planner, means[0]), (slower, Planner(slower, planner.nominal), means[1])):
+        plans = [makes.plan(sequence) for sequence in sequences]
+        until_s = max((longest_s(plan) for plan in plans), default=0.0)
+        rolled = each.roll(plans, cycles=OF_MANY, seed=seed, until_s=until_s)
+        found[:] = [np.nan if isinstance(one, EstimateError) else one.duration_s.mean() for one in rolled]
+    ended = np.isfinite(means).all(axis=0)
+    ratio = np.divide(means[1], means[0], out=np.ones(len(sequences)), where=ended)
+    return dict(zip(sequences, np.abs(ratio - 1.0).tolist(), strict=True))
+
+
 class JointAnswers:
     """Estimates of plans in one cell from joint rollouts."""
 
@@ -143,7 +165,7 @@ class JointAnswers:
         rolled = self._rolled(plans, refuse, tell)
         drawn = resample_counts(self._ask.seed, self._cell.executions)
         weights = drawn / drawn.sum(axis=1, keepdims=True)
-        pace_error = self._pace_errors(list(rolled))
+        pace_error = pace_errors(self._cell, self._planner, list(rolled), seed=self._ask.seed)
         found = []
         for sequence, cycles in rolled.items():
             problem = no_answer(self._ask, sequence, cycles, longest_s(cycles.plan))
@@ -152,23 +174,6 @@ class JointAnswers:
                 continue
             found.append(self._entry(sequence, cycles, check, weights, pace_error.get(sequence, 0.0)))
         return found
-
-    def _pace_errors(self, sequences: Sequence[TaskSequence]) -> dict[TaskSequence, float]:
-        """Return the standard deviation of each mean because the operator's latest pace is uncertain, as a share."""
-        pace = self._cell.coupling.pace if self._cell.coupling is not None else None
-        if pace is None:
-            return {}
-        slower = self._cell.at_pace(
-            *(1.0 if one is None else float(np.exp(one.error)) for one in (pace.work, pace.walk))
-        )
-        found = []
-        for cell, planner in ((self._cell, self._planner), (slower, Planner(slower, self._planner.nominal))):
-            plans = [planner.plan(sequence) for sequence in sequences]
-            until_s = max((longest_s(plan) for plan in plans), default=0.0)
-            rolled = cell.roll(plans, cycles=OF_MANY, seed=self._ask.seed, until_s=until_s)
-            means = [float("nan") if isinstance(one, EstimateError) else one.duration_s.mean() for one in rolled]
-            found.append(np.array(means, float))
-        return dict(zip(sequences, np.nan_to_num(np.abs(found[1] / found[0] - 1.0)).tolist(), strict=True))
 
     def _plan(self, sequence: TaskSequence, refuse: _Refuse) -> Plan | None:
         try:

@@ -14,7 +14,7 @@ import numpy as np
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import CouplingCard
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.joint.answer import CYCLES, RESAMPLES, resample_counts
+from cyclekit.estimate.joint.answer import CYCLES, RESAMPLES, pace_errors, resample_counts
 from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.joint.draws import NEAR
 from cyclekit.estimate.joint.legs import Gates, event_kind, precedence_needs
@@ -106,7 +106,9 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     }
     source = scaling_source(model, dataset, legs, tracks, arrays)
     gates = Gates(card)
-    facts |= source | {"legs": _legs(legs, gates), "check": _corrected(shown[0].check, cell.executions, arrays)}
+    paced = max(pace_errors(cell, planner, [_asked_as(shown[0])], seed=SEED).values(), default=0.0)
+    corrected = _corrected(shown[0].check, cell.executions, arrays, paced)
+    facts |= source | {"legs": _legs(legs, gates), "check": corrected}
     return facts, arrays
 
 
@@ -121,6 +123,13 @@ def _composed(planner: Planner, shown: Sequence[CycleEstimate]) -> list[dict[str
         for places in by_count.values()
         for order in planner.composed(TaskSequence("", places))
     ]
+
+
+def _asked_as(each: CycleEstimate) -> TaskSequence:
+    """Return what an estimate was asked of."""
+    if each.asked:
+        return TaskSequence.of_plan(each.name, each.asked)
+    return TaskSequence(each.name, each.places, each.operator)
 
 
 def _sequence(each: CycleEstimate, planner: Planner) -> dict[str, Any]:
@@ -232,13 +241,14 @@ def _legs(legs: Mapping[str, NominalTask], gates: Gates) -> dict[str, Any]:
     return found
 
 
-def _corrected(check: Check | None, executions: int, arrays: Arrays) -> dict[str, float]:
-    """Return the corrections of a rollout; put the resamples of its cycles into `arrays`."""
+def _corrected(check: Check | None, executions: int, arrays: Arrays, paced: float) -> dict[str, float]:
+    """Return the corrections of a rollout, with the error of his latest pace; put resamples into `arrays`."""
     judged = len(check.residuals) if check else 2
     arrays["drawn"] = resample_counts(SEED, executions).astype(np.uint8)
     arrays["errors"] = np.random.default_rng(SEED + 1).standard_t(max(judged - 1, 1), RESAMPLES).astype(np.float32)
     if not isinstance(check, JointCheck):
-        return {"factor": 1.0, "model_error": 0.0, "doubted_bias": 0.0}
+        return {"factor": 1.0, "model_error": paced, "doubted_bias": 0.0}
     if check.scores:
         arrays["scores"] = np.array(check.scores, np.float32)
-    return {name: getattr(check, name) for name in ("factor", "model_error", "doubted_bias")}
+    told = {"factor": check.factor, "doubted_bias": check.doubted_bias}
+    return {**told, "model_error": float(np.hypot(check.model_error, paced))}

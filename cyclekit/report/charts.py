@@ -11,6 +11,7 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from cyclekit.plots import colours
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 FEW_ROWS, MANY_ROWS = 9, 16
 _ROW_IN, _LOW_ROW_IN, _LOWEST_ROW_IN = 0.42, 0.31, 0.25
 _KEY_ROW_IN = 0.2
+_WIDER, _LETTER_IN = 0.12, 0.08
+"""Part by which the page's font may draw a name wider than measured, and width of a letter, inches."""
 
 
 def cycle_times(
@@ -102,8 +105,18 @@ def _rows(width_in: float, count: int, *, bottom_in: float) -> tuple[Figure, Axe
 
 def _name_rows(axes: Axes, names: Sequence[str], width_in: float) -> None:
     longest = 34 if width_in == WIDE_IN else 18
-    axes.set_yticks(range(len(names)), [_two_lines(name, longest) for name in names], color=INK, linespacing=0.95)
+    shown = [_two_lines(name, longest) for name in names]
+    axes.set_yticks(range(len(names)), shown, color=INK, linespacing=0.95)
+    _reserve(axes, [line for name in shown for line in name.split("\n")], width_in)
     axes.xaxis.set_major_locator(MaxNLocator(8 if width_in == WIDE_IN else 4, steps=[1, 2, 5, 10]))
+
+
+def _reserve(axes: Axes, lines: Sequence[str], width_in: float) -> None:
+    """Leave room at the left: the page's font draws some names wider than they are measured here."""
+    engine = axes.figure.get_layout_engine()
+    left = _WIDER * max(map(len, lines), default=0) * _LETTER_IN / width_in
+    if isinstance(engine, ConstrainedLayoutEngine):
+        engine.set(rect=(left, 0.0, 1.0 - left, 1.0))
 
 
 def _two_lines(name: str, longest: int) -> str:

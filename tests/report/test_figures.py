@@ -9,10 +9,10 @@ from matplotlib.figure import Figure as Drawing
 from report_pages import draw_only, estimate
 
 from cyclekit.report import compose_report, figures
-from cyclekit.report.charts import cycle_times
+from cyclekit.report.charts import causes, cycle_times
 from cyclekit.report.figures import Chart, Figure
 from cyclekit.report.inputs import PageInputs
-from cyclekit.report.pictures import NARROW_IN, Picture
+from cyclekit.report.pictures import NARROW_IN, WIDE_IN, Picture
 from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
@@ -79,3 +79,13 @@ def test_the_legend_leaves_room_for_the_only_row_on_a_phone():
     drawing.draw_without_rendering()
     height_in = drawing.axes[0].get_position().height * drawing.get_size_inches()[1]
     assert height_in > 0.35
+
+
+def test_a_name_has_room_for_the_wider_letters_of_the_pages_font() -> None:
+    """Where a browser draws it an eighth wider than it is measured here, it still begins on the picture."""
+    name = "JABJJ_WXYWW"
+    drawing = causes(WIDE_IN, [(name, 2.0, "#000"), ("person near", 1.0, "#000")], {"seconds": "s"})
+    drawing.draw_without_rendering()
+    (label,) = (label for label in drawing.axes[0].get_yticklabels() if label.get_text() == name)
+    where = label.get_window_extent()
+    assert where.x0 > where.width / 8

@@ -1,0 +1,58 @@
+"""What the cell file says of logs: one file beside them, logs to be left out, sources that match no log."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ingested import ROUND_TRIP
+
+from cyclekit.config import Cell, Source
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import ConfigError
+from cyclekit.ingest.ingest import ingest
+
+
+def test_two_cell_files_beside_the_logs_are_one_too_many(three_runs: Path, tmp_path: Path, robot_log: Any):
+    robot_log(tmp_path / "more" / "run.csv", ROUND_TRIP)
+    for folder in (three_runs, tmp_path / "more"):
+        (folder / "cell.toml").write_text("", encoding="utf-8")
+    with pytest.raises(ConfigError, match="two cell files"):
+        ingest([three_runs, tmp_path / "more"], tmp_path / "dataset")
+
+
+def test_files_to_be_ignored_are(three_runs: Path, tmp_path: Path):
+    (three_runs / "truth").mkdir()
+    shutil.copy(three_runs / "run_0.csv", three_runs / "truth" / "run_9.csv")
+    (three_runs / ".run_8.csv").write_text("hidden", encoding="utf-8")
+    for globs in (("truth/*", "run_1.csv"), ("truth", "*_1.csv")):
+        report = ingest([three_runs], tmp_path / "dataset", cell=Cell(ignore=globs))
+        assert report.not_read == ()
+        assert [entry.id for entry in Dataset.open(report.dataset).recordings] == ["run_0", "run_2"]
+
+
+def test_a_source_that_means_no_log_is_said_aloud(three_runs: Path, tmp_path: Path):
+    cell = Cell(sources=(Source("run_*.csv", clock_offset_s=1.0), Source("trakcer/*.csv")), reference=("empty/*",))
+    warnings = ingest([three_runs], tmp_path / "dataset", cell=cell).warnings
+    assert [text for text in warnings if "matches no log" in text] == [
+        "source 'trakcer/*.csv' of the cell file matches no log",
+        "source 'empty/*' of the cell file matches no log",
+    ]
+
+
+def test_a_source_without_the_folder_of_its_logs_is_told_the_pattern(three_runs: Path, tmp_path: Path):
+    for number in range(3):
+        (three_runs / f"shift_{number}").mkdir()
+        (three_runs / f"run_{number}.csv").rename(three_runs / f"shift_{number}" / "robot.csv")
+    source = Source("robot.csv", clock_offset_s=1.0)
+    (text,) = [
+        text
+        for text in ingest([three_runs], tmp_path / "dataset", cell=Cell(sources=(source,))).warnings
+        if "matches no log" in text
+    ]
+    assert text.endswith('the logs of that name lie in folders; write path = "*robot.csv"')
+    done = ingest([three_runs], tmp_path / "other", cell=Cell(sources=(replace(source, path="*robot.csv"),)))
+    assert not [text for text in done.warnings if "matches no log" in text]

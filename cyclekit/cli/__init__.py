@@ -27,6 +27,7 @@ from cyclekit.cli.surroundings import (
     flush,
     is_of_output,
     restart_in_utf8,
+    with_home,
 )
 
 if TYPE_CHECKING:
@@ -96,6 +97,7 @@ def _run(words: list[str]) -> int:
     as_json = "--json" in words
     try:
         check_working_directory()
+        words = with_home(words)
         wanted = words[:1] if words and words[0] in ORDER else ORDER
         code = app(wanted)(args=words or ["--help"], prog_name="cyclekit", standalone_mode=False)
         flush()

@@ -18,12 +18,17 @@ def convert(
     out: Annotated[Path, typer.Option(help="The table, .parquet or .csv.", metavar="FILE")],
     table: Annotated[
         str | None,
-        typer.Option(help="robot, people, events, task_list, safety, skeletons; default: the first one in the log."),
+        typer.Option(
+            metavar="NAME",
+            help="robot, people, events, task_list, safety, skeletons; default: the first one in the log.",
+        ),
     ] = None,
     rate: Annotated[
         float | None, typer.Option(help="Rows per second, averaged; default: every row.", metavar="HZ")
     ] = None,
-    columns: Annotated[str, typer.Option(help="Columns to write, separated by commas; default: all.")] = "",
+    columns: Annotated[
+        str, typer.Option(metavar="LIST", help="Columns to write, separated by commas; default: all.")
+    ] = "",
     cell: Annotated[Path | None, typer.Option(help="Cell file with the settings for reading the log.")] = None,
     json: Json = False,
     quiet: Quiet = False,

@@ -52,13 +52,18 @@ def estimate(
     out: Annotated[Path | None, typer.Option(help="Also write it here: JSON; CSV for x.csv, Excel for x.xlsx.")] = None,
     gantt: Annotated[Path | None, typer.Option(help="Also draw a time chart here: SVG, PNG or PDF.")] = None,
     estimator: Annotated[
-        str | None, typer.Option(help="rollout, average, history or nominal; by default what suits the model.")
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="rollout (simulation), average, history (sums of logged tasks) or nominal (no people); "
+            "default: by the model.",
+        ),
     ] = None,
     takt: Takt = None,
     baseline: Baseline = None,
     quantiles: Annotated[str, typer.Option(metavar="LEVELS", help="Quantiles of single cycles, percent.")] = "5,50,95",
     check: Checked = True,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling of operator tracks.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling of logged executions.")] = 0,
     extrapolate: Extrapolate = False,
     other_cell: OtherCell = False,
     engine: EngineName = "local",
@@ -295,7 +300,7 @@ def basis_and_limits(found: Sequence[CycleEstimate]) -> str:
     every = [set(entry.warnings) - set(entry.doubts) for entry in found]
     of_all = set.intersection(*every) if len(found) > 1 else set[str]()
     for entry in found:
-        tracks = f", {entry.tracks} {'cycles drawn' if entry.plan else 'operator tracks'}" if entry.tracks else ""
+        tracks = f", {entry.tracks} cycles simulated" if entry.tracks else ""
         lines.append(
             f"{entry.name}: {entry.estimator}: {entry.why}; {entry.executions} logged executions{tracks}; "
             f"{_support(entry)}; mean {entry.expected_s:.1f} s (95% CI {entry.expected_low_s:.1f} to "

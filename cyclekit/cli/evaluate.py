@@ -20,10 +20,14 @@ EXAMPLE = "cyclekit evaluate model dataset"
 
 
 def evaluate(
-    model: Annotated[str, typer.Argument(help="Model, or a folder of several.", metavar="MODEL")],
+    model: Annotated[str, typer.Argument(help="Model, or a folder of several: a folder or its URL.", metavar="MODEL")],
     dataset: DatasetPlace,
     trained_on: Annotated[
-        str | None, typer.Option(help="Dataset of the training: says whether DATASET shows a changed cell.")
+        str | None,
+        typer.Option(
+            metavar="DATASET",
+            help="Dataset of the training, if DATASET is newer: also say whether the cell has changed.",
+        ),
     ] = None,
     other_cell: OtherCell = False,
     engine: EngineName = "local",

@@ -30,7 +30,7 @@ def gate(
     takt: Annotated[str, typer.Option(metavar="TIME", help="Takt time, such as 105s or 1min 45s.")],
     confidence: Annotated[float, typer.Option(help="Share of the cycles that must be within the takt.")] = 0.95,
     sure: Annotated[
-        bool, typer.Option("--sure", help="The lower end of the share's 95 % confidence interval must reach it, too.")
+        bool, typer.Option("--sure", help="Also ask it of the lower end of the share's 95 % confidence interval.")
     ] = False,
     sequence: Annotated[str | None, typer.Option(help="Judge this sequence alone.", metavar="NAME")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling.")] = 0,
@@ -42,7 +42,7 @@ def gate(
 ) -> int:
     """Judge whether enough cycles are within the takt.
 
-    For CI: exit code 0 if every sequence in the file passes, 1 if one fails, 2 if that is unknown.
+    For scripts and CI: exit code 0 if every sequence in the file passes, 1 if one fails, 2 if that is unknown.
     """
     from cyclekit.api.gate import gate_takt
 

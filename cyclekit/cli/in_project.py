@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from typer.core import TyperArgument, TyperCommand
+from typer.core import TyperArgument, TyperCommand, TyperOption
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -19,6 +19,12 @@ if TYPE_CHECKING:
 
 PROJECT_FILE = "cyclekit.toml"
 _ESTIMATE = {"model": "model", "sequences": "sequences", "dataset": "dataset", "takt": "takt"}
+KINDS = {
+    "<str>": "TEXT",
+    "<path>": "PATH",
+    **dict.fromkeys(("<int>", "<float>", "<int range>", "<float range>"), "NUMBER"),
+}
+"""How the help calls the kinds of values."""
 PATHS: dict[str, dict[str, str]] = {
     "ingest": {"logs": "logs", "out": "dataset", "cell": "cell"},
     "inspect": {"path": "made", "sequences": "sequences_there"},
@@ -45,11 +51,12 @@ class InProject(TyperCommand):
     """A command that takes missing arguments from the project file."""
 
     def __init__(self, *args: Any, **settings: Any) -> None:  # noqa: ANN401 - typer's own
-        """Make the command; its help names arguments without their types, unless these are choices."""
+        """Make the command; its help names no types of Python, and those of arguments only if they are choices."""
         super().__init__(*args, **settings)
         for each in self.params:
-            if isinstance(each, TyperArgument):
-                each.display_type_rich = partial(_choice, each.display_type_rich)  # type: ignore[method-assign]
+            shown = _choice if isinstance(each, TyperArgument) else _kind
+            if isinstance(each, TyperArgument | TyperOption):
+                each.display_type_rich = partial(shown, each.display_type_rich)  # type: ignore[method-assign]
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - typer has its own copy of click
         """Parse the command line, and print the arguments taken from the project file."""
@@ -74,6 +81,11 @@ class InProject(TyperCommand):
             settings = ", ".join(f"{name} = {value}" for name, value in found.taken.items())
             Terminal(json=False, quiet=False).remark(f"from {PROJECT_FILE}: {settings}")
         return rest
+
+
+def _kind(shown: Callable[..., str | None], ctx: Any) -> str | None:  # noqa: ANN401 - typer has its own copy of click
+    kind = shown(ctx=ctx)
+    return KINDS.get(kind or "", kind)
 
 
 def _choice(shown: Callable[..., str | None], ctx: Any) -> str:  # noqa: ANN401 - typer has its own copy of click

@@ -35,19 +35,24 @@ def ingest(
         bool, typer.Option("--keep-skeletons", help="Keep every joint of every person (docs/privacy.md).")
     ] = False,
     no_checksums: Annotated[
-        bool, typer.Option("--no-checksums", help="Leave out the checksums of the logs (BLAKE3).")
+        bool,
+        typer.Option(
+            "--no-checksums", help="No checksums of the logs (BLAKE3): a later change of a log is then not noticed."
+        ),
     ] = False,
     align_clocks: Annotated[
         Literal["coarse"] | None,
-        typer.Option(help="Align unrelated clocks by the slow-downs, also in doubt (docs/clocks.md)."),
+        typer.Option(
+            help="coarse: align the tracker's clock by the robot's slow-downs even in doubt (docs/clocks.md)."
+        ),
     ] = None,
     follow_links: FollowLinks = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Read logs of any supported kind into one dataset.
+    """Read logs of any supported format into one dataset.
 
-    Repeated, it reads only what has changed.
+    Repeated, it reads only what has changed. `cyclekit adapters` lists the formats.
     """
     from cyclekit.api.ingest import ingest_logs
     from cyclekit.errors import ConfigError, LogError

@@ -17,7 +17,7 @@ EXAMPLE = "cyclekit inspect logs --write-cell"
 def inspect(
     path: Annotated[str, typer.Argument(help="A log, a folder of logs, a dataset or a model.", metavar="PATH")],
     cell_file: Annotated[
-        Path | None, typer.Argument(help="With --write-cell: the new file to write it to.", metavar="[CELL.toml]")
+        Path | None, typer.Argument(help="With --write-cell: the new file to write it to.", metavar="CELL.toml")
     ] = None,
     cell: Annotated[
         Path | None, typer.Option(help="Cell file with settings for the logs; default: cell.toml next to them.")
@@ -26,7 +26,10 @@ def inspect(
         bool, typer.Option("--write-cell", help="Print a cell file for these logs; a draft for unknown tables.")
     ] = False,
     sequences: Annotated[
-        Path | None, typer.Option(help="Of a dataset: what to log next, so that these can be estimated.")
+        Path | None,
+        typer.Option(
+            metavar="SEQUENCES.toml", help="Of a dataset: also what to log so that these sequences can be estimated."
+        ),
     ] = None,
     follow_links: FollowLinks = False,
     verify: Annotated[
@@ -37,7 +40,8 @@ def inspect(
 ) -> None:
     """Describe a log, a folder of logs, a dataset or a model.
 
-    Adapter, rate, duration, columns, executions, places and tasks found, scaling levels, gaps, warnings.
+    Logs: format, columns, rate, duration, gaps, warnings. Dataset: executions, places, tasks, where the time goes.
+    Model: how it was trained and how well it predicts.
     """
     terminal = Terminal(json=json, quiet=quiet)
     if cell_file is not None and not write_cell:

@@ -19,7 +19,10 @@ EXAMPLE = "cyclekit levels dataset --picture levels.svg"
 def levels(
     dataset: DatasetPlace,
     method: Annotated[
-        str, typer.Option(help="plateau (values held over time); dbscan or kmeans-silhouette (values only).")
+        str,
+        typer.Option(
+            metavar="NAME", help="plateau (values held over time); dbscan or kmeans-silhouette (values only)."
+        ),
     ] = "plateau",
     picture: Annotated[Path | None, typer.Option(help="Also draw them: a .svg, .png or .pdf file.")] = None,
     json: Json = False,

@@ -14,8 +14,15 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, all else on standard error.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no remarks; errors are still shown.")]
-FollowLinks = Annotated[bool, typer.Option("--follow-links", help="Follow links that lead out of a folder of logs.")]
-Extrapolate = Annotated[bool, typer.Option("--extrapolate", help="Estimate outside of the logged data too.")]
+FollowLinks = Annotated[
+    bool, typer.Option("--follow-links", help="Also follow links that lead out of a folder of logs.")
+]
+Extrapolate = Annotated[
+    bool,
+    typer.Option(
+        "--extrapolate", help="Also estimate what is mostly outside of the logged data; such numbers are marked."
+    ),
+]
 Checked = Annotated[bool, typer.Option("--check/--no-check", help="Validate on logged executions; correct the bias.")]
 
 OtherCell = Annotated[
@@ -24,10 +31,18 @@ OtherCell = Annotated[
 DatasetPlace = Annotated[str, typer.Argument(help="Dataset: a folder or its URL.", metavar="DATASET")]
 ModelPlace = Annotated[str, typer.Argument(help="Model: a folder or its URL.", metavar="MODEL")]
 LoggedPlace = Annotated[
-    str, typer.Option("--dataset", help="Dataset that holds the robot's motions and the operator's tracks.")
+    str,
+    typer.Option(
+        "--dataset",
+        metavar="DATASET",
+        help="Dataset with the logged motions of the robot, and what the logs show of the operator.",
+    ),
 ]
 SequenceFile = Annotated[
-    Path, typer.Argument(help="Sequence file: names and ordered places or tasks.", metavar="SEQUENCES.toml")
+    Path,
+    typer.Argument(
+        help="Sequence file: for each sequence its name and its places or tasks in order.", metavar="SEQUENCES.toml"
+    ),
 ]
 Takt = Annotated[
     str | None, typer.Option(metavar="TIME", help="Takt time, such as 105s or 1min 45s: compare the cycles with it.")
@@ -39,12 +54,17 @@ Baseline = Annotated[
 OperatorLog = Annotated[
     Path | None, typer.Option(help="Real tracker recording to use instead of the simulated operator.")
 ]
-OperatorXyz = Annotated[str | None, typer.Option(help="Position of the recording's origin, base frame: x,y,z in m.")]
+OperatorXyz = Annotated[
+    str | None, typer.Option(metavar="X,Y,Z", help="Position of the recording's origin, base frame: x,y,z in m.")
+]
 OperatorYaw = Annotated[float, typer.Option(help="Rotation of the recording about the vertical, degrees.")]
-EngineName = Annotated[Literal["local", "ray"], typer.Option(help="Where the jobs run (docs/fleet.md).")]
+EngineName = Annotated[
+    Literal["local", "ray"],
+    typer.Option(help="Where the jobs run: on this machine, or on a Ray cluster (docs/fleet.md)."),
+]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Jobs at the same time; default: 1, with Ray one per core.")]
 RayAddress = Annotated[
-    str | None, typer.Option(help="Running cluster; default: one on this machine.", metavar="auto|HOST:PORT")
+    str | None, typer.Option(help="Running Ray cluster; default: Ray on this machine.", metavar="auto|HOST:PORT")
 ]
 
 
@@ -63,9 +83,13 @@ def new_app() -> typer.Typer:
         name="cyclekit",
         help=(
             "Cycle times of human-robot cells, estimated from their logs.\n\n"
-            "Workflow: ingest logs, train on the dataset, estimate sequences; then replay and report."
+            "Workflow: ingest logs, train a model on the dataset, estimate sequences; then report and replay. "
+            "`init` and `run` take all these steps for a folder of logs."
         ),
-        epilog="\b\nStart here:\n  cyclekit demo --out out/",
+        epilog=(
+            "\b\nStart here:\n  cyclekit demo --out out/         a simulated cell\n"
+            "  cyclekit init logs --takt 105s   your own logs; then: cyclekit run"
+        ),
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},

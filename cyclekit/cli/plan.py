@@ -15,14 +15,22 @@ if TYPE_CHECKING:
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.plan.task_orders import TaskOrderPlan
 
-EXAMPLE = "cyclekit plan model jobs.toml --dataset dataset"
+EXAMPLE = """cyclekit plan model jobs.toml --dataset dataset
+
+\b
+jobs.toml, more in docs/commands.md:
+  start = "home"
+  end = "home"
+  via = "conveyor"                   # visited before each place; or leave it out
+  visit = ["left_1", "left_2", "right_1", "right_2"]
+  before = [["left_1", "left_2"]]    # the first before the second"""
 
 
 def plan(
     model: ModelPlace,
     jobs: Annotated[
         Path,
-        typer.Argument(help="Places to visit, or both agents' tasks; constraints (before).", metavar="JOBS.toml"),
+        typer.Argument(help="Jobs file: what is to be done, and what must precede what.", metavar="JOBS.toml"),
     ],
     dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write it: a sequence file (.toml) or Excel (.xlsx).")] = None,
@@ -34,7 +42,7 @@ def plan(
 ) -> None:
     """Search the order of tasks with the least cycle time.
 
-    Tries all orders if they are few; else a greedy, Monte Carlo and local search.
+    Tries all orders if they are few; else improves good and random ones in small steps.
     Prints what the order saves compared with the logged ones.
     """
     from cyclekit.api.plan import plan_order
@@ -82,8 +90,8 @@ def _text(found: OrderPlan) -> str:
     lines = [
         f"order: {', '.join(found.order)}",
         f"expected {found.expected_s:.1f} s{star}; {found.against} {found.against_s:.1f} s on average",
-        f"saves {saved:.1f} s a cycle ({low:.1f} to {high:.1f} s, 95%) with the logged operator tracks",
-        f"of that {found.saves_unseen_s:.1f} s on operator tracks that were not used to choose the order",
+        f"saves {saved:.1f} s a cycle ({low:.1f} to {high:.1f} s, 95%) with the logged operators",
+        f"of that {found.saves_unseen_s:.1f} s with operators that were not used to choose the order",
         f"{found.searched}: {found.tried} orders scored; {found.executions} logged executions",
     ]
     if found.unlogged:

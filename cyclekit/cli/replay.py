@@ -26,9 +26,14 @@ def replay(
         typer.Option(help="Name of the execution, or its number from 1; repeat for several.", metavar="ID"),
     ],
     out: Annotated[Path, typer.Option(help="Recording to write (.rrd).")],
-    model: Annotated[str | None, typer.Option(help="Model whose prediction and learned zones are also shown.")] = None,
+    model: Annotated[
+        str | None, typer.Option(metavar="MODEL", help="Model whose prediction and learned zones are also shown.")
+    ] = None,
     at: Annotated[
-        str, typer.Option(help="What plays first: slowdown (the costliest), error (the model's worst), or a time.")
+        str,
+        typer.Option(
+            metavar="WHAT", help="What plays first: slowdown (the costliest), error (the model's worst), or a time."
+        ),
     ] = "slowdown",
     open_after: Annotated[bool, typer.Option("--open", help="Open the recording in the Rerun viewer.")] = False,
     serve_after: Annotated[
@@ -37,7 +42,8 @@ def replay(
     bind: Annotated[
         str,
         typer.Option(
-            help="Address of --serve; any other than this one shows the recording to everybody who can reach it."
+            metavar="ADDRESS",
+            help="Address of --serve; any other than this one shows the recording to everybody who can reach it.",
         ),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --serve; 0 takes a free one.")] = 9090,

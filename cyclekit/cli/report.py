@@ -21,25 +21,29 @@ FORMATS: tuple[Format, ...] = ("html", "json", "csv", "md", "xlsx")
 
 def report(
     dataset: DatasetPlace,
-    out: Annotated[Path, typer.Option(help="Page to write (.html); opens without a network.")],
+    out: Annotated[Path, typer.Option(help="Page to write (.html).")],
     model: Annotated[
-        str | None, typer.Option(help="Folder of the model; without it the page is about the logs.")
+        str | None,
+        typer.Option(metavar="MODEL", help="Model: a folder or its URL; without it the page covers the logs alone."),
     ] = None,
-    sequences: Annotated[Path | None, typer.Option(help="Sequence file whose estimates go into the page.")] = None,
+    sequences: Annotated[
+        Path | None, typer.Option(metavar="SEQUENCES.toml", help="Sequence file whose estimates go into the page.")
+    ] = None,
     takt: Takt = None,
     baseline: Baseline = None,
     what_if: Annotated[
         list[str] | None,
         typer.Option(
             metavar="CHANGES.toml",
-            help="Try these changes; or FILE.json of whatif, or LABEL=FILE.json of estimate. Again for more.",
+            help="Try these changes; or show FILE.json of whatif, or LABEL=FILE.json of estimate. Repeat for more.",
         ),
     ] = None,
     plan: Annotated[
         Path | None, typer.Option(metavar="JOBS.toml", help="Search the order of this work with the least cycle time.")
     ] = None,
     kind: Annotated[
-        str | None, typer.Option("--format", help="html, json, csv, md or xlsx; default: by the ending of --out.")
+        str | None,
+        typer.Option("--format", metavar="NAME", help="html, json, csv, md or xlsx; default: by the suffix of --out."),
     ] = None,
     pdf: Annotated[
         Path | None, typer.Option(help="Also print the page to this PDF, with an installed browser.")
@@ -58,7 +62,8 @@ def report(
 ) -> None:
     """Write the page for the customer.
 
-    One self-contained file: cycle times, where the time goes, why, what would help, and how reliable that is.
+    One HTML file that needs no network: cycle times, where the time goes, why, what would help, and how reliable that
+    is.
     """
     from cyclekit.api.report import write_report
 

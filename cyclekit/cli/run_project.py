@@ -20,9 +20,9 @@ SHOWN = 8
 
 
 def run(
-    project: Annotated[
-        Path, typer.Argument(help="Project file, or its folder; default: here.", metavar="[cyclekit.toml]")
-    ] = Path("cyclekit.toml"),
+    project: Annotated[Path, typer.Argument(help="Project file, or its folder.", metavar="cyclekit.toml")] = Path(
+        "cyclekit.toml"
+    ),
     json: Json = False,
     quiet: Quiet = False,
 ) -> int:

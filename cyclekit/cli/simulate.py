@@ -11,7 +11,14 @@ from cyclekit.cli.options import Json, OperatorLog, OperatorXyz, OperatorYaw, Qu
 from cyclekit.cli.terminal import Terminal
 from cyclekit.errors import command_line
 
-EXAMPLE = "cyclekit simulate box-picking --out logs --executions 20 --seed 1"
+EXAMPLE = """cyclekit simulate box-picking --out logs --executions 20 --seed 1
+
+\b
+Scenes:
+  with a tracker     box-picking, pick-and-package, laser-zones, scanner-visits
+  without a tracker  scanner-fields, light-curtain, guard-door
+  with waits         shared-fixture, handover, fed-line, four-fixtures,
+                     machine-tending"""
 SCENES = (
     *("box-picking", "pick-and-package", "laser-zones", "scanner-visits", "scanner-fields", "light-curtain"),
     "guard-door",
@@ -27,16 +34,18 @@ def _known(scene: str) -> str:
 
 
 def simulate(
-    scene: Annotated[str, typer.Argument(help="Which cell to simulate.", metavar="SCENE", callback=_known)],
+    scene: Annotated[str, typer.Argument(help="Which cell to simulate; see below.", metavar="SCENE", callback=_known)],
     out: Annotated[Path, typer.Option(help="Folder for the logs.", metavar="LOGS")],
     executions: Annotated[int, typer.Option(min=1, help="How many times the process runs.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 0,
     logs: Annotated[Literal["csv", "mcap"], typer.Option(help="RTDE and Motive CSV files, or ROS 2 bags.")] = "csv",
     robot_rate: Annotated[int, typer.Option(help="Controller rate, Hz: 125 or 500.")] = 125,
-    without_override: Annotated[bool, typer.Option("--no-override", help="Leave the speed scaling out.")] = False,
+    without_override: Annotated[
+        bool, typer.Option("--no-override", help="Leave the speed scaling out of the robot log.")
+    ] = False,
     delta: Annotated[float, typer.Option(help="Tracker noise, standard deviation per axis, m.")] = 0.0,
-    dropout: Annotated[float, typer.Option(help="Fraction of tracker frames lost, in bursts.")] = 0.0,
-    clock_offset: Annotated[float, typer.Option(help="Tracker clock behind the robot's, s.")] = 0.0,
+    dropout: Annotated[float, typer.Option(help="Share of the tracker frames that are lost, in bursts; 0 to 1.")] = 0.0,
+    clock_offset: Annotated[float, typer.Option(help="How far the tracker's clock is behind the robot's, s.")] = 0.0,
     clock_drift: Annotated[float, typer.Option(help="Rate error of the tracker's clock; 50e-6 is 50 ppm.")] = 0.0,
     millimetres: Annotated[bool, typer.Option("--millimetres", help="The tracker writes millimetres.")] = False,
     silent_when_empty: Annotated[
@@ -48,11 +57,15 @@ def simulate(
     rule: Annotated[
         Path | None, typer.Option(help="Rule file: the safety function, in place of the scene's (docs/commands.md).")
     ] = None,
-    ramps: Annotated[float | None, typer.Option(help="Fastest change of the scaling, 1/s.")] = None,
-    ramp_down: Annotated[float | None, typer.Option(help="Fastest fall, 1/s; default: as --ramps.")] = None,
-    latency: Annotated[float, typer.Option(help="Reaction time of the safety system, s.")] = 0.0,
+    ramps: Annotated[
+        float | None, typer.Option(help="Fastest change of the speed scaling, 1/s; default: the scene's.")
+    ] = None,
+    ramp_down: Annotated[
+        float | None, typer.Option(help="Fastest fall of the speed scaling, 1/s; default: as --ramps.")
+    ] = None,
+    latency: Annotated[float, typer.Option(help="Reaction time of the safety system, s; 0: the scene's.")] = 0.0,
     hysteresis: Annotated[float, typer.Option(help="Extra distance before the robot speeds up again, m.")] = 0.0,
-    hold: Annotated[float, typer.Option(help="For how long the robot stays slow after it may speed up, s.")] = 0.0,
+    hold: Annotated[float, typer.Option(help="For how long the robot stays slow although it may speed up, s.")] = 0.0,
     operator_log: OperatorLog = None,
     operator_xyz: OperatorXyz = None,
     operator_yaw: OperatorYaw = 0.0,
@@ -63,34 +76,38 @@ def simulate(
     place: Annotated[float | None, typer.Option(help="Process time of placing, s, instead of the scene's.")] = None,
     causes: Annotated[
         bool,
-        typer.Option("--causes", help="Also slider, reduced mode, limits, waits, pauses and protective stops (CSV)."),
+        typer.Option(
+            "--causes",
+            help="Also lose time to the speed slider, reduced mode, limits of the path, waits, pauses and stops (CSV).",
+        ),
     ] = False,
     coupling: Annotated[
-        float, typer.Option(min=0, max=1, help="Share of the joint tasks in which robot and operator wait.")
+        float,
+        typer.Option(min=0, max=1, help="Cells with waits: share of the joint tasks in which robot and operator wait."),
     ] = 1.0,
     pace_drift: Annotated[
         float,
         typer.Option(
-            min=0, max=0.9, help="Share by which the operator's walks and work become shorter, in such cells."
+            min=0, max=0.9, help="Cells with waits: share by which the operator's walks and work become shorter."
         ),
     ] = 0.0,
     without_signals: Annotated[
-        bool, typer.Option("--no-signals", help="Leave buttons and sensors out of the logs of cells with waits.")
+        bool, typer.Option("--no-signals", help="Cells with waits: leave buttons and sensors out of the logs.")
     ] = False,
     task_list: Annotated[
-        bool, typer.Option("--task-list", help="For a cell with waits: log starts and ends of tasks, no positions.")
+        bool, typer.Option("--task-list", help="Cells with waits: log starts and ends of tasks, no positions.")
     ] = False,
     without_operator: Annotated[
         bool, typer.Option("--without-operator", help="Reference run without an operator.")
     ] = False,
     people: Annotated[
         Literal["tracker", "signals", "both", "none"] | None,
-        typer.Option(help="What the logs hold of people: tracker, signals, both or none (CSV). Default: the scene's."),
+        typer.Option(help="What the logs hold of people (CSV); default: the scene's."),
     ] = None,
     plc_trace: Annotated[
         Literal["wide", "long"] | None,
         typer.Option(
-            help="Signals of fields in a PLC's trace: a column per tag, or rows of tag, time and value (CSV)."
+            help="Write the signals of people as a PLC's trace: a column per tag, or rows of tag, time and value (CSV)."
         ),
     ] = None,
     json: Json = False,
@@ -98,10 +115,7 @@ def simulate(
 ) -> None:
     """Simulate a cell and log it in vendor formats.
 
-    Writes the cell file and the ground truth next to the logs. SCENE is box-picking,
-    pick-and-package, laser-zones or scanner-visits; without a tracker,
-    scanner-fields, light-curtain or guard-door; where robot and operator wait,
-    shared-fixture, handover, fed-line, four-fixtures or machine-tending.
+    Writes the cell file and the ground truth next to the logs.
     """
     from cyclekit.api.simulate import simulate_logs
 

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import sys
 from io import TextIOWrapper
 from pathlib import Path
 
 from cyclekit.errors import CyclekitError
 
+_HOME = re.compile(r"\A(--[a-z-]+=|)~(?=/|\\)")
 _CURES = {
     errno.ENOSPC: "Free some space, or write somewhere else.",
     errno.EDQUOT: "Free some space, or write somewhere else.",
@@ -51,6 +53,14 @@ def complete_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # a place called Kühlregal must not raise on an ASCII terminal
             stream.reconfigure(errors="backslashreplace")
+
+
+def with_home(words: list[str]) -> list[str]:
+    """Return the words of a command line with `~/` replaced by the home folder, also in `--option=~/path`.
+
+    A shell leaves it as it is within quotes and after `=`, and that of Windows everywhere.
+    """
+    return [_HOME.sub(lambda found: f"{found[1]}{Path.home()}", word) for word in words]
 
 
 def flush() -> None:

@@ -19,7 +19,14 @@ EXAMPLE = "cyclekit trace dataset --execution 1 --at 12.5s --logs logs"
 def trace(
     dataset: DatasetPlace,
     execution: Annotated[str, typer.Option(help="Name of the execution, or its number from 1.", metavar="ID")],
-    at: Annotated[str, typer.Option(help="Time since the execution began: 12.5s, 2min.", metavar="TIME")] = "1ms",
+    at: Annotated[
+        str,
+        typer.Option(
+            help="Time since the execution began: 12.5s, 2min; default: its start.",
+            metavar="TIME",
+            show_default=False,
+        ),
+    ] = "1ms",
     logs: Annotated[
         Path | None, typer.Option(help="Folder of the logs, or the log itself, to show the lines.", metavar="LOGS")
     ] = None,
@@ -28,7 +35,7 @@ def trace(
 ) -> None:
     """Show the lines of the logs that a sample was made from.
 
-    Robot: the source row. People and events: the rows around it.
+    For the robot its row of the log, for people and events the rows before and after.
     """
     at_s = seconds(at)
     from cyclekit.api.trace import trace_sample

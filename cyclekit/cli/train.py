@@ -39,45 +39,58 @@ def train(
     network: Annotated[
         str | None,
         typer.Option(
-            help="By name; default: classifier, for the average: mixed; ahead: also boosting (docs/models.md).",
+            metavar="NAME",
+            help="classifier, regressor, mixed; for ahead also lstm-1, lstm-2, boosting. Default: by the problem.",
             show_default=False,
         ),
     ] = None,
     model: Annotated[
         Literal["auto", "network"],
-        typer.Option(help="auto: a rule, if a simple one explains the commanded level; else the network."),
+        typer.Option(
+            help="What answers. auto: a rule, if a simple one explains the commanded level, else the network."
+        ),
     ] = "auto",
     people: Annotated[
         Literal["auto", "positions", "signals"],
-        typer.Option(help="Information on people; auto: the kind that more executions have."),
+        typer.Option(help="What the logs show of people; auto: the kind that more executions have."),
     ] = "auto",
-    horizon: Annotated[str | None, typer.Option(help="How far ahead, such as 14s (ahead and average).")] = None,
+    horizon: Annotated[
+        str | None, typer.Option(metavar="TIME", help="How far ahead, such as 14s (ahead and average).")
+    ] = None,
     norm: Annotated[
-        Literal["batch", "none"], typer.Option(help="Batch normalisation as in the literature, or none.")
+        Literal["batch", "none"], typer.Option(help="Batch normalisation in the network, or none.")
     ] = "batch",
     features: Annotated[
         Literal["auto", "positions", "distance", "past"],
         typer.Option(
-            help="distance: also an input; past: also goal times and scaling (LSTM); auto: distance for --problem now."
+            help="Inputs. distance: positions and their distance; past: also goals and the past scaling (LSTM); "
+            "auto: by the problem."
         ),
     ] = "auto",
     target: Annotated[
         Literal["auto", "commanded", "logged"],
         typer.Option(
-            help="For --problem now: the commanded level, or the scaling as logged (as in the paper); auto: the level."
+            help="For --problem now, what is learned: the commanded level, or the scaling as logged; auto: the level."
         ),
     ] = "auto",
     optimiser: Annotated[
         Literal["auto", "muon", "adamw"],
-        typer.Option(help="Optimiser; auto: the one that measured best for the data."),
+        typer.Option(help="Optimiser of the network; auto: the better one for this amount of data."),
     ] = "auto",
     balance: Annotated[
         Literal["none", "classes"], typer.Option(help="classes: rare levels weigh as much as common ones.")
     ] = "none",
-    noise: Annotated[float, typer.Option(min=0.0, help="Additional tracker noise to train for, m.")] = 0.0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the split and of the training.")] = 0,
+    noise: Annotated[
+        float, typer.Option(min=0.0, help="Noise added to the positions in training, m, standard deviation.")
+    ] = 0.0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the training and of the choice of held-out executions.")
+    ] = 0,
     seeds: Annotated[
-        str | None, typer.Option(help="Several seeds, separated by commas: one model each, OUT/seed-N.")
+        str | None,
+        typer.Option(
+            metavar="LIST", help="Several seeds, such as 1,2,3: one model each, in the folders seed-N of --out."
+        ),
     ] = None,
     engine: EngineName = "local",
     jobs: Jobs = None,

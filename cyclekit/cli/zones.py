@@ -35,19 +35,23 @@ def zones(
         typer.Option(help="Sequence file: also print what each centimetre costs.", metavar="SEQUENCES.toml"),
     ] = None,
     reaction_time_s: Annotated[
-        float | None, typer.Option(help="T_r, for the separation distance S_p (with --cost; give all below).")
+        float | None, typer.Option(help="T_r, to compare the thresholds with S_p; needs --cost and the options below.")
     ] = None,
     stopping_time_s: Annotated[
         str | None, typer.Option(help="T_s of the robot; one, or one for each threshold: 0.1,0.3.", metavar="SECONDS")
     ] = None,
     stopping_distance_m: Annotated[
-        str | None, typer.Option(help="S_s, as the stopping time.", metavar="METRES")
+        str | None, typer.Option(help="S_s of the robot; one, or one for each threshold.", metavar="METRES")
     ] = None,
-    robot_speed_m_s: Annotated[float | None, typer.Option(help="Robot towards the person at 100 %.")] = None,
+    robot_speed_m_s: Annotated[
+        float | None, typer.Option(help="Greatest speed of the robot towards the person at 100 %.")
+    ] = None,
     intrusion_m: Annotated[float | None, typer.Option(help="C, intrusion distance.")] = None,
-    operator_uncertainty_m: Annotated[float | None, typer.Option(help="Z_d, of the person's position.")] = None,
-    robot_uncertainty_m: Annotated[float | None, typer.Option(help="Z_r, of the robot's position.")] = None,
-    approach_speed_m_s: Annotated[float | None, typer.Option(help="K of the person; default: 1.6.")] = None,
+    operator_uncertainty_m: Annotated[
+        float | None, typer.Option(help="Z_d, uncertainty of the person's position.")
+    ] = None,
+    robot_uncertainty_m: Annotated[float | None, typer.Option(help="Z_r, uncertainty of the robot's position.")] = None,
+    approach_speed_m_s: Annotated[float | None, typer.Option(help="K, speed of the person; default: 1.6.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling for the intervals.")] = 0,
     extrapolate: Extrapolate = False,
     other_cell: OtherCell = False,

@@ -157,12 +157,12 @@ class Check:
     @property
     def with_own(self) -> str:
         """What the executions were rolled out with to find the bias."""
-        return "their own operator tracks"
+        return "their own operators"
 
     @property
     def with_others(self) -> str:
         """What they were rolled out with to find the coverage."""
-        return "all other operator tracks"
+        return "the operators of all others"
 
     def biased(self, beyond: float) -> bool:
         """Return whether the bias with the own operator tracks exceeds a share of the duration and is significant."""
@@ -193,7 +193,7 @@ class Check:
             found.append(f"backtest with {self.with_own}: bias {self.own_bias:+.1%}")
         if self._reacts:
             found.append(
-                f"backtest with the other operator tracks: bias {self.crossed_bias:+.1%}; the operator "
+                f"backtest with the operators of all others: bias {self.crossed_bias:+.1%}; the operator "
                 "seems to react to the robot, which no rollout reproduces"
             )
         wanted = self.levels[1] - self.levels[0]

@@ -156,7 +156,7 @@ def program_motion(program: Program) -> float:
 
 
 ESTIMATORS: dict[str, Estimator] = {
-    "rollout": Estimator("simulation of the learned safety function with every logged operator track", "now"),
+    "rollout": Estimator("simulation of the learned safety function with every logged operator", "now"),
     "average": Estimator("task durations from predicted mean scalings", "average", beside=by_average, goals=True),
     "history": Estimator("logged durations of the same tasks", alone=by_history),
     "nominal": Estimator("time without an operator", alone=by_nominal),

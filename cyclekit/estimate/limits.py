@@ -126,8 +126,8 @@ def _of_kinds(task: NominalTask) -> bool:
 
 
 def few_tracks(entry: CycleEstimate) -> str:
-    """Return a sentence on the few operator tracks behind a number."""
-    return f"based on only {entry.executions} operator tracks: the mean itself is uncertain"
+    """Return a sentence on the few executions behind a number that show the operator."""
+    return f"based on only {entry.executions} executions that show the operator: the mean itself is uncertain"
 
 
 def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
@@ -211,7 +211,7 @@ def refuse_biased(check: Check | None, *, own: bool = False) -> None:
     if check is not None and check.biased(REFUSED_BIAS):
         seen = f"{check.own_bias:+.1%} (+-{check.own_within:.1%}) on {check.executions} logged executions"
         raise ModelError(
-            f"the model does not fit these logs: backtested with their own operator tracks, its bias is {seen}",
+            f"the model does not fit these logs: backtested with their own operators, its bias is {seen}",
             cure=(_OWN if own else "Train it on them: cyclekit train DATASET --out MODEL")
             + "; or add --other-cell to estimate anyway (from Python other_cell=True).",
         )

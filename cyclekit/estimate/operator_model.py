@@ -49,8 +49,8 @@ class OperatorModel:
         if not self.as_logged:
             return None
         return (
-            f"entering operator tracks at any instant changes logged cycle times by {self.bias:+.1%} "
-            f"({self.z:+.1f} standard errors): tracks are used from their beginning"
+            f"starting logged operators at any instant changes logged cycle times by {self.bias:+.1%} "
+            f"({self.z:+.1f} standard errors): they start where their executions do"
         )
 
     def to_dict(self) -> dict[str, float | bool]:

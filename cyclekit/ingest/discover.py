@@ -23,6 +23,7 @@ from cyclekit.errors import ConfigError, CyclekitError, LogError
 from cyclekit.ingest.merge_sources import kind_of, merge_similar
 from cyclekit.ingest.registry import Registered, adapter_named, drafted, find_logs, why_unknown
 from cyclekit.storage.files import resolved
+from cyclekit.storage.identify import kind_of_path
 from cyclekit.storage.safe_path import leads_out, real_path, valid_name
 from cyclekit.text.plain_text import one_line
 
@@ -122,9 +123,9 @@ def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> tuple[d
     unread: list[str] = []
     for root in roots:
         base = root if root.is_dir() else root.parent
-        for path, registered in _candidates(root, base, cell, follow_links=follow_links):
+        for path, registered in _candidates(root, prefixes[base], cell, follow_links=follow_links):
             shown, is_text = _as_text(prefixes[base] + path.relative_to(base).as_posix())
-            known = registered is not None or any(matches(shown, path, source.path) for source in cell.sources)
+            known = registered is not None or _source(cell, path, root, prefixes[base]) is not None
             away = not follow_links and leads_out(path, root)
             if known or away or not is_text or not path.is_file() or not path.stat().st_size:
                 continue
@@ -166,13 +167,12 @@ def find_all(
     seen: set[str] = set()
     for root in roots:
         base = root if root.is_dir() else root.parent
-        for path, registered in _candidates(root, base, cell, follow_links=follow_links):
+        for path, registered in _candidates(root, prefixes[base], cell, follow_links=follow_links):
             if (here := real_path(path)) in seen:  # given as a file, and again by its folder
                 continue
             seen.add(here)
-            shown = path.relative_to(base).as_posix() if path != base else path.name
-            source = next((s for s in cell.sources if matches(shown, path, s.path)), None)
-            shown, is_text = _as_text(prefixes[base] + shown)
+            source = _source(cell, path, root, prefixes[base])
+            shown, is_text = _as_text(prefixes[base] + _within(path, root))
             reader = adapter_named(source.adapter) if source and source.adapter else registered
             try:
                 away = not follow_links and _leads_out(path, root)
@@ -193,6 +193,8 @@ def find_all(
         cause = f"holds no log that can be read ({_some(not_read)})" if not_read else "holds no file"
         if not not_read and roots[0].suffix == ".toml" and roots[0].is_file():
             cause, cure = "is a cell file, and no log", f"Give the folder of logs, and --cell {roots[0]}."
+        if (kind := kind_of_path(roots[0])) in ("a dataset", "a model"):
+            cause, cure = f"is {kind}, and no log", "Give the logs, as they came from robot and tracker."
         raise unknown if unknown and len(not_read) == 1 else LogError(roots[0], cause, cure=cure)
     return list(logs.values()), not_read
 
@@ -236,15 +238,36 @@ def _prefixes(roots: Sequence[Path]) -> dict[Path, str]:
     return {base: "" if path == Path() else f"{path.as_posix()}/" for base, path in below.items()}
 
 
-def _candidates(root: Path, base: Path, cell: Cell, *, follow_links: bool) -> Iterable[tuple[Path, Registered | None]]:
+def _candidates(root: Path, prefix: str, cell: Cell, *, follow_links: bool) -> Iterable[tuple[Path, Registered | None]]:
     for path, registered in find_logs(root, follow_links=follow_links):
-        shown = path.relative_to(base).as_posix() if path != base else path.name
-        if path.name != CELL_FILE and not any(matches(shown, path, pattern) for pattern in cell.ignore):
+        if path.name != CELL_FILE and not any(_means(pattern, path, root, prefix) for pattern in cell.ignore):
             yield path, registered
 
 
+def _within(path: Path, root: Path) -> str:
+    """Return the name of a log within the folder that was given, or whose file was."""
+    base = root if root.is_dir() else root.parent
+    return path.relative_to(base).as_posix() if path != base else path.name
+
+
+def _source(cell: Cell, path: Path, root: Path, prefix: str) -> Source | None:
+    """Return the first source of the cell file that means a log."""
+    return next((source for source in cell.sources if _means(source.path, path, root, prefix)), None)
+
+
+def _means(pattern: str, path: Path, root: Path, prefix: str) -> bool:
+    """Return whether a path or glob of the cell file means a log, found in `root` and shown with a prefix.
+
+    It is relative to the folder of logs. Of a log that was given itself, that may be any folder above it.
+    """
+    within = _within(path, root)
+    if any(matches(name, path, pattern) for name in (within, prefix + within)):
+        return True
+    return path == root and fnmatchcase(resolved(path).as_posix(), f"*/{Path(pattern).as_posix()}")
+
+
 def matches(shown: str, path: Path, pattern: str) -> bool:
-    """Return whether a path or glob of the cell file matches a log, shown relative to the given folder."""
+    """Return whether a path or glob of the cell file matches a log by the name that is shown of it."""
     wanted = Path(pattern).as_posix()
     return shown == wanted or shown.startswith(f"{wanted}/") or fnmatchcase(shown, wanted) or str(path) == pattern
 

@@ -285,10 +285,9 @@ def why_unknown(path: Path) -> UnknownFormat:
         cause = "an old Excel workbook (.xls), or one with a password"
         return UnknownFormat(path, cause, cure="Save it as .xlsx without a password, or as CSV.")
     if _is_table(head):
-        cause = 'no adapter recognises this content, a table: map its columns in cell.toml, with adapter = "csv"'
-        drafts = "`cyclekit inspect FILE --write-cell CELL.toml` writes a draft"
+        cause = 'a table that no adapter recognises: map its columns in cell.toml, with adapter = "csv"'
         draft = command_line("inspect", path, "--write-cell", path.with_suffix(".toml"))
-        return UnknownFormat(path, f"{cause} (docs/adapters.md); {drafts}", cure=f"Draft the map: {draft}")
+        return UnknownFormat(path, f"{cause} (docs/adapters.md)", cure=f"Draft the map: {draft}")
     return UnknownFormat(path, "no adapter recognises this content", cure=cure)
 
 

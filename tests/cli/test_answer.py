@@ -28,7 +28,7 @@ def test_an_estimate_tells_takt_quantiles_work_and_check(model: Path, dataset: P
     shown = cyclekit(*words, "--takt", "12s").out
     assert "within 12 s" in shown
     assert "per visit" in shown
-    assert "logged executions rolled out with their own operator tracks" in " ".join(shown.split())
+    assert "logged executions rolled out with their own operators" in " ".join(shown.split())
 
 
 def test_a_sequence_that_cannot_be_answered_is_named_and_the_others_are_answered(
@@ -91,7 +91,7 @@ def test_a_plan_is_an_order_and_a_sequence_file(
     assert list(planned.places) == typed.document["places"]
     shown = cyclekit("plan", model, jobs, "--dataset", dataset, "--quiet").out
     assert "order: " in shown
-    assert "on operator tracks that were not used to choose the order" in shown
+    assert "with operators that were not used to choose the order" in shown
 
 
 def test_a_plan_of_a_place_that_does_not_exist_is_refused(model: Path, dataset: Path, tmp_path: Path, cyclekit: Shell):

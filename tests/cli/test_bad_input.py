@@ -40,7 +40,7 @@ BAD_LOGS: list[tuple[Callable[[Path], None], str, str]] = [
     (text_file, "no adapter recognises this content", "cyclekit reads"),
     (empty_file, "the file is empty", "Check the copy"),
     (lfs_pointer, "Git LFS pointer", "git lfs pull"),
-    (csv_without_a_time_column, "no adapter recognises this content", 'adapter = "csv"'),
+    (csv_without_a_time_column, "a table that no adapter recognises", "cyclekit inspect"),
 ]
 
 

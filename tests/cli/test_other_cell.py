@@ -79,7 +79,7 @@ def test_a_large_bias_stands_above_the_numbers_and_in_the_json(
     shown = cyclekit(*words).out
     assert shown.startswith("WARNING: the model's bias is +")
     assert " s*" in shown.split("seconds:")[0]
-    assert "\n* backtest with their own operator tracks: bias" in shown
+    assert "\n* backtest with their own operators: bias" in shown
 
 
 def test_with_trained_on_two_datasets_are_compared_whatever_has_changed(

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import pytest
 from fabricated import fabricate_dataset
 
-from cyclekit.cli.surroundings import explained
+from cyclekit.cli.surroundings import explained, with_home
+from cyclekit.config.project import load_project
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError
 from cyclekit.storage.atomic import locked, replaced, staged
@@ -221,3 +222,22 @@ def test_more_memory_than_there_is_is_one_message(
     assert failed.code == 1
     assert failed.err.startswith("error: this needs more memory than the process may take (Unable to allocate 458. MiB")
     assert "Traceback" not in failed.err
+
+
+def test_the_home_folder_is_meant_where_the_shell_left_it() -> None:
+    home = str(Path.home())
+    typed = ["ingest", "~/logs", "--out=~/dataset", "--cell", "~", "a~/b", "~you/logs", "--what-if", "x=~/changed.json"]
+    expected = ["ingest", f"{home}/logs", f"--out={home}/dataset", *typed[3:]]
+    assert with_home(typed) == expected
+
+
+def test_paths_of_the_home_folder_work_quoted_and_in_a_project(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cyclekit: Shell
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    fabricate_dataset(tmp_path / "dataset", executions=2)
+    assert cyclekit("inspect", "~/dataset", "--quiet").code == 0
+    (tmp_path / "cyclekit.toml").write_text('logs = ["~/logs"]\ndataset = "~/dataset"\n', encoding="utf-8")
+    project = load_project(tmp_path)
+    assert (project.logs, project.dataset) == ((str(tmp_path / "logs"),), str(tmp_path / "dataset"))

@@ -57,7 +57,7 @@ def test_fewer_executions_than_were_logged_judge_the_rollout_alike(logged: Datas
 def test_a_wrong_safety_function_is_told(logged: Dataset, constant: Any):
     found = check_rollout(constant(0.9), logged)
     assert found.own_bias < -0.1
-    assert any("backtest with their own operator tracks" in text for text in found.doubts)
+    assert any("backtest with their own operators" in text for text in found.doubts)
 
 
 def crossing(count: int, reaction_s: float) -> Check:

@@ -51,12 +51,12 @@ def test_where_the_model_gives_other_cycles_than_the_logged_tracks_these_are_use
     assert found.check.to_dict()["operator"]["as_logged"] is True
     assert found.tracks == EXECUTIONS
     assert found.safety_loss_s < 0.01
-    assert "tracks are used from their beginning" in "".join(found.warnings)
+    assert "they start where their executions do" in "".join(found.warnings)
     unchecked = replace(found.check, operator=replace(found.check.operator, z=0.0))
     (model,) = estimate(staircase, following, [AND_BACK], check=unchecked)
     assert model.tracks == ENTRIES * EXECUTIONS
     assert model.safety_loss_s > 0.2
-    assert "tracks are used" not in "".join(model.warnings)
+    assert "they start where" not in "".join(model.warnings)
 
 
 def test_a_change_and_a_plan_rest_on_the_same_tracks_as_the_estimate(hand_made: Any, staircase: Any):
@@ -80,7 +80,7 @@ def test_an_operator_who_keeps_no_time_with_the_cycle_is_entered_at_any_instant(
     assert found.check.operator is not None
     assert not found.check.operator.as_logged
     assert found.tracks == ENTRIES * EXECUTIONS
-    assert "tracks are used" not in "".join(found.warnings)
+    assert "they start where" not in "".join(found.warnings)
 
 
 def who_comes_and_goes(count: int) -> dict[str, LoggedTrack]:

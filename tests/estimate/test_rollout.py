@@ -288,7 +288,7 @@ def test_no_part_of_a_task_is_below_zero_and_they_add_up(dwell_s: float, stand_s
 def test_an_estimate_says_on_how_few_tracks_it_rests(logged: Dataset, staircase: Any, routes: Any):
     (found,) = estimate(staircase, logged, [TaskSequence("A", routes[0])])
     assert found.tracks == 16
-    assert any("only 16 operator tracks" in text for text in found.warnings)
+    assert any("only 16 executions that show the operator" in text for text in found.warnings)
 
 
 def test_while_nobody_is_there_the_robot_runs_at_what_the_logs_showed_without_an_operator(

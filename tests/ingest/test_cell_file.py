@@ -13,6 +13,7 @@ from ingested import ROUND_TRIP
 from cyclekit.config import Cell, Source
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError
+from cyclekit.ingest.discover import find_all
 from cyclekit.ingest.ingest import ingest
 
 
@@ -56,3 +57,22 @@ def test_a_source_without_the_folder_of_its_logs_is_told_the_pattern(three_runs:
     assert text.endswith('the logs of that name lie in folders; write path = "*robot.csv"')
     done = ingest([three_runs], tmp_path / "other", cell=Cell(sources=(replace(source, path="*robot.csv"),)))
     assert not [text for text in done.warnings if "matches no log" in text]
+
+
+@pytest.mark.parametrize("given", ["files", "folders", "one file"])
+def test_a_source_means_logs_that_are_given_one_by_one(given: str, tmp_path: Path, robot_log: Any):
+    logs = [robot_log(tmp_path / "logs" / f"day{n}" / f"robot{n}.csv", ROUND_TRIP) for n in (1, 2)]
+    roots = {"files": logs, "folders": [log.parent for log in logs], "one file": logs[:1]}[given]
+    cell = Cell(sources=(Source("day*/robot?.csv", role="events"), Source("day3/*.csv")), ignore=("day2/robot2.csv",))
+    found, not_read = find_all(roots, cell)
+    assert [(log.path, log.source) for log in found] == [(logs[0], cell.sources[0])]
+    assert not_read == []
+
+
+def test_a_source_of_another_folder_means_no_log_below_it(tmp_path: Path, robot_log: Any):
+    log = robot_log(tmp_path / "logs" / "day1" / "robot.csv", ROUND_TRIP)
+    for roots in ([log], [tmp_path / "logs"]):
+        ((found,), _) = find_all(roots, Cell(sources=(Source("ay1/robot.csv"), Source("day2/*.csv"))))
+        assert found.source is None
+    ((found,), _) = find_all([tmp_path / "logs"], Cell(sources=(Source("logs/day1/robot.csv"),)))
+    assert found.source is None  # a pattern is relative to the folder of logs

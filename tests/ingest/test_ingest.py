@@ -166,6 +166,12 @@ def test_a_table_that_no_adapter_knows_is_named_with_the_way_to_map_it(three_run
     assert "map" not in reasons["notes.txt"]
 
 
+def test_a_dataset_given_for_logs_is_called_one(three_runs: Path, tmp_path: Path):
+    ingest([three_runs], tmp_path / "dataset")
+    with pytest.raises(LogError, match="is a dataset, and no log"):
+        ingest([tmp_path / "dataset"], tmp_path / "other")
+
+
 def test_the_logs_cannot_be_the_dataset(three_runs: Path):
     before = only_bytes(three_runs)
     with pytest.raises(OutputError, match="is an input"):

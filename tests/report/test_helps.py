@@ -151,5 +151,5 @@ def test_the_order_found_for_both_names_both_orders(dataset, tmp_path):
     text = shown(dataset, tmp_path / "r.html", planned=BOTH)
     assert "Order of the robot: left → right, left. Order of the operator: desk → shelf." in text
     assert "16 orders compared in simulated cycles of robot and operator, learned from 40 logged executions." in text
-    assert "with the same operator tracks" not in text  # these draws do not depend on the order
+    assert "with the same operators" not in text  # these draws do not depend on the order
     assert "Saving on executions that were not used" not in text

@@ -61,7 +61,7 @@ def test_a_check_of_both_agents_names_their_orders_and_no_operator_tracks(datase
     check = JointCheck(**vars(checked()))
     text = text_of(dataset, tmp_path / "r.html", check=check)
     assert "Bias with each execution's own orders of robot and operator" in text
-    assert "Bias with the operator tracks of all other executions" not in text
+    assert "Bias with the operators of all other executions" not in text
     assert "with their own orders of robot and operator: bias" in " ".join(validation(check).split())
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Meta
+from msgspec.structs import replace
 
 from cyclekit.dataset.cards.quantities import Card, Count, Fraction, Name, Seconds
 
@@ -151,6 +152,13 @@ class GateCard(Card, frozen=True, kw_only=True):
     passages: Count = 0
     trip: TripCard | None = None
     wait_at: Name | None = None
+
+    def at_pace(self, pace: float) -> GateCard:
+        """Return the gate with own work of the operator that takes `pace` times as long; one of the robot as it is."""
+        if self.agent == "robot":
+            return self
+        by = tuple(replace(one, own_s=tuple(pace * seconds for seconds in one.own_s)) for one in self.own_by)
+        return replace(self, own_s=tuple(pace * seconds for seconds in self.own_s), own_by=by)
 
 
 class SourceCard(Card, frozen=True, kw_only=True):

@@ -23,7 +23,7 @@ from cyclekit.estimate.spread import logged_support
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from cyclekit.dataset.cards import CouplingCard, GateCard, SourceCard
+    from cyclekit.dataset.cards import CouplingCard, SourceCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.joint.legs import Event
     from cyclekit.estimate.joint.visits import OperatorVisit
@@ -136,7 +136,7 @@ class JointCell:
             vars(other).pop(name, None)
         other.work_pace, other.pace = work * self.work_pace, walk * self.pace
         if self.coupling is not None:
-            other.coupling = replace(self.coupling, gates=tuple(_slowed(gate, work) for gate in self.coupling.gates))
+            other.coupling = replace(self.coupling, gates=tuple(gate.at_pace(work) for gate in self.coupling.gates))
             other.gates = Gates(other.coupling, self.as_logged)
         return other
 
@@ -258,14 +258,6 @@ class JointCell:
                 AgendaLeg(part, "", np.empty((0, 3)), own_s=own, name=source.signal, needs=needs, passes=passes)
             )
         return Agenda("signal", tuple(legs) or (AgendaLeg(-1, "", np.empty((0, 3))),), (source.signal,) * count)
-
-
-def _slowed(gate: GateCard, pace: float) -> GateCard:
-    """Return a gate of the operator with own work that takes `pace` times as long; one of the robot as it is."""
-    if gate.agent == "robot":
-        return gate
-    by = tuple(replace(one, own_s=tuple(pace * seconds for seconds in one.own_s)) for one in gate.own_by)
-    return replace(gate, own_s=tuple(pace * seconds for seconds in gate.own_s), own_by=by)
 
 
 def _of_one(

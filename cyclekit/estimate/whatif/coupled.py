@@ -55,13 +55,8 @@ def shown(gate: GateCard) -> str:
 
 def _gate(change: Change, gate: GateCard) -> GateCard:
     conditions = () if shown(gate) in change.without_waits else gate.conditions
-    pace = change.operator_pace if gate.agent == "operator" else 1.0
-    return replace(
-        gate,
-        own_s=tuple(seconds / pace for seconds in gate.own_s),
-        own_by=tuple(replace(one, own_s=tuple(seconds / pace for seconds in one.own_s)) for one in gate.own_by),
-        conditions=tuple(_condition(change, gate, one) for one in conditions),
-    )
+    mine = tuple(_condition(change, gate, one) for one in conditions)
+    return replace(gate.at_pace(1.0 / change.operator_pace), conditions=mine)
 
 
 def _condition(change: Change, gate: GateCard, one: ConditionCard) -> ConditionCard:

@@ -49,7 +49,9 @@ def join(place: Path | str, name: str) -> str:
 
 
 def from_folder(folder: Path, place: str) -> str:
-    """Return a path given in a file of `folder`, to which it may be relative; a URL is unchanged."""
+    """Return a path given in a file of `folder`, to which it may be relative; a URL is unchanged, `~/` is at home."""
+    if place.startswith(("~/", "~\\")):
+        return str(Path(place).expanduser())
     return place if is_url(place) else join(folder, place)
 
 

@@ -104,17 +104,21 @@ def _tree(nodes: list[_Node], cuts: list[_Cut | None], label: Ints, classes: int
 
 def _node(binned: Ints, label: Ints, classes: int, every: Ints, learn: Bools) -> _Node:
     """Return a group of rows with its best helpful cut: the largest reduction of Gini impurity times rows."""
-    rows, found = every[learn[every]], list[tuple[float, int, int]]()
-    for feature, column in enumerate(binned if len(rows) >= 2 * MIN_ROWS else ()):
-        counts = np.bincount(column[rows] * classes + label[rows], minlength=BINS * classes)
-        low = np.cumsum(counts.reshape(-1, classes), axis=0)[:-1].astype(np.float64)
-        high = np.bincount(label[rows], minlength=classes) - low
-        gain = _purity(low) + _purity(high) - float(_purity(low[-1:] + high[-1:])[0])
-        gain[np.minimum(low.sum(axis=1), high.sum(axis=1)) < MIN_ROWS] = 0.0
-        found.append((float(gain.max()), feature, int(gain.argmax())))
-    found = sorted((one for one in found if one[0] > 0.0), key=lambda one: -one[0])  # distances before places
-    helping = (one for one in found if _helps(binned[one[1]] <= one[2], label, every, learn, classes))
-    return _Node(every, *next(helping, (0.0, 0, 0)))
+    rows = every[learn[every]]
+    if len(rows) < 2 * MIN_ROWS:
+        return _Node(every, 0.0, 0, 0)
+    own = label[rows]
+    whole = np.bincount(own, minlength=classes).astype(np.float64)[None, :, None]
+    counts = [np.bincount(own * BINS + column[rows], minlength=classes * BINS) for column in binned]
+    low = np.cumsum(np.reshape(counts, (-1, classes, BINS)), axis=2)[:, :, :-1].astype(np.float64)
+    gain = _purity(low) + _purity(whole - low) - _purity(whole)
+    gain[np.minimum(low.sum(axis=1), (whole - low).sum(axis=1)) < MIN_ROWS] = 0.0
+    best, at = gain.max(axis=1), gain.argmax(axis=1)
+    found = sorted(np.flatnonzero(best > 0.0).tolist(), key=lambda feature: -best[feature])  # distances before places
+    for feature in found:
+        if _helps(binned[feature] <= at[feature], label, every, learn, classes):
+            return _Node(every, float(best[feature]), feature, int(at[feature]))
+    return _Node(every, 0.0, 0, 0)
 
 
 def _helps(low: Bools, label: Ints, every: Ints, learn: Bools, classes: int) -> bool:
@@ -135,7 +139,6 @@ def _shares(label: Ints, classes: int) -> Vector:
     return np.asarray(counts / counts.sum())
 
 
-def _purity(counts: Floats) -> Vector:
-    """Return the sum of squared counts divided by their sum, for each row of (K, P)."""
-    total = np.maximum(counts.sum(axis=1), 1e-9)
-    return np.asarray((counts.astype(np.float64) ** 2).sum(axis=1) / total)
+def _purity(counts: Floats) -> Floats:
+    """Return the sum over P classes of squared counts divided by their sum, for counts of shape (F, P, K): (F, K)."""
+    return np.asarray((counts**2).sum(axis=1) / np.maximum(counts.sum(axis=1), 1e-9))

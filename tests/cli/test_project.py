@@ -25,6 +25,8 @@ from cyclekit_sim.task_lists import simulate_task_lists
 if TYPE_CHECKING:
     from .conftest import Shell
 
+pytestmark = pytest.mark.usefixtures("words_only")
+
 
 @pytest.fixture
 def home(logs: Path, dataset: Path, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -243,7 +245,6 @@ def test_without_a_project_an_argument_left_out_is_missing(
     assert "JOBS.toml" in typed.err
 
 
-@pytest.mark.usefixtures("words_only")
 def test_run_does_what_changed_and_nothing_else(begun: Path, sequences: Path, cyclekit: Shell) -> None:
     shutil.copy(sequences, "sequences.toml")
     first = states(cyclekit("run", "--json"))

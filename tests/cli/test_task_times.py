@@ -21,6 +21,7 @@ def listed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("words_only")
 def test_plan_whatif_evaluate_and_report_answer(cyclekit, listed: Path, tmp_path: Path) -> None:
     agents = {"bring": "robot", "weld": "robot", "mount": "operator"}
     jobs = [f'[[task]]\nagent = "{agent}"\nname = "{name}"\n' for name, agent in agents.items()]

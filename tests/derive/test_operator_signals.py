@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 LEVELS = (0.0, 0.5, 1.0)
 EXECUTION_S, EXECUTIONS, STEP_S, DELAY_S = 60.0, 10, 0.1, 0.12
+SEEDS = [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))]
 
 
 def changes(times_s: np.ndarray, first: str = "0") -> SignalChanges:
@@ -84,7 +85,7 @@ def evidence(seed: int, *, more: Mapping[str, SignalChanges] | None = None) -> S
     return SignalEvidence(t_s, level(t_s), place, task, execution, falls_s, rises_s, signals, LEVELS)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_fields_are_found_with_delay_and_polarity_and_nothing_else_is(seed: int) -> None:
     found = find_signals(evidence(seed))
     assert {one.signal: one.occupied for one in found.cards} == {"digital-input 2": "1", "digital-input 3": "0"}
@@ -135,7 +136,7 @@ def three_fields(seed: int, *, walks_s: tuple[float, float]) -> SignalEvidence:
     return SignalEvidence(t_s, level(t_s), place, task, execution, falls_s, rises_s, signals, (0.0, 0.25, 0.5, 1.0))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", SEEDS)
 def test_a_field_that_two_others_nearly_tell_is_found_as_well(seed: int) -> None:
     cards = find_signals(three_fields(seed, walks_s=(0.2, 0.5))).cards
     explained = [0.0, *(one.explained for one in cards)]
@@ -144,7 +145,7 @@ def test_a_field_that_two_others_nearly_tell_is_found_as_well(seed: int) -> None
     assert explained[3] > 0.99
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", SEEDS)
 def test_a_field_that_two_others_tell_at_all_times_is_not_needed(seed: int) -> None:
     assert len(find_signals(three_fields(seed, walks_s=(0.0, 0.004))).cards) == 2
 

@@ -59,6 +59,7 @@ def _operators() -> list[tuple[str, ...]]:
     return [each["operator"] for each in random_orders("shared-fixture", 4, FRESH)]
 
 
+@pytest.mark.usefixtures("words_only")
 def test_the_report_takes_the_model_of_an_unseen_operator(
     cell: SimulatedCell, model: UnseenOperator, tmp_path: Path
 ) -> None:

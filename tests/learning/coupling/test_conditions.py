@@ -153,7 +153,7 @@ def test_a_robot_that_takes_again_what_it_brought_waits_at_every_second_visit() 
     assert [operator.turns.event(passage, operator.back) for passage in range(3)] == [0, 2, 4]
 
 
-@pytest.mark.parametrize("seed", [11, 13])
+@pytest.mark.parametrize("seed", [11, pytest.param(13, marks=pytest.mark.slow)])
 def test_where_only_half_of_the_passages_wait_it_is_said_how_many(seed: int) -> None:
     rng = np.random.default_rng(seed)
     card = learn_courses([_coupled(rng, str(number), 0.5) for number in range(60)])
@@ -208,7 +208,7 @@ def _with_trips(rng: np.random.Generator, course: ExecutionVisits) -> ExecutionV
     return ExecutionVisits(course.name, visits, events_of(visits))
 
 
-@pytest.mark.parametrize("seed", [3, 4, 5])
+@pytest.mark.parametrize("seed", [3, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (4, 5))])
 def test_who_makes_trips_while_he_waits_still_waits_for_the_robot_in_all_passages(seed: int) -> None:
     rng = np.random.default_rng(seed)
     card = learn_courses([_with_trips(rng, _coupled(rng, str(number))) for number in range(40)])
@@ -324,7 +324,7 @@ def _fed(rng: np.random.Generator, name: str) -> ExecutionVisits:
     return ExecutionVisits(name, visits, events_of(visits) | {Event("signal", "part", "set"): np.array(came)})
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(n, marks=pytest.mark.slow) for n in range(3, 8))])
 def test_agents_that_do_not_see_each_other_wait_for_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     card = learn_courses([_alone(rng, str(number)) for number in range(40)])

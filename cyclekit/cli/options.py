@@ -87,8 +87,8 @@ def new_app() -> typer.Typer:
             "`init` and `run` take all these steps for a folder of logs."
         ),
         epilog=(
-            "\b\nStart here:\n  cyclekit demo --out out/         a simulated cell\n"
-            "  cyclekit init logs --takt 105s   your own logs; then: cyclekit run"
+            "\b\nStart here:\n  cyclekit demo --out out/\n\n"
+            "\b\nWith your own logs:\n  cyclekit init logs --takt 105s\n  cyclekit run"
         ),
         rich_markup_mode=None,
         pretty_exceptions_enable=False,

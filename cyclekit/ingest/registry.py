@@ -286,6 +286,7 @@ def why_unknown(path: Path) -> UnknownFormat:
         return UnknownFormat(path, cause, cure="Save it as .xlsx without a password, or as CSV.")
     if _is_table(head):
         cause = 'a table that no adapter recognises: map its columns in cell.toml, with adapter = "csv"'
+        cause += ' (tasks: "task-list")'
         draft = command_line("inspect", path, "--write-cell", path.with_suffix(".toml"))
         return UnknownFormat(path, f"{cause} (docs/adapters.md)", cure=f"Draft the map: {draft}")
     return UnknownFormat(path, "no adapter recognises this content", cure=cure)

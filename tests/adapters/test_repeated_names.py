@@ -46,3 +46,32 @@ def test_a_task_done_before_its_turn_makes_no_second_execution(tmp_path: Path) -
     log = _read(tmp_path / "a.csv", [("a", 0.0, SWAPPED), ("b", 100.0, PLAN)])
     assert set(log.task_list["execution"]) == {"a", "b"}
     assert log.warnings == ()
+
+
+def _without_plan(path: Path, runs: list[tuple[str, float, int]]) -> Recording:
+    lines = ["recipe,agent,name,t_start,t_end"]
+    for name, at, count in runs:
+        for agent, task, start, took in PLAN[:count]:
+            lines.append(f"{name},{agent},{task},{T0 + at + start},{T0 + at + start + took}")
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return ADAPTER.read(path, ReadOptions())
+
+
+def test_without_a_plan_others_between_them_tell_executions_apart(tmp_path: Path) -> None:
+    runs = [("a", 0.0, 4), ("b", 30.0, 4), ("a", 60.0, 4), ("a", 88.0, 4), ("a", 120.0, 2), ("b", 150.0, 4)]
+    log = _without_plan(tmp_path / "a.csv", runs)
+    assert log.task_list["execution"].unique(maintain_order=True).to_list() == [
+        "a",
+        "b",
+        "a #2",
+        "a #3",
+        "a #4",
+        "b #2",
+    ]
+    assert any("'a' (4 executions)" in text for text in log.warnings)
+
+
+def test_other_tasks_in_a_rest_do_not_part_an_execution(tmp_path: Path) -> None:
+    log = _without_plan(tmp_path / "a.csv", [("a", 0.0, 1), ("b", 30.0, 4), ("a", 60.0, 4)])
+    assert set(log.task_list["execution"]) == {"a", "b"}
+    assert log.warnings == ()

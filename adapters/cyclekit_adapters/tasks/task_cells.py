@@ -95,9 +95,10 @@ def _trusted(cells: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Return the usable rows, and the others with their reasons."""
     who = [name for name in ("agent", "task", "start", "end", "execution") if name in cells.columns]
     odd = [pl.when(pl.col(key).is_null()).then(pl.lit(f"no {key}")) for key in NEEDED if key != "end"]
+    written = {"start": "start", "end": "duration" if "duration" in cells.columns else "end"}
     odd += [
         pl.when(pl.col(key).is_not_null() & pl.col(f"{key}_s").is_null()).then(
-            pl.lit(f"its {key} is not a time in the format of the others")
+            pl.lit(f"its {written[key]} is not a time in the format of the others")
         )
         for key in ("start", "end")
     ]
@@ -139,8 +140,8 @@ def _warnings(rows: pl.DataFrame, columns: Mapping[str, str], people: Sequence[s
         )
     if "execution" not in columns:
         messages.append(
-            "no column gives the execution of a task: all are taken for one. "
-            'Name it in the cell file: map = { execution = "COLUMN" }'
+            "no column gives the execution of a task: all are taken for one. Say in the cell file which does, "
+            'map = { execution = "COLUMN" }, or that a new one begins after a rest: [executions] begin = "gap"'
         )
     elif unnamed := rows["execution"].null_count():
         messages.append(f"{unnamed} of {rows.height} tasks name no execution: they are in no execution")

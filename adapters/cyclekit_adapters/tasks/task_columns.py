@@ -1,4 +1,4 @@
-"""Columns of a task list: agent, task, start, end, and optional fields.
+"""Columns of a task list: agent, task, start, end or duration, and optional fields.
 
 Task planners, MES exports and loggers use different names. The usual ones are listed in NAMES, and `[sources.map]`
 gives any other. `task_cells` interprets the cells.
@@ -33,6 +33,8 @@ NAMES: Mapping[str, tuple[str, ...]] = {
             "realend", "endreal", "tendreal", "actualend", "endactual", "finish", "tfinish", "finishtime", "finished",
             "finishedat", "completiontime", "completedat", "stop", "stoptime", "to", "until", "completetimestamp",
             "timetimestamp"),
+    "duration": ("duration", "tduration", "taskduration", "actualduration", "durationactual", "realduration",
+                 "durationreal", "elapsed", "elapsedtime", "timetaken"),
     "execution": ("execution", "executionid", "executionname", "run", "runid", "recipe", "recipeid", "recipename",
                   "cycle", "cycleid", "case", "caseid", "caseconceptname", "trial", "trialid", "episode"),
     "planned_start": ("plannedstart", "startplanned", "tstartplanned", "plannedtstart", "plannedstarttime",
@@ -44,9 +46,10 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Field -> usual column names, in lower case with letters and digits only, the most likely first."""
 NEEDED = ("agent", "task", "start", "end")
+"""Fields of every task list; a `duration` may stand for the `end`."""
 TIMES = ("start", "end", "planned_start", "planned_end")
-_TIME_NAMES = frozenset(name for field in TIMES for name in NAMES[field])
-_PEOPLE = {"human", "operator", "person", "worker"}
+_TIME_NAMES = frozenset(name for field in (*TIMES, "duration") for name in NAMES[field])
+_PEOPLE = {"human", "operator", "person", "worker", "technician", "werker", "bediener", "mensch", "mitarbeiter"}
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 
@@ -121,7 +124,14 @@ def columns_in(names: Iterable[str], given: Mapping[str, str] | None = None) -> 
         if key not in found and column is not None:
             found[key] = column
             taken.add(column)
+    if "end" in found and "duration" not in (given or {}):
+        found.pop("duration", None)
     return found
+
+
+def missing_in(found: Mapping[str, str]) -> list[str]:
+    """Return the fields of NEEDED that have no column."""
+    return [key for key in NEEDED if key not in found and not (key == "end" and "duration" in found)]
 
 
 def unit_of(name: str) -> str | None:
@@ -131,8 +141,7 @@ def unit_of(name: str) -> str | None:
 
 def is_task_list(names: Sequence[str]) -> bool:
     """Return whether columns with these names are a task list."""
-    found = columns_in(names)
-    return all(key in found for key in NEEDED)
+    return not missing_in(columns_in(names))
 
 
 def require(path: Path, names: Sequence[str], given: Mapping[str, str]) -> dict[str, str]:
@@ -146,13 +155,13 @@ def require(path: Path, names: Sequence[str], given: Mapping[str, str]) -> dict[
             cause = f"no column {name!r}, which [sources.map] names for {key}"
             raise LogError(path, cause, nearest=nearest(name, names), cure=f"It has: {', '.join(names[:40])}.")
     found = columns_in(names, given)
-    if missing := [key for key in NEEDED if key not in found]:
+    if missing := missing_in(found):
         cause = f"no column is known for {', '.join(missing)} (it has {', '.join(names[:40])})"
         raise LogError(path, cause, cure=f'Name it in [sources.map] of the cell file: {missing[0]} = "COLUMN"')
     return found
 
 
 def is_person(agent: str) -> bool:
-    """Return whether an agent's name contains the word human, operator, person or worker."""
+    """Return whether an agent's name contains a word for a person, such as human, operator, person or worker."""
     words = (word.lower() for word in _WORDS.findall(agent))
     return any(word in _PEOPLE or word.removesuffix("s") in _PEOPLE for word in words)

@@ -1,4 +1,6 @@
-"""Task lists in JSON: an array of objects, one object per line, or an array inside an object.
+"""Task lists in JSON: an array of objects, one object per line, or arrays inside of objects.
+
+An object around an array of tasks may hold what they share, such as the execution or the agent.
 
 MongoDB exports wrap types that JSON lacks: `{"$date": "2023-07-31T19:57:11Z"}`, `{"$numberDouble": "NaN"}`,
 `{"$numberLong": "17"}`. These and all other values become text, so that task lists from JSON and from tables share one
@@ -8,6 +10,7 @@ parser. `task_cells` interprets the values.
 from __future__ import annotations
 
 import json
+import re
 from datetime import UTC, datetime, timedelta
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -25,29 +28,41 @@ Record = dict[str, str]
 _NUMBERS = ("$numberDouble", "$numberLong", "$numberInt", "$numberDecimal")
 _1970 = datetime(1970, 1, 1, tzinfo=UTC)
 _DEEPEST = 3
+_KEY = re.compile(r'"([^"\\]{1,80})"\s*:\s*(?!\s*\[)')
+"""A key of a value that is no array."""
+_IDENTITY = ("id", "_id", "name")
 _DECODER = json.JSONDecoder()
 
 
 def json_names(head: str) -> tuple[str, ...] | None:
     """Return the keys of the first record; None if these are not the first characters of a task list in JSON."""
     text = head.lstrip("\ufeff \t\r\n")
+    around: list[str] = []
+    last = 0
     for begin in _begins(text):
+        around += _KEY.findall(text, last, begin)
+        last = max(begin, 0)
         try:
             value, _ = _DECODER.raw_decode(text, begin)
         except (ValueError, RecursionError):
             continue
-        if isinstance(value, dict) and is_task_list(names := tuple(_flat(value))):
+        if isinstance(value, dict) and is_task_list(names := tuple(dict.fromkeys([*_flat(value), *around]))):
             return names
     return None
 
 
 def _begins(text: str) -> Iterator[int]:
-    """Yield possible offsets of the first record: in an array, at the top level, or in an array inside an object."""
-    if text.startswith("["):
-        yield text.find("{")
-    elif text.startswith("{"):
+    """Yield possible offsets of the first record: at the top level, and in arrays, also inside of objects."""
+    at = 0
+    if text.startswith("{"):
         yield 0
-        yield text.find("{", text.find("["))
+    elif not text.startswith("["):
+        return
+    for _ in range(_DEEPEST + 1):
+        at = text.find("{", text.find("[", at)) if text.find("[", at) >= 0 else -1
+        if at < 0:
+            return
+        yield at
 
 
 class JsonRecords:
@@ -75,22 +90,40 @@ class JsonRecords:
         whole = (piece for part in ([first.lstrip("\ufeff")], pieces) for piece in part)
         is_array = first.lstrip("\ufeff \t\r\n").startswith("[")
         try:
-            for value in (value for _, value in parts(whole)) if is_array else documents(whole):
+            for number, (_, value) in enumerate(parts(whole), 1) if is_array else ():
+                yield from self._records(value, _shared({}, "executions", number, value))
+            for value in () if is_array else documents(whole):
                 yield from self._records(value)
         except BrokenJson as error:
             self.broken = error
 
-    def _records(self, value: object, depth: int = 0) -> Iterator[Record]:
+    def _records(self, value: object, shared: Record | None = None, depth: int = 0) -> Iterator[Record]:
         if not isinstance(value, dict):
             self.others += 1
             return
-        lists = [inner for inner in value.values() if isinstance(inner, list) and inner and isinstance(inner[0], dict)]
-        if lists and depth < _DEEPEST and not is_task_list(tuple(_flat(value))):
-            for inner in lists:
-                for element in inner:
-                    yield from self._records(element, depth + 1)
+        record = {**(shared or {}), **_flat(value)}
+        lists = {key: inner for key, inner in value.items() if isinstance(inner, list) and inner}
+        lists = {key: inner for key, inner in lists.items() if isinstance(inner[0], dict)}
+        if not lists or depth >= _DEEPEST or is_task_list(tuple(record)):
+            yield record
             return
-        yield _flat(value)
+        for key, inner in lists.items():
+            for number, element in enumerate(inner, 1):
+                yield from self._records(element, _shared(record, key, number, element), depth + 1)
+
+
+def _shared(around: Record, key: str, number: int, element: object) -> Record:
+    """Return what an object shares with the records of one of its arrays.
+
+    The identity of an element of `executions` that holds further arrays is its `execution_id`: its own, else its
+    number. An `id` or `name` of what is around it is no task's.
+    """
+    found = {name: text for name, text in around.items() if name not in _IDENTITY}
+    one = key.lower().removesuffix("s")
+    if isinstance(element, dict) and any(isinstance(inner, list) for inner in element.values()):
+        own = next((text for name in _IDENTITY if (text := _text(element.get(name))) is not None), str(number))
+        found.setdefault(f"{one}_id", own)
+    return found
 
 
 def table_of(records: Iterator[Record], names: Sequence[str], most: int) -> pl.DataFrame:

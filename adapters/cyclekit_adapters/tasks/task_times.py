@@ -14,7 +14,7 @@ import polars as pl
 
 from cyclekit.errors import LogError
 from cyclekit_adapters.tasks.event_table import UNITS, TimeColumn, counted_in, times_of
-from cyclekit_adapters.tasks.repeated_names import named_apart
+from cyclekit_adapters.tasks.repeated_names import named_apart, named_apart_by_others
 from cyclekit_adapters.tasks.task_columns import TIMES, unit_of
 from cyclekit_adapters.text.written_time import written_seconds
 
@@ -72,11 +72,15 @@ def with_seconds(
         LogError: The time format cannot be determined.
     """
     start = _times(path, cells, "start", columns, settings, None, decimal_comma=decimal_comma)
-    read = {"start": start, "end": _times(path, cells, "end", columns, settings, start, decimal_comma=decimal_comma)}
-    cells = cells.with_columns(_seconds(key, times, settings.zone, decimal_comma) for key, times in read.items())
+    cells = cells.with_columns(_seconds("start", start, settings.zone, decimal_comma))
+    last = "end" if "end" in columns else "duration"
+    read = {"start": start, last: _times(path, cells, last, columns, settings, start, decimal_comma=decimal_comma)}
+    cells = cells.with_columns(_seconds(last, read[last], settings.zone, decimal_comma))
+    if last == "duration":
+        cells = cells.with_columns(end="duration", end_s=pl.col("start_s") + pl.col("duration_s"))
     for key in (key for key in _PLAN if key in cells.columns):
         read[key] = _times(path, cells, key, columns, settings, start, decimal_comma=decimal_comma)
-    if _zone_named(start) != _zone_named(read["end"]) and settings.zone is None and start.pattern:
+    if last == "end" and _zone_named(start) != _zone_named(read["end"]) and settings.zone is None and start.pattern:
         cause = f"only one of {columns['start']!r} and {columns['end']!r} names its time zone"
         raise LogError(path, cause, cure='Give the zone of the other: time_zone = "Europe/Rome" in [sources.map].')
     cells = cells.with_columns(
@@ -85,6 +89,8 @@ def with_seconds(
     zoned = start.clock == "epoch" or (settings.zone is not None and _dated(start))
     plan = _plan_counts_from(cells, {key: _epoch(read[key], settings) for key in _PLAN if key in read}, zoned=zoned)
     repeated: list[str] = []
+    if "execution" in cells.columns and not (plan == "execution" and "planned_start" in read):
+        cells, repeated = named_apart_by_others(cells)
     if plan == "execution":
         if "execution" in cells.columns and "planned_start" in read:
             cells, repeated = named_apart(cells)
@@ -132,11 +138,13 @@ def _times(
     if times is None:
         cause = f"the times of column {name!r} ({first[:40]!r}) are neither numbers nor dates in a known format"
         raise LogError(path, cause, cure="Write them as ISO 8601, 2024-05-01T10:00:00+02:00, or as seconds.")
-    if settings.unit is not None and not times.pattern:
+    if settings.unit is not None and not times.pattern and not (key == "duration" and unit):
         numbers = [float(text.replace(",", ".") if decimal_comma else text) for text in sample]
         times = counted_in((name,), settings.unit, "from the cell file", numbers, sample[0])
     if times.seconds is None and key in _PLAN and start is not None and (start.pattern or start.clock == "epoch"):
         times = _by_size(times, cells, key)
+    if times.seconds is None and key == "duration":
+        times = _by_next_start(times, cells)
     if times.seconds is None and start is not None and not start.pattern and start.seconds is not None:
         times = replace(times, seconds=start.seconds, why=f"in the unit of {start.columns[0]}")
     if times.seconds is None:
@@ -160,6 +168,19 @@ def _by_size(times: TimeColumn, cells: pl.DataFrame, key: str) -> TimeColumn:
     ratio = float(np.log((both["done"] / both["planned"]).median()))  # type: ignore[arg-type]  # a number
     unit = min(UNITS, key=lambda name: abs(ratio - np.log(UNITS[name])))
     return replace(times, seconds=UNITS[unit], why=f"{unit}: by what was done")
+
+
+def _by_next_start(times: TimeColumn, cells: pl.DataFrame) -> TimeColumn:
+    """Return durations in the unit that best fits the time from a start to the next start of the same agent."""
+    by = ["agent", "execution"] if "execution" in cells.columns else ["agent"]
+    until = (pl.col("start_s").shift(-1) - pl.col("start_s")).over(by)
+    both = cells.sort("start_s").select(until=until, took=pl.col("duration").cast(pl.Float64, strict=False))
+    ratio = both.filter((pl.col("until") > 0.0) & (pl.col("took") > 0.0)).select(pl.col("until") / pl.col("took"))
+    if ratio.is_empty():
+        return times
+    middle = float(np.log(ratio.to_series().median()))  # type: ignore[arg-type]  # a number
+    unit = min(UNITS, key=lambda name: abs(middle - np.log(UNITS[name])))
+    return replace(times, seconds=UNITS[unit], why=f"{unit}: by the next starts")
 
 
 def _zone_named(times: TimeColumn) -> bool | None:

@@ -44,6 +44,21 @@ class NeedCard(Card, frozen=True, kw_only=True):
     decided: Count = 0
 
 
+class JointCard(Card, frozen=True, kw_only=True):
+    """A task of another agent that ends together with a task: the k-th of one with the k-th of the other.
+
+    Attributes:
+        agent, task: That task.
+        starts: Whether both also start together.
+        times: Number of logged joint tasks.
+    """
+
+    agent: Name
+    task: Name
+    starts: bool = False
+    times: Count = 0
+
+
 class TaskTimesCard(Card, frozen=True, kw_only=True):
     """One task of one agent.
 
@@ -56,6 +71,8 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         waiting: Factor on the rate alone while the other agent, who has ended this task, waits for his next one.
         after: Factor on the work by the agent's previous task; "" = it is the first.
         needs: Tasks it waits for, in addition to the agent's previous task and its planned start.
+        joint: Task of another agent with which it ends; then `work_s` is from repetitions in which the other side was
+            done first.
         planned: Whether it waits for its planned start.
         turns: Factor on the work at the first, second ... occurrence in one execution.
         lags_s: Time from when it might start to its start, in each repetition.
@@ -71,6 +88,7 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
     after: dict[str, Rate]
     turns: tuple[Rate, ...] = ()
     needs: Annotated[tuple[NeedCard, ...], Meta(max_length=4)] = ()
+    joint: JointCard | None = None
     planned: bool = False
     lags_s: Annotated[tuple[Lag, ...], Meta(min_length=1, max_length=PAST)]
 
@@ -79,7 +97,12 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         """What its start waits for, in words."""
         turns = ["", " of the turn before"]
         needs = [f"{_after(need)}{need.agent}: {need.task}{turns[min(need.back, 1)]}" for need in self.needs]
-        return ["the agent's own task before it", *(["its planned start"] if self.planned else []), *needs]
+        both = [_together(self.joint)] if self.joint else []
+        return ["the agent's own task before it", *(["its planned start"] if self.planned else []), *needs, *both]
+
+
+def _together(joint: JointCard) -> str:
+    return f"{joint.agent}: {joint.task}, to {'start and ' if joint.starts else ''}end with it"
 
 
 def _after(need: NeedCard) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import DatasetError, EstimateError, UnknownName
+from cyclekit.learning.task_times.joint import marked
 from cyclekit.learning.task_times.learn import rolled_run
 from cyclekit.learning.task_times.runs import logged_runs
 from cyclekit.text.results import Result
@@ -135,6 +136,8 @@ def judge_task_times(
 def _shifts(model: TaskModelCard, before: Sequence[Run], after: Sequence[Run]) -> tuple[PaceShift, ...]:
     """Return the change of each agent's log durations, as a mean over its tasks."""
     found = []
+    joint = {(task.agent, task.task): task.joint for task in model.tasks if task.joint}
+    before, after = marked(before, joint), marked(after, joint)
     for agent in model.agents:
         old, new = _paces(model, before, agent), _paces(model, after, agent)
         if pace := model.pace.get(agent):
@@ -153,9 +156,9 @@ def _paces(model: TaskModelCard, runs: Sequence[Run], agent: str) -> Vector:
     found = []
     for run in runs:
         logs = [
-            np.log((done.end_s - done.start_s) / usual[done.task])
+            np.log(done.took_s / usual[done.task])
             for done in run.tasks.get(agent, ())
-            if done.task in usual and done.end_s > done.start_s
+            if done.task in usual and done.counts and done.took_s > 0.0
         ]
         if logs:
             found.append(float(np.mean(logs)))

@@ -10,8 +10,9 @@ from msgspec import structs
 from scipy.special import stdtrit
 
 from cyclekit.config.sequences import PlannedTask
-from cyclekit.dataset.cards.task_model import PAST, HeldOutCard, PaceCard, TaskModelCard, TaskTimesCard
+from cyclekit.dataset.cards.task_model import PAST, HeldOutCard, JointCard, PaceCard, TaskModelCard, TaskTimesCard
 from cyclekit.errors import DatasetError, EstimateError, UnknownName, command_line
+from cyclekit.learning.task_times.joint import joint_tasks, marked
 from cyclekit.learning.task_times.pace import pace_drift
 from cyclekit.learning.task_times.rates import TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
@@ -100,12 +101,16 @@ def rolled_run(model: TaskModelCard, run: Run, *, cycles: int = CYCLES, seed: in
 
 def _learned(runs: Sequence[Run], agents: Mapping[str, str]) -> TaskModelCard:
     pairs = sorted({(agent, done.task) for run in runs for agent, some in run.tasks.items() for done in some})
+    joint = joint_tasks(runs)
+    runs = marked(runs, joint)
     rates = fit_rates(runs, pairs)
     kinds = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
     paces = {agent: _pace(rates, agent) for agent, kind in kinds.items() if kind == "operator"}
     pace = {agent: found for agent, found in paces.items() if found}
     starts = {agent: learn_starts(runs, agent) for agent in {agent for agent, _ in pairs}}
-    tasks = tuple(_task(*pair, starts[pair[0]][pair[1]], rates[pair], pace.get(pair[0])) for pair in pairs)
+    tasks = tuple(
+        _task(*pair, starts[pair[0]][pair[1]], rates[pair], pace.get(pair[0]), joint.get(pair)) for pair in pairs
+    )
     return TaskModelCard(agents=kinds, tasks=tasks, pace=pace, executions=len(runs))  # type: ignore[arg-type]  # of these two
 
 
@@ -116,7 +121,9 @@ def _pace(rates: Mapping[tuple[str, str], TaskRates], agent: str) -> PaceCard | 
     return pace_drift(np.concatenate([each.number for each in mine]), np.concatenate(log_work))
 
 
-def _task(agent: str, task: str, starts: Starts, rates: TaskRates, pace: PaceCard | None) -> TaskTimesCard:
+def _task(
+    agent: str, task: str, starts: Starts, rates: TaskRates, pace: PaceCard | None, joint: JointCard | None
+) -> TaskTimesCard:
     now = 1.0 / pace.factor(rates.number) if pace else np.ones(len(rates.number))
     return TaskTimesCard(
         agent=agent,
@@ -129,6 +136,7 @@ def _task(agent: str, task: str, starts: Starts, rates: TaskRates, pace: PaceCar
         after=dict(rates.after),
         turns=rates.turns,
         needs=starts.needs,
+        joint=joint,
         planned=starts.planned,
         lags_s=_kept(starts.lags_s),
     )

@@ -253,11 +253,9 @@ def _rates(parts: _Parts, at: Vector) -> TaskRates:
 
 
 def _parts(runs: Sequence[Run], agent: str, task: str) -> _Parts:
-    cut = [
-        (run.number, previous, turn, _cut(run, agent, done))
-        for run in runs
-        for turn, (previous, done) in enumerate(_done(run, agent, task))
-    ]
+    done = [(run, *each) for run in runs for each in _done(run, agent, task)]
+    told = [each for each in done if each[-1].counts] or [min(done, key=lambda each: each[-1].took_s)]
+    cut = [(run.number, previous, turn, _cut(run, agent, done)) for run, turn, previous, done in told]
     every = [part for *_, some in cut for part in some]
     columns = sorted({column for _, group in every for column in group})
     before = sorted({previous for _, previous, *_ in cut})
@@ -280,18 +278,18 @@ def _parts(runs: Sequence[Run], agent: str, task: str) -> _Parts:
     )
 
 
-def _done(run: Run, agent: str, task: str) -> list[tuple[str, DoneTask]]:
-    """Return the repetitions of a task in an execution, each with the name of the agent's previous task."""
-    mine = run.tasks.get(agent, ())
+def _done(run: Run, agent: str, task: str) -> list[tuple[int, str, DoneTask]]:
+    """Return the repetitions of a task in an execution, each with its turn and the agent's previous task."""
+    mine = [done for done in run.tasks.get(agent, ()) if done.task != task or done.took_s > 0.0]
     before = ["", *(done.task for done in mine)]
-    return [
-        (one, done) for one, done in zip(before, mine, strict=False) if done.task == task and done.end_s > done.start_s
-    ]
+    found = [(one, done) for one, done in zip(before, mine, strict=False) if done.task == task]
+    return [(turn, *each) for turn, each in enumerate(found)]
 
 
 def _cut(run: Run, agent: str, done: DoneTask) -> list[_Part]:
-    """Return the parts of one repetition, ordered by time."""
+    """Return the parts of one repetition, ordered by time. A joint task ends as its other side does, and is alone."""
     others = [(name, other) for name, some in run.tasks.items() if name != agent for other in some]
+    others = [(name, other) for name, other in others if (name, other.task) != done.mate]
     edges = (t for _, other in others for t in (other.start_s, _half_s(other), other.end_s))
     at = {t for t in edges if done.start_s < t < done.end_s}
     found = []
@@ -318,6 +316,8 @@ def _waiting(run: Run, agent: str, at_s: float) -> list[str]:
     found = []
     for name, some in run.tasks.items():
         past = [done.task for done in some if done.end_s <= at_s]
+        if any(done.start_s <= at_s < done.end_s for done in some):  # the other side of a joint task
+            continue
         if name != agent and past and any(done.start_s > at_s for done in some):
             found.append(beside(name, past[-1]))
     return found

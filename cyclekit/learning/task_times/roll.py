@@ -67,6 +67,8 @@ class _Plan:
         next: Number of the agent's next task; -1 = none.
         turn: Number of earlier occurrences of the same task.
         needs: Numbers of the tasks that must have ended, and the process time since each, s.
+        mate: Number of the task that it ends with; its own = none.
+        joined: Whether both also start together.
         not_before_s: Earliest start, s.
         log_rate: Log rate of a task during another, shape (tasks, tasks); `alone` without another.
         log_later: Log ratio of that rate in the second and the first half of the other task.
@@ -78,6 +80,8 @@ class _Plan:
     next: list[int]
     turn: list[int]
     needs: list[list[tuple[int, float]]]
+    mate: list[int]
+    joined: list[bool]
     not_before_s: Vector
     log_rate: Floats
     log_later: Floats
@@ -114,13 +118,15 @@ def roll_plan(
     start, end = np.full(work.shape, np.inf), np.full(work.shape, np.inf)
     t = np.zeros(cycles)
     half, late = 0.5 * work, np.full(work.shape, not plan.log_later.any())  # halves are no events where none matters
+    held = np.zeros(work.shape, dtype=bool)  # done, but its joint task is not
     for _ in range(3 * len(tasks) + 2):
         running = np.isfinite(start) & (start <= t[:, None]) & np.isinf(end)
         rate = np.exp(_rates(plan, start, end, late))
         ready = _ready(plan, end)
-        due = np.where(np.isinf(start), ready + lag, start) - t[:, None]
+        due = np.where(np.isinf(start), _together(plan, ready + lag), start) - t[:, None]
         left_s = np.maximum(work - np.where(late, 0.0, half), 0.0) / rate
         due = np.where(running, left_s, np.where(np.isinf(end), np.maximum(due, 0.0), np.inf))
+        due[held] = np.inf
         step = due.min(axis=1)
         if np.isinf(step).all():
             break
@@ -128,13 +134,15 @@ def roll_plan(
         t = np.where(live, t + np.where(live, step, 0.0), t)
         now = live[:, None] & (due <= step[:, None] + 1e-9)
         work = np.where(running & live[:, None], work - rate * np.where(live, step, 0.0)[:, None], work)
-        end = np.where(now & running & late, t[:, None], end)
+        held |= now & running & late
+        end = np.where(held & held[:, plan.mate] & running, t[:, None], end)
         start = np.where(now & ~running & np.isinf(start), t[:, None], start)
         late |= now & running
     usual = np.array([card.usual_s for card in plan.cards])
     if np.isinf(end).any():
-        stuck = tasks[int(np.isinf(end).any(axis=0).argmax())]
-        msg = f"{where}: {stuck.shown} never starts: it waits for a task that waits for it"
+        stuck = int(np.isinf(end).any(axis=0).argmax())
+        never = "starts" if np.isinf(start[:, stuck]).any() else "ends"
+        msg = f"{where}: {tasks[stuck].shown} never {never}: it waits for a task that waits for it"
         raise EstimateError(msg, cure="Change the order or the 'after' entries.")
     return SimulatedPlan(tuple(tasks), start, end, usual, _decides(plan, end))
 
@@ -159,7 +167,12 @@ def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) ->
     before = _before(tasks)
     after = [before.index(number) if number in before else -1 for number in range(len(tasks))]
     needs = _needs(cards, tasks, names, where)
-    return _Plan(cards, before, after, turn, needs, not_before, rate, later, waiting, alone)
+    mate = _mates(cards, turn)
+    joint = [card.joint for card in cards]
+    joined = [
+        each is not None and each.starts and other != n for n, (each, other) in enumerate(zip(joint, mate, strict=True))
+    ]
+    return _Plan(cards, before, after, turn, needs, mate, joined, not_before, rate, later, waiting, alone)
 
 
 def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
@@ -219,6 +232,15 @@ def _needs(
     return found
 
 
+def _mates(cards: Sequence[TaskTimesCard], turn: Sequence[int]) -> list[int]:
+    """Return for each task the number of the task that it ends with; its own number if there is none."""
+    at = {(card.agent, card.task, nth): number for number, (card, nth) in enumerate(zip(cards, turn, strict=True))}
+    return [
+        at.get((card.joint.agent, card.joint.task, nth), number) if card.joint else number
+        for number, (card, nth) in enumerate(zip(cards, turn, strict=True))
+    ]
+
+
 def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Return work at rate 1 and lag of each task, shape (cycles, tasks), s; the draws do not depend on the order."""
     work, lag = np.empty((cycles, len(plan.cards))), np.empty((cycles, len(plan.cards)))
@@ -229,6 +251,8 @@ def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, 
         factor *= card.turns[turn] if turn < len(card.turns) else 1.0
         work[:, number] = factor * rng.choice(card.work_s, cycles)
         lag[:, number] = np.maximum(rng.choice(card.lags_s, cycles), least_lag_s(card))
+        if plan.joined[number] and plan.mate[number] < number:
+            work[:, number] = 0.0  # one side tells the time of both
     return work, lag
 
 
@@ -238,11 +262,15 @@ def least_lag_s(card: TaskTimesCard) -> float:
 
 
 def _rates(plan: _Plan, start: Floats, end: Floats, late: Bools) -> Floats:
-    """Return the log rate of each task, shape (cycles, tasks), given starts, ends, and which are half over."""
+    """Return the log rate of each task, shape (cycles, tasks), given starts, ends, and which are half over.
+
+    Either side of a joint task is alone beside the other.
+    """
     running = np.isfinite(start) & np.isinf(end)
     others = running @ plan.log_rate.T + (running * np.where(late, 0.5, -0.5)) @ plan.log_later.T
     own = running * np.diag(plan.log_rate)
-    beside_any = running.sum(axis=1, keepdims=True) > running
+    both = running & (np.array(plan.mate) != np.arange(len(plan.mate)))
+    beside_any = running.sum(axis=1, keepdims=True) - (both & running[:, plan.mate]) > running
     waiting = np.isfinite(end) & (np.array(plan.next) >= 0) & np.isinf(start[:, plan.next])
     return np.asarray(np.where(beside_any, others - own, plan.alone + waiting @ plan.log_waiting.T))
 
@@ -257,6 +285,11 @@ def _ready(plan: _Plan, end: Floats) -> Floats:
     return np.asarray(ready)
 
 
+def _together(plan: _Plan, at_s: Floats) -> Floats:
+    """Return the starts with joint tasks that start together put to the later one, shape (cycles, tasks), s."""
+    return np.where(plan.joined, np.maximum(at_s, at_s[:, plan.mate]), at_s)
+
+
 def _decides(plan: _Plan, end: Floats) -> Floats:
     ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
     latest = ends[:, plan.before].copy()
@@ -265,7 +298,9 @@ def _decides(plan: _Plan, end: Floats) -> Floats:
     found[later] = -2
     latest = np.maximum(latest, plan.not_before_s)
     for number, needs in enumerate(plan.needs):
-        for need, after_s in needs:
+        mate = plan.mate[number]
+        joined = [(plan.before[mate], 0.0)] if plan.joined[number] and plan.before[mate] >= 0 else []
+        for need, after_s in [*needs, *joined]:
             later_here = end[:, need] + after_s > latest[:, number]
             found[later_here, number] = need
             latest[later_here, number] = end[later_here, need] + after_s

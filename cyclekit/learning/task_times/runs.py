@@ -16,12 +16,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DoneTask:
-    """A task that was done. Times since the start of the execution, s; `planned_s` NaN if no plan was logged."""
+    """A task that was done. Times since the start of the execution, s.
+
+    Attributes:
+        planned_s: Planned start; NaN if no plan was logged.
+        counts: Whether its duration is one of this task: it did not fail, and did not wait for the end of another.
+        mate: Agent and task of the other side of a joint task.
+        joined_s: When the agent of a joint task was free; NaN if it need not start together with one.
+    """
 
     task: str
     start_s: float
     end_s: float
     planned_s: float = float("nan")
+    counts: bool = True
+    mate: tuple[str, str] | None = None
+    joined_s: float = float("nan")
+
+    @property
+    def took_s(self) -> float:
+        """Its duration, s."""
+        return self.end_s - self.start_s
 
 
 @dataclass(frozen=True)

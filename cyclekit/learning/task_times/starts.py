@@ -148,7 +148,7 @@ def _waiting(runs: Iterable[Run], agent: str, task: str) -> Waiting:
         own_s, nth = 0.0, 0
         for done in run.tasks.get(agent, ()):
             if done.task == task:
-                seen.append(_Start(run, nth, done.start_s, own_s, done.planned_s))
+                seen.append(_Start(run, nth, done.start_s, float(np.fmax(own_s, done.joined_s)), done.planned_s))
                 nth += 1
             own_s = done.end_s
     times = np.array([[each.start_s, each.own_s, each.planned_s] for each in seen])

@@ -35,6 +35,7 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
     tasks, values = [], list[float]()
     for task in card.tasks:
         fields = {name: getattr(task, name) for name in FIELDS}
+        fields["joint"] = task.joint and {name: getattr(task.joint, name) for name in ("agent", "task", "starts")}
         found = {**fields, "needs": [_need(need) for need in task.needs], "first": first, "work": len(task.work_s)}
         tasks.append({**found, "lags": len(task.lags_s)})
         values += [*task.work_s, *task.lags_s]

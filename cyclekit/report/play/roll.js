@@ -38,8 +38,13 @@ const laidOut = (tasks, asked) => {
     return mine;
   });
   const log = (rates, name) => Math.log(name in rates ? rates[name] : 1);
+  const mate = cards.map(({ joint }, number) => {
+    const theirs = joint ? turns.get(keyOf(joint.agent, joint.task)) || [] : [];
+    return turn[number] < theirs.length ? theirs[turn[number]] : number;
+  });
   return {
-    cards, turn, needs, unknown, before: beforeEach(tasks),
+    cards, turn, needs, unknown, mate, before: beforeEach(tasks),
+    joined: cards.map(({ joint }, number) => mate[number] !== number && joint.starts),
     notBefore_s: tasks.map((task) => task.not_before_s || 0),
     ...Object.fromEntries(["rates", "later", "waiting"].map((kind) => [
       kind, cards.map((card) => cards.map((other) => log(card[kind], `${other.agent}: ${other.task}`))),
@@ -86,7 +91,7 @@ const rolledPlan = (tasks, asked) => {
   const end = tasks.map(() => new Float64Array(cycles));
   const decides = tasks.map(() => new Int16Array(cycles));
   const [work, half, lag, begins, ends, rate, due] = Array.from({ length: 7 }, () => new Float64Array(count));
-  const [running, late] = [new Uint8Array(count), new Uint8Array(count)];
+  const [running, late, held] = Array.from({ length: 3 }, () => new Uint8Array(count)); // held: done, but its joint task is not
   const halves = plan.later.some((row) => row.some((value) => value !== 0)); // else they are no events
   const next = tasks.map((_, number) => plan.before.indexOf(number));
   const readyAt = (n) => {
@@ -94,14 +99,18 @@ const rolledPlan = (tasks, asked) => {
     for (const [need, after_s] of plan.needs[n]) ready = Math.max(ready, ends[need] + after_s);
     return ready;
   };
+  const startsAt = (n) => { // joint tasks that start together start when both may
+    const at_s = readyAt(n) + lag[n];
+    return plan.joined[n] ? Math.max(at_s, readyAt(plan.mate[n]) + lag[plan.mate[n]]) : at_s;
+  };
   for (let cycle = 0; cycle < cycles; cycle += 1) {
     let [t, left] = [0, count];
     for (let n = 0; n < count; n += 1) {
       const card = plan.cards[n];
-      work[n] = factor[n] * tables.values[card.first + draws[n][0][cycle]];
+      work[n] = plan.joined[n] && plan.mate[n] < n ? 0 : factor[n] * tables.values[card.first + draws[n][0][cycle]];
       lag[n] = Math.max(tables.values[card.first + card.work + draws[n][1][cycle]], card.needs.some((need) => need.after_s) ? -Infinity : 0); // roll.least_lag_s
       half[n] = work[n] / 2;
-      [begins[n], ends[n], running[n], late[n]] = [Infinity, Infinity, 0, Number(!halves)];
+      [begins[n], ends[n], running[n], late[n], held[n]] = [Infinity, Infinity, 0, Number(!halves), 0];
     }
     while (left) {
       let step = Infinity;
@@ -109,15 +118,16 @@ const rolledPlan = (tasks, asked) => {
       for (let n = 0; n < count; n += 1) on += running[n];
       for (let n = 0; n < count; n += 1) {
         if (running[n]) {
-          let sum = on > 1 ? 0 : plan.alone[n];
+          const sides = on - Number(plan.mate[n] !== n && running[plan.mate[n]]); // either side of a joint task is alone
+          let sum = sides > 1 ? 0 : plan.alone[n];
           for (let m = 0; m < count; m += 1) {
             const waits = ends[m] < Infinity && next[m] >= 0 && begins[next[m]] === Infinity;
-            if (on > 1 && running[m] && m !== n) sum += plan.rates[n][m] + (late[m] ? 0.5 : -0.5) * plan.later[n][m];
-            if (on === 1 && waits) sum += plan.waiting[n][m];
+            if (sides > 1 && running[m] && m !== n) sum += plan.rates[n][m] + (late[m] ? 0.5 : -0.5) * plan.later[n][m];
+            if (sides === 1 && waits) sum += plan.waiting[n][m];
           }
           rate[n] = Math.exp(sum);
-          due[n] = Math.max(work[n] - (late[n] ? 0 : half[n]), 0) / rate[n];
-        } else due[n] = ends[n] < Infinity ? Infinity : Math.max(readyAt(n) + lag[n] - t, 0);
+          due[n] = held[n] ? Infinity : Math.max(work[n] - (late[n] ? 0 : half[n]), 0) / rate[n];
+        } else due[n] = ends[n] < Infinity ? Infinity : Math.max(startsAt(n) - t, 0);
         step = Math.min(step, due[n]);
       }
       if (step === Infinity) return { unknown: say("stuck") };
@@ -126,16 +136,22 @@ const rolledPlan = (tasks, asked) => {
         const now = due[n] <= step + 1e-9;
         if (running[n]) {
           work[n] -= rate[n] * step;
-          if (now && late[n]) { ends[n] = t; running[n] = 0; left -= 1; }
+          held[n] |= Number(now && late[n]);
           late[n] |= Number(now);
         } else if (now) { begins[n] = t; running[n] = 1; }
+      }
+      for (let n = 0; n < count; n += 1) {
+        if (running[n] && held[n] && held[plan.mate[n]]) { ends[n] = t; running[n] = 0; left -= 1; }
       }
     }
     for (let n = 0; n < count; n += 1) {
       [start[n][cycle], end[n][cycle]] = [begins[n], ends[n]];
       let [latest, who] = [plan.before[n] < 0 ? 0 : ends[plan.before[n]], -1];
       if (plan.notBefore_s[n] > latest) [latest, who] = [plan.notBefore_s[n], -2];
-      for (const [need, after_s] of plan.needs[n]) if (ends[need] + after_s > latest) [latest, who] = [ends[need] + after_s, need];
+      const other = plan.joined[n] ? plan.before[plan.mate[n]] : -1;
+      for (const [need, after_s] of other < 0 ? plan.needs[n] : [...plan.needs[n], [other, 0]]) {
+        if (ends[need] + after_s > latest) [latest, who] = [ends[need] + after_s, need];
+      }
       decides[n][cycle] = who;
     }
   }

@@ -108,4 +108,4 @@ def least_wide(within: tuple[float, float, float], executions: int) -> tuple[flo
     """
     share, low, high = within
     least, most = wilson(share, executions)
-    return share, min(low, least), max(high, most)
+    return share, max(min(low, least), 0.0), min(max(high, most), 1.0)

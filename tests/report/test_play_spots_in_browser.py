@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import browser
+import numpy as np
 import pytest
 from known_cells import logged
 from msgspec import structs
@@ -21,7 +22,7 @@ from cyclekit.dataset.cards import (
     OwnWorkCard,
     TrainingCard,
 )
-from cyclekit.dataset.cards.coupling import TrendCard
+from cyclekit.dataset.cards.coupling import CommonPaceCard, TrendCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.whatif import what_if
@@ -105,4 +106,22 @@ def test_walks_have_the_latest_pace_of_an_operator_who_became_quicker(tab, logge
     card = structs.replace(CARD, pace=pace)
     _, _, given = played_page(tab, logged, tmp_path / "page.html", card, ORDERS[:1])
     same(ask(tab, GIVEN, {}, 60), given["given"], within=1e-5)
+    assert tab.said() == []
+
+
+def test_durations_of_one_cycle_move_together_as_in_the_library(tab, logged, tmp_path):
+    """Slower and quicker people: works, walks and a lag share a part, and sessions of people who came once."""
+    common = CommonPaceCard(work=0.3, walk=0.15, together=0.6, between=1.0, sessions=4, once=0.5)
+    gates = tuple(
+        structs.replace(gate, conditions=tuple(structs.replace(one, common=0.7) for one in gate.conditions))
+        for gate in CARD.gates
+    )
+    card = structs.replace(CARD, gates=gates, common=common)
+    data, model, given = played_page(tab, logged, tmp_path / "page.html", card, ORDERS)
+    (apart,) = estimate(replace(model, card=TrainingCard(coupling=CARD)), data, ORDERS[:1], takt_s=60.0, **ANYWHERE)
+    assert np.std(given["given"].durations_s) > 1.1 * np.std(apart.durations_s)  # or the test would show nothing
+    for name, (operator, plan) in ASKED.items():
+        same(ask(tab, {"robot": ROBOT, "operator": operator, "both": plan}, {}, 60), given[name], within=1e-4)
+    (found,) = what_if(model, data, ORDERS[:1], [CHANGES["faster"][1]], check=given["given"].check, **ANYWHERE)
+    same(ask(tab, GIVEN, CHANGES["faster"][0]), found.after, within=1e-4)
     assert tab.said() == []

@@ -67,6 +67,7 @@ class ConditionCard(Card, frozen=True, kw_only=True):
         held: Share of the logged passages that came after the event.
         decided: Number of logged passages decided by the event: everything else had occurred before.
         alike: The same number at all places of one kind, if their conditions and lags were learned together; 0: alone.
+        common: Correlation of the lag with what the durations of the operator's work share in an execution.
         signal: Signal from which the event was read, set by the agent at the place; None = from positions.
     """
 
@@ -81,6 +82,7 @@ class ConditionCard(Card, frozen=True, kw_only=True):
     held: Fraction = 1.0
     decided: Count = 0
     alike: Count = 0
+    common: Fraction = 0.0
     signal: str | None = None
 
 
@@ -256,6 +258,25 @@ class OperatorPaceCard(Card, frozen=True, kw_only=True):
         )
 
 
+class CommonPaceCard(Card, frozen=True, kw_only=True):
+    """What the durations of one execution share, because its operator is slower or quicker than in others.
+
+    Attributes:
+        work, walk: Standard deviation of the log duration that all his works, or all his walks, share; 0: none.
+        together: Correlation of these two.
+        between: Share of the shared variance that is between sessions.
+        sessions: Number of sessions.
+        once: Share of the sessions with a pace that no other session has: so likely is somebody who was not seen yet.
+    """
+
+    work: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.0
+    walk: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.0
+    together: Fraction = 0.0
+    between: Fraction = 0.0
+    sessions: Count = 0
+    once: Fraction = 0.0
+
+
 class CouplingCard(Card, frozen=True, kw_only=True):
     """Learned wait conditions of robot and operator. Without any, operator tracks do not react to the robot.
 
@@ -265,6 +286,7 @@ class CouplingCard(Card, frozen=True, kw_only=True):
         executions: Number of executions behind them.
         errands: Places to which the operator goes in the middle of his work; that is part of his work.
         pace: How the operator's pace changes; own work is that at his latest pace. None: no significant change.
+        common: What the durations of one execution share. None: nothing significant.
     """
 
     gates: tuple[GateCard, ...] = ()
@@ -272,6 +294,7 @@ class CouplingCard(Card, frozen=True, kw_only=True):
     executions: Count = 0
     errands: tuple[Name, ...] = ()
     pace: OperatorPaceCard | None = None
+    common: CommonPaceCard | None = None
 
     @property
     def coupled(self) -> bool:

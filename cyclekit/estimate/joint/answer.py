@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.cards.coupling import CommonPaceCard
     from cyclekit.estimate.joint.roll import Plan, RolledBoth
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.schema import Floats, Ints, Progress, Vector
@@ -165,6 +166,7 @@ class JointAnswers:
         rolled = self._rolled(plans, refuse, tell)
         drawn = resample_counts(self._ask.seed, self._cell.executions)
         weights = drawn / drawn.sum(axis=1, keepdims=True)
+        shifts = session_shifts(self._ask.seed, self._cell.common)
         pace_error = pace_errors(self._cell, self._planner, list(rolled), seed=self._ask.seed)
         found = []
         for sequence, cycles in rolled.items():
@@ -172,7 +174,8 @@ class JointAnswers:
             if problem is not None:
                 refuse(sequence, problem)
                 continue
-            found.append(self._entry(sequence, cycles, check, weights, pace_error.get(sequence, 0.0)))
+            mine = weights if shifts is None else with_sessions(weights, shifts, cycles.shared)
+            found.append(self._entry(sequence, cycles, check, mine, pace_error.get(sequence, 0.0)))
         return found
 
     def _plan(self, sequence: TaskSequence, refuse: _Refuse) -> Plan | None:
@@ -297,3 +300,28 @@ def resample_counts(seed: int, executions: int, cycles: int = CYCLES) -> Ints:
     """Return how often each cycle is drawn per resample, (RESAMPLES, cycles); a resample has one draw per execution."""
     rng = np.random.default_rng(seed)
     return np.asarray(rng.multinomial(max(executions, 2), np.full(cycles, 1.0 / cycles), RESAMPLES))
+
+
+def session_shifts(seed: int, common: CommonPaceCard | None) -> Vector | None:
+    """Return by how much the mean of what durations share is off in each resample, (RESAMPLES,), in its own spread.
+
+    Few sessions of people who came once tell the mean pace less surely than so many executions would (Student's t).
+    None where sessions do not differ, or where the same people come again.
+    """
+    if common is None or not common.between * common.once:
+        return None
+    drawn = np.random.default_rng(seed + 2).standard_t(max(common.sessions - 1, 1), RESAMPLES)
+    return np.asarray(drawn * (common.between * common.once / common.sessions) ** 0.5)
+
+
+def with_sessions(weights: Floats, shifts: Vector, shared: Vector) -> Floats:
+    """Return the weights of cycles in resamples (R, K) with the mean of what durations share shifted in each.
+
+    Args:
+        weights: Weights; each row sums to 1.
+        shifts: The shift in each resample, shape (R,).
+        shared: Normal scores of the shared part in each cycle, repeated if there are fewer than K.
+    """
+    count = weights.shape[1]
+    some = np.resize(shared, count)
+    return np.asarray(weights + np.outer(shifts, some - some.mean()) / count)

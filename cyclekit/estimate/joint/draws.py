@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from typing import TYPE_CHECKING
-from zlib import crc32
 
 import numpy as np
 
+from cyclekit.estimate.joint.levels import WALK, WORK, Levels
 from cyclekit.learning.coupling.trips import soonest_s
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from cyclekit.dataset.cards import TripCard
+    from cyclekit.dataset.cards.coupling import CommonPaceCard
     from cyclekit.estimate.joint.legs import Agenda, Event
     from cyclekit.estimate.joint.visits import Segments
     from cyclekit.schema import Floats, Ints, Vector
@@ -111,7 +112,14 @@ class CycleDraws:
     """
 
     def __init__(
-        self, agendas: Sequence[Agenda], which: Ints, turn: Ints, count: int, columns: EventColumns, seed: int
+        self,
+        agendas: Sequence[Agenda],
+        which: Ints,
+        turn: Ints,
+        count: int,
+        columns: EventColumns,
+        seed: int,
+        common: CommonPaceCard | None = None,
     ) -> None:
         """Draw for N rows.
 
@@ -123,8 +131,10 @@ class CycleDraws:
             count: Number of cycles of a question.
             columns: Columns of the events.
             seed: Seed of the draws.
+            common: What durations of one cycle share; None: nothing.
         """
-        self.agendas, self.which, self._turn, self._count, self._seed = agendas, which, turn, count, seed
+        self.agendas, self.which, self._turn = agendas, which, turn
+        self._levels = Levels(seed, count, common)
         self.last = np.array([len(agenda.legs) - 1 for agenda in agendas])
         needs = [[[columns.needed(need.event) for need in leg.needs] for leg in agenda.legs] for agenda in agendas]
         self.needs = _padded(needs, columns.unneeded)
@@ -152,10 +162,11 @@ class CycleDraws:
         rows, turns = self._rows[which], Counter[str]()
         for number, leg in enumerate(agenda.legs):
             key = f"{agenda.agent} {leg.name}"
-            self.own_s[rows, number] = np.maximum(quantile(leg.own_s, self._level(rows, key, turns[key])), 0.0)
+            share = self._levels.share_of(leg.own_s, WORK) if agenda.agent == "operator" else 0.0
+            self.own_s[rows, number] = np.maximum(quantile(leg.own_s, self._level(rows, key, turns[key], share)), 0.0)
             for each, need in enumerate(leg.needs):
                 self.soonest_s[which, number, each] = soonest_s(need.lag_s.tolist())
-                level = self._level(rows, f"{key} after {need.event[:3]}", turns[key])
+                level = self._level(rows, f"{key} after {need.event[:3]}", turns[key], need.common)
                 lag_s = quantile(need.lag_s, level)
                 if need.needed < 1.0:
                     own = (f"{key} needs {need.event[:3]}", turns[key])
@@ -171,12 +182,14 @@ class CycleDraws:
             for n, leg in enumerate(agenda.legs):
                 key = f"walk {leg.start}->{leg.place}"
                 if leg.start is not None:
-                    level = self._level(rows, key, turns[key])
-                    self.walk[rows, n], self.walk_s[rows, n] = _walks(segments, leg.start, leg.place, level, pace)
-                    before = agenda.legs[n - 1]
+                    before, way = agenda.legs[n - 1], self._walks(segments, leg.start, leg.place)
+                    share = self._levels.share_of(segments.durations_s(way), WALK)
+                    level = self._level(rows, key, turns[key], share, WALK)
+                    self.walk[rows, n] = chosen(way, level)
+                    self.walk_s[rows, n] = pace * segments.durations_s(self.walk[rows, n])
                     if before.if_waits and before.start is not None:
-                        way = _walks(segments, before.start, leg.place, level, pace)
-                        self.straight[rows, n], self.straight_s[rows, n] = way
+                        self.straight[rows, n] = chosen(self._walks(segments, before.start, leg.place), level)
+                        self.straight_s[rows, n] = pace * segments.durations_s(self.straight[rows, n])
                 if leg.place:
                     self.stay[rows, n] = chosen(segments.stay(leg.place), self._level(rows, f"stay {key}", turns[key]))
                 if leg.trip is not None:
@@ -199,20 +212,22 @@ class CycleDraws:
         chance = self._level(rows, f"goes from {turn[0]}", turn[1])
         self.trips_waiting[rows, n], self.trips_free[rows, n] = chance < trip.waiting, chance < trip.free
 
+    def _walks(self, segments: Segments, start: str, goal: str) -> Ints:
+        """Return the walks between two places, the shortest first where walks of one cycle share something."""
+        found = segments.walk(start, goal)
+        return found[np.argsort(segments.durations_s(found), kind="stable")] if self._levels.in_walks else found
+
+    @property
+    def shared(self) -> Vector:
+        """Normal scores of what the operator's durations share in each row, shape (N,)."""
+        return self._levels.main[self._turn]
+
     def levels(self, key: str, turn: int) -> Vector:
         """Return a level in (0, 1) for each row: spread evenly over the cycles of a question, and shuffled."""
         return self._level(np.arange(len(self.which)), key, turn)
 
-    def _level(self, rows: Ints, key: str, turn: int) -> Vector:
-        """Return a level in (0, 1) per row: spread evenly over the cycles of a question, and shuffled."""
-        rng = np.random.default_rng([self._seed, crc32(key.encode()), turn])
-        return np.asarray(rng.permutation((np.arange(self._count) + 0.5) / self._count)[self._turn[rows]])
-
-
-def _walks(segments: Segments, start: str, goal: str, level: Vector, pace: float) -> tuple[Ints, Vector]:
-    """Return the walks between two places that levels in (0, 1) choose, and how long they take, s."""
-    walks = chosen(segments.walk(start, goal), level)
-    return walks, pace * segments.durations_s(walks)
+    def _level(self, rows: Ints, key: str, turn: int, share: float = 0.0, kind: str = WORK) -> Vector:
+        return np.asarray(self._levels.alike(key, turn, share, kind)[self._turn[rows]])
 
 
 def quantile(values: Vector, level: Vector) -> Vector:

@@ -38,6 +38,7 @@ class Need:
         needed: Probability that it is needed.
         together: Group: needs of one group are needed in the same passages; 0 = independent.
         passage: Number of the passage.
+        common: Correlation of the lag with what the operator's works share in a cycle.
     """
 
     event: Event
@@ -45,6 +46,7 @@ class Need:
     needed: float = 1.0
     together: int = 0
     passage: int = 0
+    common: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +151,7 @@ def needs_of(conditions: Iterable[ConditionCard], turn: int) -> tuple[Need, ...]
             one.needed,
             one.together,
             turn // one.turns.every,
+            one.common,
         )
         for one in conditions
         if (number := one.turns.event(turn, one.back)) is not None

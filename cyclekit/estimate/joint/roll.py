@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from cyclekit.dataset.cards import CouplingCard, SourceCard
+    from cyclekit.dataset.cards.coupling import CommonPaceCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.joint.legs import Event
     from cyclekit.estimate.joint.visits import OperatorVisit
@@ -80,6 +81,7 @@ class RolledBoth:
         activity_s: Mean safety loss by the operator's place.
         support: Share of the time in logged positions.
         left_out: Share of the cycles left out: a deadlock, or abandoned.
+        shared: Normal scores of what the operator's durations share in each cycle, shape (cycles,).
     """
 
     plan: Plan
@@ -89,7 +91,8 @@ class RolledBoth:
     events: Sequence[Event]
     activity_s: dict[str, float]
     support: float
-    left_out: float = 0.0
+    left_out: float
+    shared: Vector
 
 
 class JointCell:
@@ -159,6 +162,11 @@ class JointCell:
         return LoggedMotions(self.dataset, self.model)
 
     @property
+    def common(self) -> CommonPaceCard | None:
+        """What durations of one execution shared in the logs."""
+        return self.coupling.common if self.coupling is not None else None
+
+    @property
     def executions(self) -> int:
         """Number of logged executions that the rollout is based on."""
         return len(self.logged)
@@ -213,7 +221,7 @@ class JointCell:
         done += [(agenda, np.flatnonzero(does == n)) for n, agenda in enumerate(operators)]
         events_s = columns.times([*done, *((source, every) for source in sources)], len(which))
         robot, operator = (
-            CycleDraws(agendas, mine, turn, cycles, columns, seed)
+            CycleDraws(agendas, mine, turn, cycles, columns, seed, self.common)
             for agendas, mine in ((robots, which), (operators, does))
         )
         people_of: Callable[[UnslowedAgent], Presence]
@@ -237,7 +245,7 @@ class JointCell:
             dynamics=self.dynamics,
         )
         for n, plan in enumerate(plans):
-            yield _of_one(plan, simulated, np.flatnonzero(which == n), columns, number, does)
+            yield _of_one(plan, simulated, np.flatnonzero(which == n), columns, number, does, operator.shared)
 
     def source(self, source: SourceCard, robots: Sequence[Agenda]) -> Agenda:
         """Return how a signal comes: one after the other, as long as there is room, or after what the robot does."""
@@ -261,7 +269,13 @@ class JointCell:
 
 
 def _of_one(
-    plan: Plan, simulated: JointCycles, rows: Ints, columns: EventColumns, number: dict[Agenda, int], does: Ints
+    plan: Plan,
+    simulated: JointCycles,
+    rows: Ints,
+    columns: EventColumns,
+    number: dict[Agenda, int],
+    does: Ints,
+    shared: Vector,
 ) -> RolledBoth | EstimateError:
     if simulated.stuck[rows].all():
         return EstimateError(
@@ -285,6 +299,7 @@ def _of_one(
         dict(zip((*simulated.activities, "unknown"), lost, strict=True)),
         float(simulated.known[rows].sum()) / looked if looked else float("nan"),
         1.0 - len(rows) / asked,
+        shared[rows],
     )
 
 

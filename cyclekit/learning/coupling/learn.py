@@ -14,6 +14,7 @@ from cyclekit.errors import DatasetError
 from cyclekit.learning.coupling.alike import find_with_alike, number_of
 from cyclekit.learning.coupling.answers import is_own_tool
 from cyclekit.learning.coupling.circles import in_circles
+from cyclekit.learning.coupling.common_pace import with_common_pace
 from cyclekit.learning.coupling.conditions import (
     FEW_DECIDED,
     KEPT,
@@ -110,6 +111,7 @@ def learn_executions(
         factors = pace.factors()
         found = learn_courses([dataclass_replace(one, pace=factors[one.name][0]) for one in some], given)
         found = replace(found, pace=pace)
+    found = with_common_pace(_without_known_trips(courses, found), found)
     if not found.coupled and not any(course.visits["operator"] for course in courses):
         return None
     phases = _phases(tasks)
@@ -333,7 +335,10 @@ def _lag(found: Departures, condition: Condition, seen_s: Vector) -> _Lag:
 
 def _from_leaving(courses: Sequence[ExecutionVisits], found: Departures, condition: Condition) -> Vector:
     """Return the time since the agent that gives the signal left its place: the time that a plan knows."""
-    return since_event(times_of(courses), found, condition._replace(event=condition.event._replace(signal=None)))
+    times, left = times_of(courses), condition.event._replace(signal=None)
+    if left not in times:  # all his visits there count as trips
+        return found.since_s[found.gate, condition]
+    return since_event(times, found, condition._replace(event=left))
 
 
 def _distribution(since_s: Vector, decided: Floats) -> tuple[float, ...]:

@@ -85,7 +85,7 @@ def operator_pace(courses: Sequence[ExecutionVisits], card: CouplingCard) -> Ope
     """
     if len(courses) < MIN_EXECUTIONS:
         return None
-    every = _every_segment(courses, card)
+    every = every_segment(courses, card)
     sessions = np.unique([course.session for course in courses], return_inverse=True)[1]
     paces = [_paces(every[kind], sessions) for kind in ("work", "walk")]
     if not any(_trend(each, len(courses), LEVEL) for each in paces):
@@ -109,13 +109,13 @@ def paces_beside(
     factors = card.pace.factors() if card.pace is not None else {}
     usual: dict[tuple[Kind, tuple[str, str]], list[float]] = defaultdict(list)
     before: list[tuple[Kind, _Segment]] = []
-    for kind, some in _every_segment(older, card).items():
+    for kind, some in every_segment(older, card).items():
         for one in some:
             pace = factors.get(older[one.number].name, (1.0, 1.0))[kind == "walk"]
             before.append((kind, one._replace(took_s=one.took_s / pace)))
             usual[kind, one.name].append(one.took_s / pace)
     means = {key: float(np.mean(took_s)) for key, took_s in usual.items() if len(took_s) >= MIN_ALIKE}
-    after = [(kind, one) for kind, some in _every_segment(newer, card).items() for one in some]
+    after = [(kind, one) for kind, some in every_segment(newer, card).items() for one in some]
     found = [_relative(some, means) for some in (before, after)]
     return (found[0], found[1]) if all(len(each) for each in found) else None
 
@@ -133,7 +133,7 @@ def _relative(
     return np.array([took[number] / usual[number] for number in sorted(took)])
 
 
-def _every_segment(courses: Sequence[ExecutionVisits], card: CouplingCard) -> dict[Kind, list[_Segment]]:
+def every_segment(courses: Sequence[ExecutionVisits], card: CouplingCard) -> dict[Kind, list[_Segment]]:
     """Return the operator's works and walks in all executions, without those with waits or trips."""
     found: dict[Kind, list[_Segment]] = {"work": [], "walk": []}
     mine = [gate for gate in card.gates if gate.agent == "operator" and gate.conditions]
@@ -160,8 +160,9 @@ def _segments(
     turns: dict[tuple[str, str], int] = defaultdict(int)
     for n, (here, after) in enumerate(pairwise(course.visits["operator"])):
         free = here.away_s == 0.0
-        for key in (("leave", here.place), ("approach", after.place)):
-            free &= key not in gates or _had_come(course, gates[key], turns[key], here.arrived_s)
+        on_way = bool(np.isfinite(after.reached_s))  # what he needs there he would have waited for on his way
+        for key, over in {("leave", here.place): False, ("approach", after.place): on_way}.items():
+            free &= over or key not in gates or _had_come(course, gates[key], turns[key], here.arrived_s)
             turns[key] += 1
         name = (here.place, after.place)
         if n and free and here.left_s > here.arrived_s:

@@ -13,8 +13,8 @@ const needsOf = (agent, at, place, turn, asked) => conditionsOf(gateOf(agent, at
   if (turn % every !== first || passage < back) return [];
   const number = (passage - back) * eventEvery + eventFirst;
   const event = [one.agent, one.place, one.kind, number].join(APART);
-  const { said, lag_s, soonest_s, needed, together } = one;
-  return [{ event, said, lag_s, soonest_s, needed, together, passage }];
+  const { said, lag_s, soonest_s, needed, together, common } = one;
+  return [{ event, said, lag_s, soonest_s, needed, together, common, passage }];
 });
 const ownByOf = (place, before, next, asked) => { // Gates.own_by_s: own work by the places around it
   const gate = gateOf("operator", "leave", place);
@@ -172,6 +172,7 @@ const chanceOf = (need, key, turn) => // one level for both, where they wait in 
   (need.together ? levelsOf(`together ${need.together}`, need.passage) : levelsOf(`${key} needs ${need.said}`, turn));
 const drawnOf = (agenda, number) => { // Drawn: levels of own work, lags, walks and stays, by cycle; events by number
   const turns = new Map();
+  const shared = facts.common || { work: 0, walk: 0 };
   const turnOf = (key) => {
     const turn = turns.get(key) || 0;
     turns.set(key, turn + 1);
@@ -184,18 +185,22 @@ const drawnOf = (agenda, number) => { // Drawn: levels of own work, lags, walks 
       ...leg,
       arrives: leg.arrives.map(number),
       passes: leg.passes.map(number),
-      work: leg.own_s.length > 1 ? levelsOf(key, turn) : null,
+      work: leg.own_s.length > 1 ? levelsAlike(key, turn, agenda.agent === "operator" ? shareOf(leg.own_s, shared.work) : 0) : null,
       due: leg.needs.map((need) => ({
         ...need,
         event: number(need.event),
-        level: need.lag_s.length > 1 ? levelsOf(`${key} after ${need.said}`, turn) : null,
+        level: need.lag_s.length > 1 ? levelsAlike(`${key} after ${need.said}`, turn, need.common) : null,
         chance: need.needed < 1 ? chanceOf(need, key, turn) : null,
       })),
     };
     if (agenda.agent !== "operator") return found;
     const way = `walk ${leg.start === null ? "None" : leg.start}->${leg.place}`;
     const again = turnOf(way);
-    if (leg.start !== null) [found.walks, found.walking] = [facts.walks[leg.start][leg.place], levelsOf(way, again)];
+    if (leg.start !== null) {
+      found.walks = facts.walks[leg.start][leg.place];
+      const share = shareOf(found.walks.map((walk) => tookWalk_s(walk, 1)), shared.walk);
+      found.walking = levelsAlike(way, again, share, true);
+    }
     if (n && agenda.legs[n - 1].ifWaits) found.straight = facts.walks[agenda.legs[n - 1].start][leg.place]; // past the spot
     if (leg.place) [found.stays, found.staying] = [facts.stays[leg.place], levelsOf(`stay ${way}`, again)];
     if (leg.trip) {

@@ -14,10 +14,11 @@ import numpy as np
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import CouplingCard
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.joint.answer import CYCLES, RESAMPLES, pace_errors, resample_counts
+from cyclekit.estimate.joint.answer import CYCLES, RESAMPLES, pace_errors, resample_counts, session_shifts
 from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.joint.draws import NEAR
 from cyclekit.estimate.joint.legs import Gates, event_kind, precedence_needs
+from cyclekit.estimate.joint.levels import MAX_SHARE, OUTLIER, WALK, WORK, Levels
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, TIMES, JointCell
 from cyclekit.estimate.nominal import nominal_tasks
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config.sequences import PlannedTask
     from cyclekit.dataset.cards import SourceCard
+    from cyclekit.dataset.cards.coupling import CommonPaceCard
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.joint.visits import Segments
     from cyclekit.estimate.nominal import NominalTask
@@ -75,7 +77,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     if None in orders:
         places |= {place for each in went for place in each["operator"]}
     places |= {gate.wait_at for gate in card.gates if gate.wait_at is not None}
-    walks, stays = _drawn(cell.segments, sorted(places))
+    walks, stays = _drawn(cell.segments, sorted(places), in_order=bool(card.common and card.common.walk))
     trips = _trips(cell.segments, sorted(places), card)
     ways = [numbers for goals in walks.values() for numbers in goals.values()]
     xyz_m, segments = _used(cell.segments, [*ways, *stays.values(), *trips.values()])
@@ -99,6 +101,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
         "trips": trips,
         "near_trips": NEAR,
         "segments": segments,
+        "common": _common(card.common, arrays),
         "went": went if None in orders else [],
         "waited_for": sorted(planner.waited_for),
         "paces": PACES,
@@ -160,11 +163,26 @@ def _asked(plan: Sequence[PlannedTask], where: str) -> dict[str, list[dict[str, 
     return tasks
 
 
-def _drawn(segments: Segments, places: list[str]) -> tuple[dict[str, dict[str, list[int]]], dict[str, list[int]]]:
-    """Return the numbers of the walks between any two places, and of the stays at each."""
+def _common(common: CommonPaceCard | None, arrays: Arrays) -> dict[str, Any] | None:
+    """Return what durations of one cycle share; put the normal scores and the shifts of the sessions into `arrays`."""
+    if common is None:
+        return None
+    arrays["normal"] = Levels(SEED, CYCLES).scores.astype(np.float32)
+    if (shifts := session_shifts(SEED, common)) is not None:
+        arrays["shifts"] = shifts.astype(np.float32)
+    spread = {name: getattr(common, name) for name in ("work", "walk", "together")}
+    return spread | {"keys": (WORK, WALK), "most": MAX_SHARE, "outlier": OUTLIER}
+
+
+def _drawn(
+    segments: Segments, places: list[str], *, in_order: bool
+) -> tuple[dict[str, dict[str, list[int]]], dict[str, list[int]]]:
+    """Return the numbers of the walks between any two places, the shortest first if in order, and of the stays."""
     walks: dict[str, dict[str, list[int]]] = {start: {} for start in ("", *places)}
     for start, goal in product(("", *places), places):
-        walks[start][goal] = segments.walk(start, goal).tolist()
+        found = segments.walk(start, goal)
+        order = np.argsort(segments.durations_s(found), kind="stable") if in_order else np.arange(len(found))
+        walks[start][goal] = found[order].tolist()
     return walks, {place: segments.stay(place).tolist() for place in places}
 
 
@@ -206,10 +224,11 @@ def _source(source: SourceCard) -> dict[str, Any]:
 
 def _gates(card: CouplingCard) -> list[dict[str, Any]]:
     found = []
+    told = ("agent", "place", "back", "needed", "together", "common", "lag_s")
     for gate in card.gates:
         conditions = [
             {
-                **{name: getattr(one, name) for name in ("agent", "place", "back", "needed", "together", "lag_s")},
+                **{name: getattr(one, name) for name in told},
                 "soonest_s": soonest_s(one.lag_s),
                 "kind": event_kind(one),
                 "said": _said(one.agent, one.place, event_kind(one)),
@@ -219,8 +238,8 @@ def _gates(card: CouplingCard) -> list[dict[str, Any]]:
         ]
         fields = {name: getattr(gate, name) for name in ("agent", "at", "place", "phase", "own_s", "wait_at")}
         own_by = [{"side": one.side, "place": one.place, "own_s": one.own_s} for one in gate.own_by]
-        told = ("places", "waiting", "free", "took_s", "late_s")
-        trip = gate.trip and {name: getattr(gate.trip, name) for name in told}
+        of_trip = ("places", "waiting", "free", "took_s", "late_s")
+        trip = gate.trip and {name: getattr(gate.trip, name) for name in of_trip}
         found.append({**fields, "own_by": own_by, "name": wait_name(gate), "conditions": conditions, "trip": trip})
     return found
 

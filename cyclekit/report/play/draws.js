@@ -110,3 +110,32 @@ const levelsOf = (key, turn) => { // Drawn._level: in (0, 1), spread evenly over
   }
   return LEVELS.get(name);
 };
+const shareOf = (values, spread) => { // Levels.share_of: correlation with what durations of one cycle share
+  if (!spread) return 0;
+  const middle = quantile(sorted(values), 0.5);
+  if (middle <= 0) return 0;
+  const { outlier, most } = facts.common;
+  const logs = Float64Array.from(values, (value) => Math.log(Math.min(Math.max(value / middle, 1 / outlier), outlier)));
+  const own = Math.sqrt((covariance(logs, logs) * (logs.length - 1)) / logs.length);
+  return own > 1e-6 ? Math.round(1000 * Math.min(spread / own, most)) / 1000 : 0;
+};
+const scoresOf = (key, turn) => levelsOf(key, turn).map((level) => tables.normal[Math.floor(level * facts.cycles)]);
+const sharedOf = (walks = !facts.common.work) => { // Levels.shared
+  const { keys, work, together } = facts.common;
+  const mine = scoresOf(keys[walks ? 1 : 0], 0);
+  if (!walks || !work) return mine;
+  const other = sharedOf(false);
+  return mine.map((score, n) => together * other[n] + Math.sqrt(1 - together ** 2) * score);
+};
+const levelsAlike = (key, turn, share, walks = false) => { // Levels.alike
+  if (!share) return levelsOf(key, turn);
+  const name = `${turn} ${key} ${share.toFixed(6)} ${walks}`;
+  if (!LEVELS.has(name)) {
+    const shared = sharedOf(walks);
+    const scores = scoresOf(key, turn).map((score, n) => share * shared[n] + Math.sqrt(1 - share ** 2) * score);
+    const found = new Float64Array(facts.cycles);
+    Array.from(scores.keys()).sort((a, b) => scores[a] - scores[b]).forEach((cycle, rank) => { found[cycle] = (rank + 0.5) / facts.cycles; });
+    LEVELS.set(name, found);
+  }
+  return LEVELS.get(name);
+};

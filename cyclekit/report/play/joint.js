@@ -138,9 +138,11 @@ const fewDrawn = () => { // of each row of `drawn`, which is nearly empty: the c
   }
   return { first, which: Int32Array.from(which) };
 };
-const inDraws = (values) => { // as finite logs give them, drawn again
+const inDraws = (values, shared) => { // as finite logs give them, drawn again; `shared` in each cycle, if sessions differ
   tables.few = tables.few || fewDrawn();
   const { first, which } = tables.few;
+  const { shifts } = tables;
+  const slope = shared ? (covariance(values, shared) * (values.length - 1)) / values.length : 0; // answer.with_sessions
   return Float64Array.from(tables.errors, (_, row) => {
     let [sum, count] = [0, 0];
     for (let at = first[row]; at < first[row + 1]; at += 1) {
@@ -148,15 +150,17 @@ const inDraws = (values) => { // as finite logs give them, drawn again
       sum += drawn * values[which[at]];
       count += drawn;
     }
-    return sum / count;
+    return sum / count + (slope && slope * shifts[row]);
   });
 };
 
 const entryOfBoth = ({ cycles, log, robot, operator, both }) => { // JointAnswers._entry
   const { factor, model_error: error, doubted_bias: bias } = facts.check;
   const durations = Float64Array.from({ length: facts.cycles }, (_, n) => cycles[n % cycles.length].duration_s * factor);
+  const scores = tables.shifts && sharedOf();
+  const shared = scores && durations.map((_, n) => scores[cycles[n % cycles.length].cycle]);
   const expected = mean(durations);
-  const spread = sorted(inDraws(durations).map((value, row) => value * (1 + error * tables.errors[row])));
+  const spread = sorted(inDraws(durations, shared).map((value, row) => value * (1 + error * tables.errors[row])));
   const tell = (start_s, end_s, wait_s) => ({
     start_s: factor * mean(start_s), end_s: factor * mean(end_s), wait_s: factor * mean(wait_s),
     ends_s: [0.05, 0.95].map((level) => conformalOf(end_s.map((value) => value * factor), level)),
@@ -168,6 +172,7 @@ const entryOfBoth = ({ cycles, log, robot, operator, both }) => { // JointAnswer
   return {
     expected_s: expected,
     durations_s: durations,
+    shared,
     low_s: quantile(spread, 0.025) - bias * expected,
     high_s: quantile(spread, 0.975) + bias * expected,
     quantiles_s: [0.05, 0.5, 0.95].map((level) => conformalOf(durations, level)),
@@ -181,14 +186,14 @@ const TAKTS = new WeakMap(); // of each answer, the last takt and the share with
 const withinOfBoth = (entry, takt_s) => { // share_within
   const [known, found] = TAKTS.get(entry) || [];
   if (known === takt_s) return found;
-  const within = sharesWithin(entry.durations_s, takt_s);
+  const within = sharesWithin(entry, takt_s);
   TAKTS.set(entry, [takt_s, within]);
   return within;
 };
-const sharesWithin = (durations, takt_s) => {
+const sharesWithin = ({ durations_s: durations, shared }, takt_s) => {
   const within = (by) => durations.map((value) => Number(value * (1 + by) <= takt_s));
   const bias = facts.check.doubted_bias;
-  const [slower, quicker] = [bias, -bias].map((by) => sorted(inDraws(within(by))));
+  const [slower, quicker] = [bias, -bias].map((by) => sorted(inDraws(within(by), shared)));
   return leastWide([mean(within(0)), quantile(slower, 0.025), quantile(quicker, 0.975)]);
 };
 

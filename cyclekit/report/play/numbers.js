@@ -155,7 +155,7 @@ const leastWide = ([share, low, high]) => { // resample.least_wide: no narrower 
   const z = 1.96;
   const middle = (share + z ** 2 / (2 * count)) / (1 + z ** 2 / count);
   const half = (z * Math.sqrt((share * (1 - share)) / count + (z / (2 * count)) ** 2)) / (1 + z ** 2 / count);
-  return [share, Math.min(low, Math.max(middle - half, 0)), Math.max(high, Math.min(middle + half, 1))];
+  return [share, Math.max(Math.min(low, middle - half), 0), Math.min(Math.max(high, middle + half), 1)];
 };
 
 const rollerOfRobot = (legs, asked) => { // cycles_of: tracks as long as the slowest cycle takes; goes on when called again

@@ -1,14 +1,14 @@
 """Cells where robot and operator wait for each other: expected cycle times of new orders, waits, wait conditions.
 
-Each scene is logged with its signals, by positions alone, and as a task list; then with waits in half of the joint
-tasks, and as if nobody waited for anybody; and by the robot's log alone with buttons and sensors as its inputs, where
-the order of the robot is asked for beside operators in any order of theirs. No signal tells of the machine in
-`machine-tending`.
-Orders of both agents that no execution followed are held against fresh executions. Beside the estimate stand the sums
-of logged durations of the robot's tasks (history) and the estimate of a model that knows no conditions.
+Each scene is logged with its signals, by positions alone, and as a task list; then with two people, a third apart in
+pace, in turn by session, with waits in half of the joint tasks, and as if nobody waited for anybody; and by the
+robot's log alone with buttons and sensors as its inputs, where the order of the robot is asked for beside operators
+in any order of theirs. No signal tells of the machine in `machine-tending`. Orders of both agents that no execution
+followed are held against fresh executions. Beside the estimate stand the sums of logged durations of the robot's
+tasks (history) and the estimate of a model that knows no conditions.
 
     python benchmarks/coupling.py --work DIR [--scenes shared-fixture]
-        [--kinds signals positions list half uncoupled robot robot-uncoupled]
+        [--kinds signals positions list people half uncoupled robot robot-uncoupled]
         [--executions 60 200] [--seeds 1 2] [--orders 8] [--fresh 1000] [--plans]
 
 With --plans, the order chosen by `plan` is compared with the best of all orders of a small set of jobs: one half of the
@@ -55,6 +55,7 @@ KINDS = {
     "signals": SimulationOptions(),
     "positions": SimulationOptions(signals=False),
     "list": SimulationOptions(task_list=True),
+    "people": SimulationOptions(paces=(0.85, 1.15), executions_per_session=10),
     "half": SimulationOptions(coupling=0.5),
     "uncoupled": SimulationOptions(coupling=0.0),
     "robot": SimulationOptions(people="none"),
@@ -79,15 +80,19 @@ class Row:
     operator_s: tuple[float, float]
 
 
-def fresh(asked: argparse.Namespace, scene: str, order: Order, number: int, strength: float) -> NDArray[np.float64]:
+def fresh(
+    asked: argparse.Namespace, scene: str, order: Order, number: int, logged_as: SimulationOptions
+) -> NDArray[np.float64]:
     """Return duration, robot's wait and operator's wait of fresh executions (3, N), s; simulated once.
 
-    Without waits, the cycle ends when the robot is home.
+    Without waits, the cycle ends when the robot is home. People take turns by execution.
     """
-    file = asked.work / "fresh-coupled" / f"{scene}-{strength:g}-{number}-{asked.fresh}.npy"
+    strength, paces = logged_as.coupling, logged_as.paces
+    whose = f"-people-{len(paces)}" if len(paces) > 1 else ""
+    file = asked.work / "fresh-coupled" / f"{scene}{whose}-{strength:g}-{number}-{asked.fresh}.npy"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
-        options = SimulationOptions(coupling=strength)
+        options = SimulationOptions(coupling=strength, paces=paces)
         found = fresh_cycles(scene, order, cycles=asked.fresh, seed=JUDGED_SEED + number, options=options)
         took_s = found.durations_s if strength else found.robot_s
         np.save(file, np.array([took_s, found.robot_waits_s, found.operator_waits_s]))
@@ -95,9 +100,10 @@ def fresh(asked: argparse.Namespace, scene: str, order: Order, number: int, stre
 
 
 def fresh_alone(
-    asked: argparse.Namespace, scene: str, order: Order, number: int, strength: float
+    asked: argparse.Namespace, scene: str, order: Order, number: int, logged_as: SimulationOptions
 ) -> NDArray[np.float64]:
     """As `fresh`, of the robot alone, each beside an operator in another order of his, with the same joint tasks."""
+    strength = logged_as.coupling
     file = asked.work / "fresh-coupled" / f"{scene}-beside-{strength:g}-{number}-{asked.fresh}.npy"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -160,7 +166,7 @@ def rows_of(asked: argparse.Namespace, scene: str, kind: str, executions: int, s
         if name not in both:
             continue
         truth = fresh_alone if kind in ALONE else fresh
-        entry, true = both[name], truth(asked, scene, order, number, options.coupling)
+        entry, true = both[name], truth(asked, scene, order, number, options)
         mean = float(true[0].mean())
         told = [sum(share.wait_s for share in entry.plan if share.kind == who) for who in ("robot", "operator")]
         told = [entry.wait_s, 0.0] if kind in ALONE else told
@@ -195,7 +201,7 @@ def _listed(asked: argparse.Namespace, scene: str, executions: int, seed: int) -
         plan = task_plan(COUPLED[scene], order)
         sequence = TaskSequence.of_plan(str(number), [PlannedTask(agent, task) for agent, task in plan])
         (entry,) = estimate_plans(model, [sequence], refused=_refuse)
-        true = fresh(asked, scene, order, number, 1.0)
+        true = fresh(asked, scene, order, number, KINDS["list"])
         mean = float(true[0].mean())
         sums = [sum(usual[agent, task] for agent, task in plan if agent == who) for who in ("arm", "worker")]
         waits = [sum(share.wait_s for share in entry.plan if share.kind == kind) for kind in ("robot", "operator")]
@@ -276,7 +282,7 @@ def planned(asked: argparse.Namespace, scene: str, executions: int, seed: int) -
     found = plan_order(cell.model, cell.dataset, small_jobs(scene), validate=False)
     chosen = {"robot": found.places, "operator": ("rest", *(found.operator or ()))}
     pairs = every_pair(scene)
-    cycles_s = np.array([fresh(asked, scene, order, PLANS + n, 1.0)[0] for n, order in enumerate(pairs)])
+    cycles_s = np.array([fresh(asked, scene, order, PLANS + n, KINDS["signals"])[0] for n, order in enumerate(pairs)])
     ranked, judged = cycles_s[:, ::2].mean(axis=1), cycles_s[:, 1::2].mean(axis=1)
     best, mine = int(ranked.argmin()), pairs.index(chosen)
     error = np.hypot(*(cycles_s[n, 1::2].std() / len(cycles_s[n, 1::2]) ** 0.5 for n in (best, mine)))

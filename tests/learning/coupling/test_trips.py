@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cyclekit.learning.coupling.learn import learn_courses
+from cyclekit.learning.coupling.departures import Condition, Departures, Gate
+from cyclekit.learning.coupling.learn import _from_leaving, learn_courses
 from cyclekit.learning.coupling.trips import part_trips, trip_places
-from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
+from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.words import habit_lines
 
 if TYPE_CHECKING:
@@ -131,3 +132,13 @@ def test_own_work_differs_by_the_next_place(seed: int) -> None:
 @pytest.mark.parametrize("seed", [7, 8])
 def test_own_work_that_does_not_differ_has_one_distribution(seed: int) -> None:
     assert all(not gate.own_by for gate in learn_courses(_executions(seed)).gates)
+
+
+def test_a_signal_of_a_place_whose_visits_are_all_trips_keeps_its_own_time() -> None:
+    gate, rows = Gate("robot", "leave", "fixture_1"), np.arange(2)
+    condition = Condition(Event("operator", "shelf", "leaves", "button"), 0)
+    came, since = np.array([5.0, 7.0]), np.array([0.4, 0.6])
+    found = Departures(gate, rows, rows, 0 * rows, came, came, came, {(gate, condition): since})
+    visits = {"robot": [PlaceVisit("fixture_1", 1.0, 5.0)], "operator": [PlaceVisit("bench", 0.0, 9.0)]}
+    courses = [ExecutionVisits(name, visits, events_of(visits)) for name in "ab"]  # type: ignore[arg-type]
+    assert (_from_leaving(courses, found, condition) == since).all()

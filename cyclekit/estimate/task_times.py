@@ -13,6 +13,7 @@ from cyclekit.estimate.conformal import conformal
 from cyclekit.estimate.resample import Z95, least_wide
 from cyclekit.estimate.result import OWN_TASK, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.estimate.same_work import by_work
+from cyclekit.estimate.task_doubts import doubts_of_plan, never_in_a_row
 from cyclekit.learning.task_times.roll import SimulatedPlan, agent_of, roll_plan
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ CYCLES = 2000
 """Number of cycles rolled out per plan."""
 WHY = "tasks of both agents rolled out side by side from logged task lists"
 NOT_KNOWN = "task lists hold no positions: nothing is known of zones, distances or what the safety system did"
+LOG_IT = "Log executions with it and train again, or leave it out."
 NOT_JUDGED = "too few executions to validate on held-out orders: the intervals are those of the rollout alone"
 
 
@@ -57,7 +59,8 @@ def estimate_plans(
         except EstimateError as error:
             refused(sequence, error)
         except CyclekitError as error:
-            refused(sequence, EstimateError(error.seen, nearest=error.nearest, cure=error.cure))
+            cure = " ".join(each for each in (error.cure, LOG_IT) if each)
+            refused(sequence, EstimateError(error.seen, nearest=error.nearest, cure=cure))
         if progress:
             progress((number + 1) / len(sequences), sequence.name)
     groups = (sorted(some, key=lambda each: each.expected_s) for some in by_work(found).values())
@@ -84,6 +87,7 @@ def _estimated(
     nominal, beside, waited = (sum(getattr(share, part) for share in mine) for part in parts)
     within = None if takt_s is None else _within(single, takt_s, (high - low) / (2 * Z95))
     within = within and least_wide(within, model.executions)
+    doubts = doubts_of_plan(model, sequence)
     return CycleEstimate(
         name=sequence.name,
         places=sequence.places,
@@ -97,7 +101,15 @@ def _estimated(
         wait_s=waited,
         support=float("nan"),
         tracks=0,
-        warnings=(NOT_KNOWN, *(() if judged else (NOT_JUDGED,)), *_drift(model)),
+        doubts=doubts,
+        warnings=(
+            *doubts,
+            NOT_KNOWN,
+            *(() if judged else (NOT_JUDGED,)),
+            *_drift(model),
+            *_failed(model),
+            *never_in_a_row(model, sequence),
+        ),
         tasks=shares,
         safety_by_activity_s={},
         durations_s=tuple(single.tolist()),
@@ -111,6 +123,12 @@ def _estimated(
         asked=sequence.plan,
         idle_s=max(expected - nominal - beside - waited, 0.0),
     )
+
+
+def _failed(model: TaskModelCard) -> list[str]:
+    many = f"{model.failed} logged executions with a failed task are left out: "
+    many += "times are those of cycles without failures"
+    return [many] if model.failed else []
 
 
 def _drift(model: TaskModelCard) -> list[str]:

@@ -172,6 +172,7 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
         tasks: Tasks of all agents.
         pace: Trends of agents whose pace changes; `work_s` is at the pace of the last execution.
         executions: Number of training executions.
+        failed: Number of other executions, left out as a task failed.
         held_out: Errors on held-out orders; None if too few orders were logged.
     """
 
@@ -182,5 +183,6 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
     tasks: Annotated[tuple[TaskTimesCard, ...], Meta(min_length=1)]
     pace: dict[str, PaceCard] = field(default_factory=dict)
     executions: Count
+    failed: Count = 0
     held_out: HeldOutCard | None = None
     warnings: tuple[Note, ...] = ()

@@ -16,7 +16,7 @@ from cyclekit.learning.task_times.joint import joint_tasks, marked
 from cyclekit.learning.task_times.pace import pace_drift
 from cyclekit.learning.task_times.rates import TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
-from cyclekit.learning.task_times.runs import Run, logged_runs
+from cyclekit.learning.task_times.runs import Run, logged_runs, without_failures
 from cyclekit.learning.task_times.starts import Starts, learn_starts
 
 if TYPE_CHECKING:
@@ -52,7 +52,9 @@ def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | No
     if len(runs) < MIN_EXECUTIONS:
         msg = f"{dataset.place}: executions whose tasks all have an end: {len(runs)}; {MIN_EXECUTIONS} are needed"
         raise DatasetError(msg, cure=f"Ingest more logs. What is known: {command_line('inspect', dataset.place)}")
-    return structs.replace(learn_runs(runs, agents, seed=seed, progress=progress), dataset=dataset.path.name)
+    clean = without_failures(runs, MIN_EXECUTIONS)
+    model = learn_runs(clean, agents, seed=seed, progress=progress)
+    return structs.replace(model, dataset=dataset.path.name, failed=len(runs) - len(clean))
 
 
 def learn_runs(

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from cyclekit.dataset.dataset import Dataset
 
@@ -47,11 +47,13 @@ class Run:
         name: Name of the execution.
         tasks: Tasks by agent name, ordered by start.
         number: Number among all logged executions, ordered by time.
+        failed: Whether one of its tasks failed.
     """
 
     name: str
     tasks: Mapping[str, tuple[DoneTask, ...]]
     number: int = 0
+    failed: bool = False
 
     @property
     def order(self) -> tuple[tuple[str, ...], ...]:
@@ -82,7 +84,27 @@ def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
         for agent, task, start_s, end_s, planned_s in times.iter_rows():
             planned = np.nan if planned_s is None else planned_s
             tasks.setdefault(agent, []).append(DoneTask(task, start_s, end_s, planned))
-        found.append(Run(str(name), {agent: tuple(some) for agent, some in tasks.items()}))
+        failed = bool((mine["outcome"] == "failed").any())
+        found.append(Run(str(name), {agent: tuple(some) for agent, some in tasks.items()}, failed=failed))
     at = {str(name): number for number, name in enumerate(dataset.executions["execution"])}
     found.sort(key=lambda run: at[run.name])
     return [replace(run, number=number) for number, run in enumerate(found)], agents
+
+
+def without_failures(runs: Sequence[Run], least: int) -> list[Run]:
+    """Return the executions without a failed task; all, if these are too few, or lack a task.
+
+    A failed attempt tells no task's time, and its repetition shifts the occurrences that other tasks wait for. If most
+    executions have one, the outcome probably means something else.
+
+    Args:
+        runs: Executions.
+        least: Minimum number to keep.
+    """
+    clean = [run for run in runs if not run.failed]
+    enough = len(clean) >= max(least, len(runs) / 2) and _tasks(clean) == _tasks(runs)
+    return clean if enough else list(runs)
+
+
+def _tasks(runs: Sequence[Run]) -> set[tuple[str, str]]:
+    return {(agent, done.task) for run in runs for agent, some in run.tasks.items() for done in some}

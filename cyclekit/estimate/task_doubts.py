@@ -1,0 +1,68 @@
+"""Doubts about the cycle time of a plan that was estimated from task lists, and what in it was never logged."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cyclekit.learning.task_times.roll import agent_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.cards.task_model import TaskModelCard
+
+MAX_ERROR = 0.1
+"""Maximum bias, and spread of errors over orders, on held-out orders without a doubt."""
+SHOWN = 3
+"""Maximum number of examples in a sentence."""
+
+
+def doubts_of_plan(model: TaskModelCard, sequence: TaskSequence) -> tuple[str, ...]:
+    """Return the doubts about the cycle time of a plan, one sentence each.
+
+    Args:
+        model: Task times learned from task lists, which know all tasks of the plan.
+        sequence: The plan.
+    """
+    found, judged = [], model.held_out
+    if judged and max(abs(judged.bias), judged.order_error) > MAX_ERROR:
+        found.append(
+            f"held-out orders were {judged.bias:+.0%} off on average, with a spread of {judged.order_error:.0%}: "
+            "something that decides the times was not learned"
+        )
+    names = [(agent_of(model, task, sequence.shown), task.name) for task in sequence.plan]
+    joint = [(card, card.joint) for card in model.tasks if card.joint]
+    alone = [
+        f"{card.task} with {other.task}"
+        for card, other in joint
+        if names.count((card.agent, card.task)) > names.count((other.agent, other.task))
+    ]
+    if alone:
+        found.append(f"{sequence.shown}: logged only as a joint task, and here not as often: {_some(alone)}")
+    return tuple(found)
+
+
+def never_in_a_row(model: TaskModelCard, sequence: TaskSequence) -> list[str]:
+    """Return a sentence on tasks of a plan that their agent never did in a row in the logs; none if there are none.
+
+    Args:
+        model: Task times learned from task lists, which know all tasks of the plan.
+        sequence: The plan.
+    """
+    cards = {(card.agent, card.task): card for card in model.tasks}
+    before: dict[str, str] = {}
+    found = []
+    for task in sequence.plan:
+        agent = agent_of(model, task, sequence.shown)
+        last = before.get(agent)
+        if last is not None and last not in cards[agent, task.name].after:
+            found.append(f"{task.name} after {last}")
+        before[agent] = task.name
+    return [f"{sequence.shown}: never logged in a row: {_some(found)}"] if found else []
+
+
+def _some(names: Sequence[str]) -> str:
+    several = list(dict.fromkeys(names))
+    more = f" and {len(several) - SHOWN} more" if len(several) > SHOWN else ""
+    return ", ".join(several[:SHOWN]) + more

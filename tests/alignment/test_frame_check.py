@@ -51,7 +51,9 @@ def proposed(seed: int, pose: np.ndarray, **how: float):
     return propose_frame(rows, ChangeRows(changes.tcp_m, seen_from(pose, changes.people_m), changes.kind))
 
 
-@pytest.mark.parametrize(("in_space", "noise_m"), [(False, 0.0), (False, 0.03), (True, 0.0)])
+@pytest.mark.parametrize(
+    ("in_space", "noise_m"), [pytest.param(False, 0.0, marks=pytest.mark.slow), (False, 0.03), (True, 0.0)]
+)
 def test_a_forgotten_frame_is_proposed(in_space: bool, noise_m: float):
     found = proposed(1, POSE, in_space=in_space, noise_m=noise_m)
     assert found is not None

@@ -73,13 +73,14 @@ def test_nothing_is_found_where_the_robot_waits_for_no_process(lag_s: float) -> 
     assert not any(each.needs for each in of_machine(np.random.default_rng(3), 0.0, lag_s).values())
 
 
-def test_the_wait_for_a_machine_is_the_shorter_the_more_is_done_in_between(tmp_path: Path) -> None:
+@pytest.mark.parametrize("orders", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_the_wait_for_a_machine_is_the_shorter_the_more_is_done_in_between(orders: int, tmp_path: Path) -> None:
     dataset, scene = listed(tmp_path, "machine-tending"), "machine-tending"
     assert needs_of(dataset) == true_needs(scene)
     model = learn_runs(*logged_runs(dataset), folds=2)
     (need,) = (need for task in model.tasks for need in task.needs)
     assert 12.6 < need.after_s < 13.4
-    for number, order in enumerate(random_orders(scene, 77, 3)):
+    for number, order in enumerate(random_orders(scene, 77, orders)):
         plan = [PlannedTask(agent, task) for agent, task in task_plan(COUPLED[scene], order)]
         true_s = fresh_cycles(scene, order, cycles=60, seed=number).durations_s.mean()
         assert roll_plan(model, plan, cycles=300).duration_s.mean() == pytest.approx(true_s, rel=0.02)

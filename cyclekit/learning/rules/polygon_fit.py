@@ -53,6 +53,14 @@ class PolygonSamples(NamedTuple):
         """Return the samples with a standard deviation larger by `by_m`, which makes the fit smoother."""
         return self._replace(spread_m=np.hypot(self.spread_m, by_m))
 
+    def at_time(self, late: float) -> Floats:
+        """Return the positions at the time corrected by `late` samples, (K, 2), m."""
+        return self.floor_m - late * self.pace_m
+
+    def spread_with(self, jitter: float) -> Vector:
+        """Return the standard deviations with that of the time, samples, (K,), m."""
+        return np.asarray(np.hypot(self.spread_m, jitter * np.hypot(*self.pace_m.T)))
+
 
 class PolygonState(NamedTuple):
     """S sides and the times of the samples.
@@ -101,21 +109,28 @@ class Walk(NamedTuple):
 
 def normals(angle_rad: Vector) -> Floats:
     """Return the outward normals of sides, (S, 2)."""
-    return np.column_stack([np.cos(angle_rad), np.sin(angle_rad)])
+    found = np.empty((len(angle_rad), 2))  # quicker than column_stack: this is asked for in every step of a walk
+    found[:, 0], found[:, 1] = np.cos(angle_rad), np.sin(angle_rad)
+    return found
 
 
 def depths_of(state: PolygonState, samples: PolygonSamples) -> Floats:
     """Return how far each sample lies within each side, (S, K), m, at the time corrected by `late`."""
-    return np.asarray(
-        state.out_m[:, None] - normals(state.angle_rad) @ (samples.floor_m - state.late * samples.pace_m).T
-    )
+    return _depths(state, samples.at_time(state.late))
+
+
+def _depths(state: PolygonState, floor_m: Floats) -> Floats:
+    return np.asarray(state.out_m[:, None] - normals(state.angle_rad) @ floor_m.T)
 
 
 def fit_of(state: PolygonState, samples: PolygonSamples, depths_m: Floats | None = None) -> float:
     """Return the log-likelihood of the samples."""
     depths_m = depths_of(state, samples) if depths_m is None else depths_m
-    spread = np.hypot(samples.spread_m, state.jitter * np.hypot(*samples.pace_m.T))
-    right = ndtr(samples.side * depths_m.min(axis=0) / spread)
+    return _fit(samples.side, depths_m, samples.spread_with(state.jitter))
+
+
+def _fit(side: Vector, depths_m: Floats, spread_m: Vector) -> float:
+    right = ndtr(side * depths_m.min(axis=0) / spread_m)
     return float(np.log(WRONG + (1.0 - WRONG) * right).sum())
 
 
@@ -158,8 +173,9 @@ def walk(
     """
     turn, move = np.zeros_like(begin.angle_rad), np.zeros_like(begin.angle_rad)
     late, jitter = begin.late, begin.jitter
-    every = depths_of(begin, samples)
-    fit = fit_of(begin, samples, every)
+    floor, spread = samples.at_time(late), samples.spread_with(jitter)  # kept: most steps change neither
+    every = _depths(begin, floor)
+    fit = _fit(samples.side, every, spread)
     drawn: list[Floats] = []
     scales: Floats | None = None
 
@@ -171,21 +187,25 @@ def walk(
         for side in range(len(turn)):
             was = np.array([turn[side], move[side]])
             now = was + _step(None if scales is None else scales[side], rng)
-            one = PolygonState(begin.angle_rad[[side]], begin.through_m[[side]], late, jitter)
-            tried = every.copy()
-            tried[side] = depths_of(one.moved(now[:1], now[1:]), samples)[0]
-            new = fit_of(one, samples, tried)
+            one = PolygonState(begin.angle_rad[[side]], begin.through_m[[side]]).moved(now[:1], now[1:])
+            before = every[side].copy()
+            every[side] = _depths(one, floor)[0]
+            new = _fit(samples.side, every, spread)
             if accepts(new, float((was @ was - now @ now) / (2 * NEAR_FIT**2))):
-                every, fit = tried, new
+                fit = new
                 turn[side], move[side] = now
+            else:
+                every[side] = before
         here = begin.moved(turn, move)._replace(late=late, jitter=jitter)
         other = here._replace(late=late + _LATE_STEP * rng.normal())
-        tried = depths_of(other, samples)
-        if accepts(new := fit_of(other, samples, tried), (late**2 - other.late**2) / (2 * LATE**2)):
-            every, fit, late = tried, new, other.late
+        tried_floor = samples.at_time(other.late)
+        tried = _depths(other, tried_floor)
+        if accepts(new := _fit(samples.side, tried, spread), (late**2 - other.late**2) / (2 * LATE**2)):
+            every, floor, fit, late = tried, tried_floor, new, other.late
         other = here._replace(jitter=float(np.clip(jitter * np.exp(_JITTER_STEP * rng.normal()), *JITTER)))
-        if accepts(new := fit_of(other, samples, every), 0.0):
-            fit, jitter = new, other.jitter
+        tried_spread = samples.spread_with(other.jitter)
+        if accepts(new := _fit(samples.side, every, tried_spread), 0.0):
+            spread, fit, jitter = tried_spread, new, other.jitter
         drawn.append(np.array([turn, move]))
     turns, moves = np.array(drawn).swapaxes(0, 1)
     return Walk(turns, moves, begin.moved(turn, move)._replace(late=late, jitter=jitter), fit)

@@ -97,7 +97,7 @@ def _condition(gate: GateCard) -> tuple[str, str, str, str | None]:
     return one.agent, one.place, one.event, one.signal
 
 
-@pytest.mark.parametrize(("errands", "short"), [(0.3, 0.0), (0.5, 0.3)])
+@pytest.mark.parametrize(("errands", "short"), [(0.5, 0.3), pytest.param(0.3, 0.0, marks=pytest.mark.slow)])
 def test_an_errand_is_part_of_the_work_that_it_interrupts(errands: float, short: float) -> None:
     courses = _executions(1, errands=errands, short=short)
     assert errand_places(courses) == ("shelf",)
@@ -153,7 +153,7 @@ def test_a_signal_that_changes_all_the_time_is_not_his() -> None:
     assert all(BUTTON in course.events for course in with_givers(courses, ()))
 
 
-@pytest.mark.parametrize("errands", [0.0, 0.3])
+@pytest.mark.parametrize("errands", [0.3, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_a_place_where_he_only_waits_is_a_wait_before_the_next_place(errands: float) -> None:
     card = learn_courses(_executions(4, errands=errands))
     gate = _gate(card, "operator", "approach", "fixture")
@@ -172,7 +172,7 @@ def test_a_place_to_which_he_always_goes_stays_one_of_his_order() -> None:
     assert any((gate.agent, gate.place) == ("operator", "aside") for gate in card.gates)
 
 
-@pytest.mark.parametrize("errands", [0.0, 0.4])
+@pytest.mark.parametrize("errands", [0.4, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_logged_waits_are_named_also_with_errands_and_spots(errands: float) -> None:
     courses = _executions(6, errands=errands)
     rows: list[dict[str, object]] = []

@@ -71,7 +71,7 @@ def _gates(card: CouplingCard) -> dict[str, GateCard]:
     return {gate.place: gate for gate in card.gates if (gate.agent, gate.at) == ("operator", "approach")}
 
 
-@pytest.mark.parametrize("share", [0.5, 1.0])
+@pytest.mark.parametrize("share", [0.5, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_trips_are_made_in_a_share_of_the_waits(share: float) -> None:
     card = learn_courses(_executions(1, share=share))
     gates = _gates(card)

@@ -50,7 +50,7 @@ def _sorted(robot: list[PlaceVisit], rng: np.random.Generator, at: float, count:
     return at
 
 
-@pytest.mark.parametrize("buffer", [1, 2])
+@pytest.mark.parametrize("buffer", [2, pytest.param(1, marks=pytest.mark.slow)])
 def test_parts_are_learned_from_standstills_alone(buffer: int) -> None:
     rng = np.random.default_rng(3)
     card = learn_courses([_fed(rng, str(number), buffer) for number in range(60)])

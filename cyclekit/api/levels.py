@@ -77,7 +77,7 @@ def find_levels(dataset: Dataset | Place, *, method: str = "plateau", picture: P
         OutputError: The picture would replace the dataset, or a file that is not a picture of cyclekit.
     """
     if method not in (PLATEAU, *FINDERS):
-        raise UnknownName("self-labelling", "method", method, (PLATEAU, *FINDERS))
+        raise UnknownName("levels", "method", method, (PLATEAU, *FINDERS))
     file = path_of(picture)
     check_output(file, "picture", [place_of(dataset)], option="--picture", endings=(".svg", ".png", ".pdf"))
     opened = Dataset.of(dataset)

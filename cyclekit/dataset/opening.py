@@ -11,7 +11,7 @@ from cyclekit.dataset.cards import BadCard, dataset_card, parse_json, read_conte
 from cyclekit.dataset.row_counts import check_tables
 from cyclekit.errors import DatasetError, command_line
 from cyclekit.storage.atomic import recover
-from cyclekit.storage.identify import DATASET_CARD, kind_of_path, kind_of_toml
+from cyclekit.storage.identify import DATASET_CARD, instead_of
 from cyclekit.text.plain_text import all_in_one_line, needs_escapes
 
 if TYPE_CHECKING:
@@ -52,18 +52,14 @@ def opened_card(path: Path) -> DatasetCard:
 
 def _no_dataset(path: Path) -> DatasetError:
     """Return the error for a place without a dataset; it names what the place is."""
-    found = kind_of_path(path)
-    if found == "nothing":
-        make = command_line("ingest", "LOGS", "--out", path)
-        return DatasetError(f"{path}: no such folder", cure=f"Check the path, or make a dataset: {make}")
-    seen = f"{path}: {found}, and a dataset was expected (a folder with {DATASET_CARD})"
-    if found == "another folder":
-        ingest = command_line("ingest", path, "--out", "DATASET")
-        return DatasetError(seen, cure=f"If it holds logs, make a dataset of them: {ingest}")
-    if found == "a TOML file":
-        name, taken_by = kind_of_toml(path)
-        return DatasetError(seen, cure=f"It looks like {name}: {taken_by}")
-    return DatasetError(seen, cure=f"Make one: {command_line('ingest', 'LOGS', '--out', 'DATASET')}")
+    ingest = command_line("ingest", path, "--out", "DATASET")
+    cures = {
+        "nothing": f"Check the path, or make a dataset: {command_line('ingest', 'LOGS', '--out', path)}",
+        "another folder": f"If it holds logs, make a dataset of them: {ingest}",
+        "else": f"Make one: {command_line('ingest', 'LOGS', '--out', 'DATASET')}",
+    }
+    seen, cure = instead_of(path, "dataset", DATASET_CARD, cures)
+    return DatasetError(seen, cure=cure)
 
 
 def _version(values: Mapping[str, object]) -> object:

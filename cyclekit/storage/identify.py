@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from cyclekit.errors import command_line
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 DATASET_CARD, MODEL_CARD = "dataset.json", "model.json"
@@ -32,6 +33,25 @@ def kind_of_path(path: Path) -> str:
     if not path.exists():
         return "nothing"
     return "a TOML file" if path.suffix.lower() == ".toml" else "a file"
+
+
+def instead_of(path: Path, wanted: str, card: str, cures: Mapping[str, str]) -> tuple[str, str]:
+    """Return what is at a path where a folder was expected, and the cure.
+
+    Args:
+        path: The path.
+        wanted: Name of what was expected.
+        card: File that such a folder holds.
+        cures: Kind of path -> cure; `nothing` = there is none, `else` = any other kind.
+    """
+    found = kind_of_path(path)
+    if found == "nothing":
+        return f"{path}: no such folder", cures[found]
+    seen = f"{path}: {found}, and a {wanted} was expected (a folder with {card})"
+    if found == "a TOML file":
+        name, taken_by = kind_of_toml(path)
+        return seen, f"It looks like {name}: {taken_by}"
+    return seen, cures.get(found, cures["else"])
 
 
 def kind_of_toml(path: Path) -> tuple[str, str]:

@@ -128,13 +128,10 @@ def _scene(
         furniture={},
         safety=DistanceStaircase(LEVELS, thresholds_m),
         picks=0,
-        repeats_slots=False,
         pick_s=0.6,
         place_s=0.5,
-        wait_s=0.0,
         walk_m_s=(1.0, 1.2),
         operator="plan",
-        continuous=False,
     )
 
 

@@ -63,13 +63,13 @@ class Scene:
     furniture: Mapping[str, tuple[Place, Place]]
     safety: SafetyFunction
     picks: int
-    repeats_slots: bool
     pick_s: float
     place_s: float
-    wait_s: float
     walk_m_s: tuple[float, float]
     operator: str
-    continuous: bool
+    repeats_slots: bool = False
+    wait_s: float = 0.0
+    continuous: bool = False
     away_s: tuple[float, float] = (0.0, 0.0)
     passing: float = 0.0
     fields: tuple[Field, ...] = ()
@@ -105,30 +105,31 @@ def _two_tables() -> dict[str, tuple[Place, Place]]:
     return {"belt": _thing(0.95, 0.0, 0.05, 0.9, 0.3), **tables}
 
 
-def _box_picking() -> Scene:
+def _slots(xs: tuple[float, ...], y: float) -> dict[str, Place]:
+    """Return home, the conveyor, and slots at these x on a table on either side."""
     places: dict[str, Place] = {"home": (0.40, 0.0, 0.40), "conveyor": (0.60, 0.0, 0.10)}
-    for number, x in enumerate((-0.32, -0.16, 0.0, 0.16, 0.32), start=1):
-        places[f"left_{number}"] = (x, 0.62, 0.0)
-        places[f"right_{number}"] = (x, -0.62, 0.0)
+    for number, x in enumerate(xs, start=1):
+        places |= {f"left_{number}": (x, y, 0.0), f"right_{number}": (x, -y, 0.0)}
+    return places
+
+
+def _box_picking() -> Scene:
     stations = {"inbound": _station(3.1, 0.0, (2.0, 3.0)), "rest": _station(3.6, 1.8, (1.0, 1.0))}
     for number, x in enumerate((-0.20, 0.25, 0.70), start=1):
         stations[f"out_left_{number}"] = _station(x, 1.50, (3.0, 5.0))
         stations[f"out_right_{number}"] = _station(x, -1.50, (3.0, 5.0))
     return Scene(
         name="box-picking",
-        places=dict(sorted(places.items())),
+        places=dict(sorted(_slots((-0.32, -0.16, 0.0, 0.16, 0.32), 0.62).items())),
         stations=stations,
         furniture=_two_tables(),
         safety=DistanceStaircase(LEVELS, (1.2, 1.5, 1.9, 2.4)),
         fields=_three_fields(),
         picks=10,
-        repeats_slots=False,
         pick_s=0.6,
         place_s=0.5,
-        wait_s=0.0,
         walk_m_s=(1.0, 1.2),
         operator="deliver",
-        continuous=False,
     )
 
 
@@ -172,10 +173,6 @@ def _pick_and_package() -> Scene:
 
 
 def _laser_zones() -> Scene:
-    places: dict[str, Place] = {"home": (0.40, 0.0, 0.40), "conveyor": (0.60, 0.0, 0.10)}
-    for number, x in enumerate((-0.20, 0.05, 0.30), start=1):
-        places[f"left_{number}"] = (x, 0.62, 0.0)
-        places[f"right_{number}"] = (x, -0.62, 0.0)
     stations = {
         "inbound": _station(3.3, 0.0, (2.0, 3.5)),
         "rest": _station(3.9, -1.5, (1.0, 1.0)),
@@ -191,26 +188,19 @@ def _laser_zones() -> Scene:
     )
     return Scene(
         name="laser-zones",
-        places=places,
+        places=_slots((-0.20, 0.05, 0.30), 0.62),
         stations=stations,
         furniture=_two_tables(),
         safety=FloorZones((0.0, 0.5, 0.75, 1.0), zones),
         picks=6,
-        repeats_slots=False,
         pick_s=0.6,
         place_s=0.5,
-        wait_s=0.0,
         walk_m_s=(1.0, 1.2),
         operator="deliver",
-        continuous=False,
     )
 
 
 def _scanner_visits() -> Scene:
-    places: dict[str, Place] = {"home": (0.40, 0.0, 0.40), "conveyor": (0.60, 0.0, 0.10)}
-    for number, x in enumerate((-0.20, 0.05, 0.30), start=1):
-        places[f"left_{number}"] = (x, 0.60, 0.0)
-        places[f"right_{number}"] = (x, -0.60, 0.0)
     stations = {
         "door": _station(3.4, 1.6, (0.5, 1.0)),
         "shelf": _station(2.2, -1.7, (3.0, 8.0)),
@@ -222,18 +212,15 @@ def _scanner_visits() -> Scene:
     scanner = FloorZones(levels, (FloorZone("scanner", (0.9, 2.3), (-0.6, 1.1), 1),))
     return Scene(
         name="scanner-visits",
-        places=places,
+        places=_slots((-0.20, 0.05, 0.30), 0.60),
         stations=stations,
         furniture=_two_tables(),
         safety=SlowestOf(levels, (DistanceStaircase(levels, (0.8, 1.2, 1.7)), scanner)),
         picks=6,
-        repeats_slots=False,
         pick_s=0.9,
         place_s=0.7,
-        wait_s=0.0,
         walk_m_s=(0.9, 1.2),
         operator="visit",
-        continuous=False,
         away_s=(3.0, 10.0),
     )
 

@@ -30,7 +30,7 @@ from cyclekit.learning.signal_inputs import as_inputs
 from cyclekit.learning.windows import GROUPS, inputs_of
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.storage.atomic import recover, staged
-from cyclekit.storage.identify import MODEL_CARD, kind_of_path, kind_of_toml
+from cyclekit.storage.identify import MODEL_CARD, instead_of
 from cyclekit.storage.outputs import check_writable_folder
 from cyclekit.storage.remote.folders import is_url, local, published
 from cyclekit.text.plain_text import all_in_one_line
@@ -300,19 +300,14 @@ def load_model(place: Path | str) -> TrainedModel:
 
 def _no_model(path: Path) -> ModelError:
     """Return the error for a path without a model, naming what is there."""
-    found = kind_of_path(path)
-    if found == "nothing":
-        train = command_line("train", "DATASET", "--out", path)
-        return ModelError(f"{path}: no such folder", cure=f"Check the path, or train a model: {train}")
-    seen = f"{path}: {found}, and a model was expected (a folder with {CARD})"
-    if found == "a folder of models":
-        return ModelError(seen, cure=f"Choose one of them: {', '.join(models_in(str(path)))}.")
-    if found == "a dataset":
-        return ModelError(seen, cure=f"Train a model on it: {command_line('train', path, '--out', 'MODEL')}")
-    if found == "a TOML file":
-        name, taken_by = kind_of_toml(path)
-        return ModelError(seen, cure=f"It looks like {name}: {taken_by}")
-    return ModelError(seen, cure=f"Train one: {command_line('train', 'DATASET', '--out', 'MODEL')}")
+    cures = {
+        "nothing": f"Check the path, or train a model: {command_line('train', 'DATASET', '--out', path)}",
+        "a folder of models": f"Choose one of them: {', '.join(models_in(str(path)))}.",
+        "a dataset": f"Train a model on it: {command_line('train', path, '--out', 'MODEL')}",
+        "else": f"Train one: {command_line('train', 'DATASET', '--out', 'MODEL')}",
+    }
+    seen, cure = instead_of(path, "model", CARD, cures)
+    return ModelError(seen, cure=cure)
 
 
 def models_in(place: str) -> list[str]:

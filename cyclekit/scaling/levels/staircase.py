@@ -106,7 +106,7 @@ def find_staircase(
         msg = f"scaling and run must be (T,), not {values.shape} and {runs.shape}"
         raise ShapeError(msg)
     if method not in (PLATEAU, *FINDERS):
-        raise UnknownName("self-labelling", "method", method, (PLATEAU, *FINDERS))
+        raise UnknownName("levels", "method", method, (PLATEAU, *FINDERS))
     known = np.isfinite(values)
     stretch = unbroken(runs, known)
     most_noise = np.inf if levels is None else float(np.diff(np.unique(levels)).min(initial=1.0)) / 8

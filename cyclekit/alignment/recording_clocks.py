@@ -93,6 +93,30 @@ def place_in_time(
     return tuple(_placed(log, session.name, fits[log.id]) for log in session.logs)
 
 
+def can_follow(
+    log: LogCard, robot: LogCard, sources: Mapping[str, Source | None], read: Read, stored: Stored
+) -> bool:
+    """Return whether the logs themselves relate a log's clock to a robot's: by events, motion or stamps.
+
+    An offset, pairs of times or a start in the cell file do not say to which part of a robot's log they belong.
+
+    Args:
+        log: A log of people or events.
+        robot: The robot's log.
+        sources: Section of the cell file for each recording, by id.
+        read: Returns a native table of a recording (id, table), None if it has none.
+        stored: Opens the robot table of a recording (id, columns) for reading by row ranges.
+    """
+    source = sources[log.id]
+    if source is not None and (source.sync_events or source.clock_offset_s is not None or source.start is not None):
+        return False
+    try:
+        fit = _fit(log, robot, source, sources[robot.id], _Tables(read, stored))
+    except ConfigError:
+        return False
+    return fit.method in ("event-pairs", "motion", "lower-envelope")
+
+
 def _placed(log: LogCard, session: str, fit: ClockFit) -> RecordingCard:
     """Return a log with its clock in the session."""
     read = {name: getattr(log, name) for name in LogCard.__struct_fields__ if name != "clock"}

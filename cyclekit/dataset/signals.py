@@ -141,7 +141,8 @@ def logged_bits(entry: LogCard, stored: Stored, columns: Sequence[str] = tuple(_
     """Return the values over time of inputs and outputs, and of the register if requested; see `values_of`."""
     found: dict[str, SignalChanges] = {}
     first_s = stored(entry.id, ["t_s"]).column("t_s", 0, 1) if entry.rows.get("robot") else np.empty(0)
-    for column, (_, at, old, new) in _columns(entry, columns, stored):
+    for column, (_, later, old, new) in _columns(entry, columns, stored):
+        at = np.maximum.accumulate(later)  # a clock may have been set back by a fraction of a second
         if column == REGISTER:
             found[REGISTER] = SignalChanges(np.append(first_s, at), np.append(old[:1], new).astype(str))
             continue

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.alignment.recording_clocks import RESTART_S
 from cyclekit.dataset.cards import note
 from cyclekit.dataset.signals import INPUT, OUTPUT, SignalChanges, constant_bits, values_of
 from cyclekit.derive.cause_samples import TwoStateSignal
@@ -192,8 +193,11 @@ def _switches(values: Mapping[str, SignalChanges], found: FoundSignals, begins_s
 
 
 def _restarts(runs: Sequence[Run]) -> bool:
-    """Return whether the clock of a robot log goes back: times of its signals then belong to several of its parts."""
-    return any(after.time_at(0) < before.time_at(before.rows - 1) for before, after in pairwise(runs))
+    """Return whether a robot log's clock was set back often: times of its signals then belong to several of its parts.
+
+    A log whose clock was restarted is divided (`ingest.restarts`), unless that seems to have happened too often.
+    """
+    return any(after.time_at(0) < before.time_at(before.rows - 1) - RESTART_S for before, after in pairwise(runs))
 
 
 def restart_notes(presence: PresenceSignals) -> list[Note]:

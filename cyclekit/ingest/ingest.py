@@ -45,6 +45,7 @@ from cyclekit.ingest.read.read_logs import Digests, ReadSettings, check_shared, 
 from cyclekit.ingest.read.resume import ResumeStore
 from cyclekit.ingest.read.reuse import gather_quarantine
 from cyclekit.ingest.report import IngestReport, report_of
+from cyclekit.ingest.restarts import divide_restarted
 from cyclekit.ingest.shared_logs import may_be_shared, split_shared
 from cyclekit.learning.coupling.learn import learn_executions
 from cyclekit.learning.coupling.logged_visits import courses_of
@@ -220,22 +221,24 @@ def _build(
     shares = partial(may_be_shared, sources=sources)
     groups = group_sessions(read, partial(_is_reference, cell), numbered=names is not None, shares=shares)
     groups = with_empty(groups, _empty_people(wanted.logs, read, result.failed))
-    shared = split_shared(groups, partial(_native, staging), staging)
-    groups, sources = shared.groups, sources | {name: sources[log] for name, log in shared.copies.items()}
-    later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), wanted.align_clocks == "coarse"
     native, stored = partial(_native, staging), partial(_stored, staging)
+    divided = divide_restarted(groups, sources, native, stored, staging)
+    shared = split_shared(divided.groups, native, staging)
+    groups, copies = shared.groups, {**divided.copies, **shared.copies}
+    sources |= {name: sources[log] for name, log in copies.items()}
+    later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), wanted.align_clocks == "coarse"
     derived = derive(
         groups, sources, native, stored, cell, staging / "samples", later, engine=wanted.engine, coarse=coarse
     )
-    warnings = [*derived.warnings, *unpaired(groups), *_unmatched(cell, wanted.logs), *_without_places(read)]
+    warnings = [*divided.notes, *derived.warnings, *unpaired(groups), *_unmatched(cell, wanted.logs), *_without_places(read)]
     by_id = {one.id: one for one in digests.settle(derived.recordings)}
-    for name, log in shared.copies.items():
+    for name, log in copies.items():
         by_id[name] = structs.replace(by_id[name], sources=by_id[log].sources)
-    recordings = [by_id[name] for name in (*(one.id for one in read), *shared.copies)]
+    recordings = [by_id[name] for name in (*(one.id for one in read), *copies)]
     warnings += _copied([by_id[one.id] for one in read])
     warnings += _at_once([by_id[one.id] for one in read])
     if names is not None:
-        recordings = take_out(recordings, names, staging, shared.copies)
+        recordings = take_out(recordings, names, staging, copies)
         warnings = names.notes(warnings)
         cell, not_read = names.settings(), names.not_read(not_read)
     tasks, coupling = _with_waits(derived, native, stored, cell)

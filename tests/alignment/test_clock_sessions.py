@@ -190,16 +190,23 @@ def test_pairs_of_the_cell_file_place_the_tracker(few: Path, tmp_path: Path):
     assert worst_s(operator.clock, length_s(dataset)) < 1e-6
 
 
-def test_a_robot_that_was_switched_off_and_on_is_said(few: Path, tmp_path: Path):
+def test_a_robot_that_was_switched_off_and_on_is_aligned_in_both_parts(few: Path, tmp_path: Path):
     logs = shutil.copytree(few, tmp_path / "logs")
-    for robot in sorted(logs.rglob("robot.csv")):
-        log = pl.read_csv(robot, separator=" ")
-        again = pl.int_range(pl.len()) >= pl.len() // 2
-        since_s = log["timestamp"] - log["timestamp"][log.height // 2] + 20.0
-        log.with_columns(timestamp=pl.when(again).then(since_s).otherwise("timestamp")).write_csv(robot, separator=" ")
-    cell = cell_with(few, {"same_clock_as": GRIPPER.path}, GRIPPER)
-    _, operator = ingested(logs, tmp_path / "d", cell)
-    assert operator.clock.warnings[0].code == "clock-of-robot-restarted"
+    (robot,) = logs.rglob("robot.csv")
+    log = pl.read_csv(robot, separator=" ")
+    half_s = log["timestamp"][log.height // 2] - ROBOT_START_S
+    again = pl.int_range(pl.len()) >= pl.len() // 2
+    since_s = log["timestamp"] - log["timestamp"][log.height // 2] + 20.0
+    log.with_columns(timestamp=pl.when(again).then(since_s).otherwise("timestamp")).write_csv(robot, separator=" ")
+    dataset, _ = ingested(logs, tmp_path / "d", cell_with(few, {"same_clock_as": GRIPPER.path}, GRIPPER))
+    assert [one.session for one in dataset.recordings if "robot" in one.tables] == ["session_000", "session_000-2"]
+    assert dataset.card.warnings[0].code == "log-divided"
+    people = {one.session: one.clock for one in dataset.recordings if "people" in one.tables}
+    assert worst_s(people["session_000"], half_s) < 0.01
+    later = people["session_000-2"]
+    of_whole = ClockCard(kind=later.kind, method="own", offset_s=later.offset_s + half_s, rate=later.rate)
+    assert worst_s(of_whole, length_s(dataset)) < 0.01
+    assert not [one for clock in people.values() for one in clock.warnings if one.code != "clock-second-best"]
 
 
 def test_a_wrong_signal_is_refused_with_those_that_are_there(few: Path, tmp_path: Path):

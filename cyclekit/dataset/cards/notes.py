@@ -117,6 +117,14 @@ def _later(values: Mapping[str, Value]) -> str:
     return f"{first if first == last else f'{first} to {last}'} s after it was logged"
 
 
+def _in_first_part(values: Mapping[str, Value]) -> str:
+    more = f" and {values['others']} more" if values["others"] else ""
+    return (
+        f"{values['log']}{more}: used in the first part of {values['robot']} only, as nothing in the logs relates its "
+        "clock to the later parts; give sync, or split it at the restart as well, one folder for each part"
+    )
+
+
 def _events(values: Mapping[str, Value]) -> str:
     many = "one event" if values["events"] == 1 else f"{values['events']} events"
     return f"its clock is aligned on only {many}, too few to check it: record three or more"
@@ -136,6 +144,10 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "{copies} log(s) are copies of others ({copy} of {of}): their executions count twice; remove the copies and "
         "ingest again"
     ),
+    "log-divided": (
+        "{log}: its clock was restarted while recording: each of its {parts} parts is a session ({first} to {last})"
+    ),
+    "log-in-first-part": _in_first_part,
     "robots-at-once": (
         "{one} and {other} are robot logs of the same time: several robots are taken for one, and a person's effect on "
         "one for that on all; make a dataset of each, with the logs of the others under ignore in cell.toml"

@@ -149,6 +149,7 @@ class LogCard(Card, frozen=True, kw_only=True):
         rows_are: Unit of `source_row`.
         rows_read: Number of rows of the log.
         rows_set_aside: Rows set aside, by reason.
+        restart_rows: Rows of the robot table at which the log's clock begins anew, more than a second back.
         first_s, last_s: Time of the first and last row, clock of the log.
         duration_s: last_s - first_s.
         rate_hz: Rows per second; None if all rows have one time.
@@ -172,6 +173,7 @@ class LogCard(Card, frozen=True, kw_only=True):
     rows_are: Literal["line", "row", "message", "frame"]
     rows_read: Count
     rows_set_aside: tuple[SetAside, ...]
+    restart_rows: tuple[Count, ...] = ()
     first_s: Seconds
     last_s: Seconds
     duration_s: Duration

@@ -16,6 +16,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
+from cyclekit.alignment.recording_clocks import RESTART_S
 from cyclekit.dataset.cards import READ, FrameCard, LogCard, SetAside, note
 from cyclekit.dataset.cards.recording import LogClock
 from cyclekit.dataset.rates import Rates
@@ -42,6 +43,8 @@ _ENDS = ("t_s", "end_s")
 QUARANTINE = "quarantine"
 MAKING = ".making-"
 """Prefix of the temporary folder in which a recording is written."""
+MAX_RESTARTS = 1000
+"""Maximum number of restarts noted: a clock that steps back more often is a faulty one."""
 UNPROTECTED = "none: a flipped bit is found only where it makes a value impossible"
 """Fact `checksum` of a recording whose adapter reports none."""
 SHORT_BYTES, SHORT_ROWS = 1 << 20, 1024
@@ -137,7 +140,8 @@ def _read_log(log: Log, digests: Digests, folder: Path, settings: ReadSettings, 
         _check(log, written)
         if nameless:
             nameless.check(log.path)
-        held = _held(written) if hold and aside is None and log.size < SHORT_BYTES else {}
+        restarted = any(table.restart_rows for table in written.values())
+        held = _held(written) if hold and aside is None and log.size < SHORT_BYTES and not restarted else {}
         for writer in [] if held else [*(table.writer for table in written.values()), *([aside] if aside else [])]:
             writer.close()
     except BaseException:
@@ -166,13 +170,20 @@ class _Table:
         self.writer = TableWriter(folder / f"{name}.parquet", self._columns, more=joints)
         self.first_s, self.last_s = float("inf"), -float("inf")
         self.rates = None if name in schema.UNRATED else Rates()
+        self.restart_rows = list[int]()
+        self._robot, self._latest_s = name == "robot", np.nan
         self.placed = False
 
     def write(self, frame: pl.DataFrame) -> None:
+        before = self.writer.rows
         self.writer.write(schema.conform(frame, self._columns))
         if not frame.height:
             return
         times = frame["t_s"].to_numpy()
+        if self._robot:
+            back = np.flatnonzero(np.diff(times, prepend=self._latest_s) < -RESTART_S)
+            self.restart_rows += (before + back)[: MAX_RESTARTS - len(self.restart_rows)].tolist()
+            self._latest_s = float(times[-1])
         last_s = max(
             float(np.nanmax(frame[name].to_numpy(), initial=-np.inf)) for name in _ENDS if name in frame.columns
         )
@@ -224,6 +235,7 @@ def _card(
         rows={name: table.writer.rows for name, table in tables.items()},
         rows_are=last.rows_are,
         rows_read=rows_read,
+        restart_rows=tuple(written["robot"].restart_rows) if "robot" in written else (),
         rows_set_aside=tuple(SetAside(reason=reason, count=count) for reason, count in set_aside.items()),
         first_s=main.first_s,
         last_s=main.last_s,

@@ -93,9 +93,7 @@ def place_in_time(
     return tuple(_placed(log, session.name, fits[log.id]) for log in session.logs)
 
 
-def can_follow(
-    log: LogCard, robot: LogCard, sources: Mapping[str, Source | None], read: Read, stored: Stored
-) -> bool:
+def can_follow(log: LogCard, robot: LogCard, sources: Mapping[str, Source | None], read: Read, stored: Stored) -> bool:
     """Return whether the logs themselves relate a log's clock to a robot's: by events, motion or stamps.
 
     An offset, pairs of times or a start in the cell file do not say to which part of a robot's log they belong.

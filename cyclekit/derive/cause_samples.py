@@ -45,6 +45,16 @@ class TwoStateSignal(NamedTuple):
         now, then = (np.searchsorted(self.t_s, t - shift, side="right") - 1 for t, shift in ((t_s, 0.0), (t_s, past_s)))
         return np.asarray((self.at(t_s) == on) | (self.at(t_s - past_s) == on) | (now - then > 1))
 
+    def held(self, more_s: float) -> TwoStateSignal:
+        """Return the signal with each stretch in state on `more_s` longer; stretches that then meet are one."""
+        changed = np.concatenate([[0], np.flatnonzero(np.diff(self.on)) + 1])
+        t_s, on = self.t_s[changed], self.on[changed]
+        later_s = np.where(on, t_s, t_s + more_s)
+        later_s[0] = t_s[0]  # no change, the first state
+        meet = np.flatnonzero(~on[:-1] & (t_s[1:] <= later_s[:-1]))
+        kept = np.setdiff1d(np.arange(len(on)), np.concatenate([meet, meet + 1]))
+        return TwoStateSignal(later_s[kept], on[kept])
+
 
 @dataclass(frozen=True)
 class Rows:

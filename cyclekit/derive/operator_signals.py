@@ -10,7 +10,7 @@ the signal, if it explains more.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,7 +19,17 @@ from cyclekit.dataset.cards import OperatorSignalCard
 from cyclekit.dataset.signals import OUTPUT, REGISTER, SignalChanges, state_of
 from cyclekit.derive.cause_samples import signal_position_features
 from cyclekit.derive.latched_signals import OFF, ON, begins_of, latched
-from cyclekit.derive.signal_responses import MIN_RESPONSES, SAME_S, Responses, flips_s_of, left_s, mirrors, responses_to
+from cyclekit.derive.signal_evidence import SignalEvidence
+from cyclekit.derive.signal_responses import (
+    MAX_RESTART_S,
+    MIN_RESPONSES,
+    SAME_S,
+    Responses,
+    flips_s_of,
+    left_s,
+    mirrors,
+    responses_to,
+)
 from cyclekit.derive.usual_levels import usual_levels
 from cyclekit.errors import UnknownName
 from cyclekit.people.activity import GOAL_SIGNAL
@@ -30,10 +40,6 @@ if TYPE_CHECKING:
     from cyclekit.config.cells import OperatorSignal
     from cyclekit.schema import Bools, Ints, Vector
 
-AT_ONCE_S = 0.012
-"""Maximum delay, s, at which a signal may be cause or effect of the level; such signals are tried after all others."""
-ROWS = 1.25
-"""The same, in rows of the log: a field and the speed that it lowers at once change in the same row."""
 LATE_S = 0.5
 """Maximum time, s, after a change of speed at which a signal may be a field that is logged late."""
 MIN_GAIN = 0.02
@@ -49,49 +55,18 @@ PROGRAM = 0.97
 FOLDS, MAX_SIGNALS, MAX_ROWS = 5, 16, 30_000
 
 
-@dataclass(frozen=True)
-class SignalEvidence:
-    """Data of some sessions: N samples, and the times of changes of level and signals, at the log's rate.
-
-    The times of different sessions do not overlap.
-
-    Attributes:
-        t_s: Time, shape (N,).
-        level: Index of the commanded level, -1 = unknown, shape (N,).
-        place: The robot's TCP on the floor, shape (N, 2), m.
-        task: Number of the robot's task, shape (N,).
-        execution: Number of the execution, shape (N,).
-        falls_s, rises_s: Times when the level began to fall and to rise, s.
-        signals: Changes of each signal.
-        levels: Levels of the scaling, ascending.
-        period_s: Time between rows of the robot log, s: no delay below it can be seen.
-        begins_s: Times at which the robot log begins, or goes on after a gap, s.
-    """
-
-    t_s: Vector
-    level: Ints
-    place: Vector
-    task: Ints
-    execution: Ints
-    falls_s: Vector
-    rises_s: Vector
-    signals: Mapping[str, SignalChanges]
-    levels: Sequence[float]
-    period_s: float = 0.0
-    begins_s: Vector = field(default_factory=lambda: np.empty(0))
-
-    @property
-    def at_once_s(self) -> float:
-        """Maximum delay, s, at which a signal may be cause or effect of the level."""
-        return max(AT_ONCE_S, ROWS * self.period_s)
-
-
 class _Lead(NamedTuple):
     """Response of the level to a signal: the value that means occupied, and the delays, s, of falls and rises."""
 
     occupied: str
     delay_s: float
     rise_s: float | None
+
+    @property
+    def hold_s(self) -> float | None:
+        """Additional delay of rises, s; None if no rise was seen."""
+        hold_s = None if self.rise_s is None else self.rise_s - self.delay_s
+        return hold_s if hold_s is None or hold_s > SAME_S else 0.0
 
 
 class _Stop(NamedTuple):
@@ -104,7 +79,7 @@ class _Stop(NamedTuple):
 
 
 class FoundSignals(NamedTuple):
-    """Signals that show people; reaction time to the first, s, and additional delay of rises, s; None = not seen.
+    """Signals that show people; reaction time to the first, s, and least additional delay of rises, s; None = not seen.
 
     `follow`: inputs that change after the speed, and their delay, s; set only if no signal was found.
     """
@@ -145,8 +120,8 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
             order.append((one.name, signal))
     else:
         leads = _leading(evidence)
-        evidence, leads, stops = _with_stops(evidence, leads)
-        order = [(name, name) for name in _explaining(evidence, leads, stops)]
+        evidence, leads, stops, found = _explaining(evidence, leads)
+        order = [(name, name) for name in found]
     cards: list[OperatorSignalCard] = []
     on: list[Bools] = []
     for name, signal in order:
@@ -161,6 +136,7 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
                 reset=stop.reset or None,
                 reset_at=stop.reset_at,
                 delay_s=round(max(lead.delay_s, 0.0), 3),
+                hold_s=None if lead.hold_s is None else round(lead.hold_s, 3),
                 explained=max(0.0, min(1.0, round(1.0 - float(_unexplained(evidence, on).sum()), 4))),
                 told=bool(told),
             )
@@ -168,8 +144,8 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
     first = leads[order[0][1]] if order else None
     if first is None:
         return FoundSignals(follow=_following(evidence))
-    hold_s = None if first.rise_s is None else first.rise_s - first.delay_s
-    return FoundSignals(tuple(cards), max(first.delay_s, 0.0), hold_s if hold_s and hold_s > SAME_S else None)
+    holds_s = [card.hold_s for card in cards if card.hold_s is not None]
+    return FoundSignals(tuple(cards), max(first.delay_s, 0.0), min(holds_s, default=0.0) or None)
 
 
 def _not_set_by_robot(evidence: SignalEvidence) -> dict[str, SignalChanges]:
@@ -207,7 +183,7 @@ def _with_stops(
         (name, value)
         for name, changes in _not_set_by_robot(evidence).items()
         for value in np.unique(changes.value).tolist()
-        if _lead(value, Responses(), responses_to(changes.to(value), evidence.rises_s), evidence.at_once_s)
+        if _lead(value, Responses(), _resumes(evidence, changes.to(value)), evidence.at_once_s)
         and 2 * responses_to(left_s(changes, value), evidence.falls_s).number < len(changes.to(value))
     ]
     found, stops = dict(leads), dict[str, _Stop]()
@@ -216,7 +192,7 @@ def _with_stops(
         for reset, value in resets:
             stop = _Stop(name, lead.occupied, reset, value)
             course = _course(evidence, stop)
-            resumes = responses_to(course.to(OFF), evidence.rises_s)
+            resumes = _resumes(evidence, course.to(OFF))
             mine = _lead(ON, falls, resumes, evidence.at_once_s)
             if reset != name and mine is not None and mine.rise_s is not None and resumes.number > rises.number:
                 stops[_name_of(stop)], found[_name_of(stop)] = stop, mine
@@ -267,11 +243,19 @@ def _lead(occupied: str, falls: Responses, rises: Responses, at_once_s: float) -
     return _Lead(occupied, falls.delay_s or 0.0, rises.delay_s)
 
 
-def _explaining(evidence: SignalEvidence, leads: Mapping[str, _Lead], stops: Mapping[str, _Stop]) -> list[str]:
+def _explaining(
+    evidence: SignalEvidence, first_leads: Mapping[str, _Lead]
+) -> tuple[SignalEvidence, dict[str, _Lead], dict[str, _Stop], list[str]]:
     """Return the signals that explain more than the robot's place and the signals before them, best first.
 
     A stop that lasts until a reset is chosen in place of its signal if it explains more by as much as a further signal.
+    Fields lie in one another, so that one seems to answer with another's delay: the delays of the signals left are
+    those to the changes of level that the chosen ones do not answer, where these suffice.
+
+    Returns:
+        Evidence with the stops as signals, leads, stops, and the chosen names.
     """
+    evidence, leads, stops = _with_stops(evidence, first_leads)
     chosen: list[str] = []
     on: list[Bools] = []
     rest = _unexplained(evidence, on)
@@ -288,9 +272,33 @@ def _explaining(evidence: SignalEvidence, leads: Mapping[str, _Lead], stops: Map
             rest = rests[best]
             on.append(states[best])
             chosen.append(best)
-            mine = stops[best].signal if best in stops else best
-            left = [one for one in left if mine not in (one, stops[one].signal if one in stops else "")]
-    return chosen
+            mine = {stops[name].signal if name in stops else name for name in chosen}
+            unanswered = _unanswered(evidence, {name: leads[name] for name in chosen})
+            new = {name: lead for name, lead in _leading(unanswered).items() if name not in chosen}
+            more, with_stops, new_stops = _with_stops(unanswered, new)
+            evidence = replace(more, falls_s=evidence.falls_s, rises_s=evidence.rises_s)
+            kept = {name: lead for name, lead in leads.items() if name not in stops or name in chosen}
+            leads = {**kept, **with_stops, **{name: leads[name] for name in chosen}}
+            stops = {name: stop for name, stop in (stops | new_stops).items() if name in leads}
+            here = [name for name, lead in leads.items() if (lead.delay_s < evidence.at_once_s) == at_once]
+            left = [one for one in here if (stops[one].signal if one in stops else one) not in mine]
+    return evidence, leads, stops, chosen
+
+
+def _unanswered(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> SignalEvidence:
+    """Return the evidence without the changes of level that answer the chosen signals."""
+    falls_s, rises_s = evidence.falls_s, evidence.rises_s
+    for name, lead in leads.items():
+        changes = evidence.signals[name]
+        falls_s = _apart(falls_s, changes.to(lead.occupied) + lead.delay_s)
+        rises_s = _apart(rises_s, left_s(changes, lead.occupied) + (lead.rise_s or lead.delay_s))
+    return replace(evidence, falls_s=falls_s, rises_s=rises_s)
+
+
+def _apart(times_s: Vector, from_s: Vector) -> Vector:
+    """Return the times that lie apart from all others, ascending."""
+    near = np.searchsorted(from_s, times_s + SAME_S, side="right") > np.searchsorted(from_s, times_s - SAME_S)
+    return np.asarray(times_s[~near])
 
 
 def _gains(before: Vector, after: Vector, *, first: bool) -> bool:
@@ -307,10 +315,12 @@ def _gains(before: Vector, after: Vector, *, first: bool) -> bool:
 def _delays(evidence: SignalEvidence, signal: str, occupied: str) -> tuple[Responses, Responses]:
     """Return the delays of falls after a signal turned occupied, and of rises after it turned free (`responses_to`)."""
     changes = evidence.signals[signal]
-    return (
-        responses_to(changes.to(occupied), evidence.falls_s),
-        responses_to(left_s(changes, occupied), evidence.rises_s),
-    )
+    return responses_to(changes.to(occupied), evidence.falls_s), _resumes(evidence, left_s(changes, occupied))
+
+
+def _resumes(evidence: SignalEvidence, free_s: Vector) -> Responses:
+    """Return the delay of rises of the level after the times at which a signal turned free."""
+    return responses_to(free_s, evidence.rises_s, MAX_RESTART_S)
 
 
 def _of_program(evidence: SignalEvidence, on: Bools) -> bool:
@@ -328,8 +338,10 @@ def _on(evidence: SignalEvidence, name: str, lead: _Lead) -> Bools:
     """Return where a signal shows a person, shape (N,), shifted by the delay of the level."""
     changes = evidence.signals[name]
     on = changes.at(evidence.t_s - lead.delay_s) == lead.occupied
-    if lead.rise_s is not None and lead.rise_s > lead.delay_s + SAME_S:
-        on |= changes.at(evidence.t_s - lead.rise_s) == lead.occupied
+    if lead.hold_s:
+        ends = left_s(changes, lead.occupied)
+        last_s = np.append(-np.inf, ends)[np.searchsorted(ends, evidence.t_s - lead.delay_s, side="right")]
+        on |= evidence.t_s - lead.delay_s - last_s < lead.hold_s
     return np.asarray(on)
 
 

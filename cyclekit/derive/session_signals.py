@@ -15,7 +15,8 @@ from cyclekit.dataset.signals import INPUT, OUTPUT, SignalChanges, constant_bits
 from cyclekit.derive.cause_samples import TwoStateSignal
 from cyclekit.derive.concatenated import APART_S, commanded_samples, shifts_apart
 from cyclekit.derive.latched_signals import ON, begins_of, latched
-from cyclekit.derive.operator_signals import FoundSignals, SignalEvidence, find_signals
+from cyclekit.derive.operator_signals import FoundSignals, find_signals
+from cyclekit.derive.signal_evidence import SignalEvidence
 from cyclekit.scaling.response import LevelChange, SafetyResponse, changes_of, rate_of
 from cyclekit.segmentation.stored_run import pieces
 
@@ -188,7 +189,9 @@ def _switches(values: Mapping[str, SignalChanges], found: FoundSignals, begins_s
         if one.reset is not None:
             begins = begins_of(one.signal, begins_s)
             changes, on = latched(changes, on, values[one.reset], one.reset_at, begins), ON
-        switches[one.name] = TwoStateSignal(changes.t_s, changes.value == on)
+        state = TwoStateSignal(changes.t_s, changes.value == on)
+        more_s = (one.hold_s or 0.0) - (found.hold_s or 0.0)
+        switches[one.name] = state.held(more_s) if more_s > 0.0 else state
     return switches
 
 

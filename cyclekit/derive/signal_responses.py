@@ -10,9 +10,10 @@ if TYPE_CHECKING:
     from cyclekit.dataset.signals import SignalChanges
     from cyclekit.schema import Vector
 
-MAX_DELAY_S, BIN_S = 1.0, 0.02
-"""Maximum delay, s, from a signal to the level; bin width, s, of the histogram of delays."""
-MIN_SAME_DELAY, MIN_RESPONSES, CHANCE = 2, 4, 4.0
+MAX_DELAY_S, MAX_RESTART_S, BIN_S = 1.0, 3.0, 0.02
+"""Maximum delay, s, from a signal to the level, and of its rise after a signal is free (scanners restart after a set
+time, often 2 s); bin width, s, of the histogram of delays."""
+MIN_SAME_DELAY, MIN_RESPONSES, CHANCE = 2, 3, 4.0
 """Minimum number of falls (or of rises) with the same delay; of both together; minimum excess over chance, in standard
 deviations."""
 SAME_S = 0.04
@@ -29,17 +30,17 @@ class Responses(NamedTuple):
     number: int = 0
 
 
-def responses_to(cause_s: Vector, answer_s: Vector) -> Responses:
+def responses_to(cause_s: Vector, answer_s: Vector, max_delay_s: float = MAX_DELAY_S) -> Responses:
     """Return the delay of responses to a cause; none if no delay is more frequent than by chance."""
     if not len(cause_s) or not len(answer_s):
         return Responses()
-    first = np.searchsorted(cause_s, answer_s - MAX_DELAY_S)
+    first = np.searchsorted(cause_s, answer_s - max_delay_s)
     count = np.searchsorted(cause_s, answer_s + MAX_DELAY_S) - first
     number = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
     lags = np.repeat(answer_s, count) - cause_s[np.repeat(first, count) + number]
-    if not len(lags):
+    if not len(lags := lags[lags >= -MAX_DELAY_S]):
         return Responses()
-    edges = np.arange(-MAX_DELAY_S, MAX_DELAY_S + BIN_S / 2, BIN_S)
+    edges = np.arange(-MAX_DELAY_S, max_delay_s + BIN_S / 2, BIN_S)
     near = np.convolve(np.histogram(lags, edges)[0], np.ones(3), "same")
     chance = 3 * len(lags) / (len(edges) - 1)
     peak = int(near.argmax())

@@ -230,7 +230,8 @@ def _build(
     derived = derive(
         groups, sources, native, stored, cell, staging / "samples", later, engine=wanted.engine, coarse=coarse
     )
-    warnings = [*divided.notes, *derived.warnings, *unpaired(groups), *_unmatched(cell, wanted.logs), *_without_places(read)]
+    warnings = [*divided.notes, *derived.warnings, *unpaired(groups)]
+    warnings += [*_unmatched(cell, wanted.logs), *_without_places(read)]
     by_id = {one.id: one for one in digests.settle(derived.recordings)}
     for name, log in copies.items():
         by_id[name] = structs.replace(by_id[name], sources=by_id[log].sources)

@@ -6,7 +6,6 @@ instant. Another log of the session joins each part whose clock it can be relate
 
 from __future__ import annotations
 
-import os
 import shutil
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -125,7 +124,7 @@ def _parts(log: LogCard, joints: Sequence[str], ids: set[str], recordings: Path)
         cards.append(here if number == 0 else structs.replace(here, rows_set_aside=(), warnings=()))
     shutil.rmtree(whole)  # its files may be links to those of the dataset before
     for card in cards:
-        os.replace(recordings / f"{card.id}.part", recordings / card.id)
+        (recordings / f"{card.id}.part").rename(recordings / card.id)
     return cards
 
 

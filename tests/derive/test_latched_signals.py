@@ -15,7 +15,8 @@ from cyclekit.config.write import cell_to_toml
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.signals import SignalChanges
 from cyclekit.derive.latched_signals import latched
-from cyclekit.derive.operator_signals import SignalEvidence, find_signals
+from cyclekit.derive.operator_signals import find_signals
+from cyclekit.derive.signal_evidence import SignalEvidence
 from cyclekit.errors import UnknownName
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.rules.of_dataset import rule_of

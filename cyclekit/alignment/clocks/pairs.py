@@ -99,7 +99,8 @@ def fit_events(log_s: Vector, other_s: Vector) -> ClockFit:
             cure="Name signals that change at the same times, or give the pairs as sync_events.",
         )
     line = _least_squares(log_s[mine], other_s[theirs])
-    met = np.abs(_at(line, log_s) - (other_s[0] + other_s[-1]) / 2) <= (other_s[-1] - other_s[0]) / 2 + window  # a log may be the longer one
+    in_other_s = _at(line, log_s)
+    met = (in_other_s > other_s[0] - window) & (in_other_s < other_s[-1] + window)  # a log may be the longer one
     met |= (log_s >= log_s[mine].min()) & (log_s <= log_s[mine].max())
     fit = _fit(line, log_s[mine], other_s[theirs], rejected=int(met.sum()) - len(mine))
     return _with_doubt(fit, len(mine), fewer, second / votes, second_s)

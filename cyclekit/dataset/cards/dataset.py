@@ -126,6 +126,7 @@ class OperatorSignalCard(Card, frozen=True, kw_only=True):
         reset: Signal of the reset button, if the stop lasts until it is pressed after the signal is free again.
         reset_at: Value, as text, to which it changes at the reset; empty without a reset.
         delay_s: Time from its change to the start of the speed change.
+        hold_s: Additional delay of speeding up after it is free (a restart delay); None: not seen.
         explained: Share of the time lost to speed scaling that is explained by it and the signals before it.
         told: Whether the cell file names it; False if it was found in the logs.
     """
@@ -137,6 +138,7 @@ class OperatorSignalCard(Card, frozen=True, kw_only=True):
     reset: Name | None = None
     reset_at: str = ""
     delay_s: Duration = 0.0
+    hold_s: Duration | None = None
     explained: Fraction = 0.0
     told: bool = False
 

@@ -102,6 +102,7 @@ def _parts(log: LogCard, joints: Sequence[str], ids: set[str], recordings: Path)
         rows: dict[Table, int] = {}
         for table in log.tables:
             file = whole / f"{table}.parquet"
+            frames: Iterator[pl.DataFrame]
             if table == "robot":
                 frames = (_between(part, at, first, end) for at, part in _numbered(file))
             elif table == "stamps":

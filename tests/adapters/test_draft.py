@@ -293,6 +293,19 @@ def test_columns_of_two_states_become_signals(tmp_path):
     assert set(read.events["signal"]) == {"di_curtain", "do_gripper"}
 
 
+def test_inputs_and_outputs_in_one_number_become_bits(tmp_path):
+    log = tmp_path / "log.csv"
+    words = [
+        ("DI", [i // 9 % 2 << 4 for i in range(ROWS)]),
+        ("Digital outputs", [i // 7 % 2 << 1 for i in range(ROWS)]),
+    ]
+    more = [("DI_speed", [f"{i}.5" for i in range(ROWS)]), ("inlet", [3] * ROWS)]
+    proposed = draft(log, lines(T, *((name, [f"{v:.4f}" for v in at]) for name, at in TCP), *words, *more))
+    assert (values(proposed)["digital_in"], values(proposed)["digital_out"]) == ("DI", "Digital outputs")
+    read = ingested(tmp_path, proposed, log)
+    assert set(read.robot["digital_in_bits"]) == {0, 16}
+
+
 @pytest.mark.parametrize("content", [b"", b"the gripper squeaks\nand slips\n", b"\0\1\2\3", b"a,b,c\n", b"{}\n"])
 def test_what_is_no_table_has_no_draft(tmp_path, content):
     log = tmp_path / "log.csv"

@@ -32,6 +32,8 @@ _DENSE = 0.1
 _MOVES = 0.05
 _LISTED = 40
 _IN_OUT = {"di", "do", "din", "dout", "in", "out", "io", "input", "inputs", "output", "outputs", "digital", "bit"}
+_INPUTS, _OUTPUTS = {"di", "din", "in", "input", "inputs"}, {"do", "dout", "out", "output", "outputs"}
+_BESIDE = {"digital", "word", "bits"}
 
 
 @dataclass
@@ -194,9 +196,20 @@ def _add_robot(lines: _Lines, table: DraftTable, names: dict[str, Name], found: 
     rest = [name for name in table.names if name not in lines.used and name not in table.in_lists]
     if table.headed and (bits := [name for name in rest if _is_bit(table.cells[name], names[name])]):
         lines.add({"tags": bits}, "two states: inputs and outputs, a signal each")
+    words = [name for name in rest if name in table.numbers and _is_word(table.numbers[name])]
+    for key, said in (("digital_in", _INPUTS), ("digital_out", _OUTPUTS)):
+        mine = [name for name in words if names[name].says(said) and set(names[name].words) <= said | _BESIDE]
+        if len(mine) == 1:
+            lines.add({key: mine[0]}, "whole numbers under that name: its bits are signals")
     if found.others:
         shown = ", ".join(found.others[0].columns)
         lines.notes.append(f"a person: {shown}; to read it too, copy the file and add a source for the copy")
+
+
+def _is_word(told: NDArray[np.float64]) -> bool:
+    """Return whether numbers may be the bits of inputs or outputs: whole, not negative, and not 0 and 1 alone."""
+    known = told[np.isfinite(told)]
+    return bool(len(known) and (known >= 0).all() and (known == np.floor(known)).all() and known.max() > 1)
 
 
 def _is_bit(cells: Sequence[str], name: Name) -> bool:

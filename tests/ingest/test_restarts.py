@@ -44,6 +44,12 @@ def written(folder: Path, spans_s: list[tuple[float, float]], clock: str = "") -
     return folder
 
 
+def column(dataset: Dataset, recording: str, table: str, name: str) -> list[float]:
+    frame = dataset.recorded(recording, table)
+    assert frame is not None
+    return list(frame[name].to_list())
+
+
 def test_each_part_is_a_session_with_its_own_events(tmp_path: Path) -> None:
     logs = written(tmp_path / "logs", [(500.0, 540.0), (20.0, 50.0), (3.0, 33.0)])
     ingest(logs, tmp_path / "dataset")
@@ -53,12 +59,10 @@ def test_each_part_is_a_session_with_its_own_events(tmp_path: Path) -> None:
     assert [(one.first_s, round(one.last_s, 1)) for one in robots] == [(500.0, 539.9), (20.0, 49.9), (3.0, 32.9)]
     assert [one.rows["robot"] for one in robots] == [400, 300, 300]
     for one in robots:
-        events = dataset.recorded(one.id, "events")
-        assert events["t_s"].to_list() == pytest.approx([one.first_s, one.last_s - 2.9], abs=0.11)
-    assert all(
-        before["source_row"].max() < after["source_row"].min()
-        for before, after in pairwise(dataset.recorded(one.id, "robot") for one in robots)
-    )
+        times_s = column(dataset, one.id, "events", "t_s")
+        assert times_s == pytest.approx([one.first_s, one.last_s - 2.9], abs=0.11)
+    lines = [column(dataset, one.id, "robot", "source_row") for one in robots]
+    assert all(before[-1] < after[0] for before, after in pairwise(lines))
     assert [one.code for one in dataset.card.warnings][:2] == ["log-divided", "log-in-first-part"]
     (plc,) = (one for one in dataset.recordings if one.shown.endswith("plc.csv"))
     assert plc.session == robots[0].session

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import polars as pl
@@ -15,6 +15,9 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.joint.check import JointCheck, judge_joint
 from cyclekit.estimate.joint.unexplained import unexplained_waits
+
+if TYPE_CHECKING:
+    from cyclekit.schema import Floats, Vector
 
 
 def judged(**told: Any) -> JointCheck:
@@ -30,28 +33,34 @@ def test_a_bias_beyond_chance_is_in_the_interval_though_it_is_taken_out() -> Non
     assert judged(own_bias=0.012).doubted_bias == 0.0  # less than three standard errors
 
 
-def test_cycles_that_vary_much_are_no_bias(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rollouts have the true mean; where logged cycles vary by a fifth, the mean of rolled / logged is 4 % above 1."""
-    rng = np.random.default_rng(3)
-    names, count = [str(number) for number in range(400)], 400
-    logged = 50.0 * (1.0 + 0.2 * rng.standard_normal(count).clip(-2.5, 2.5))
-    rolled = [SimpleNamespace(duration_s=np.full(60, 50.0) + rng.normal(0.0, 10.0, 60)) for _ in names]
+def _judged(monkeypatch: pytest.MonkeyPatch, logged: Vector, rolled: Floats) -> JointCheck:
+    """Return the check of logged cycles, shape (E,), s, by rolled-out ones, shape (E, 60)."""
+    names = [str(number) for number in range(len(logged))]
+    cycles = [SimpleNamespace(duration_s=some) for some in rolled]
     module = "cyclekit.estimate.joint.check"
     monkeypatch.setattr(f"{module}.logged_sequences", lambda *_: [TaskSequence(name, ("a", "b")) for name in names])
     monkeypatch.setattr(f"{module}.logged_durations", lambda _, some: logged[[int(one.name) for one in some]])
     monkeypatch.setattr(f"{module}.longest_s", lambda _: 100.0)
     monkeypatch.setattr(f"{module}.unexplained_waits", lambda *_: SimpleNamespace(wait_s=0.0, by_order_s=0.0))
-    monkeypatch.setattr(f"{module}.MAX_EXECUTIONS", count)
+    monkeypatch.setattr(f"{module}.MAX_EXECUTIONS", len(logged))
     cell: Any = SimpleNamespace(
         dataset=None,
         logged=dict.fromkeys(names, ()),
         paces={},
         model=SimpleNamespace(card=SimpleNamespace(held_out=())),
-        roll=lambda plans, **_: rolled[: len(plans)],
+        roll=lambda plans, **_: cycles[: len(plans)],
     )
     planner: Any = SimpleNamespace(nominal={}, plan=lambda sequence: sequence)
     found = judge_joint(cell, planner, levels=(0.05, 0.95), seed=0)
     assert found is not None
+    return found
+
+
+def test_cycles_that_vary_much_are_no_bias(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rollouts have the true mean; where logged cycles vary by a fifth, the mean of rolled / logged is 4 % above 1."""
+    rng = np.random.default_rng(3)
+    logged = 50.0 * (1.0 + 0.2 * rng.standard_normal(400).clip(-2.5, 2.5))
+    found = _judged(monkeypatch, logged, np.full((400, 60), 50.0) + rng.normal(0.0, 10.0, (400, 60)))
     assert abs(found.own_bias) < 0.022  # two standard errors
     assert found.own_bias == pytest.approx(50.0 / logged.mean() - 1.0, abs=0.003)
 
@@ -62,6 +71,37 @@ def test_single_cycles_scatter_as_the_logged_ones_do() -> None:
     found = [judged(scores=scores).quantile(cycles, level) for level in (0.05, 0.95)]
     assert found == pytest.approx([cycles.mean() - 2.89 * cycles.std(), cycles.mean() + 0.89 * cycles.std()], abs=0.01)
     assert judged().quantile(cycles, 0.05) == pytest.approx(np.quantile(cycles, 0.05))
+
+
+def _of_waits(rng: np.random.Generator, wait_s: float, *shape: int) -> Floats:
+    """Return cycles of 40 s and a wait that is often short and sometimes long."""
+    return np.asarray(40.0 + rng.exponential(wait_s, shape))
+
+
+def test_a_few_long_waits_do_not_widen_all_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rollouts know how waits are distributed, and the longest few of 60 logged cycles do not."""
+    inside = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        wait_s = rng.choice([1.0, 4.0], 60)
+        rolled = np.stack([_of_waits(rng, wait, 60) for wait in wait_s])
+        logged = np.array([float(_of_waits(rng, wait)) for wait in wait_s])
+        found = _judged(monkeypatch, logged, rolled)
+        cycles, true = _of_waits(rng, 4.0, 1000), _of_waits(rng, 4.0, 4000)
+        low_s, high_s = (found.quantile(cycles, level) for level in (0.05, 0.95))
+        inside.append(np.mean((true >= low_s) & (true <= high_s)))
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.02)
+    assert min(inside) >= 0.84
+    assert max(inside) <= 0.94
+
+
+def test_where_logged_cycles_scatter_more_than_rollouts_they_alone_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    logged = rng.normal(50.0, 4.0, 60)
+    found = _judged(monkeypatch, logged, rng.normal(50.0, 2.0, (60, 60)))
+    cycles = rng.normal(50.0, 2.0, 1000)
+    true = rng.normal(50.0, 4.0, 4000)
+    assert np.mean((true >= found.quantile(cycles, 0.05)) & (true <= found.quantile(cycles, 0.95))) > 0.85
 
 
 def waited(gap_s: float, away_s: list[list[float]], **told: str) -> Dataset:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from scipy.special import bdtrc
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.bias import bias_of
@@ -23,10 +24,15 @@ if TYPE_CHECKING:
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.estimate.joint.roll import JointCell, RolledBoth
-    from cyclekit.schema import Vector
+    from cyclekit.schema import Floats, Vector
 
 DRAWS = 60
 """Number of cycles rolled out per logged execution."""
+PRIOR = 60
+"""Number of logged executions that count as much as the rolled-out cycles themselves in how single cycles scatter."""
+OUTSIDE, CHANCE = 0.05, 0.01
+"""If more logged executions than chance explains (second value) are outside these outer parts of their rolled-out
+cycles, only the logged executions count."""
 SAME_PACE = 0.03
 """Difference of the logarithms of paces of the operator that count as one."""
 
@@ -36,12 +42,15 @@ class JointCheck(Check):
     """Comparison of joint rollouts with the logs.
 
     Attributes:
-        scores: Differences of logged cycles from the means of their rollouts, in standard deviations of these; empty
-            with few executions.
+        scores: Differences of logged cycles from the means of their rollouts, in standard deviations of these, if they
+            scatter more than the rollouts; else empty.
+        ranks: Shares of rolled-out cycles that are shorter than the logged one, and PRIOR evenly spread ones, if
+            `scores` is empty; empty with few executions.
         unexplained_s: Mean wait of the robot per execution without a known condition, s.
     """
 
     scores: tuple[float, ...] = ()
+    ranks: tuple[float, ...] = ()
     unexplained_s: float = 0.0
 
     @property
@@ -71,11 +80,15 @@ class JointCheck(Check):
         return (*super().doubts, unexplained)
 
     def quantile(self, cycles_s: Vector, level: float) -> float:
-        """Return a quantile of corrected cycles (K,), s, from the conformal quantile of the scores if there are any."""
-        if not self.scores:
-            return float(np.quantile(cycles_s, level))
-        off = conformal(np.array(self.scores), level)
-        return float(np.mean(cycles_s)) + off * float(np.std(cycles_s, ddof=1))
+        """Return a quantile of corrected cycles (K,), s, conformal with the logged executions if there are enough.
+
+        A rollout has the shape of the cycles of each order. So it is the quantile at the level that logged executions
+        have in their own rollouts. If these are wider than the rollouts, their scores in standard deviations count.
+        """
+        if self.scores:
+            off = conformal(np.array(self.scores), level)
+            return float(np.mean(cycles_s)) + off * float(np.std(cycles_s, ddof=1))
+        return float(np.quantile(cycles_s, conformal(np.array(self.ranks), level) if self.ranks else level))
 
 
 def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], seed: int) -> JointCheck | None:
@@ -109,11 +122,11 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
     off = logged / means - 1.0  # the chance of a cycle is in the logged duration, which therefore is the numerator
     bias = bias_of(-off / (1.0 + off.mean()), held_out)
     found = replace(found, own_bias=bias.bias, own_error=bias.error)
-    scores = _scores(logged, simulated * found.factor) if len(ended) >= FEW_EXECUTIONS else ()
+    scatter = _scatter(logged, simulated * found.factor) if len(ended) >= FEW_EXECUTIONS else {}
     mean_s = float(logged.mean())
     waits = unexplained_waits(cell.dataset, [each.name for each in sequences], mean_s)
     unseen_s = float(np.hypot(waits.by_order_s, _unseen_people_s(cell, [each.name for each in sequences])))
-    ours = {"scores": scores, "unexplained_s": waits.wait_s, "unseen_error": unseen_s / mean_s}
+    ours = {**scatter, "unexplained_s": waits.wait_s, "unseen_error": unseen_s / mean_s}
     return JointCheck(**{**vars(found), **ours})
 
 
@@ -145,7 +158,11 @@ def _unseen_people_s(cell: JointCell, executions: Sequence[str]) -> float:
     return cell.model.unseen_error * float(sums.std(ddof=1)) if len(sums) > 1 else 0.0
 
 
-def _scores(logged: Vector, simulated: Vector) -> tuple[float, ...]:
-    """Return how far logged cycles (E,) are from means of rolled-out ones (E, K), in standard deviations of these."""
-    off = (logged - simulated.mean(axis=1)) / np.maximum(simulated.std(axis=1, ddof=1), 1e-9)
-    return tuple(off.tolist())
+def _scatter(logged: Vector, simulated: Floats) -> dict[str, tuple[float, ...]]:
+    """Return `scores` of logged cycles (E,) against rolled-out ones (E, K) where these are too narrow, else `ranks`."""
+    ranks = ((simulated < logged[:, None]).sum(axis=1) + 0.5) / (simulated.shape[1] + 1)
+    outside = np.count_nonzero(np.abs(ranks - 0.5) > 0.5 - OUTSIDE)
+    if outside and bdtrc(outside - 1, len(ranks), 2.0 * OUTSIDE) < CHANCE:
+        off = (logged - simulated.mean(axis=1)) / np.maximum(simulated.std(axis=1, ddof=1), 1e-9)
+        return {"scores": tuple(off.tolist())}
+    return {"ranks": (*ranks.tolist(), *((np.arange(PRIOR) + 0.5) / PRIOR).tolist())}

@@ -267,7 +267,8 @@ def _corrected(check: Check | None, executions: int, arrays: Arrays, paced: floa
     arrays["errors"] = np.random.default_rng(SEED + 1).standard_t(max(judged - 1, 1), RESAMPLES).astype(np.float32)
     if not isinstance(check, JointCheck):
         return {"factor": 1.0, "model_error": paced, "doubted_bias": 0.0}
-    if check.scores:
-        arrays["scores"] = np.array(check.scores, np.float32)
+    for name in ("scores", "ranks"):
+        if told := getattr(check, name):
+            arrays[name] = np.array(told, np.float32)
     told = {"factor": check.factor, "doubted_bias": check.doubted_bias}
     return {**told, "model_error": float(np.hypot(check.model_error, paced))}

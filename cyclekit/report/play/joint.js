@@ -127,6 +127,7 @@ const sharesOf = (cycles, log, factor) => { // shares.task_shares, as `answer._s
 
 const spreadOf = (values) => Math.sqrt(covariance(values, values));
 const conformalOf = (values, level) => { // JointCheck.quantile
+  if (tables.ranks) return quantile(sorted(values), quantile(sorted(tables.ranks), level, true));
   if (!tables.scores) return quantile(sorted(values), level);
   return mean(values) + quantile(sorted(tables.scores), level, true) * spreadOf(values);
 };

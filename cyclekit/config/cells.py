@@ -126,9 +126,10 @@ class Wait:
 
     Attributes:
         agent: The agent that waits.
-        before: Place that the agent must not approach until the event; or `leaving`: place that it must not leave.
+        before: Place that the agent must not approach until the event; or `leaving`: place that it must not leave; or
+            `spot`: place of the operator where he does not wait (with `never`); or `task`: task of a task list.
         until: The event: "operator leaves fixture", "robot arrives handover", "release set" or "release cleared" of a
-            signal.
+            signal; with `task` the task that it waits for.
         back: The k-th passage needs the (k - back)-th such event of the execution; None = found in the logs.
         never: The agent does not wait for that event, or, without `until`, for any event.
     """
@@ -136,6 +137,8 @@ class Wait:
     agent: Literal["robot", "operator"]
     before: str | None = None
     leaving: str | None = None
+    spot: str | None = None
+    task: str | None = None
     until: str | None = None
     back: Annotated[int, Meta(ge=0, le=100)] | None = None
     never: bool = False
@@ -147,7 +150,7 @@ class Wait:
     @property
     def event(self) -> tuple[str, str, str] | None:
         """The event as (agent or `signal`, place or name of the signal, kind); None = any."""
-        if self.until is None:
+        if self.until is None or self.task is not None:
             return None
         first, _, rest = self.until.partition(" ")
         kind, _, place = rest.partition(" ")

@@ -65,8 +65,17 @@ def _check_executions(where: str, executions: Executions) -> None:
 
 
 def _check_wait(where: str, wait: Wait) -> None:
-    if (wait.before is None) == (wait.leaving is None):
-        raise ConfigError(f"{where}: needs one of before and leaving", cure='before = "fixture"')
+    what = [key for key in ("before", "leaving", "spot", "task") if getattr(wait, key) is not None]
+    if len(what) != 1:
+        raise ConfigError(f"{where}: needs one of before, leaving, spot and task", cure='before = "fixture"')
+    if what[0] in ("spot", "task"):
+        if not wait.never or wait.back is not None:
+            msg = f"{where}: {what[0]} tells only that nobody waits there, or for that, in any passage"
+            raise ConfigError(msg, cure="Add never = true and leave out back.")
+        if wait.spot is not None and (wait.agent != "operator" or wait.until is not None):
+            cure = 'Leave out until, and write agent = "operator".'
+            raise ConfigError(f"{where}: spot = {wait.spot!r} tells that the operator works there", cure=cure)
+        return
     if wait.until is None and not wait.never:
         raise ConfigError(f"{where}: no until: what does it wait for?", cure='until = "operator leaves fixture"')
     if wait.event is not None and not wait.event[0]:

@@ -41,6 +41,8 @@ with the operator."""
 VARIES, PASSED = 0.5, 1.1
 """The robot only waits at a position if the ratio of short to long standstills is below VARIES, and if it comes there
 at least PASSED times as often as it stops."""
+FEW, OFTEN_PASSED = 3, 4.0
+"""Fewer standstills show no variation: there, it only waits if it comes OFTEN_PASSED times as often as it stops."""
 
 
 def find_places(
@@ -91,15 +93,18 @@ def find_places(
 def _without_waits(runs: Sequence[Run], stops: Sequence[Standstill], xyz: Points, groups: Sequence[Ints]) -> list[Ints]:
     """Return the groups of standstills without those at positions where the robot only waits.
 
-    At such a position, it passes without a stop if it need not wait, and its standstills vary widely.
+    At such a position, it passes without a stop if it need not wait, and its standstills vary widely, or are few.
     """
-    vary = [evenness(runs, stops, group) < VARIES for group in groups]
-    centres = np.array([np.median(xyz[group], axis=0) for group, yes in zip(groups, vary, strict=True) if yes])
-    passes = iter(count_passes(runs, centres.reshape(-1, 3)).tolist())
+    asked = [
+        OFTEN_PASSED if len(group) < FEW else PASSED if evenness(runs, stops, group) < VARIES else None
+        for group in groups
+    ]
+    centres = [np.median(xyz[group], axis=0) for group, least in zip(groups, asked, strict=True) if least is not None]
+    passes = iter(count_passes(runs, np.array(centres).reshape(-1, 3)).tolist())
     kept = []
-    for group, yes in zip(groups, vary, strict=True):
+    for group, least in zip(groups, asked, strict=True):
         near = np.linalg.norm(xyz - np.median(xyz[group], axis=0), axis=1) <= MERGE_M
-        if not yes or next(passes) < PASSED * np.count_nonzero(near):
+        if least is None or next(passes) < least * np.count_nonzero(near):
             kept.append(group)
     return kept
 

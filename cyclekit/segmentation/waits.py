@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.stored_run import Run
 
 MIN_COUNT = 3
-"""Minimum number of standstills at a waiting position."""
+"""Minimum number of standstills at a waiting position; where none on the way to a place has so many, one is enough."""
 EXACT_SHARE = 0.8
 """Share of the standstills at a waiting position that must be within EXACT_M of it where the scaling was not logged."""
 
@@ -70,21 +70,21 @@ def _spots(stops: Sequence[Standstill], runs: Sequence[Run]) -> Points:
     safety system stops a robot wherever it is.
     """
     xyz = np.array([stop.xyz_m for stop in stops]).reshape(-1, 3)
-    able = np.array([not stop.edge for stop in stops], bool)
-    groups = cluster(xyz, np.flatnonzero(able), MERGE_M)
+    within = np.array([not stop.edge for stop in stops], bool)
+    groups = cluster(xyz, np.flatnonzero(within), MERGE_M)
     free = np.array([stop.free is True for stop in stops], bool)
     silent = np.array([stop.free is None for stop in stops], bool)
-    kept = [
+    able = [group for group in groups if 2 * np.count_nonzero(free[group]) >= len(group)]
+    kept = [group for group in able if len(group) >= MIN_COUNT]
+    kept += [
         group
         for group in groups
-        if (len(group) >= MIN_COUNT and 2 * np.count_nonzero(free[group]) >= len(group))
-        or (
-            len(group) >= OFTEN
-            and silent[group].all()
-            and _is_exact(xyz[group])
-            and evenness(runs, stops, group) < VARIES
-        )
+        if len(group) >= OFTEN
+        and silent[group].all()
+        and _is_exact(xyz[group])
+        and evenness(runs, stops, group) < VARIES
     ]
+    kept = kept or able
     return np.array([np.median(xyz[group], axis=0) for group in kept]).reshape(-1, 3)
 
 

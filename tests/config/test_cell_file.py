@@ -315,9 +315,22 @@ never = true
 agent = "operator"
 before = "bench"
 until = "digital-input 3 cleared"
+
+[[waits]]
+agent = "operator"
+spot = "aside"
+never = true
+
+[[waits]]
+agent = "robot"
+task = "weld"
+until = "mount"
+never = true
 """
     cell = load_cell(written(tmp_path, text))
-    first, second, third = cell.waits
+    first, second, third, spot, task = cell.waits
+    assert spot == Wait("operator", spot="aside", never=True)
+    assert (task.task, task.until, task.event) == ("weld", "mount", None)
     assert first == Wait("robot", before="fixture", until="operator leaves fixture 2", back=1)
     assert first.event == ("operator", "fixture 2", "leaves")
     assert second.event is None
@@ -328,8 +341,13 @@ until = "digital-input 3 cleared"
 @pytest.mark.parametrize(
     ("said", "seen"),
     [
-        ('until = "operator leaves a"', "one of before and leaving"),
-        ('before = "a"\nleaving = "b"\nuntil = "operator leaves a"', "one of before and leaving"),
+        ('until = "operator leaves a"', "one of before, leaving, spot and task"),
+        ('before = "a"\nleaving = "b"\nuntil = "operator leaves a"', "one of before, leaving, spot and task"),
+        ('before = "a"\nspot = "b"\nnever = true', "one of before, leaving, spot and task"),
+        ('spot = "a"', "spot tells only that nobody waits there"),
+        ('spot = "a"\nnever = true', "tells that the operator works there"),
+        ('task = "a"\nuntil = "b"', "task tells only that nobody waits there, or for that"),
+        ('task = "a"\nback = 1\nnever = true', "in any passage"),
         ('before = "a"', "no until: what does it wait for?"),
         ('before = "a"\nuntil = "operator sings"', "is not an event"),
         ('before = "a"\nuntil = "robot leaves a"', "waits for itself"),

@@ -24,16 +24,18 @@ WAITS_S = (2.5, 0.0, 0.6, 0.0, 1.4, 4.0, 0.0, 0.9)
 SPOT_M, END_M = 0.5, 1.0
 
 
-def _run(halted_s: float = 0.0, at_end: tuple[tuple[float, float], ...] = ()) -> RobotRun:
+def _run(
+    halted_s: float = 0.0, at_end: tuple[tuple[float, float], ...] = (), waits_s: tuple[float, ...] = WAITS_S
+) -> RobotRun:
     """Return a robot that goes to and fro; on its way there it waits, and is then halted by safety for `halted_s`.
 
     At the far end it waits, and is then halted, for as long as `at_end` tells of each time.
     """
     parts: list[tuple[float, float, float]] = [(0.0, 0.0, DWELL_S)]
-    for number, wait_s in enumerate(WAITS_S):
-        waits_s, held_s = at_end[number] if at_end else (0.0, 0.0)
+    for number, wait_s in enumerate(waits_s):
+        stays_s, held_s = at_end[number] if at_end else (0.0, 0.0)
         parts += [(0.0, SPOT_M, WAY_S), (SPOT_M, SPOT_M, wait_s), (SPOT_M, SPOT_M, -halted_s if wait_s else 0.0)]
-        parts += [(SPOT_M, END_M, WAY_S), (END_M, END_M, DWELL_S + waits_s), (END_M, END_M, -held_s)]
+        parts += [(SPOT_M, END_M, WAY_S), (END_M, END_M, DWELL_S + stays_s), (END_M, END_M, -held_s)]
         parts += [(END_M, 0.0, 2 * WAY_S), (0.0, 0.0, DWELL_S)]
     x, scaling = [], []
     for begin, end, lasts_s in parts:
@@ -72,6 +74,14 @@ def test_standing_short_of_a_place_is_wait() -> None:
         assert leg.went_on_s is not None
         assert leg.went_on_s - leg.reached_s == pytest.approx(wait_s, abs=0.15)
     assert all(leg.reached_s is None for leg in legs[1::2])  # on its way back it waits nowhere
+
+
+@pytest.mark.parametrize("waits_s", [(0.0,) * 7 + (4.0,), (0.0, 2.5) + (0.0,) * 5 + (4.0,)])
+def test_a_single_wait_short_of_a_place_is_wait_too(waits_s: tuple[float, ...]) -> None:
+    there = _legs(_run(waits_s=waits_s))[::2]
+    assert [leg.wait_s for leg in there] == pytest.approx(waits_s, abs=0.15)
+    assert [leg.nominal_s for leg in there] == pytest.approx([2 * WAY_S] * len(there), abs=0.15)
+    assert all(leg.reached_s is not None for leg in there)
 
 
 def test_what_safety_holds_there_afterwards_is_safety_loss() -> None:

@@ -1,8 +1,9 @@
 """Conditions at places of one kind, such as four fixtures with a button each, learned from all of these together.
 
-Places are of one kind if their names differ only in a number or a last letter. Alone each may be visited too seldom to
-show what an agent waits for there; together they do. The k-th passage at a place then needs the k-th event of the place
-with the same number. The evidence is that of `conditions`, over all places of the kind.
+Places are of one kind if their names differ only in a number or a last letter, or if the other agent waits in the same
+way at each of them. Alone each may be visited too seldom to show what an agent waits for there; together they do. The
+k-th passage at a place then needs the k-th event of the place with the same number. The evidence is that of
+`conditions`, over all places of the kind.
 """
 
 from __future__ import annotations
@@ -50,22 +51,32 @@ MIN_SUPPORTS = 2
 """Minimum number of places that support a condition."""
 
 
+Kinds = dict[str, tuple[str, str]]
+"""Kind and number of places, by name."""
+
+
 class _Kind(NamedTuple):
     """Gates at places of one kind, and the events of places of one kind, by number.
 
     Attributes:
+        place: Name of the kind.
         members: The gates.
         events: The events of each kind.
         never: Where the robot may wait short of the places, the gates of those where it never did.
     """
 
+    place: str
     members: dict[str, Departures]
     events: dict[Event, dict[str, Event]]
     never: dict[str, Departures]
 
 
 def find_with_alike(
-    courses: Sequence[ExecutionVisits], agent: Agent, given: Sequence[Wait] = (), barred: Collection[Event] = ()
+    courses: Sequence[ExecutionVisits],
+    agent: Agent,
+    given: Sequence[Wait] = (),
+    barred: Collection[Event] = (),
+    kinds: Kinds | None = None,
 ) -> list[Departures]:
     """Return the departures of an agent's gates with their conditions, also those that only places alike show.
 
@@ -74,12 +85,13 @@ def find_with_alike(
         agent: The agent that waits.
         given: Waits given in the cell file.
         barred: Events to exclude.
+        kinds: Kind and number of further places that are of one kind (`kinds_by_waits`).
 
     Raises:
         UnknownName: The cell file names a place or event that the logs do not contain.
     """
     gates, times = find_conditions(courses, agent, given, barred), times_of(courses)
-    for kind in _kinds(gates, times, barred):
+    for kind in (*_kinds(gates, times, barred, None), *_kinds(gates, times, barred, kinds or {})):
         _learn(gates, times, kind, [wait for wait in given if wait.agent == agent])
     if not given and any(gate.alike for gate in gates):
         _drop_redundant(gates)
@@ -105,21 +117,59 @@ def number_of(name: str) -> tuple[str, str] | None:
     return (kind, found[0]) if found and kind not in FOUND else None
 
 
-def _kinds(gates: Sequence[Departures], times: Times, barred: Collection[Event]) -> Iterator[_Kind]:
+def kinds_by_waits(other: Sequence[Departures]) -> Kinds:
+    """Return kind and number of places without numbers where an agent waits in the same way, and of those of the other.
+
+    Args:
+        other: Gates of one agent with their conditions. Where it waits for the other to leave several places, each for
+            its own, the other may wait in the same way at each of these.
+    """
+    pairs: dict[object, list[tuple[str, str]]] = defaultdict(list)
+    for gate in other:
+        for one in gate.found:
+            if one.event.agent != "signal" and one.event.agent != gate.gate.agent and not number_of(gate.gate.place):
+                same = (gate.gate.at, one.event.agent, one.event.event, one.back, one.turns, one.partly)
+                pairs[same].append((gate.gate.place, one.event.place))
+    found: dict[str, tuple[str, str]] = {}
+    for n, some in enumerate(pairs.values()):
+        mine, theirs = zip(*some, strict=True)
+        if len(some) > 1 and len(set(mine)) == len(set(theirs)) == len(some) and not found.keys() & {*mine, *theirs}:
+            found |= {name: (f"# of {n}", str(k)) for names in (mine, theirs) for k, name in enumerate(names)}
+    return found
+
+
+def _kinds(
+    gates: Sequence[Departures], times: Times, barred: Collection[Event], by_waits: Kinds | None
+) -> Iterator[_Kind]:
+    """Yield the kinds of gates by the names of their places, or by how the other agent waits at these."""
+    number = number_of if by_waits is None else by_waits.get
     by_kind: dict[Gate, dict[str, Departures]] = defaultdict(dict)
     for gate in gates:
-        if named := number_of(gate.gate.place):
+        if named := number(gate.gate.place):
             by_kind[replace(gate.gate, place=named[0])][named[1]] = gate
     events: dict[Event, dict[str, Event]] = defaultdict(dict)
+    twice = set[Event]()
     for event in times:
-        named = number_of(event.place)
+        named = number(event.place)
         if named and event not in barred:
-            signal = (number_of(event.signal) or (event.signal,))[0] if event.signal else None
-            events[event._replace(place=named[0], signal=signal)][named[1]] = event
+            kind = event._replace(place=named[0], signal=_signal_of_kind(event.signal, by_waits is None))
+            twice |= {kind} if named[1] in events[kind] else set()
+            events[kind][named[1]] = event
     for shared, members in by_kind.items():
-        mine = {kind: some for kind, some in events.items() if len(some.keys() & members.keys()) > 1}
+        mine = {
+            kind: some for kind, some in events.items() if kind not in twice and len(some.keys() & members.keys()) > 1
+        }
         if len(members) > 1 and mine:
-            yield _Kind(members, mine, by_kind.get(replace(shared, short=False), {}) if shared.short else {})
+            yield _Kind(
+                shared.place, members, mine, by_kind.get(replace(shared, short=False), {}) if shared.short else {}
+            )
+
+
+def _signal_of_kind(signal: str | None, by_name: bool) -> str | None:
+    """Return a signal with # in place of its number, else what is common to signals of any name: their state."""
+    if signal is None or not by_name:
+        return signal and signal.rpartition(" ")[2]
+    return (number_of(signal) or (signal,))[0]
 
 
 def _learn(gates: Sequence[Departures], times: Times, kind: _Kind, given: Sequence[Wait]) -> None:
@@ -222,7 +272,7 @@ def _joined(kind: _Kind, times: Times, known: Sequence[Condition]) -> Departures
     counts = np.cumsum([0] + [len(each.left_s) for each in members])
     own = [each.own_s + _usual_s(each) for each in members]
     found = Departures(
-        replace(members[0].gate, place=str(number_of(members[0].gate.place)[0])),  # type: ignore[index]
+        replace(members[0].gate, place=kind.place),
         np.concatenate([each.rows for each in members]),
         np.concatenate([each.course + n * executions for n, each in enumerate(members)]),
         np.concatenate([each.occurrence for each in members]),

@@ -10,8 +10,8 @@ import polars as pl
 from msgspec.structs import replace
 
 from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard, OwnWorkCard, SourceCard
-from cyclekit.errors import DatasetError
-from cyclekit.learning.coupling.alike import find_with_alike, number_of
+from cyclekit.errors import ConfigError, DatasetError
+from cyclekit.learning.coupling.alike import Kinds, find_with_alike, kinds_by_waits
 from cyclekit.learning.coupling.answers import is_own_tool
 from cyclekit.learning.coupling.circles import in_circles
 from cyclekit.learning.coupling.common_pace import with_common_pace
@@ -38,7 +38,7 @@ from cyclekit.learning.coupling.visits import Event, ExecutionVisits
 from cyclekit.learning.coupling.waiting_spots import is_spot, possible_spots, spots_of, with_spots
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from cyclekit.config import Wait
     from cyclekit.dataset.dataset import Dataset
@@ -115,7 +115,10 @@ def learn_executions(
     if not found.coupled and not any(course.visits["operator"] for course in courses):
         return None
     phases = _phases(tasks)
-    gates = (replace(gate, phase=_phase(gate, phases)) if _approaches(gate) else gate for gate in found.gates)
+    approaches = [gate for gate in found.gates if _approaches(gate)]
+    gates = (
+        replace(gate, phase=_phase(gate, phases, approaches)) if gate in approaches else gate for gate in found.gates
+    )
     return replace(found, gates=tuple(gates))
 
 
@@ -136,6 +139,11 @@ def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()
     Where the operator makes trips while he waits, these are parted from his visits first. Errands in the middle of his
     work are part of the visit that they interrupt, and visits to a place where he only waits are waits on the way.
     """
+    if told := next((wait.task for wait in given if wait.task is not None), None):
+        msg = f"cell.toml [[waits]]: task {told!r} tells of a task list, and these logs have positions"
+        raise ConfigError(msg, cure='Name the place: before = "fixture" or leaving = "fixture"')
+    works_at = [wait.spot for wait in given if wait.spot is not None]
+    given = [wait for wait in given if wait.place("approach") or wait.place("leave")]
     if places := trip_places(courses):
         parted, trips = parted_courses(courses, places)
         found = _without_trips(parted, given)
@@ -147,14 +155,16 @@ def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()
             return known
     errands = errand_places(courses)
     courses = with_errands(courses, errands) if errands else courses
-    found = _at_spots(courses, _without_trips(courses, given), given)
+    found = _at_spots(courses, _without_trips(courses, given), given, works_at)
     return replace(found, errands=errands)
 
 
-def _at_spots(courses: Sequence[ExecutionVisits], found: CouplingCard, given: Sequence[Wait]) -> CouplingCard:
+def _at_spots(
+    courses: Sequence[ExecutionVisits], found: CouplingCard, given: Sequence[Wait], works_at: Collection[str]
+) -> CouplingCard:
     """Return the card learned with visits to places where the operator only waits as waits on the way."""
     spots = {}
-    for place, goal in possible_spots(courses, found.gates).items():
+    for place, goal in possible_spots(courses, found.gates, works_at).items():
         tried = _without_trips(with_spots(courses, {place: goal}), given)
         if is_spot(courses, place, next((gate for gate in tried.gates if _goes_on(gate, goal)), None)):
             spots[place] = goal
@@ -173,21 +183,26 @@ def _goes_on(gate: GateCard, goal: str) -> bool:
 
 def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait]) -> CouplingCard:
     """Return the wait conditions learned from executions in which no visit is a trip."""
+    barred: dict[Agent, set[Event]] = {agent: set() for agent in AGENTS}
+    kinds: dict[Agent, Kinds] = {}
     departures = {agent: find_with_alike(courses, agent, given) for agent in AGENTS}
+    for mine, other in (("robot", "operator"), ("operator", "robot"), ("robot", "operator")):
+        before, kinds[mine] = kinds.get(mine, {}), kinds_by_waits(departures[other])
+        if kinds[mine] != before:
+            departures[mine] = find_with_alike(courses, mine, given, (), kinds[mine])
     unseen = _unseen(courses, departures["robot"], given)
     if unseen:
         courses = with_parts(courses, unseen)
-        departures["robot"] = find_with_alike(courses, "robot", given)
-    barred: dict[Agent, set[Event]] = {agent: set() for agent in AGENTS}
+        departures["robot"] = find_with_alike(courses, "robot", given, (), kinds["robot"])
     while (tools := _tools(courses, departures["robot"]) - barred["robot"]) and not given:
         barred["robot"] |= tools
-        departures["robot"] = find_with_alike(courses, "robot", given, barred["robot"])
+        departures["robot"] = find_with_alike(courses, "robot", given, barred["robot"], kinds["robot"])
     while circle := next(in_circles(departures["robot"], departures["operator"]), None):
         agent, event = circle
         if event in barred[agent]:  # given in the cell file
             break
         barred[agent].add(event)
-        departures[agent] = find_with_alike(courses, agent, given, barred[agent])
+        departures[agent] = find_with_alike(courses, agent, given, barred[agent], kinds[agent])
     found, together = [], needed_together(*departures.values())
     for mine in departures.values():
         usual_s = _usual_work_s(mine)
@@ -351,13 +366,18 @@ def _approaches(gate: GateCard) -> bool:
     return gate.agent == "robot" and gate.at == "approach"
 
 
-def _phase(gate: GateCard, phases: Mapping[str, float]) -> float:
+def _phase(gate: GateCard, phases: Mapping[str, float], approaches: Sequence[GateCard]) -> float:
     """Return where the robot waits on its way to a place; if it never did, but at places alike, as there."""
-    kind = number_of(gate.place)
-    if gate.place in phases or kind is None or not any(one.alike for one in gate.conditions):
+    kind = _learned_together(gate)
+    if gate.place in phases or not kind:
         return phases.get(gate.place, 0.0)
-    alike = [phase for place, phase in phases.items() if (named := number_of(place)) and named[0] == kind[0]]
+    alike = [phases[one.place] for one in approaches if one.place in phases and kind & _learned_together(one)]
     return float(np.median(alike)) if alike else 0.0
+
+
+def _learned_together(gate: GateCard) -> set[tuple[object, ...]]:
+    """Return what the conditions of a gate that was learned with others have in common with those of the others."""
+    return {(one.agent, one.event, one.back, one.alike, one.lag_s) for one in gate.conditions if one.alike}
 
 
 def _phases(tasks: pl.DataFrame) -> dict[str, float]:

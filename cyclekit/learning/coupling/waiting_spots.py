@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.errors import UnknownName
 from cyclekit.learning.coupling.trips import usual_walks_s
 from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from cyclekit.dataset.cards import CouplingCard
     from cyclekit.dataset.cards.coupling import GateCard
@@ -30,18 +31,27 @@ MAX_WORK_S = 3.0
 """Maximum of the shortest stay at a waiting spot, s."""
 
 
-def possible_spots(courses: Sequence[ExecutionVisits], gates: Iterable[GateCard]) -> dict[str, str]:
+def possible_spots(
+    courses: Sequence[ExecutionVisits], gates: Iterable[GateCard], none: Collection[str] = ()
+) -> dict[str, str]:
     """Return the places where the operator may only wait, each with the place that he then goes to.
 
     Args:
         courses: The executions.
         gates: Gates learned with the spots as places.
+        none: Places where he works, as the cell file tells.
+
+    Raises:
+        UnknownName: He goes to no such place.
     """
     mine = [gate for gate in gates if gate.agent == "operator" and gate.conditions]
     waits = {(gate.at, gate.place) for gate in mine}
     pairs = [each for course in courses for each in pairwise(course.visits["operator"])]
     found = {}
-    for place in sorted({before.place for before, _ in pairs}):
+    places = {visit.place for course in courses for visit in course.visits["operator"]}
+    for place in set(none) - places:
+        raise UnknownName("cell.toml [[waits]] of the operator", "spot", place, sorted(places))
+    for place in sorted({before.place for before, _ in pairs} - set(none)):
         after = [(after.place, before.left_s - before.arrived_s) for before, after in pairs if before.place == place]
         goals = [goal for goal, _ in after]
         goal = max(set(goals), key=lambda name: (goals.count(name), name))

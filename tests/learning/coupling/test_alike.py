@@ -69,6 +69,37 @@ def test_few_executions_show_what_is_waited_for_at_each_of_four_fixtures(seed: i
     assert len({one.lag_s for (agent, _), one in found.items() if agent == "operator"}) == 1
 
 
+ROBOT = dict(zip([f"fixture_{number}" for number in FIXTURES], ("left jig", "press", "vice", "rear"), strict=True))
+OPERATOR = dict(zip(ROBOT, ("at left", "by the press", "bench end", "behind"), strict=True))
+
+
+def _renamed(course: ExecutionVisits) -> ExecutionVisits:
+    names: dict[Agent, dict[str, str]] = {"robot": ROBOT, "operator": OPERATOR}
+    visits: dict[Agent, list[PlaceVisit]] = {
+        agent: [one._replace(place=names[agent].get(one.place, one.place)) for one in some]
+        for agent, some in course.visits.items()
+    }
+    return ExecutionVisits(course.name, visits, events_of(visits))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_places_at_which_the_operator_waits_in_the_same_way_are_of_one_kind(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    courses = [_renamed(_mounted(rng, str(number))) for number in range(24)]
+    found = _found(learn_courses(courses))
+    for name, place in ROBOT.items():
+        one = found["robot", place]
+        assert (one.agent, one.place, one.event, one.back) == ("operator", OPERATOR[name], "leaves", 1)
+        assert one.decided < one.alike == sum(each.decided for (who, _), each in found.items() if who == "robot")
+    assert len(found) == 8
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nobody_waits_at_places_of_any_name_where_nothing_is_coupled(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    assert not learn_courses([_renamed(_mounted(rng, str(number), FIXTURES)) for number in range(30)]).coupled
+
+
 def test_numbers_of_places_that_nobody_named_tell_no_kind() -> None:
     rng = np.random.default_rng(1)
     courses = []

@@ -10,6 +10,8 @@ import polars as pl
 import pytest
 
 from cyclekit import schema
+from cyclekit.config import Wait
+from cyclekit.errors import UnknownName
 from cyclekit.learning.coupling.errands import errand_places, joined
 from cyclekit.learning.coupling.givers import with_givers
 from cyclekit.learning.coupling.learn import learn_courses, learn_executions
@@ -121,6 +123,16 @@ def test_visits_between_which_he_has_done_a_task_are_not_joined() -> None:
     assert joined(visits, ["shelf"]) == [PlaceVisit("fixture", 0.0, 15.0)]
     assert joined(visits, ["shelf"], {"fixture": [np.array([4.9, 14.9])]}) == visits
     assert joined(visits, []) == visits
+
+
+def test_the_cell_file_tells_that_he_works_at_a_place_where_he_seemed_to_wait() -> None:
+    courses = _executions(4)
+    assert any(gate.wait_at == "aside" for gate in learn_courses(courses).gates)
+    card = learn_courses(courses, [Wait("operator", spot="aside", never=True)])
+    assert not any(gate.wait_at for gate in card.gates)
+    assert _gate(card, "operator", "leave", "aside").passages  # a place of his order, where his work takes some time
+    with pytest.raises(UnknownName, match="spot 'beside'"):
+        learn_courses(courses, [Wait("operator", spot="beside", never=True)])
 
 
 def test_several_signals_in_one_stay_are_so_many_tasks() -> None:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from cyclekit.config import Cell, Wait
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import NeedCard, TaskModelCard, TaskTimesCard
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import ConfigError
 from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.task_times.learn import learn_runs
+from cyclekit.learning.task_times.learn import learn_runs, learn_task_times
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import DoneTask, Run, logged_runs
 from cyclekit.learning.task_times.starts import learn_starts
@@ -113,3 +116,32 @@ def test_a_plan_that_seldom_decides_is_no_lag() -> None:
         tasks = DoneTask("load", 0.0, 5.1, 0.0), DoneTask("weld", late_s + 0.1, late_s + 6.0, late_s)
         runs.append(Run(str(number), {"arm": tasks}, number))
     assert learn_starts(runs, "arm")["weld"].lags_s.max() < 0.2
+
+
+def test_the_cell_file_tells_what_a_task_does_not_wait_for(tmp_path: Path) -> None:
+    dataset, scene = listed(tmp_path, "shared-fixture"), "shared-fixture"
+    there = true_needs(scene)
+    assert needs_of(dataset) == there
+    for wait, free in (
+        (Wait("robot", task="bring", until="mount", never=True), {"bring"}),
+        (Wait("operator", task="mount", never=True), {"mount"}),
+    ):
+        model = learn_runs(*logged_runs(dataset), given=[wait], folds=2)
+        found = {(task.task, need.task, need.back) for task in model.tasks for need in task.needs}
+        assert found == {each for each in there if each[0] not in free}
+
+
+@pytest.mark.parametrize(
+    ("wait", "seen"),
+    [
+        (Wait("robot", task="mount", never=True), "task 'mount'"),
+        (Wait("operator", task="mount", until="weld", never=True), "task 'weld'"),
+        (Wait("robot", before="fixture", never=True), "tells of places"),
+    ],
+)
+def test_waits_of_unknown_tasks_are_refused(tmp_path: Path, wait: Wait, seen: str) -> None:
+    cell = replace(Cell(), waits=(wait,))
+    simulate("shared-fixture", tmp_path / "logs", executions=6, seed=3, options=SimulationOptions(task_list=True))
+    ingest([tmp_path / "logs"], tmp_path / "dataset", cell=cell)
+    with pytest.raises(ConfigError, match=seen):
+        learn_task_times(Dataset.open(tmp_path / "dataset"))

@@ -65,7 +65,7 @@ def _tried(members: Mapping[str, Waiting], needs: _Needs) -> tuple[float, list[s
     for number in members.keys() & needs.keys():
         one, need = members[number], needs[number]
         rival = [each for each in one.found if each and (each.agent, each.task) == (need.agent, need.task)]
-        if rival not in ([], [need]) or len(one.found) - len(rival) >= MAX_CONDITIONS:
+        if need.task in one.barred or rival not in ([], [need]) or len(one.found) - len(rival) >= MAX_CONDITIONS:
             continue
         ends = one.ends_s(need)
         known = np.isfinite(ends)

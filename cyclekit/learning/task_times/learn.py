@@ -11,7 +11,7 @@ from scipy.special import stdtrit
 
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import PAST, HeldOutCard, JointCard, PaceCard, TaskModelCard, TaskTimesCard
-from cyclekit.errors import DatasetError, EstimateError, UnknownName, command_line
+from cyclekit.errors import ConfigError, DatasetError, EstimateError, UnknownName, command_line
 from cyclekit.learning.task_times.joint import joint_tasks, marked
 from cyclekit.learning.task_times.pace import pace_drift
 from cyclekit.learning.task_times.rates import TaskRates, fit_rates
@@ -22,6 +22,7 @@ from cyclekit.learning.task_times.starts import Starts, learn_starts
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from cyclekit.config import Wait
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Progress, Vector
 
@@ -47,20 +48,38 @@ def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | No
 
     Raises:
         DatasetError: There are too few complete executions.
+        ConfigError: The cell file tells of waits at places, or of a task that no list has.
     """
     runs, agents = logged_runs(dataset)
     if len(runs) < MIN_EXECUTIONS:
         msg = f"{dataset.place}: executions whose tasks all have an end: {len(runs)}; {MIN_EXECUTIONS} are needed"
         raise DatasetError(msg, cure=f"Ingest more logs. What is known: {command_line('inspect', dataset.place)}")
+    given = dataset.card.settings.waits
+    _check_waits(runs, agents, given)
     clean = without_failures(runs, MIN_EXECUTIONS)
-    model = learn_runs(clean, agents, seed=seed, progress=progress)
+    model = learn_runs(clean, agents, given=given, seed=seed, progress=progress)
     return structs.replace(model, dataset=dataset.path.name, failed=len(runs) - len(clean))
+
+
+def _check_waits(runs: Sequence[Run], agents: Mapping[str, str], given: Sequence[Wait]) -> None:
+    """Refuse waits of the cell file at places, or with unknown tasks."""
+    pairs = {(agents[name], done.task) for run in runs for name, some in run.tasks.items() for done in some}
+    every = sorted({task for _, task in pairs})
+    for wait in given:
+        if wait.task is None:
+            msg = f"cell.toml [[waits]] of the {wait.agent}: {wait.before or wait.leaving or wait.spot} tells of places"
+            raise ConfigError(f"{msg}, and task lists have none", cure='task = "weld"')
+        mine = sorted({task for kind, task in pairs if (kind == "robot") == (wait.agent == "robot")})
+        for name, known in ((wait.task, mine), (wait.until, every)):
+            if name is not None and name not in known:
+                raise UnknownName(f"cell.toml [[waits]] of the {wait.agent}", "task", name, known)
 
 
 def learn_runs(
     runs: Sequence[Run],
     agents: Mapping[str, str],
     *,
+    given: Sequence[Wait] = (),
     seed: int = 0,
     folds: int = FOLDS,
     progress: Progress | None = None,
@@ -70,14 +89,15 @@ def learn_runs(
     Args:
         runs: At least MIN_EXECUTIONS.
         agents: `robot` or `operator` by agent name.
+        given: What tasks do not wait for, as the cell file tells.
         seed: Seed of random draws.
         folds: Number of cross-validation folds over the orders.
         progress: Called with the share done.
     """
     tell = progress or (lambda _fraction, _text: None)
-    model = _learned(runs, agents)
+    model = _learned(runs, agents, given)
     tell(1.0 / (folds + 1), "task times")
-    judged = _judged(runs, agents, seed, folds, lambda done: tell((1.0 + done) / (folds + 1), "held-out orders"))
+    judged = _judged(runs, agents, given, seed, folds, lambda done: tell((1.0 + done) / (folds + 1), "held-out orders"))
     return structs.replace(model, held_out=judged)
 
 
@@ -101,7 +121,7 @@ def rolled_run(model: TaskModelCard, run: Run, *, cycles: int = CYCLES, seed: in
     return roll_plan(model, plan_of(run), cycles=cycles, seed=seed, pace=pace).duration_s
 
 
-def _learned(runs: Sequence[Run], agents: Mapping[str, str]) -> TaskModelCard:
+def _learned(runs: Sequence[Run], agents: Mapping[str, str], given: Sequence[Wait]) -> TaskModelCard:
     pairs = sorted({(agent, done.task) for run in runs for agent, some in run.tasks.items() for done in some})
     joint = joint_tasks(runs)
     runs = marked(runs, joint)
@@ -109,7 +129,8 @@ def _learned(runs: Sequence[Run], agents: Mapping[str, str]) -> TaskModelCard:
     kinds = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
     paces = {agent: _pace(rates, agent) for agent, kind in kinds.items() if kind == "operator"}
     pace = {agent: found for agent, found in paces.items() if found}
-    starts = {agent: learn_starts(runs, agent) for agent in {agent for agent, _ in pairs}}
+    told = {agent: [wait for wait in given if wait.agent == kind] for agent, kind in kinds.items()}
+    starts = {agent: learn_starts(runs, agent, told[agent]) for agent in {agent for agent, _ in pairs}}
     tasks = tuple(
         _task(*pair, starts[pair[0]][pair[1]], rates[pair], pace.get(pair[0]), joint.get(pair)) for pair in pairs
     )
@@ -161,7 +182,12 @@ class _HeldOut:
 
 
 def _judged(
-    runs: Sequence[Run], agents: Mapping[str, str], seed: int, folds: int, tell: Callable[[float], None]
+    runs: Sequence[Run],
+    agents: Mapping[str, str],
+    given: Sequence[Wait],
+    seed: int,
+    folds: int,
+    tell: Callable[[float], None],
 ) -> HeldOutCard | None:
     orders = sorted({run.order for run in runs})
     rng = np.random.default_rng(seed)
@@ -175,7 +201,7 @@ def _judged(
     for fold in range(folds):
         held = [run for run, of in zip(runs, fold_of, strict=True) if of == fold]
         rest = [run for run, of in zip(runs, fold_of, strict=True) if of != fold]
-        model = _learned(rest, agents)
+        model = _learned(rest, agents, given)
         models.append(model)
         for run in held:
             try:

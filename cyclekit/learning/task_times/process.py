@@ -34,7 +34,10 @@ def find_process_time(one: Waiting, tasks: Sequence[str]) -> None:
         tasks: All tasks of its agent.
     """
     open_to = [
-        NeedCard(agent=one.agent, task=task, back=back) for task in tasks for back in (0, 1) if back or task != one.task
+        NeedCard(agent=one.agent, task=task, back=back)
+        for task in tasks
+        for back in (0, 1)
+        if (back or task != one.task) and task not in one.barred
     ]
     best, found = least_gain(len(LEVELS) * max(len(open_to), 1), len(one.seen)), None
     for need in open_to:

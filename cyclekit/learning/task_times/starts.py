@@ -16,8 +16,9 @@ from msgspec import structs
 from cyclekit.dataset.cards.task_model import NeedCard
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
+    from cyclekit.config import Wait
     from cyclekit.learning.task_times.runs import Run
     from cyclekit.schema import Vector
 
@@ -77,6 +78,7 @@ class Waiting:
         free_s: End of the agent's previous task, shape (N,), s.
         planned_s: Planned starts, shape (N,), s; NaN if not logged.
         found: Conditions, None = the planned start.
+        barred: Tasks that it does not wait for.
     """
 
     agent: str
@@ -86,6 +88,7 @@ class Waiting:
     free_s: Vector
     planned_s: Vector
     found: list[NeedCard | None]
+    barred: frozenset[str] = frozenset()
 
     def ends_s(self, need: NeedCard | None) -> Vector:
         """Return for each start when a condition allows it, shape (N,), s; NaN where there is none."""
@@ -100,19 +103,21 @@ class Waiting:
         return ready
 
 
-def learn_starts(runs: Sequence[Run], agent: str) -> dict[str, Starts]:
+def learn_starts(runs: Sequence[Run], agent: str, given: Sequence[Wait] = ()) -> dict[str, Starts]:
     """Return the conditions of one agent's tasks, by task.
 
     Args:
         runs: Executions; at least one contains the agent.
         agent: Name of the agent.
+        given: What tasks of such agents do not wait for, as the cell file tells.
     """
     from cyclekit.learning.task_times.alike import find_with_alike
     from cyclekit.learning.task_times.process import find_process_time
 
     others = candidates(runs, agent)
     tasks = sorted({done.task for run in runs for done in run.tasks.get(agent, ())})
-    every = [_waiting(runs, agent, task) for task in tasks]
+    known = {*tasks, *(need.task for need in others)}
+    every = [_waiting(runs, agent, task, _barred(given, task, known)) for task in tasks]
     for one in every:
         _find(one, others)
     find_with_alike(every, others)
@@ -128,7 +133,7 @@ def _find(one: Waiting, others: Sequence[NeedCard]) -> None:
     """
     if gain([(one.start_s, one.ready_s(), one.planned_s)], EARLY_PLAN_S, decided=1) > 0.0:
         one.found.append(None)
-    open_to: dict[NeedCard | None, Vector] = {need: one.ends_s(need) for need in others}
+    open_to: dict[NeedCard | None, Vector] = {need: one.ends_s(need) for need in others if need.task not in one.barred}
     while len(one.found) < MAX_CONDITIONS:
         ready = one.ready_s()
         tried = {
@@ -142,7 +147,13 @@ def _find(one: Waiting, others: Sequence[NeedCard]) -> None:
         one.found.append(best)
 
 
-def _waiting(runs: Iterable[Run], agent: str, task: str) -> Waiting:
+def _barred(given: Sequence[Wait], task: str, known: Collection[str]) -> frozenset[str]:
+    """Return the tasks, of those known, that a task does not wait for."""
+    told = [wait.until for wait in given if wait.task == task]
+    return frozenset(known if None in told else (until for until in told if until))
+
+
+def _waiting(runs: Iterable[Run], agent: str, task: str, barred: frozenset[str]) -> Waiting:
     seen = []
     for run in runs:
         own_s, nth = 0.0, 0
@@ -152,7 +163,7 @@ def _waiting(runs: Iterable[Run], agent: str, task: str) -> Waiting:
                 nth += 1
             own_s = done.end_s
     times = np.array([[each.start_s, each.own_s, each.planned_s] for each in seen])
-    return Waiting(agent, task, seen, times[:, 0], times[:, 1], times[:, 2], [])
+    return Waiting(agent, task, seen, times[:, 0], times[:, 1], times[:, 2], [], barred)
 
 
 def candidates(runs: Sequence[Run], agent: str) -> list[NeedCard]:

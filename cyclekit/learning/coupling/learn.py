@@ -186,10 +186,11 @@ def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait]) ->
     barred: dict[Agent, set[Event]] = {agent: set() for agent in AGENTS}
     kinds: dict[Agent, Kinds] = {}
     departures = {agent: find_with_alike(courses, agent, given) for agent in AGENTS}
-    for mine, other in (("robot", "operator"), ("operator", "robot"), ("robot", "operator")):
-        before, kinds[mine] = kinds.get(mine, {}), kinds_by_waits(departures[other])
-        if kinds[mine] != before:
-            departures[mine] = find_with_alike(courses, mine, given, (), kinds[mine])
+    turns: tuple[tuple[Agent, Agent], ...] = (("robot", "operator"), ("operator", "robot"), ("robot", "operator"))
+    for who, other in turns:
+        known, kinds[who] = kinds.get(who, {}), kinds_by_waits(departures[other])
+        if kinds[who] != known:
+            departures[who] = find_with_alike(courses, who, given, (), kinds[who])
     unseen = _unseen(courses, departures["robot"], given)
     if unseen:
         courses = with_parts(courses, unseen)

@@ -8,6 +8,7 @@ Unknown keys are ignored, as another version may have written them. The rooms ab
 from cyclekit.dataset.cards.coupling import ConditionCard as ConditionCard
 from cyclekit.dataset.cards.coupling import CouplingCard as CouplingCard
 from cyclekit.dataset.cards.coupling import GateCard as GateCard
+from cyclekit.dataset.cards.coupling import InTurnCard as InTurnCard
 from cyclekit.dataset.cards.coupling import OperatorPaceCard as OperatorPaceCard
 from cyclekit.dataset.cards.coupling import OwnWorkCard as OwnWorkCard
 from cyclekit.dataset.cards.coupling import SourceCard as SourceCard

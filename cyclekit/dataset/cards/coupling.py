@@ -193,6 +193,26 @@ class SourceCard(Card, frozen=True, kw_only=True):
         return "arrives" if self.inferred else self.event
 
 
+class InTurnCard(Card, frozen=True, kw_only=True):
+    """Several signals that one operator gives, one after the other: he serves the places where the robot brings parts.
+
+    The k-th signal of a place comes after the robot has brought the k-th part there (`SourceCard.after`), and after
+    his own work since the signal that he gave before it, at whatever place.
+
+    Attributes:
+        signals: Names of the signals.
+        gap_s: His own work from one signal to the next, as `SourceCard.gap_s`.
+        first_s: Time from the start of the execution to his first signal, if he does not have to wait.
+        orders: In which order he served the parts in each logged execution; a part is its number in the order in which
+            the robot brought them, from 0.
+    """
+
+    signals: Annotated[tuple[Name, ...], Meta(min_length=2, max_length=64)]
+    gap_s: Quantiles
+    first_s: Quantiles = (0.0,)
+    orders: Annotated[tuple[Annotated[tuple[Turn, ...], Meta(min_length=1)], ...], Meta(min_length=1, max_length=400)]
+
+
 class TrendCard(Card, frozen=True, kw_only=True):
     """How the operator's work, or his walks, become quicker or slower over the executions.
 
@@ -283,6 +303,7 @@ class CouplingCard(Card, frozen=True, kw_only=True):
     Attributes:
         gates: Gates of both agents, with conditions or only with the agents' own work.
         sources: Sources of parts.
+        in_turn: Sources whose signals one operator gives in turn; their own `gap_s` and `first_s` are not used then.
         executions: Number of executions behind them.
         errands: Places to which the operator goes in the middle of his work; that is part of his work.
         pace: How the operator's pace changes; own work is that at his latest pace. None: no significant change.
@@ -291,6 +312,7 @@ class CouplingCard(Card, frozen=True, kw_only=True):
 
     gates: tuple[GateCard, ...] = ()
     sources: tuple[SourceCard, ...] = ()
+    in_turn: InTurnCard | None = None
     executions: Count = 0
     errands: tuple[Name, ...] = ()
     pace: OperatorPaceCard | None = None

@@ -150,11 +150,17 @@ def _at_their_paces(
 
 
 def _unseen_people_s(cell: JointCell, executions: Sequence[str]) -> float:
-    """Return how far an order may move the safety loss of an execution where no log shows people, s."""
+    """Return how far an order may move the time lost to people in an execution where no log shows them, s.
+
+    That is the safety loss and, where one operator serves several places in turn, also the waits for him: the order
+    in which he will serve them is unknown.
+    """
     if not isinstance(cell.model, OnStates):
         return 0.0
+    in_turn = cell.coupling is not None and cell.coupling.in_turn is not None
+    parts = [pl.col(name).fill_null(0.0) for name in ("safety_loss_s", "wait_s")[: 1 + in_turn]]
     lost = cell.dataset.tasks().filter(pl.col("execution").is_in(list(executions)))
-    sums = lost.group_by("execution").agg(pl.col("safety_loss_s").fill_null(0.0).sum())["safety_loss_s"].to_numpy()
+    sums = lost.group_by("execution").agg(s=pl.sum_horizontal(parts).sum())["s"].to_numpy()
     return cell.model.unseen_error * float(sums.std(ddof=1)) if len(sums) > 1 else 0.0
 
 

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.draws import CycleDraws, EventColumns
+from cyclekit.estimate.joint.in_turn import in_turn_agendas
 from cyclekit.estimate.joint.legs import Agenda, AgendaLeg, Gates, Need, needs_of
 from cyclekit.estimate.joint.people import LoggedMotions, LoggedPeople, OperatorPositions
 from cyclekit.estimate.joint.visits import Segments
@@ -214,11 +215,14 @@ class JointCell:
         which = np.repeat(np.arange(len(plans)), cycles)
         turn = np.tile(np.arange(cycles), len(plans))
         does = np.array([number[plan.operators[k % len(plan.operators)]] for plan in plans for k in range(cycles)])
-        sources = [self.source(source, robots) for source in (self.coupling.sources if self.coupling else ())]
-        columns = EventColumns([*robots, *operators, *sources])
+        sources = self.sources(robots)
+        turns, mine = in_turn_agendas(self.coupling, robots)
+        columns = EventColumns([*robots, *operators, *sources, *turns])
         every = np.arange(len(which))
+        served = np.array([mine[n][k % len(mine[n])] for n, k in zip(which, turn, strict=True)]) if turns else every
         done = [(agenda, np.flatnonzero(which == n)) for n, agenda in enumerate(robots)]
         done += [(agenda, np.flatnonzero(does == n)) for n, agenda in enumerate(operators)]
+        done += [(agenda, np.flatnonzero(served == n)) for n, agenda in enumerate(turns)]
         events_s = columns.times([*done, *((source, every) for source in sources)], len(which))
         robot, operator = (
             CycleDraws(agendas, mine, turn, cycles, columns, seed, self.common)
@@ -233,6 +237,7 @@ class JointCell:
             step_s = 1.0 / self.dataset.rate_hz
             people_of = partial(OperatorPositions, segments=self.segments, step_s=step_s, pace=self.pace)
         parts = [CycleDraws([source], np.zeros_like(which), turn, cycles, columns, seed) for source in sources]
+        parts += [CycleDraws(turns, served, turn, cycles, columns, seed)] if turns else []
         simulated = simulate_both(
             self.model,
             robot,
@@ -246,6 +251,14 @@ class JointCell:
         )
         for n, plan in enumerate(plans):
             yield _of_one(plan, simulated, np.flatnonzero(which == n), columns, number, does, operator.shared)
+
+    def sources(self, robots: Sequence[Agenda]) -> list[Agenda]:
+        """Return how signals come, but those that one operator gives in turn."""
+        card = self.coupling
+        if card is None:
+            return []
+        in_turn = card.in_turn.signals if card.in_turn else ()
+        return [self.source(source, robots) for source in card.sources if source.signal not in in_turn]
 
     def source(self, source: SourceCard, robots: Sequence[Agenda]) -> Agenda:
         """Return how a signal comes: one after the other, as long as there is room, or after what the robot does."""

@@ -43,7 +43,7 @@ def find_answers(courses: Sequence[ExecutionVisits], event: Event, place: str) -
     since = np.array([changes.left_s - changes.own_s, every])[:, ::step]
     decided, first, known = decided_by(since), changes.occurrence[::step] == 0, np.isfinite(since)
     mass = reverse_kaplan_meier(np.where(known[1], since[1], 0.0), (decided == 1).astype(np.float64), known[1])
-    gap_s, first_s = (_own_s(since[0, some], decided[some] == 0) for some in (~first, first))
+    gap_s, first_s = (own_s_of(since[0, some], decided[some] == 0) for some in (~first, first))
     there = ~np.isnan(every)
     after = ConditionCard(
         agent="robot",
@@ -80,7 +80,7 @@ def is_own_tool(courses: Sequence[ExecutionVisits], event: Event, place: str) ->
     return bool(late_s - early_s < OWN_TOOL_S)
 
 
-def _own_s(since_s: Vector, decided: Bools) -> tuple[float, ...]:
+def own_s_of(since_s: Vector, decided: Bools) -> tuple[float, ...]:
     """Return own work by its quantiles, s.
 
     What is shorter than all of it that decided is as short as the shortest time that was seen at all: where the answer

@@ -26,6 +26,7 @@ from cyclekit.learning.coupling.conditions import (
 )
 from cyclekit.learning.coupling.departures import Condition, Departures, Gate
 from cyclekit.learning.coupling.errands import errand_places, with_errands
+from cyclekit.learning.coupling.in_turn import find_in_turn
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
 from cyclekit.learning.coupling.logged_visits import courses_of
 from cyclekit.learning.coupling.own_work import own_work_by_place, rest_at_start
@@ -210,8 +211,9 @@ def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait]) ->
         found += [_gate(courses, gate, given, usual_s, together) for gate in mine]
     gates = tuple(gate for gate in found if gate is not None)
     held = {one.place for gate in gates for one in gate.conditions}
-    sources = (*find_sources(courses, gates), *(source for source in unseen if source.signal in held))
-    return CouplingCard(gates=gates, sources=sources, executions=len(courses))
+    in_turn, answers = find_in_turn(courses, find_sources(courses, gates))
+    sources = (*answers, *(source for source in unseen if source.signal in held))
+    return CouplingCard(gates=gates, sources=sources, in_turn=in_turn, executions=len(courses))
 
 
 def _unseen(

@@ -72,6 +72,7 @@ def courses_of(
     inputs = without_repeats({session: _inputs(recordings, session, logged, answers) for session in sessions})
     states = {} if people else {session: _states(recordings, session, logged) for session in sessions}
     known = {name for some in (*inputs.values(), *by_session.values()) for name, state in some if state == "set"}
+    ends_s = _until(executions)
     found: list[ExecutionVisits] = []
     logged_states: dict[str, Mapping[tuple[str, str], Vector]] = {}
     for (name,), rows in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
@@ -89,13 +90,25 @@ def courses_of(
             logged_states[card.execution] = every | states[card.session]
         events = {Event("signal", *key): at for key, at in changes.items()}
         visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
-        found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events, card.session))
+        until_s = ends_s[card.execution]
+        after = {} if people else {key: at[(at > end_s) & (at < until_s)] for key, at in every.items()}
+        later = {Event("signal", *key): at for key, at in after.items() if len(at)}
+        found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events, card.session, later=later))
     if not people:
         waited = known - set(fields) - _within_visits(found, logged_states)
         begins = {card.execution: card.start_s for card in executions}
         return [_with_states(one, logged_states[one.name], begins[one.name], waited) for one in found]
     doubtful = {key for some in inputs.values() for key in some} - {key for some in by_session.values() for key in some}
     return with_givers(found, {Event("signal", *key) for key in doubtful})
+
+
+def _until(executions: Sequence[ExecutionCard]) -> dict[str, float]:
+    """Return when the next execution of its session starts, by execution, s; inf after the last one."""
+    found = {}
+    for one in executions:
+        later = [other.start_s for other in executions if other.session == one.session and other.start_s > one.start_s]
+        found[one.execution] = min(later, default=np.inf)
+    return found
 
 
 def _with_states(

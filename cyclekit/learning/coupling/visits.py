@@ -52,6 +52,7 @@ class ExecutionVisits:
         visits: Visits of each agent in order; the first has the start of the execution as arrival.
         events: Times of each kind of event, ascending, s.
         session, pace: Name of its session; duration of the operator's own work relative to the last execution.
+        later: Changes of signals after its end and before the next execution of its session, in logs without operators.
     """
 
     name: str
@@ -59,6 +60,7 @@ class ExecutionVisits:
     events: Mapping[Event, Vector] = field(default_factory=dict)
     session: str = ""
     pace: float = 1.0
+    later: Mapping[Event, Vector] = field(default_factory=dict)
 
     def with_operator(self, visits: Sequence[PlaceVisit]) -> ExecutionVisits:
         """Return the execution with other visits of the operator; the signals that he gives stay."""

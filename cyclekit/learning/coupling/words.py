@@ -12,7 +12,7 @@ from cyclekit.learning.coupling.waits import condition_text
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard, TripCard
+    from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, InTurnCard, SourceCard, TripCard
 
 _AT = {"leave": "at", "approach": "before"}
 
@@ -71,7 +71,9 @@ def habit_lines(found: CouplingCard | None) -> list[str]:
     """
     if found is None:
         return []
-    lines = [line for source in found.sources for line in _source_lines(source)]
+    in_turn = found.in_turn.signals if found.in_turn else ()
+    lines = [line for source in found.sources for line in _source_lines(source, in_turn=source.signal in in_turn)]
+    lines += [_in_turn_line(found.in_turn)] if found.in_turn else []
     lines += [f"operator: goes to {place} in the middle of his work, and comes back to it" for place in found.errands]
     lines += [_trip_line(gate, gate.trip) for gate in found.gates if gate.trip is not None]
     lines += [_own_work_line(gate) for gate in found.gates if gate.own_by]
@@ -94,7 +96,17 @@ def _own_work_line(gate: GateCard) -> str:
     return f"operator at {gate.place}: own work of {', '.join(each)}"
 
 
-def _source_lines(source: SourceCard) -> list[str]:
+def _in_turn_line(card: InTurnCard) -> str:
+    gap, first = (
+        f"{_quantile(values, 0.05):.1f} to {_quantile(values, 0.95):.1f} s" for values in (card.gap_s, card.first_s)
+    )
+    return (
+        f"one operator gives {', '.join(card.signals)} in turn: each at the earliest {gap} after the one before, the "
+        f"first {first} after the start"
+    )
+
+
+def _source_lines(source: SourceCard, *, in_turn: bool) -> list[str]:
     gap = f"{_quantile(source.gap_s, 0.05):.1f} to {_quantile(source.gap_s, 0.95):.1f} s"
     if not source.after:
         return [f"parts of {source.signal} come {gap} apart; at most {source.buffer} wait at {source.taken_by}"]
@@ -102,7 +114,8 @@ def _source_lines(source: SourceCard) -> list[str]:
     for one in source.after:
         lag = f"{max(_quantile(one.lag_s, 0.05), 0.0):.1f} to {_quantile(one.lag_s, 0.95):.1f} s"
         visit = " in its visit before" if one.back else ""
-        own = f", or {gap} after the one before, whichever is later" if _quantile(source.gap_s, 0.95) > 0.0 else ""
+        by_itself = not in_turn and _quantile(source.gap_s, 0.95) > 0.0
+        own = f", or {gap} after the one before, whichever is later" if by_itself else ""
         lines.append(f"{source.signal} {source.event} comes {lag} after robot {one.event} {one.place}{visit}{own}")
     return lines
 

@@ -11,7 +11,7 @@ from cyclekit.estimate.joint.legs import Agenda, AgendaLeg, needs_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.dataset.cards import CouplingCard, SourceCard
+    from cyclekit.dataset.cards import CouplingCard, InTurnCard, SourceCard
 
 
 def in_turn_agendas(card: CouplingCard | None, robots: Sequence[Agenda]) -> tuple[list[Agenda], list[list[int]]]:
@@ -37,7 +37,7 @@ def in_turn_agendas(card: CouplingCard | None, robots: Sequence[Agenda]) -> tupl
         for order in possible_orders(card.in_turn.orders, [source.signal for source, _ in brought]):
             if order not in numbers:
                 numbers[order] = len(found)
-                found.append(_agenda(card, [brought[part] for part in order]))
+                found.append(_agenda(card.in_turn, [brought[part] for part in order]))
             mine[-1].append(numbers[order])
     return found, mine
 
@@ -85,11 +85,10 @@ def _brought(robot: Agenda, sources: Sequence[SourceCard]) -> list[tuple[SourceC
     ]
 
 
-def _agenda(card: CouplingCard, served: Sequence[tuple[SourceCard, int]]) -> Agenda:
-    assert card.in_turn is not None
-    legs, first_s = [], np.array(card.in_turn.first_s)
+def _agenda(card: InTurnCard, served: Sequence[tuple[SourceCard, int]]) -> Agenda:
+    legs, first_s = [], np.array(card.first_s)
     for number, (source, turn) in enumerate(served):
-        own_s = np.array(card.in_turn.gap_s) if number else first_s
+        own_s = np.array(card.gap_s) if number else first_s
         passes = (("signal", source.signal, source.brings, turn),)
         needs = needs_of(source.after, turn)
         legs.append(AgendaLeg(number, "", np.empty((0, 3)), own_s=own_s, name="in turn", needs=needs, passes=passes))

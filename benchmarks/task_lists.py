@@ -24,7 +24,8 @@ from cyclekit.dataset.cards.task_model import TaskModelCard, TaskTimesCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.task_times import learn, rates
+from cyclekit.learning.task_times import learn
+from cyclekit.learning.task_times.parts import task_parts
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import Run, logged_runs
 from cyclekit_sim.task_lists import ListOptions, fresh_durations, random_order, simulate_task_lists
@@ -56,9 +57,9 @@ def simple_rates(runs: list[Run], agents: dict[str, str]) -> TaskModelCard:
     cards = []
     pairs = {(name, done.task) for run in runs for name, some in run.tasks.items() for done in some}
     for agent, task in sorted(pairs):
-        parts = rates._parts(runs, agent, task)
-        simple = [column.kind in ("rates", "alone") for column in parts.columns]
-        names = [column.name for column, mine in zip(parts.columns, simple, strict=True) if mine]
+        parts = task_parts(runs, agent, task)
+        simple = [effect.kind in ("rates", "alone") for effect in parts.on_rate]
+        names = [effect.name for effect, mine in zip(parts.on_rate, simple, strict=True) if mine]
         during = parts.beside[:, simple]
         beside_s = np.zeros((len(parts.last), len(names)))
         np.add.at(beside_s, parts.of, during * parts.dt_s[:, None])

@@ -11,7 +11,7 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from cyclekit.estimate.baseline import listed_cycle, listed_cycles
-from cyclekit.learning.task_times.rates import ALONE
+from cyclekit.learning.task_times.parts import ALONE
 from cyclekit.report.document import MARK
 from cyclekit.report.figures.time_chart import MAX_SEQUENCES, time_chart
 from cyclekit.report.numbers import UNKNOWN, count, fixed, given, percent

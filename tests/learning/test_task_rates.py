@@ -193,3 +193,53 @@ def test_an_order_that_ran_often_counts_as_one_order_for_single_cycles() -> None
     assert judged is not None
     assert len(judged.deviations) == 36
     assert np.median(judged.deviations) > 0.0  # five of the six orders take longer than the others say
+
+
+def pairs_of(count: int, *, law: str, seed: int = 1) -> list[Run]:
+    """The arm welds while the worker mounts twice, packs between, and is alone with a third of the welds.
+
+    Args:
+        count: Number of executions.
+        law: `nth`: the weld is slow during the second mount; `at start`: it takes twice as long if it begins during a
+            mount; `nothing`.
+        seed: Seed of the draws.
+    """
+    rng, found = np.random.default_rng(seed), []
+    for number in range(count):
+        worker = tuple(DoneTask(task, at, at + 6.0) for task, at in (("mount", 0.0), ("pack", 6.0), ("mount", 12.0)))
+        start, work = rng.uniform(0.0, 22.0), 4.0 * np.exp(0.03 * rng.standard_normal())
+        if law == "at start" and (start < 6.0 or 12.0 <= start < 18.0):
+            work *= 2.0
+        slow = 0.4 if law == "nth" else 1.0
+        end = _end(start, work, [(12.0, 1.0), (18.0, slow), (np.inf, 1.0)])
+        found.append(Run(str(number), {"arm": (DoneTask("weld", start, end, start),), "worker": worker}, number))
+    return found
+
+
+def test_the_second_occurrence_of_a_task_may_have_a_rate_of_its_own() -> None:
+    found = weld_of(pairs_of(50, law="nth"))
+    assert found.nth["worker: mount"][1] / found.nth["worker: mount"][0] == pytest.approx(0.4, rel=0.25)
+    model = learn_runs(pairs_of(50, law="nth"), AGENTS, folds=2)
+    for begins, weld_s in ((0.5, 4.0), (12.5, 5.5 + 4.0 - 0.4 * 5.5)):
+        plan = [PlannedTask("arm", "weld", not_before_s=begins)]
+        plan += [PlannedTask("worker", name) for name in ("mount", "pack", "mount")]
+        rolled = roll_plan(model, plan, cycles=100)
+        assert (rolled.end_s - rolled.start_s)[:, 0].mean() == pytest.approx(weld_s, rel=0.12)
+
+
+def test_the_task_at_the_start_may_change_the_whole_task() -> None:
+    found = weld_of(pairs_of(50, law="at start"))
+    assert found.at_start["worker: mount"] / found.at_start["worker: pack"] == pytest.approx(2.0, rel=0.2)
+    model = learn_runs(pairs_of(50, law="at start"), AGENTS, folds=2)
+    for begins, weld_s in ((5.0, 8.0), (7.0, 4.0)):
+        plan = [PlannedTask("arm", "weld", not_before_s=begins)]
+        plan += [PlannedTask("worker", name) for name in ("mount", "pack", "mount")]
+        rolled = roll_plan(model, plan, cycles=100)
+        assert (rolled.end_s - rolled.start_s)[:, 0].mean() == pytest.approx(weld_s, rel=0.12)
+
+
+@pytest.mark.parametrize("count", [8, 30])
+def test_tasks_that_show_no_such_effect_get_none(count: int) -> None:
+    for seed in range(4):
+        found = weld_of(pairs_of(count, law="nothing", seed=seed))
+        assert (found.nth, found.nth_waiting, found.at_start) == ({}, {}, {})

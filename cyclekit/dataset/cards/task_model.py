@@ -69,6 +69,8 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         rates: Rate by concurrent task of the other agent, `agent: task`; "" = alone.
         later: Rate in the second half of a concurrent task divided by the rate in its first half.
         waiting: Factor on the rate alone while the other agent, who has ended this task, waits for his next one.
+        nth, nth_waiting: Factors on `rates` and `waiting` at the first, second ... occurrence of that task.
+        at_start: Factor on the work by the concurrent task at the start.
         after: Factor on the work by the agent's previous task; "" = it is the first.
         needs: Tasks it waits for, in addition to the agent's previous task and its planned start.
         joint: Task of another agent with which it ends; then `work_s` is from repetitions in which the other side was
@@ -85,6 +87,9 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
     rates: dict[str, Rate]
     later: dict[str, Rate] = field(default_factory=dict)
     waiting: dict[str, Rate] = field(default_factory=dict)
+    nth: dict[str, tuple[Rate, ...]] = field(default_factory=dict)
+    nth_waiting: dict[str, tuple[Rate, ...]] = field(default_factory=dict)
+    at_start: dict[str, Rate] = field(default_factory=dict)
     after: dict[str, Rate]
     turns: tuple[Rate, ...] = ()
     needs: Annotated[tuple[NeedCard, ...], Meta(max_length=4)] = ()

@@ -3,6 +3,8 @@
 In: table TASKS of a dataset made of task lists, no positions. Out: a `TaskModelCard`, stored as `model.json`.
 
 runs     the logged executions, tasks by agent
+parts    the repetitions of a task, cut where simultaneous tasks start, are half over, or end
+fit      mean, scatter and effects of one task
 rates    the rate of a task during each task of the other agent
 starts   the conditions of a task's start
 learn    all of it, with errors on held-out orders

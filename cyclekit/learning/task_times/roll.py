@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.learning.task_times.rates import ALONE, beside
+from cyclekit.learning.task_times.parts import ALONE, beside
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -73,6 +73,7 @@ class _Plan:
         log_rate: Log rate of a task during another, shape (tasks, tasks); `alone` without another.
         log_later: Log ratio of that rate in the second and the first half of the other task.
         log_waiting: Log factor of the rate alone while another agent, who has ended that task, waits for his next one.
+        log_at_start: Log factor of the work by another task that runs at the start.
     """
 
     cards: list[TaskTimesCard]
@@ -86,6 +87,7 @@ class _Plan:
     log_rate: Floats
     log_later: Floats
     log_waiting: Floats
+    log_at_start: Floats
     alone: Vector
 
 
@@ -136,7 +138,11 @@ def roll_plan(
         work = np.where(running & live[:, None], work - rate * np.where(live, step, 0.0)[:, None], work)
         held |= now & running & late
         end = np.where(held & held[:, plan.mate] & running, t[:, None], end)
-        start = np.where(now & ~running & np.isinf(start), t[:, None], start)
+        begins = now & ~running & np.isinf(start)
+        start = np.where(begins, t[:, None], start)
+        others = np.isfinite(start) & np.isinf(end) & ~begins
+        factor = np.where(begins, np.exp(others @ plan.log_at_start.T), 1.0)
+        work, half = work * factor, half * factor
         late |= now & running
     usual = np.array([card.usual_s for card in plan.cards])
     if np.isinf(end).any():
@@ -155,15 +161,17 @@ def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) ->
             there = sorted(each for agent, each in known if agent == name)
             raise UnknownName(where, f"task of {name}", task.name, there)
     cards = [known[name, task.name] for name, task in zip(names, tasks, strict=True)]
-    keys = [beside(card.agent, card.task) for card in cards]
-    rate, later, waiting = (
-        np.array([[_log(getattr(card, kind), key) for key in keys] for card in cards])
-        for kind in ("rates", "later", "waiting")
-    )
-    alone = np.array([_log(card.rates, ALONE) for card in cards])
-    not_before = np.array([task.not_before_s or 0.0 for task in tasks])
     pairs = list(zip(names, (task.name for task in tasks), strict=True))
     turn = [pairs[:number].count(pair) for number, pair in enumerate(pairs)]
+    keys = [beside(card.agent, card.task) for card in cards]
+    rate, later, waiting, at_start = (
+        np.array([[_log(getattr(card, kind), key) for key in keys] for card in cards])
+        for kind in ("rates", "later", "waiting", "at_start")
+    )
+    rate += np.array([[_nth(card.nth, *at) for at in zip(keys, turn, strict=True)] for card in cards])
+    waiting += np.array([[_nth(card.nth_waiting, *at) for at in zip(keys, turn, strict=True)] for card in cards])
+    alone = np.array([_log(card.rates, ALONE) for card in cards])
+    not_before = np.array([task.not_before_s or 0.0 for task in tasks])
     before = _before(tasks)
     after = [before.index(number) if number in before else -1 for number in range(len(tasks))]
     needs = _needs(cards, tasks, names, where)
@@ -172,7 +180,8 @@ def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) ->
     joined = [
         each is not None and each.starts and other != n for n, (each, other) in enumerate(zip(joint, mate, strict=True))
     ]
-    return _Plan(cards, before, after, turn, needs, mate, joined, not_before, rate, later, waiting, alone)
+    told = (rate, later, waiting, at_start, alone)
+    return _Plan(cards, before, after, turn, needs, mate, joined, not_before, *told)
 
 
 def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
@@ -189,6 +198,12 @@ def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
         single = {kind for kind in kinds if kinds.count(kind) == 1}
         raise UnknownName(where, "agent", task.agent, {*model.agents, *single})
     return able[0]
+
+
+def _nth(factors: Mapping[str, Sequence[float]], name: str, turn: int) -> float:
+    """Return the log factor at an occurrence of a task; 0 if it was not logged."""
+    mine = factors.get(name, ())
+    return float(np.log(mine[turn])) if turn < len(mine) else 0.0
 
 
 def _log(rates: Mapping[str, float], name: str) -> float:

@@ -46,8 +46,11 @@ const laidOut = (tasks, asked) => {
     cards, turn, needs, unknown, mate, before: beforeEach(tasks),
     joined: cards.map(({ joint }, number) => mate[number] !== number && joint.starts),
     notBefore_s: tasks.map((task) => task.not_before_s || 0),
-    ...Object.fromEntries(["rates", "later", "waiting"].map((kind) => [
-      kind, cards.map((card) => cards.map((other) => log(card[kind], `${other.agent}: ${other.task}`))),
+    ...Object.fromEntries([["rates", "nth"], ["later"], ["waiting", "nth_waiting"], ["at_start"]].map(([kind, nth]) => [
+      kind, cards.map((card) => cards.map((other, m) => {
+        const name = `${other.agent}: ${other.task}`;
+        return log(card[kind], name) + Math.log((nth && (card[nth][name] || [])[turn[m]]) || 1);
+      })),
     ])),
     alone: cards.map((card) => log(card.rates, "")),
   };
@@ -138,11 +141,19 @@ const rolledPlan = (tasks, asked) => {
           work[n] -= rate[n] * step;
           held[n] |= Number(now && late[n]);
           late[n] |= Number(now);
-        } else if (now) { begins[n] = t; running[n] = 1; }
+        } else if (now) begins[n] = t;
       }
       for (let n = 0; n < count; n += 1) {
         if (running[n] && held[n] && held[plan.mate[n]]) { ends[n] = t; running[n] = 0; left -= 1; }
       }
+      const beginning = begins.reduce((some, at_s, n) => (at_s < Infinity && ends[n] === Infinity && !running[n] ? [...some, n] : some), []);
+      for (const n of beginning) { // the tasks that run when it starts change the whole task
+        let sum = 0;
+        for (let m = 0; m < count; m += 1) if (running[m]) sum += plan.at_start[n][m];
+        work[n] *= Math.exp(sum);
+        half[n] *= Math.exp(sum);
+      }
+      for (const n of beginning) running[n] = 1;
     }
     for (let n = 0; n < count; n += 1) {
       [start[n][cycle], end[n][cycle]] = [begins[n], ends[n]];

@@ -1,0 +1,132 @@
+"""Fits mean, scatter and effects of the log work of one task to its repetitions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import minimize
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from cyclekit.learning.task_times.parts import Parts
+    from cyclekit.schema import Floats, Vector
+
+SPREADS = {
+    "rates": 0.7,
+    "alone": 0.7,
+    "later": 0.4,
+    "waiting": 0.3,
+    "previous": 0.1,
+    "turn": 0.1,
+    "nth": 0.2,
+    "nth waiting": 0.2,
+    "at start": 0.2,
+}
+"""Prior standard deviations of what changes the logarithm of a rate or of the work, before the logs are seen:
+
+rates     a simultaneous task: between half and double with probability of about two thirds
+alone     no simultaneous task
+later     ratio of the rates in the second and the first half of a simultaneous task
+waiting   another agent waits after one of his tasks
+previous  the agent's previous task: the way to a task
+turn      the first, second ... time in an execution: the slot of a part
+nth, nth waiting
+          the first, second ... time of the simultaneous task, or of the one after which its agent waits
+at start  the simultaneous task at the start, on the work
+"""
+MOST = 4.0
+"""Maximum absolute effect on the logarithm of a rate or of the work."""
+LIKE_OTHERS = 4.0
+"""Weight of all tasks' scatter in that of one, as a number of repetitions."""
+_FREE = 1e-6
+_MIN_SPREAD = 1e-3
+
+
+def begin_at(parts: Parts) -> Vector:
+    """Return median and log spread of the log durations, and no effects: where `best_at` begins."""
+    usual = np.log(np.maximum(np.bincount(parts.of, parts.dt_s), 1e-6))
+    return np.concatenate([[np.median(usual), np.log(usual.std() + 0.05)], np.zeros(len(parts.kinds))])
+
+
+def best_at(parts: Parts, spreads: Mapping[str, float], begin: Vector, least: float) -> Vector:
+    """Return mean and log spread of the log work, and all effects, at the maximum of the posterior density.
+
+    The log spread is at least `least`: effects fitted to few repetitions leave too little of it.
+    """
+    spread = np.array([spreads[kind] for kind in parts.kinds])
+    bounds = [(None, None), (least, 3.0), *[(-MOST, MOST)] * len(spread)]
+    begin = np.concatenate([begin[:1], [max(begin[1], least)], begin[2:]])
+    best = minimize(_density, begin, args=(parts, spread), jac=True, method="L-BFGS-B", bounds=bounds).x
+    return np.asarray(best)
+
+
+def _density(at: Vector, parts: Parts, prior: Vector) -> tuple[float, Vector]:
+    """Return the negative log posterior density, and its gradient."""
+    k, count = parts.beside.shape[1], len(parts.last)
+    mean, spread, log_rate, factor = at[0], np.exp(at[1]) + _MIN_SPREAD, at[2 : 2 + k], at[2 + k :]
+    work, ends = parts.work(log_rate), parts.beside[parts.last]
+    z = (np.log(work) - mean - parts.factors @ factor) / spread
+    value = 0.5 * z @ z + count * np.log(spread) + np.log(work).sum() - (ends @ log_rate).sum()
+    value += 0.5 * ((at[2:] / prior) ** 2).sum()
+    pull = z / spread
+    done = np.exp(parts.beside @ log_rate) * parts.dt_s
+    of_rate = parts.beside.T @ (done * ((pull + 1.0) / work)[parts.of]) - ends.sum(axis=0)
+    of_spread = (count - z @ z) * np.exp(at[1]) / spread
+    of_effects = np.concatenate([of_rate, -parts.factors.T @ pull]) + at[2:] / prior**2
+    return float(value), np.concatenate([[-pull.sum(), of_spread], of_effects])
+
+
+class Quadratic:
+    """The likelihood of one task around its best effects.
+
+    Attributes:
+        kinds: Kind of each effect.
+        squares: Sum of the squared residuals of the log work.
+        left: Number of repetitions that the effects have not used up.
+        scatter: Variance of the log work.
+        most: That without any effect.
+    """
+
+    def __init__(self, parts: Parts, at: Vector) -> None:
+        k, self.kinds = parts.beside.shape[1], parts.kinds
+        done = np.exp(parts.beside @ at[2 : 2 + k]) * parts.dt_s
+        work = np.bincount(parts.of, done)
+        of_rate = np.zeros((len(parts.last), k))
+        np.add.at(of_rate, parts.of, parts.beside * (done / work[parts.of])[:, None])
+        slope = np.hstack([np.ones((len(of_rate), 1)), -of_rate, parts.factors])
+        off = np.log(work) - at[0] - parts.factors @ at[2 + k :]
+        self._squares, self._gram, self.squares = at[2:] ** 2, slope.T @ slope, float(off @ off)
+        self.scatter, self.left = (np.exp(at[1]) + _MIN_SPREAD) ** 2, float(len(off))
+        self.most = float(np.exp(2.0 * begin_at(parts)[1]))
+
+    def hessian(self, spreads: Mapping[str, float]) -> Floats:
+        """Return the Hessian of the negative log posterior density by the mean and the effects."""
+        known = np.append(_FREE, [spreads[kind] ** -2 for kind in self.kinds])
+        return np.asarray(self._gram / self.scatter + np.diag(known))
+
+    def updated(self, usual: float) -> None:
+        """Set the scatter to that of the residuals by the repetitions left; with few, close to the usual variance."""
+        found = (self.squares + LIKE_OTHERS * usual) / (self.left + LIKE_OTHERS) + _MIN_SPREAD**2
+        self.scatter = min(found, self.most)
+
+    def squared(self, spreads: Mapping[str, float]) -> Vector:
+        """Return the expected square of each effect, given the spreads; updates `left`."""
+        variance = np.linalg.inv(self.hessian(spreads))
+        determined = np.trace(self._gram @ variance) / self.scatter
+        self.left = max(float(self._gram[0, 0] - determined), 0.0)
+        return np.asarray(self._squares + np.diag(variance)[1:])
+
+
+def evidence(parts: Parts, at: Vector, spreads: Mapping[str, float]) -> float:
+    """Return the log marginal likelihood of the repetitions by Laplace's approximation, up to a constant.
+
+    Args:
+        parts: Repetitions of a task.
+        at: Mean, log spread and effects at the maximum of the posterior density, shape (2 + effects,).
+        spreads: Prior standard deviation by kind of effect.
+    """
+    prior = np.array([spreads[kind] for kind in parts.kinds])
+    value, _ = _density(at, parts, prior)
+    return float(-value - np.log(prior).sum() - 0.5 * np.linalg.slogdet(Quadratic(parts, at).hessian(spreads))[1])

@@ -1,0 +1,69 @@
+"""The part to play with for task lists in which single tasks depend on more: the library's own numbers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import browser
+import numpy as np
+import polars as pl
+import pytest
+from played import ask, same
+
+from cyclekit import TaskSequence, estimate_cycles, train_task_times, write_report
+from cyclekit.config.sequences import PlannedTask
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(browser.why_not() is not None, reason=str(browser.why_not())),
+]
+OPERATOR = ["mount", "pack", "mount"]
+
+
+def write_list(path: Path) -> None:
+    """Write 50 executions: a weld is slow during the second mount; glue that begins in a pack takes twice as long."""
+    rng = np.random.default_rng(1)
+    rows = []
+    for run in range(50):
+        rows += [(run, "human", task, at, at + 6.0) for task, at in zip(OPERATOR, (0.0, 6.0, 12.0), strict=True)]
+        glue, weld = rng.uniform(0.0, 10.0), 12.0 + rng.uniform(0.0, 3.0) if run % 2 else None
+        glued = glue + rng.uniform(1.9, 2.1) * (2.0 if 6.0 <= glue < 12.0 else 1.0)
+        weld = glued if weld is None else max(weld, glued)
+        fast_s, work = max(12.0 - weld, 0.0), rng.uniform(2.9, 3.1)
+        slow = min(max(work - fast_s, 0.0) / 0.4, 18.0 - max(weld, 12.0))
+        welded = weld + work - 0.4 * slow + slow
+        rows += [(run, "arm", "glue", glue, glued), (run, "arm", "weld", weld, welded)]
+    pl.DataFrame(rows, schema=["run", "agent", "task", "start_s", "end_s"], orient="row").write_csv(path)
+
+
+def test_plans_have_the_numbers_of_the_library(tab, tmp_path):
+    write_list(tmp_path / "tasks.csv")
+    ingest([tmp_path / "tasks.csv"], tmp_path / "dataset")
+    model = train_task_times(tmp_path / "dataset")
+    assert any(task.nth for task in model.card.tasks)
+    assert any(task.at_start for task in model.card.tasks)
+    orders = {"as logged": ["glue", "weld"], "twice": ["weld", "glue", "weld", "glue"]}
+    sequences = [
+        TaskSequence.of_plan(
+            name, [*(PlannedTask("arm", t) for t in arm), *(PlannedTask("human", t) for t in OPERATOR)]
+        )
+        for name, arm in orders.items()
+    ]
+    page = tmp_path / "page.html"
+    write_report(tmp_path / "dataset", page, model=model, sequences=sequences[:1], takt_s=20.0)
+    tab.events.clear()
+    tab.show(page)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    plans = {each.name: each.plan for each in sequences}
+    for wanted in estimate_cycles(model, Dataset.open(tmp_path / "dataset"), sequences, takt_s=20.0):
+        played = [
+            {"agent": task.agent, "asked": task.agent, "name": task.name, "after": task.after}
+            for task in plans[wanted.name]
+        ]
+        same(ask(tab, played, {}, 20.0), wanted, within=1e-5)
+    assert tab.said() == []

@@ -40,7 +40,7 @@ SPREADS_LIKE = 4.0
 """Weight of all tasks' spread in that of a task with more effects, as a number of effects."""
 MORE = (("nth", "nth waiting"), ("at start",), ("nth", "nth waiting", "at start"))
 """Kinds of effects that are added to single tasks."""
-MIN_GAIN = 5.0
+MIN_GAIN = 3.0
 """Minimum gain in log marginal likelihood by them."""
 
 

@@ -105,3 +105,41 @@ def test_logged_errands_are_part_of_a_stay_and_spots_of_no_order(
     assert found.durations_s(found.stay("inbound")) == pytest.approx([8.0])  # 3 + 1 + 2 + 1 + 1 s
     assert found.durations_s(found.stay("rest")) == pytest.approx([5.0])
     assert found.durations_s(found.walk("rest", "out_left_1")) == pytest.approx([1.0])
+
+
+def test_from_other_places_he_waits_where_he_is(logged: Dataset) -> None:
+    gate = msgspec.structs.replace(WAITS, wait_from=("inbound",))
+    cell = JointCell(Constant(1.0), logged, CouplingCard(gates=(gate, OWN)))
+    legs = _plan(cell, 40.0, ("inbound", "out_left_1", "rest", "out_left_1")).operators[0].legs
+    assert [(leg.place, leg.if_waits) for leg in legs if leg.hold] == [("rest", True), ("rest", False)]
+
+
+def test_who_waits_at_the_place_of_his_next_task_has_left_it_before(logged: Dataset) -> None:
+    gate = GateCard(agent="operator", at="approach", place="inbound", conditions=(HOME_LEFT,))
+    cell = JointCell(Constant(1.0), logged, CouplingCard(gates=(gate, OWN)))
+    legs = _plan(cell, 0.0, ("out_left_1", "inbound", "inbound")).operators[0].legs
+    first = next(n for n, leg in enumerate(legs) if ("operator", "inbound", "arrives", 0) in leg.arrives)
+    assert ("operator", "inbound", "leaves", 0) in legs[first].passes
+
+
+def test_a_wait_before_the_first_task_is_none_of_its_way(logged: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    stays = (("rest", 6.0), ("out_left_1", 4.0), ("inbound", 2.0))
+    gate = GateCard(agent="operator", at="approach", place="out_left_1", conditions=(HOME_LEFT,))
+    found = one_track(logged, monkeypatch, stays, CouplingCard(gates=(gate,)))
+    assert found.durations_s(found.walk("", "out_left_1")) == pytest.approx([1.0])
+    free = one_track(logged, monkeypatch, stays, CouplingCard(gates=()))
+    assert free.durations_s(free.walk("", "out_left_1")) == pytest.approx([7.0])
+
+
+def test_after_his_last_task_he_goes_where_he_went_in_the_logs(
+    logged: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stays = (("inbound", 3.0), ("out_left_1", 4.0), ("rest", 5.0))
+    found = one_track(logged, monkeypatch, stays, CouplingCard(gates=(WAITS,)))
+    (number,) = found.after("out_left_1").tolist()  # "rest" is a spot where he only waits
+    xyz_m, first, count = found.table()
+    begin, end = first[number], first[number] + count[number] - 1
+    places = logged.human_places
+    assert xyz_m[begin, :2] == pytest.approx(places["out_left_1"].xyz_m[:2], abs=0.3)
+    assert xyz_m[end, :2] == pytest.approx(places["rest"].xyz_m[:2], abs=0.3)
+    assert found.durations_s(found.after("out_left_1")) == pytest.approx([1.0], abs=0.2)

@@ -141,6 +141,7 @@ class GateCard(Card, frozen=True, kw_only=True):
         passages: Number of logged passages.
         trip: Trips of the operator from here.
         wait_at: Place where the operator stands if he has to wait before he goes on to `place`; None = where he is.
+        wait_from: Places from which he goes to `wait_at`; from others he waits where he is. Empty = from everywhere.
     """
 
     agent: Agent
@@ -154,6 +155,12 @@ class GateCard(Card, frozen=True, kw_only=True):
     passages: Count = 0
     trip: TripCard | None = None
     wait_at: Name | None = None
+    wait_from: tuple[Name, ...] = ()
+
+    def waits_at(self, here: str) -> str | None:
+        """Return where the operator goes from a place if he has to wait; None = he stays there."""
+        over = self.wait_at if not self.wait_from or here in self.wait_from else None
+        return None if over == here else over
 
     def at_pace(self, pace: float) -> GateCard:
         """Return the gate with own work of the operator that takes `pace` times as long; one of the robot as it is."""

@@ -101,6 +101,7 @@ class CycleDraws:
         arrives, passes: Columns of the events that a leg sets, shape (agendas, legs, events).
         walk, stay: Numbers of the operator's segments, shape (N, legs).
         walk_s: Duration of the walks, shape (N, legs).
+        after: Number of the segment that follows the last leg, shape (N,).
         straight, straight_s: The walk that leaves out the leg before, if nobody waits there, and its duration.
         if_waits: Legs to which the operator goes only if he has to wait, shape (agendas, legs).
         trip: Numbers of the operator's trips before departure, shape (N, legs).
@@ -144,7 +145,7 @@ class CycleDraws:
         self.not_before_s = np.zeros((len(agendas), legs))
         self.own_s, self.lag_s = np.zeros((rows, legs)), np.zeros((rows, legs, self.needs.shape[2]))
         self.walk, self.stay = np.zeros((rows, legs), dtype=np.int64), np.zeros((rows, legs), dtype=np.int64)
-        self.walk_s = np.zeros((rows, legs))
+        self.walk_s, self.after = np.zeros((rows, legs)), np.zeros(rows, dtype=np.int64)
         self.straight, self.straight_s = np.zeros((rows, legs), dtype=np.int64), np.zeros((rows, legs))
         self.if_waits = np.zeros((len(agendas), legs), dtype=np.bool_)
         self.trip, self.trip_level = np.zeros((rows, legs), dtype=np.int64), np.zeros((rows, legs))
@@ -179,6 +180,8 @@ class CycleDraws:
         """Draw the operator's walks and stays; walks take `pace` times the logged duration."""
         for number, agenda in enumerate(self.agendas):
             rows, turns = self._rows[number], Counter[str]()
+            if last := agenda.legs[-1].place:
+                self.after[rows] = chosen(segments.after(last), self._level(rows, f"after {last}", 0))
             for n, leg in enumerate(agenda.legs):
                 key = f"walk {leg.start}->{leg.place}"
                 if leg.start is not None:

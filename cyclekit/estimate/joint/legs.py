@@ -212,10 +212,12 @@ class _Builder:
         phase = gate.phase if gate is not None else 0.0
         midway = approach if split is not None and phase > 0.0 else ()
         needs = (*precedence, *(() if midway else approach))
-        spot = gate.wait_at if gate is not None and approach and here != gate.wait_at else None
+        spot = gate.waits_at(here) if gate is not None and approach else None
+        stays = spot is None and not (self.agent == "operator" and here == place)  # else he leaves before he waits
+        if not stays:
+            self._left(here)
         if spot is not None:
             leg = replace(leg, start=spot)
-            self._left(here)
             hold = AgendaLeg(task, spot, leg.path_m, start=here, needs=needs, not_before_s=not_before_s)
             self.legs.append(replace(hold, name=f"hold {place}", hold=True, if_waits=True))
         elif needs or not_before_s > 0.0:
@@ -223,7 +225,7 @@ class _Builder:
                 self.legs[-1] = replace(self.legs[-1], trip=None)
             hold = AgendaLeg(task, here, self.legs[-1].path_m[-1:], needs=needs, not_before_s=not_before_s)
             self.legs.append(replace(hold, name=f"hold {place}", hold=True, trip=self._trip(gate)))
-        if spot is None:
+        if stays:
             self._left(here)
         leave = self._gates.needs(self.agent, "leave", place, turn)
         done = (self.agent, name, "done", self._done[name]), (self.agent, place, "set", turn)

@@ -71,6 +71,10 @@ class OperatorPositions:
             trip = ~still & ~walks & self._operator.on_trip(t_s, rows, leg)
             segment = np.where(trip, draws.trip[rows, leg], segment)
             since = np.where(trip, (t_s - times.works_s[rows, leg]) / self._pace[segment] / self._step_s, since)
+        gone_s = t_s - times.passes_s[rows, leg]
+        gone = (leg == draws.last[agenda]) & ~still & (gone_s > 0.0)  # he has done his last task
+        segment = np.where(gone, draws.after[rows], segment)
+        since = np.where(gone, gone_s / self._pace[segment] / self._step_s, since)
         since = np.minimum(since, self._count[segment] - 1)
         whole = since.astype(np.int64)
         row = self._first[segment] + whole

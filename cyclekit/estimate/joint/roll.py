@@ -39,6 +39,8 @@ REST_S, TIMES = 60.0, 4.0
 """A cycle is abandoned after TIMES the undisturbed work of both agents plus REST_S, s."""
 ENDLESS_PART = 0.05
 """Maximum share of abandoned cycles that are left out; with more, the plan has no answer."""
+STUCK_PART = 0.25
+"""Maximum share of cycles that end in a deadlock and are left out; with more, the plan has no answer."""
 
 
 @dataclass(frozen=True)
@@ -290,9 +292,11 @@ def _of_one(
     does: Ints,
     shared: Vector,
 ) -> RolledBoth | EstimateError:
-    if simulated.stuck[rows].all():
+    stuck = rows[simulated.stuck[rows]]
+    if len(stuck) > STUCK_PART * len(rows):
+        part = f" in {len(stuck) / len(rows):.0%} of the cycles" if len(stuck) < len(rows) else ""
         return EstimateError(
-            f"{plan.name}: {_stuck(plan, simulated, rows[0], columns)}",
+            f"{plan.name}: deadlock{part}: {_stuck(plan, simulated, stuck[0], stuck[0] - rows[0], columns)}",
             cure="Change the order of one agent, or 'after'.",
         )
     asked, rows = len(rows), rows[~simulated.stuck[rows]]
@@ -360,12 +364,12 @@ def _cut(times: LegTimes, rows: Ints, legs: int) -> LegTimes:
     return found
 
 
-def _stuck(plan: Plan, simulated: JointCycles, row: int, columns: EventColumns) -> str:
-    """Return a description of a deadlock: which agent waits where for which event."""
+def _stuck(plan: Plan, simulated: JointCycles, row: int, cycle: int, columns: EventColumns) -> str:
+    """Return a description of the deadlock of a cycle of a plan: which agent waits where for which event."""
     waits = []
     for agenda, times in (
         (plan.robot, simulated.robot),
-        (plan.operators[row % len(plan.operators)], simulated.operator),
+        (plan.operators[cycle % len(plan.operators)], simulated.operator),
     ):
         ended = np.isfinite(times.passes_s[row, : len(agenda.legs)])
         if not ended.all():
@@ -375,7 +379,7 @@ def _stuck(plan: Plan, simulated: JointCycles, row: int, columns: EventColumns) 
             ]
             where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
             waits.append(f"{agenda.agent} waits {where} until {' and '.join(shown(event) for event in missing)}")
-    return "deadlock: " + "; ".join(waits)
+    return "; ".join(waits)
 
 
 def waits_without_source(plan: Plan, coupling: CouplingCard | None) -> list[str]:

@@ -31,6 +31,8 @@ MIN_WALKS, MIN_M = 10, 0.1
 """Minimum number of walks, and minimum standard deviation of their lengths, m, to fit durations of other walks."""
 SURE = 3.0
 """Threshold, standard errors, for a significant difference between two means."""
+STANDS_M = 0.15
+"""Maximum distance, m, from his last position at which the operator stands there."""
 STRAIGHT = 16
 """Number of straight walks of different duration generated for a way that was never logged."""
 
@@ -74,12 +76,17 @@ class Segments:
         self._begins: list[Floats] = []
         self._first_stays: dict[str, list[float]] = defaultdict(list)
         self._trips: dict[str, list[int]] = defaultdict(list)
-        gates = [gate for gate in (coupling.gates if coupling else ()) if gate.trip is not None]
+        self._after: dict[str, list[int]] = defaultdict(list)
+        every_gate = coupling.gates if coupling is not None else ()
+        gates = [gate for gate in every_gate if gate.trip is not None]
         self._trips_at = {(gate.at, gate.place) for gate in gates}
         self._after_s = max((gate.trip.after_s for gate in gates if gate.trip is not None), default=0.0)
         self.trip_places = {place for gate in gates if gate.trip is not None for place in gate.trip.places}
         errands = coupling.errands if coupling is not None else ()
-        self._spots = {gate.wait_at for gate in coupling.gates if gate.wait_at} if coupling is not None else set()
+        self._spots = {gate.wait_at for gate in every_gate if gate.wait_at}
+        self._waits_before = {
+            gate.place for gate in every_gate if gate.conditions and (gate.agent, gate.at) == ("operator", "approach")
+        }
         self._visits: dict[str, tuple[OperatorVisit, ...]] = {}
         complete = {one.execution for one in dataset.card.executions if one.whole and not one.reference}
         tracks = logged_tracks(dataset)
@@ -109,6 +116,10 @@ class Segments:
         if not self._stays[place]:
             self._stays[place].append(self._add(np.array([self._places[place].xyz_m])))
         return np.array(self._stays[place])
+
+    def after(self, place: str) -> Ints:
+        """Return the numbers of what followed the last task of executions at a place; without any, of stays there."""
+        return np.array(self._after[place]) if self._after[place] else self.stay(place)
 
     def table(self) -> tuple[Floats, Ints, Ints]:
         """Return the positions of all segments concatenated (M, 3), and the first row and row count of each.
@@ -212,11 +223,15 @@ class Segments:
         for number, (place, first, left) in enumerate(spans):
             end = self._row(trips[number].left_s) if number in trips else left
             self._stays[place].append(self._add(where[first : end + 1]))
+        worked = [span for span in spans if span[0] not in self._spots]
+        if worked:
+            self._after[worked[-1][0]].append(self._add(_until_he_stands(where[worked[-1][2] :]), walk))
         there = at_s[0][1] <= AT_START_S
         self._begin(where, spans, (work, walk), there=there)
         self._ways["", spans[0][0]].append(self._add(where[spans[0][1] if there else 0 : spans[0][1] + 1], walk))
-        if there and len(spans) > 1:  # a plan may begin with the second place
-            self._ways["", spans[1][0]].append(self._add(where[: spans[1][1] + 1], walk))
+        if there and len(spans) > 1:  # a plan may begin with the second place; a wait before it is none of its way
+            first = spans[0][2] if spans[1][0] in self._waits_before else 0
+            self._ways["", spans[1][0]].append(self._add(where[first : spans[1][1] + 1], walk))
         for number, ((start, _, left), (goal, arrives, _)) in enumerate(pairwise(spans)):
             if number not in trips:  # he may have come from the trip, on another way
                 self._ways[start, goal].append(self._add(where[left : arrives + 1], walk))
@@ -272,6 +287,12 @@ class Segments:
             rows = max(1, round(took_s / self._step_s)) if start != goal else 0
             found.append(self._add(begin + (end - begin) * np.linspace(0.0, 1.0, rows + 1)[:, None]))
         return found
+
+
+def _until_he_stands(where: Floats) -> Floats:
+    """Return positions (N, 3) up to the first that is within STANDS_M of all later ones."""
+    far = np.linalg.norm(where[:, :2] - where[-1, :2], axis=1) > STANDS_M
+    return where[: len(far) - int(far[::-1].argmax()) + 1] if far.any() else where[-1:]
 
 
 def parted_stays(visits: Sequence[OperatorVisit], place: str, most: int, least_s: float) -> tuple[OperatorVisit, ...]:

@@ -143,11 +143,13 @@ def candidates_of(times: Times, gate: Departures, agent: Agent) -> list[Conditio
 
 def attach(gates: Sequence[Departures], to: Departures, condition: Condition, since: Vector) -> list[int]:
     """Add a condition to all gates that share departures with its gate; return the numbers of these gates."""
-    by_row = dict(zip(to.rows.tolist(), since.tolist(), strict=True))
+    by_row = {row: (at, left) for row, at, left in zip(to.rows.tolist(), since, to.left_s, strict=True)}
     concerned = []
     for number, gate in enumerate(gates):
-        shared = np.array([by_row.get(row, np.nan) for row in gate.rows.tolist()])
-        if gate.gate.short == to.gate.short and (gate is to or np.isfinite(shared).any()):  # otherwise a different time
+        rows = (by_row.get(row, (np.nan, np.nan)) for row in gate.rows.tolist())
+        shared, left_s = np.array([*rows]).reshape(-1, 2).T
+        shared = np.where(left_s == gate.left_s, shared, np.nan)  # otherwise he goes on at another time
+        if gate is to or np.isfinite(shared).any():
             gate.since_s[to.gate, condition] = shared
             concerned.append(number)
     return concerned

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from cyclekit.learning.coupling.errands import errand_places, with_errands
 from cyclekit.learning.coupling.visits import Event, events_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit
     from cyclekit.schema import Vector
@@ -43,17 +44,36 @@ def with_givers(courses: Sequence[ExecutionVisits], doubtful: Collection[Event])
         if place is not None and sum(shares[place]) >= GIVEN:
             event = "arrives" if shares[place][0] > shares[place][1] else "leaves"
             given[kind] = Event("operator", place, event, f"{kind.place} {kind.event}")
+    ends = _task_ends(courses, given)
     found = []
     for one in courses:
         events = {given.get(key, key): at for key, at in one.events.items() if key in given or key not in doubtful}
         visits = list(one.visits["operator"])
         for signal in events:
-            if signal.signal is not None and signal.event == "leaves":
+            if signal in ends:
                 visits = _parted(visits, signal.place, events[signal])
         if len(visits) > len(one.visits["operator"]):
             events |= events_of({"operator": visits})
         found.append(replace(one, visits={**one.visits, "operator": visits}, events=events))
     return found
+
+
+def _task_ends(courses: Sequence[ExecutionVisits], given: Mapping[Event, Event]) -> set[Event]:
+    """Return the events that end the operator's tasks: of a pulse, the change that usually comes first."""
+    ends = {kind: event for kind, event in given.items() if event.event == "leaves"}
+    first = Counter[Event]()
+    for course in courses:
+        begins: dict[str, tuple[float, Event]] = {}
+        for kind in ends:
+            at = course.events.get(kind, np.empty(0))
+            if len(at):
+                begins[kind.place] = min(begins.get(kind.place, (np.inf, kind)), (float(at[0]), kind))
+        first.update(kind for _, kind in begins.values())
+    return {
+        event
+        for kind, event in ends.items()
+        if first[kind] >= max(first[one] for one in ends if one.place == kind.place)
+    }
 
 
 def _parted(visits: Sequence[PlaceVisit], place: str, at: Vector) -> list[PlaceVisit]:

@@ -165,16 +165,17 @@ def _at_spots(
 ) -> CouplingCard:
     """Return the card learned with visits to places where the operator only waits as waits on the way."""
     spots = {}
-    for place, goal in possible_spots(courses, found.gates, works_at).items():
-        tried = _without_trips(with_spots(courses, {place: goal}), given)
-        if is_spot(courses, place, next((gate for gate in tried.gates if _goes_on(gate, goal)), None)):
-            spots[place] = goal
+    for place, spot in possible_spots(courses, found.gates, works_at).items():
+        tried = _without_trips(with_spots(courses, {place: spot}), given)
+        if is_spot(courses, place, next((gate for gate in tried.gates if _goes_on(gate, spot.goal)), None)):
+            spots[place] = spot
     if not spots:
         return found
     found = _without_trips(with_spots(courses, spots), given)
     gates = list(found.gates)
-    for place, goal in spots.items():
-        gates = [replace(gate, wait_at=place) if _goes_on(gate, goal) else gate for gate in gates]
+    for place, (goal, origins) in spots.items():
+        changed = {"wait_at": place, "wait_from": origins}
+        gates = [replace(gate, **changed) if _goes_on(gate, goal) else gate for gate in gates]
     return replace(found, gates=tuple(gates))
 
 

@@ -144,10 +144,14 @@ def usual_walks_s(visits: Sequence[Sequence[PlaceVisit]]) -> dict[tuple[str, str
 
 
 def trip_places(courses: Sequence[ExecutionVisits]) -> tuple[str, ...]:
-    """Return the places to which trips are made; empty if all visits are as many as the work wants."""
+    """Return the places to which trips are made; empty if all visits are as many as the work wants.
+
+    None of them is a place where the operator gives a signal: that is work of his order.
+    """
     places: tuple[str, ...] = ()
     left = _differences(courses, places)
     others = {visit.place for course in courses for visit in course.visits["operator"]}
+    others -= {key.place for course in courses for key in course.events if key.agent == "operator" and key.signal}
     while left >= MIN_TRIPS and len(places) < MAX_PLACES:
         tried = {other: _differences(courses, (*places, other)) for other in sorted(others - set(places))}
         best = min(tried, key=lambda other: tried[other], default=None)

@@ -47,11 +47,13 @@ const agendaOf = (agent, start, at, asked, planned = []) => { // _Builder: legs 
     const phase = agent === "robot" && gate ? gate.phase : 0;
     const midway = phase > 0 ? approach : [];
     const before = [...asks.needs, ...(phase > 0 ? [] : approach)];
-    const spot = gate && gate.wait_at && approach.length && here !== gate.wait_at ? gate.wait_at : null; // he goes there only if he has to wait
+    const over = gate && gate.wait_at && (!gate.wait_from.length || gate.wait_from.includes(here));
+    const spot = over && approach.length && here !== gate.wait_at ? gate.wait_at : null; // he goes there only if he has to wait
+    const stays = !spot && !(agent === "operator" && here === place); // else he leaves before he waits
     const leaves = () => { if (here) for (const what of ["leaves", "cleared"]) passes(what, here); };
     const asked_for = { name: `hold ${place}`, needs: before, notBefore_s: asks.notBefore_s, hold: true };
+    if (!stays) leaves();
     if (spot) {
-      leaves();
       legs.push({ ...blank, task, place: spot, start: here, ...asked_for, ifWaits: true, passes: [] });
     } else if (before.length || asks.notBefore_s > 0) {
       const { path } = legs[legs.length - 1];
@@ -59,7 +61,7 @@ const agendaOf = (agent, start, at, asked, planned = []) => { // _Builder: legs 
       if (gate && gate.trip) legs[legs.length - 1].trip = null; // no second trip before it leaves here
       legs.push({ ...blank, task, place: here, path: stays, ...asked_for, trip: tripOf(gate), passes: [] });
     }
-    if (!spot) leaves();
+    if (stays) leaves();
     const times = done.get(name) || 0;
     const last = {
       ...blank, ...told, ...(spot && { start: spot }), task, needs: needsOf(agent, "leave", place, turn, asked), trip: tripOf(gateOf(agent, "leave", place)),
@@ -203,6 +205,7 @@ const drawnOf = (agenda, number) => { // Drawn: levels of own work, lags, walks 
     }
     if (n && agenda.legs[n - 1].ifWaits) found.straight = facts.walks[agenda.legs[n - 1].start][leg.place]; // past the spot
     if (leg.place) [found.stays, found.staying] = [facts.stays[leg.place], levelsOf(`stay ${way}`, again)];
+    if (n === agenda.legs.length - 1 && leg.place) [found.after, found.aftering] = [facts.after[leg.place], levelsOf(`after ${leg.place}`, 0)];
     if (leg.trip) {
       found.trips = facts.trips[leg.place].length ? facts.trips[leg.place] : null;
       [found.tripping, found.going] = [`trip from ${leg.name}`, `goes from ${leg.name}`].map((key) => levelsOf(key, again));

@@ -2,7 +2,7 @@
 
 const set = (events, numbers, time_s) => { for (const number of numbers) events[number] = time_s; };
 const rowsOf = (drawn) => drawn.map((leg) => ({ // of one agent: one cycle after the other is put into them
-  leg, lags: new Float64Array(leg.due.length), own_s: 0, walk_s: 0, walk: 0, stay: 0, straight: 0,
+  leg, lags: new Float64Array(leg.due.length), own_s: 0, walk_s: 0, walk: 0, stay: 0, straight: 0, after: -1,
   level: 0, waiting: false, free: false, trip: -1, goes: false, // trip -1: he stays
   arrives_s: Infinity, works_s: Infinity, passes_s: Infinity, lost_s: 0,
 }));
@@ -22,6 +22,7 @@ const drawInto = (rows, cycle, events, asked) => { // what is drawn for one cycl
       if (leg.straight) row.straight = chosen(leg.straight, leg.walking, cycle);
     }
     if (leg.stays) row.stay = chosen(leg.stays, leg.staying, cycle);
+    row.after = leg.after ? chosen(leg.after, leg.aftering, cycle) : -1;
     if (leg.trip) {
       row.level = leg.tripping[cycle];
       [row.waiting, row.free] = [leg.going[cycle] < leg.trip.waiting, leg.going[cycle] < leg.trip.free];
@@ -105,6 +106,10 @@ const operatorAt = (rows, pace) => { // OperatorPositions.at: between which samp
     if (row.leg.trip && !still && !walks && t_s >= row.works_s && (row.passes_s < Infinity ? row.goes : row.waiting)) {
       since_s = (t_s - row.works_s) * pace; // on a trip, or back from one
       if (row.trip >= 0) segment = row.trip;
+    }
+    if (row.after >= 0 && !still && t_s > row.passes_s) { // he has done his last task
+      segment = row.after;
+      since_s = (t_s - row.passes_s) * pace / facts.segments[segment][2];
     }
     const [first, count] = facts.segments[segment];
     const place = Math.min(since_s / STEP_S, count - 1);

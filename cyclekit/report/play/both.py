@@ -20,7 +20,7 @@ from cyclekit.estimate.joint.draws import NEAR
 from cyclekit.estimate.joint.legs import Gates, event_kind, precedence_needs
 from cyclekit.estimate.joint.levels import MAX_SHARE, OUTLIER, WALK, WORK, Levels
 from cyclekit.estimate.joint.plans import Planner
-from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, TIMES, JointCell
+from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, STUCK_PART, TIMES, JointCell
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.whatif.coupled import shown as wait_name
@@ -80,7 +80,8 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     walks, stays = _drawn(cell.segments, sorted(places), in_order=bool(card.common and card.common.walk))
     trips = _trips(cell.segments, sorted(places), card)
     ways = [numbers for goals in walks.values() for numbers in goals.values()]
-    xyz_m, segments = _used(cell.segments, [*ways, *stays.values(), *trips.values()])
+    after = {place: cell.segments.after(place).tolist() for place in sorted(places)}
+    xyz_m, segments = _used(cell.segments, [*ways, *stays.values(), *trips.values(), *after.values()])
     nothing = np.zeros((1, len(xyz_m)), np.int64)
     tracks = OperatorTracks(xyz_m[None], nothing, (), np.array([len(xyz_m)]), ("",), 1.0 / dataset.rate_hz)
     facts = settings_of(page, model, dataset, tracks) | {
@@ -91,6 +92,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
         "rest_s": REST_S,
         "times": TIMES,
         "endless": ENDLESS_PART,
+        "stuck": STUCK_PART,
         "sequences": sequences,
         "gates": _gates(card),
         "sources": [_source(each) for each in card.sources],
@@ -98,6 +100,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
         "first_stays_s": {place: np.round(stays, 4).tolist() for place, stays in cell.first_stays_s.items()},
         "walks": walks,
         "stays": stays,
+        "after": after,
         "trips": trips,
         "near_trips": NEAR,
         "segments": segments,
@@ -236,7 +239,8 @@ def _gates(card: CouplingCard) -> list[dict[str, Any]]:
             }
             for one in gate.conditions
         ]
-        fields = {name: getattr(gate, name) for name in ("agent", "at", "place", "phase", "own_s", "wait_at")}
+        of_gate = ("agent", "at", "place", "phase", "own_s", "wait_at", "wait_from")
+        fields = {name: getattr(gate, name) for name in of_gate}
         own_by = [{"side": one.side, "place": one.place, "own_s": one.own_s} for one in gate.own_by]
         of_trip = ("places", "waiting", "free", "took_s", "late_s")
         trip = gate.trip and {name: getattr(gate.trip, name) for name in of_trip}

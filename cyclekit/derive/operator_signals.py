@@ -53,6 +53,10 @@ CELL_M = 0.05
 PROGRAM = 0.97
 """Minimum balanced accuracy with which the robot's task and place predict a signal that the program sets."""
 FOLDS, MAX_SIGNALS, MAX_ROWS = 5, 16, 30_000
+MAX_RESETS = 3
+"""Maximum number of resets that are tried for one stop: those after which the level rises most often."""
+SHORT, COARSE = 5, 4
+"""If there are more candidates, all are compared on every COARSE-th sample, and the best SHORT of them on all."""
 
 
 class _Lead(NamedTuple):
@@ -189,14 +193,17 @@ def _with_stops(
     found, stops = dict(leads), dict[str, _Stop]()
     for name, lead in leads.items():
         falls, rises = _delays(evidence, name, lead.occupied)
+        able: list[tuple[int, _Stop, _Lead, SignalChanges]] = []
         for reset, value in resets:
             stop = _Stop(name, lead.occupied, reset, value)
             course = _course(evidence, stop)
             resumes = _resumes(evidence, course.to(OFF))
             mine = _lead(ON, falls, resumes, evidence.at_once_s)
             if reset != name and mine is not None and mine.rise_s is not None and resumes.number > rises.number:
-                stops[_name_of(stop)], found[_name_of(stop)] = stop, mine
-                evidence = _with(evidence, _name_of(stop), course)
+                able.append((resumes.number, stop, mine, course))
+        for _, stop, mine, course in sorted(able, key=lambda one: -one[0])[:MAX_RESETS]:
+            stops[_name_of(stop)], found[_name_of(stop)] = stop, mine
+            evidence = _with(evidence, _name_of(stop), course)
     return evidence, found, stops
 
 
@@ -263,9 +270,10 @@ def _explaining(
         left = [name for name, lead in leads.items() if (lead.delay_s < evidence.at_once_s) == at_once]
         while left and len(chosen) < MAX_SIGNALS:
             states = {name: _on(evidence, name, leads[name]) for name in left}
-            rests = {name: _unexplained(evidence, [*on, state]) for name, state in states.items()}
-            simple = {name: rests.get(stop.signal, rest) for name, stop in stops.items()}
-            some = [one for one in left if one not in stops or _gains(simple[one], rests[one], first=False)]
+            able = _shortlist(evidence, on, states, stops)
+            rests = {name: _unexplained(evidence, [*on, states[name]]) for name in able}
+            simple = {name: rests.get(stop.signal, rest) for name, stop in stops.items() if name in rests}
+            some = [one for one in able if one not in stops or _gains(simple[one], rests[one], first=False)]
             best = min(some, key=lambda name: rests[name].sum(), default="")
             if not some or not _gains(rest, rests[best], first=not chosen):
                 break
@@ -283,6 +291,18 @@ def _explaining(
             here = [name for name, lead in leads.items() if (lead.delay_s < evidence.at_once_s) == at_once]
             left = [one for one in here if (stops[one].signal if one in stops else one) not in mine]
     return evidence, leads, stops, chosen
+
+
+def _shortlist(
+    evidence: SignalEvidence, on: Sequence[Bools], states: Mapping[str, Bools], stops: Mapping[str, _Stop]
+) -> list[str]:
+    """Return the signals that explain most in every COARSE-th sample, with the signals of the stops among them."""
+    if len(states) <= SHORT:
+        return list(states)
+    rough = {name: float(_unexplained(evidence, [*on, state], COARSE).sum()) for name, state in states.items()}
+    best = sorted(rough, key=lambda name: rough[name])[:SHORT]
+    plain = {stops[name].signal for name in best if name in stops} & states.keys()
+    return [name for name in states if name in best or name in plain]
 
 
 def _unanswered(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> SignalEvidence:
@@ -345,13 +365,13 @@ def _on(evidence: SignalEvidence, name: str, lead: _Lead) -> Bools:
     return np.asarray(on)
 
 
-def _unexplained(evidence: SignalEvidence, on: Sequence[Bools]) -> Vector:
+def _unexplained(evidence: SignalEvidence, on: Sequence[Bools], every: int = 1) -> Vector:
     """Return the lost time of each execution, held out, that signals and the robot's place do not explain, shape (E,).
 
-    As a share of the lost time of all executions.
+    As a share of the lost time of all executions, from every `every`-th sample.
     """
     known = np.flatnonzero(evidence.level >= 0)
-    known = known[:: 1 + len(known) // MAX_ROWS]
+    known = known[:: every * (1 + len(known) // MAX_ROWS)]
     levels, level = np.asarray(evidence.levels), evidence.level[known]
     execution = np.unique(evidence.execution[known], return_inverse=True)[1].ravel()
     states: list[Vector | Bools] = [state[known] for state in on]

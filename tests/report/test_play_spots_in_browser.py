@@ -44,7 +44,7 @@ CARD = CouplingCard(
         GateCard(agent="operator", at="approach", place="out_right_2", wait_at="out_right_3",
                  conditions=(structs.replace(LEAVES, place="left_2", needed=0.7),)),
         GateCard(agent="robot", at="leave", place="conveyor", own_s=(0.5, 0.7, 1.4), conditions=(
-            ConditionCard(agent="operator", place="inbound", event="leaves", back=1, needed=0.6, lag_s=(0.1, 0.9)),)),
+            ConditionCard(agent="operator", place="inbound", event="leaves", back=1, needed=0.2, lag_s=(0.1, 0.9)),)),
     ),
 )  # fmt: skip
 ROBOT = ("home", "conveyor", "left_2", "conveyor", "right_3")

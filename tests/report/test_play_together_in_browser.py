@@ -45,14 +45,14 @@ CARD = CouplingCard(
         GateCard(
             agent="robot", at="leave", place="conveyor", own_s=(0.5, 0.7, 1.4),
             conditions=(
-                _waits("conveyor", "operator", "inbound", back=1, needed=0.7, together=1),
+                _waits("conveyor", "operator", "inbound", back=1, needed=0.2, together=1),
                 ConditionCard(agent="signal", place="part", event="set", lag_s=(0.1,)),
             ),
         ),
         GateCard(agent="robot", at="approach", place="right_3", phase=0.4,
                  conditions=(_waits("right_3", "operator", "out_left_1", event="arrives"),)),
         GateCard(agent="operator", at="approach", place="out_left_1",
-                 conditions=(_waits("out_left_1", "robot", "left_2", turns=Turns(every=1), needed=0.6, together=1),)),
+                 conditions=(_waits("out_left_1", "robot", "left_2", turns=Turns(every=1), needed=0.2, together=1),)),
         GateCard(agent="operator", at="leave", place="inbound", own_s=(1.0, 2.0, 4.0)),
         GateCard(agent="robot", at="leave", place="left_4", own_s=(0.4,)),
     ),

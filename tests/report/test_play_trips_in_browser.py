@@ -41,7 +41,7 @@ CARD = CouplingCard(
                  conditions=(structs.replace(LEAVES, place="left_2"),),
                  trip=structs.replace(TRIP, waiting=0.9, free=0.1)),
         GateCard(agent="robot", at="leave", place="conveyor", own_s=(0.5, 0.7, 1.4), conditions=(
-            ConditionCard(agent="operator", place="inbound", event="leaves", lag_s=(0.1, 0.3, 0.9), needed=0.8),)),
+            ConditionCard(agent="operator", place="inbound", event="leaves", lag_s=(0.1, 0.3, 0.9), needed=0.1),)),
     ),
 )  # fmt: skip
 ROBOT = ("home", "conveyor", "left_2", "conveyor", "right_3")

@@ -164,11 +164,12 @@ class CycleDraws:
         for number, leg in enumerate(agenda.legs):
             key = f"{agenda.agent} {leg.name}"
             share = self._levels.share_of(leg.own_s, WORK) if agenda.agent == "operator" else 0.0
-            self.own_s[rows, number] = np.maximum(quantile(leg.own_s, self._level(rows, key, turns[key], share)), 0.0)
+            work = self._level(rows, key, turns[key], share)
+            self.own_s[rows, number] = np.maximum(quantile(leg.own_s, work), 0.0)
             for each, need in enumerate(leg.needs):
                 self.soonest_s[which, number, each] = soonest_s(need.lag_s.tolist())
                 level = self._level(rows, f"{key} after {need.event[:3]}", turns[key], need.common)
-                lag_s = quantile(need.lag_s, level)
+                lag_s = quantile(need.lag_s, work if need.with_work else level)
                 if need.needed < 1.0:
                     own = (f"{key} needs {need.event[:3]}", turns[key])
                     chance = self._level(rows, *((f"together {need.together}", need.passage) if need.together else own))

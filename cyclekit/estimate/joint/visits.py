@@ -33,6 +33,8 @@ SURE = 3.0
 """Threshold, standard errors, for a significant difference between two means."""
 STANDS_M = 0.15
 """Maximum distance, m, from his last position at which the operator stands there."""
+MIN_FIRST = 3
+"""Minimum number of executions that begin with a place; with fewer, those with it as second place count as well."""
 STRAIGHT = 16
 """Number of straight walks of different duration generated for a way that was never logged."""
 
@@ -72,6 +74,7 @@ class Segments:
         self._parts: list[Floats] = []
         self._stretch: list[float] = []
         self._ways: dict[tuple[str, str], list[int]] = defaultdict(list)
+        self._later: dict[str, list[int]] = defaultdict(list)
         self._stays: dict[str, list[int]] = defaultdict(list)
         self._begins: list[Floats] = []
         self._first_stays: dict[str, list[float]] = defaultdict(list)
@@ -107,6 +110,8 @@ class Segments:
         For a way that was never logged, straight walks with the usual duration for their length are generated.
         """
         found = self._ways.get((start, goal))
+        if start == "" and len(found or []) < MIN_FIRST and self._later[goal]:
+            found = [*(found or []), *self._later[goal]]
         if found is None:
             found = self._ways[start, goal] = self._straight(start, goal)
         return np.array(found)
@@ -230,8 +235,12 @@ class Segments:
         self._begin(where, spans, (work, walk), there=there)
         self._ways["", spans[0][0]].append(self._add(where[spans[0][1] if there else 0 : spans[0][1] + 1], walk))
         if there and len(spans) > 1:  # a plan may begin with the second place; a wait before it is none of its way
-            first = spans[0][2] if spans[1][0] in self._waits_before else 0
-            self._ways["", spans[1][0]].append(self._add(where[first : spans[1][1] + 1], walk))
+            goal, arrives, _ = spans[1]
+            if spans[0][0] in self._spots:
+                self._ways["", goal].append(self._add(where[spans[0][2] : arrives + 1], walk))
+            else:
+                begin = spans[0][2] if goal in self._waits_before else 0
+                self._later[goal].append(self._add(where[begin : arrives + 1], walk))
         for number, ((start, _, left), (goal, arrives, _)) in enumerate(pairwise(spans)):
             if number not in trips:  # he may have come from the trip, on another way
                 self._ways[start, goal].append(self._add(where[left : arrives + 1], walk))

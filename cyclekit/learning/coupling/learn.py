@@ -13,6 +13,7 @@ from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, 
 from cyclekit.errors import ConfigError, DatasetError
 from cyclekit.learning.coupling.alike import Kinds, find_with_alike, kinds_by_waits
 from cyclekit.learning.coupling.answers import is_own_tool
+from cyclekit.learning.coupling.begins import with_work_in_lag
 from cyclekit.learning.coupling.circles import in_circles
 from cyclekit.learning.coupling.common_pace import with_common_pace
 from cyclekit.learning.coupling.conditions import (
@@ -262,6 +263,7 @@ def _gate(
     own_s, cards = _parts(courses, found, usual_s, together)
     least = MIN_DECIDED if len(found.since_s) > 1 else FEW_DECIDED  # one of several may be redundant given the others
     cards = [card for card in cards if by_file or max(card.decided, card.alike) >= least]
+    own_s, cards = with_work_in_lag(found, own_s, cards)
     if gate.at == "approach" and not cards:
         return None
     own_by: tuple[OwnWorkCard, ...] = ()

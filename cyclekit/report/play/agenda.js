@@ -13,8 +13,8 @@ const needsOf = (agent, at, place, turn, asked) => conditionsOf(gateOf(agent, at
   if (turn % every !== first || passage < back) return [];
   const number = (passage - back) * eventEvery + eventFirst;
   const event = [one.agent, one.place, one.kind, number].join(APART);
-  const { said, lag_s, soonest_s, needed, together, common } = one;
-  return [{ event, said, lag_s, soonest_s, needed, together, common, passage }];
+  const { said, lag_s, soonest_s, needed, together, common, with_work: withWork } = one;
+  return [{ event, said, lag_s, soonest_s, needed, together, common, withWork, passage }];
 });
 const ownByOf = (place, before, next, asked) => { // Gates.own_by_s: own work by the places around it
   const gate = gateOf("operator", "leave", place);
@@ -183,15 +183,16 @@ const drawnOf = (agenda, number) => { // Drawn: levels of own work, lags, walks 
   return agenda.legs.map((leg, n) => {
     const key = `${agenda.agent} ${leg.name}`;
     const turn = turnOf(key);
+    const work = leg.own_s.length > 1 ? levelsAlike(key, turn, agenda.agent === "operator" ? shareOf(leg.own_s, shared.work) : 0) : null;
     const found = {
       ...leg,
       arrives: leg.arrives.map(number),
       passes: leg.passes.map(number),
-      work: leg.own_s.length > 1 ? levelsAlike(key, turn, agenda.agent === "operator" ? shareOf(leg.own_s, shared.work) : 0) : null,
+      work,
       due: leg.needs.map((need) => ({
         ...need,
         event: number(need.event),
-        level: need.lag_s.length > 1 ? levelsAlike(`${key} after ${need.said}`, turn, need.common) : null,
+        level: need.lag_s.length > 1 ? (need.withWork && work) || levelsAlike(`${key} after ${need.said}`, turn, need.common) : null,
         chance: need.needed < 1 ? chanceOf(need, key, turn) : null,
       })),
     };

@@ -13,8 +13,9 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.entry import MIN_SUPPORT
 from cyclekit.estimate.joint.check import JointCheck, judge_joint
 from cyclekit.estimate.joint.plans import Planner
-from cyclekit.estimate.joint.roll import JointCell, longest_s, waits_without_source
+from cyclekit.estimate.joint.roll import JointCell, longest_s
 from cyclekit.estimate.joint.shares import operator_shares, planned_shares, task_shares
+from cyclekit.estimate.joint.unended import waits_without_source
 from cyclekit.estimate.limits import (
     FEW_EXECUTIONS,
     extrapolation_of,

@@ -15,6 +15,7 @@ from cyclekit.estimate.joint.draws import CycleDraws, EventColumns
 from cyclekit.estimate.joint.in_turn import in_turn_agendas
 from cyclekit.estimate.joint.legs import Agenda, AgendaLeg, Gates, Need, needs_of
 from cyclekit.estimate.joint.people import LoggedMotions, LoggedPeople, OperatorPositions
+from cyclekit.estimate.joint.unended import deadlock
 from cyclekit.estimate.joint.visits import Segments
 from cyclekit.estimate.joint.walk import JointCycles, LegTimes, simulate_both
 from cyclekit.estimate.safety import Dynamics, OnStates, SafetyModel, holds_everywhere
@@ -296,7 +297,7 @@ def _of_one(
     if len(stuck) > STUCK_PART * len(rows):
         part = f" in {len(stuck) / len(rows):.0%} of the cycles" if len(stuck) < len(rows) else ""
         return EstimateError(
-            f"{plan.name}: deadlock{part}: {_stuck(plan, simulated, stuck[0], stuck[0] - rows[0], columns)}",
+            f"{plan.name}: deadlock{part}: {deadlock(plan, simulated, stuck[0], stuck[0] - rows[0], columns)}",
             cure="Change the order of one agent, or 'after'.",
         )
     asked, rows = len(rows), rows[~simulated.stuck[rows]]
@@ -362,46 +363,3 @@ def _cut(times: LegTimes, rows: Ints, legs: int) -> LegTimes:
     for name, values in vars(times).items():
         setattr(found, name, values[rows, :legs])
     return found
-
-
-def _stuck(plan: Plan, simulated: JointCycles, row: int, cycle: int, columns: EventColumns) -> str:
-    """Return a description of the deadlock of a cycle of a plan: which agent waits where for which event."""
-    waits = []
-    for agenda, times in (
-        (plan.robot, simulated.robot),
-        (plan.operators[cycle % len(plan.operators)], simulated.operator),
-    ):
-        ended = np.isfinite(times.passes_s[row, : len(agenda.legs)])
-        if not ended.all():
-            leg = agenda.legs[int(ended.argmin())]
-            missing = [
-                need.event for need in leg.needs if np.isinf(simulated.events_s[row, columns.needed(need.event)])
-            ]
-            where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
-            waits.append(f"{agenda.agent} waits {where} until {' and '.join(shown(event) for event in missing)}")
-    return "; ".join(waits)
-
-
-def waits_without_source(plan: Plan, coupling: CouplingCard | None) -> list[str]:
-    """Return what a plan leaves out, one sentence each: waits for a signal that no agent sets."""
-    sources = coupling.sources if coupling else ()
-    brought = {(source.signal, source.brings) for source in sources}
-    found: dict[str, None] = {}
-    for agenda in (plan.robot, *plan.operators):
-        for leg in agenda.legs:
-            where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
-            for who, signal, state, _ in (need.event for need in leg.needs):
-                if who == "signal" and (signal, state) not in brought:
-                    found[
-                        f"waits of the {agenda.agent} {where} for '{signal} {state}' are left out: neither agent gives "
-                        "that signal, and when it comes was not learned"
-                    ] = None
-    return list(found)
-
-
-def shown(event: Event) -> str:
-    """Return an event in words: `operator leaves fixture (time 2)`."""
-    who, where, what, turn = event
-    verb = {"set": "has done the work at", "done": "has done", "cleared": "leaves"}.get(what, what)
-    said = f"a part comes ({where})" if who == "signal" else f"{who} {verb} {where}"
-    return said if not turn else f"{said} (time {turn + 1})"

@@ -1,0 +1,57 @@
+"""What keeps a plan of both agents from ending, or is left out of it, in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.cards import CouplingCard
+    from cyclekit.estimate.joint.draws import EventColumns
+    from cyclekit.estimate.joint.legs import Event
+    from cyclekit.estimate.joint.roll import Plan
+    from cyclekit.estimate.joint.walk import JointCycles
+
+
+def deadlock(plan: Plan, simulated: JointCycles, row: int, cycle: int, columns: EventColumns) -> str:
+    """Return a description of the deadlock of a cycle of a plan: which agent waits where for which event."""
+    waits = []
+    for agenda, times in (
+        (plan.robot, simulated.robot),
+        (plan.operators[cycle % len(plan.operators)], simulated.operator),
+    ):
+        ended = np.isfinite(times.passes_s[row, : len(agenda.legs)])
+        if not ended.all():
+            leg = agenda.legs[int(ended.argmin())]
+            missing = [
+                need.event for need in leg.needs if np.isinf(simulated.events_s[row, columns.needed(need.event)])
+            ]
+            where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
+            waits.append(f"{agenda.agent} waits {where} until {' and '.join(_shown(event) for event in missing)}")
+    return "; ".join(waits)
+
+
+def waits_without_source(plan: Plan, coupling: CouplingCard | None) -> list[str]:
+    """Return what a plan leaves out, one sentence each: waits for a signal that no agent sets."""
+    sources = coupling.sources if coupling else ()
+    brought = {(source.signal, source.brings) for source in sources}
+    found: dict[str, None] = {}
+    for agenda in (plan.robot, *plan.operators):
+        for leg in agenda.legs:
+            where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
+            for who, signal, state, _ in (need.event for need in leg.needs):
+                if who == "signal" and (signal, state) not in brought:
+                    found[
+                        f"waits of the {agenda.agent} {where} for '{signal} {state}' are left out: neither agent gives "
+                        "that signal, and when it comes was not learned"
+                    ] = None
+    return list(found)
+
+
+def _shown(event: Event) -> str:
+    """Return an event in words: `operator leaves fixture (time 2)`."""
+    who, where, what, turn = event
+    verb = {"set": "has done the work at", "done": "has done", "cleared": "leaves"}.get(what, what)
+    said = f"a part comes ({where})" if who == "signal" else f"{who} {verb} {where}"
+    return said if not turn else f"{said} (time {turn + 1})"

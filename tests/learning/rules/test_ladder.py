@@ -381,3 +381,12 @@ def test_what_a_rising_ramp_hides_moves_no_edge() -> None:
     assert found.rule.family == "rectangle on the floor"
     edges_m = [m.value for place, m in quantities(found.rule.limits).items() if place.until]
     assert edges_m == pytest.approx([0.0, 1.4, -0.7, 0.8], abs=0.02)
+
+
+@pytest.mark.parametrize(("wide_m", "found"), [(0.0, False), (0.1, True)])
+def test_the_one_place_where_the_robot_is_slow_is_no_region(wide_m: float, found: bool) -> None:
+    robot, human, _ = walks()
+    robot = np.round(robot, 2)
+    slow = np.abs(robot[:, 0] - np.median(robot[:, 0])) <= wide_m / 2.0
+    rows = LimitRows(Positions({}, human[:, :2], robot[:, :2]), slow, np.ones(len(human)))
+    assert (ROBOT["robot in a rectangle on the floor"].fit(rows, None) != RegionCard()) == found

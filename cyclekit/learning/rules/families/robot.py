@@ -36,13 +36,22 @@ def _fit(rows: LimitRows, start: RegionCard | None, *, operator: bool, field: bo
     region = RegionCard(
         anywhere=operator and not field, rectangles=rectangles, robot=robot if has_edges(robot) else None
     )
-    return without_idle_edges(region, rows.wrong, max(_FEW_ROWS, _GAIN * float(rows.weight.sum())))
+    region = without_idle_edges(region, rows.wrong, max(_FEW_ROWS, _GAIN * float(rows.weight.sum())))
+    return RegionCard() if region.robot is not None and _is_one_place(region.robot) else region
+
+
+def _is_one_place(robot: RectangleCard) -> bool:
+    """Return whether a rectangle is so narrow that it only holds one place where the robot stands: no region."""
+    pairs = (robot.along, robot.across)
+    return any(low is not None and high is not None and high.value - low.value < MIN_WIDTH_M for low, high in pairs)
 
 
 def _edges(*rectangles: RectangleCard) -> list[Edges]:
     return [edges for rectangle in rectangles for edges in (rectangle.along, rectangle.across)]
 
 
+MIN_WIDTH_M = 0.02
+"""Minimum width of a rectangle of the TCP, m."""
 _FEW_ROWS, _GAIN = 5.0, 5e-4
 """Minimum gain of an edge of the TCP's rectangle, in rows and as a share: the TCP crosses it in every execution."""
 _WHILE = "while the robot is in a rectangle on the floor"

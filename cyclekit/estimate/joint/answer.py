@@ -279,7 +279,8 @@ def _left_out(cycles: RolledBoth, cell: JointCell) -> list[str]:
     until_s, part = longest_s(cycles.plan), cycles.left_out
     ended = f"{part:.1%} of the cycles are left out: they end in a deadlock or do not end within {until_s:.0f} s"
     composed = [COMPOSED] if cycles.plan.composed else []
-    return [*([ended] if part else []), *composed, *waits_without_source(cycles.plan, cell.coupling)]
+    unsourced = waits_without_source((cycles.plan.robot, *cycles.plan.operators), cell.coupling)
+    return [*([ended] if part else []), *composed, *unsourced]
 
 
 def _slowed(shares: Sequence[TaskShare], factor: float) -> list[TaskShare]:

@@ -295,9 +295,10 @@ def _of_one(
 ) -> RolledBoth | EstimateError:
     stuck = rows[simulated.stuck[rows]]
     if len(stuck) > STUCK_PART * len(rows):
+        operator = plan.operators[(stuck[0] - rows[0]) % len(plan.operators)]
         part = f" in {len(stuck) / len(rows):.0%} of the cycles" if len(stuck) < len(rows) else ""
         return EstimateError(
-            f"{plan.name}: deadlock{part}: {deadlock(plan, simulated, stuck[0], stuck[0] - rows[0], columns)}",
+            f"{plan.name}: deadlock{part}: {deadlock(plan.robot, operator, simulated, stuck[0], columns)}",
             cure="Change the order of one agent, or 'after'.",
         )
     asked, rows = len(rows), rows[~simulated.stuck[rows]]

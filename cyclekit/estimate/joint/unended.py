@@ -7,20 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from cyclekit.dataset.cards import CouplingCard
     from cyclekit.estimate.joint.draws import EventColumns
-    from cyclekit.estimate.joint.legs import Event
-    from cyclekit.estimate.joint.roll import Plan
+    from cyclekit.estimate.joint.legs import Agenda, Event
     from cyclekit.estimate.joint.walk import JointCycles
 
 
-def deadlock(plan: Plan, simulated: JointCycles, row: int, cycle: int, columns: EventColumns) -> str:
-    """Return a description of the deadlock of a cycle of a plan: which agent waits where for which event."""
+def deadlock(robot: Agenda, operator: Agenda, simulated: JointCycles, row: int, columns: EventColumns) -> str:
+    """Return a description of the deadlock of a cycle: which agent waits where for which event."""
     waits = []
-    for agenda, times in (
-        (plan.robot, simulated.robot),
-        (plan.operators[cycle % len(plan.operators)], simulated.operator),
-    ):
+    for agenda, times in ((robot, simulated.robot), (operator, simulated.operator)):
         ended = np.isfinite(times.passes_s[row, : len(agenda.legs)])
         if not ended.all():
             leg = agenda.legs[int(ended.argmin())]
@@ -32,12 +30,12 @@ def deadlock(plan: Plan, simulated: JointCycles, row: int, cycle: int, columns: 
     return "; ".join(waits)
 
 
-def waits_without_source(plan: Plan, coupling: CouplingCard | None) -> list[str]:
-    """Return what a plan leaves out, one sentence each: waits for a signal that no agent sets."""
+def waits_without_source(agendas: Iterable[Agenda], coupling: CouplingCard | None) -> list[str]:
+    """Return what the agendas of a plan leave out, one sentence each: waits for a signal that no agent sets."""
     sources = coupling.sources if coupling else ()
     brought = {(source.signal, source.brings) for source in sources}
     found: dict[str, None] = {}
-    for agenda in (plan.robot, *plan.operators):
+    for agenda in agendas:
         for leg in agenda.legs:
             where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
             for who, signal, state, _ in (need.event for need in leg.needs):

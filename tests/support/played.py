@@ -13,20 +13,25 @@ import pytest
 from msgspec import structs
 from ruled import box, near, ruled
 
+from cyclekit import estimate_cycles, write_report
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.cards.rule import PoseCard
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.whatif.change import Change, LimitChange
 from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.learning.networks.weights import Weights
 from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
     from browser import Tab
     from numpy.typing import ArrayLike
 
-    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.learning.task_times.saved import TaskTimesModel
     from cyclekit.schema import Singles
 
 SHORT = ("left_2", "right_3", "left_4")
@@ -159,6 +164,22 @@ def ask(tab: Tab, played: object, changes: dict[str, object], takt_s: object = "
     script = f"JSON.stringify(cyclekitPlay.answer({json.dumps(played)}, {json.dumps(changes)}, {takt_s}))"
     found: dict[str, Any] = json.loads(tab.ask(script))
     return found
+
+
+def plans_are_the_same(tab: Tab, folder: Path, model: TaskTimesModel, sequences: Sequence[TaskSequence]) -> None:
+    """Check the page's numbers of plans against the library's; `folder` holds the dataset of the task lists."""
+    write_report(folder / "dataset", folder / "page.html", model=model, sequences=sequences[:1], takt_s=20.0)
+    tab.events.clear()
+    tab.show(folder / "page.html")
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    plans = {each.name: each.plan for each in sequences}
+    for wanted in estimate_cycles(model, Dataset.open(folder / "dataset"), sequences, takt_s=20.0):
+        played = [
+            {"agent": task.agent, "asked": task.agent, "name": task.name, "after": task.after}
+            for task in plans[wanted.name]
+        ]
+        same(ask(tab, played, {}, 20.0), wanted, within=1e-5)
+    assert tab.said() == []
 
 
 def same(found: dict[str, Any], wanted: CycleEstimate, *, within: float = 2e-3) -> None:

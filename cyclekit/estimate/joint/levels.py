@@ -12,16 +12,15 @@ from zlib import crc32
 import numpy as np
 from scipy.special import ndtri
 
+from cyclekit.learning.coupling.common_pace import MAX_SHARE
+from cyclekit.learning.coupling.pace import OUTLIER
+
 if TYPE_CHECKING:
     from cyclekit.dataset.cards.coupling import CommonPaceCard
     from cyclekit.schema import Ints, Vector
 
 WORK, WALK = "pace of work", "pace of walks"
 """Keys of what works share, and walks."""
-MAX_SHARE = 0.98
-"""Maximum correlation of a duration with the part that it shares."""
-OUTLIER = 3.0
-"""Durations count as at most so many times as long, or as short, as the median."""
 
 
 class Levels:

@@ -12,13 +12,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from cyclekit.learning.coupling.conditions import MIN_DECIDED
+from cyclekit.learning.coupling.lags import quantiles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.dataset.cards.coupling import ConditionCard
     from cyclekit.learning.coupling.departures import Departures
-    from cyclekit.schema import Vector
 
 ABOUT_S = 0.3
 """An event counts as before or after his arrival if they are further apart, s."""
@@ -26,8 +26,6 @@ WHOLE, MIN_WORK_S = 0.8, 1.0
 """Minimum median of the lags relative to that of the work, and minimum median of the work, s."""
 SPREAD = 0.5
 """Minimum spread (interquartile range) of the lags relative to that of the work: lags without it vary less."""
-LEVELS = 101
-"""Maximum number of quantiles."""
 
 
 def with_work_in_lag(
@@ -58,12 +56,9 @@ def with_work_in_lag(
         return own_s, list(cards)
     begins_s = max(begins_s, 0.0)
     every_s = np.concatenate([works_s, np.maximum(lags_s - begins_s, 0.0)])
-    return _quantiles(every_s), [replace(card, lag_s=_quantiles(every_s + begins_s), with_work=True)]
-
-
-def _quantiles(values_s: Vector) -> tuple[float, ...]:
-    levels = np.linspace(0.0, 1.0, min(len(values_s), LEVELS))
-    return tuple(np.round(np.quantile(values_s, levels), 4).tolist())
+    alike = np.full(len(every_s), 1.0 / len(every_s))
+    work_s, lag_s = (quantiles(some, alike) for some in (every_s, every_s + begins_s))
+    return work_s, [replace(card, lag_s=lag_s, with_work=True)]
 
 
 __all__ = ["with_work_in_lag"]

@@ -18,12 +18,14 @@ from cyclekit.estimate.joint.answer import CYCLES, RESAMPLES, pace_errors, resam
 from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.joint.draws import NEAR
 from cyclekit.estimate.joint.legs import Gates, event_kind, precedence_needs
-from cyclekit.estimate.joint.levels import MAX_SHARE, OUTLIER, WALK, WORK, Levels
+from cyclekit.estimate.joint.levels import WALK, WORK, Levels
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, STUCK_PART, TIMES, JointCell
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.whatif.coupled import shown as wait_name
+from cyclekit.learning.coupling.common_pace import MAX_SHARE
+from cyclekit.learning.coupling.pace import OUTLIER
 from cyclekit.learning.coupling.trips import soonest_s
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.report.play.tables import SEED, scaling_source, settings_of

@@ -21,8 +21,16 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import DatasetCard
 
 
-def opened_card(path: Path) -> DatasetCard:
+_TRIES = 3
+"""How often a card is read beside tables that are not its own: an ingest may replace the dataset between the two."""
+
+
+def opened_card(path: Path, tries: int = _TRIES) -> DatasetCard:
     """Return the verified card of the dataset in a folder.
+
+    Args:
+        path: The folder.
+        tries: How often card and tables are read, until they are of the same dataset.
 
     Raises:
         DatasetError: There is no dataset, it is damaged, or it is of another schema version.
@@ -36,7 +44,12 @@ def opened_card(path: Path) -> DatasetCard:
             if checksums.is_damaged(text):
                 raise checksums.unreadable(path / DATASET_CARD, path, "damaged: it is not as it was written")
             card = dataset_card(all_in_one_line(values) if needs_escapes(text) else values)
-            check_tables(path, card)
+            try:
+                check_tables(path, card)
+            except DatasetError:
+                if tries == 1:
+                    raise
+                return opened_card(path, tries - 1)
             return card
     except BadCard as error:
         msg = f"{path / DATASET_CARD}: not a dataset card ({error})"

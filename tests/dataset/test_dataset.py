@@ -16,6 +16,7 @@ import polars as pl
 import pytest
 
 from cyclekit import schema
+from cyclekit.dataset import row_counts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, UnknownName
 from cyclekit.ingest.ingest import ingest
@@ -231,6 +232,19 @@ def test_a_reader_beside_a_running_ingest_always_finds_a_dataset(copied: Path):
             assert writer.poll() is None
         finally:
             writer.kill()
+
+
+def test_a_dataset_replaced_between_its_card_and_its_tables_is_read_anew(copied: Path, monkeypatch: pytest.MonkeyPatch):
+    regular = row_counts.regular
+
+    def replaced_first(file: Path) -> Path:
+        monkeypatch.setattr(row_counts, "regular", regular)
+        with staged(copied) as folder:
+            write_text(folder / "dataset.json", json.dumps(BARE))
+        return regular(file)
+
+    monkeypatch.setattr(row_counts, "regular", replaced_first)
+    assert Dataset.open(copied).card.name == "bare"
 
 
 def test_a_process_killed_before_it_was_done_leaves_the_old_dataset(copied: Path):

@@ -38,7 +38,7 @@ from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times import learn
 from cyclekit_sim import COUPLED, SimulationOptions, fresh_cycles, orders_beside, random_orders
-from cyclekit_sim.coupled_list import listed_conditions, task_plan
+from cyclekit_sim.coupled_list import PART, listed_conditions, task_plan
 from cyclekit_sim.coupled_scenes import JOINT_TIMES, wired
 from cyclekit_sim.coupled_truth import conditions
 
@@ -195,6 +195,7 @@ def _listed(asked: argparse.Namespace, scene: str, executions: int, seed: int) -
     model = learn.learn_task_times(data)
     there = {(str(each["task"]), str(each["needs"]), each["back"]) for each in listed_conditions(COUPLED[scene])}
     got = {(task.task, need.task, need.back) for task in model.tasks for need in task.needs}
+    got |= {(task.task, PART, 0) for task in model.tasks if task.parts}
     usual = {(task.agent, task.task): task.usual_s for task in model.tasks}
     found = []
     for number, order in unseen_orders(asked, scene):

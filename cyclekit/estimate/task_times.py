@@ -238,7 +238,7 @@ def _shares(
 
 def _decided(rolled: SimulatedPlan, number: int) -> dict[str, float]:
     """Return the share of the cycles in which each cause decided the start of a task."""
-    names = {-2: "planned start", -1: OWN_TASK}
+    names = {-3: "a part", -2: "planned start", -1: OWN_TASK}
     which, count = np.unique(rolled.decides[:, number], return_counts=True)
     told = zip(which.tolist(), (count / len(rolled.decides)).tolist(), strict=True)
     return {names.get(key) or rolled.tasks[key].shown: part for key, part in told}

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 NAMES = {"robot": "arm", "operator": "worker"}
 """Names of the agents in the list."""
+PART = "part"
+"""What a task waits for that begins with a part of the conveyor."""
 EPOCH_S = 1_700_000_000.0
 
 
@@ -119,16 +121,15 @@ def _every_job(cell: Coupled) -> Order:
 
 
 def listed_conditions(cell: Coupled) -> list[dict[str, object]]:
-    """Return which task waits for the end of which other task, as JSON."""
+    """Return which task waits for the end of which other task, as JSON; `part` = for a part that comes by itself."""
     scripts = _scripts(cell, _every_job(cell))
     tasks = {agent: tasks_of(cell, agent, scripts[agent]) for agent in scripts}
     found = []
     for gate in cell.gates:
-        if gate.need.agent == "source":
-            continue
         at = next(segment for segment, other, _ in scripts[gate.agent].gates if other is gate)
-        ends = scripts[gate.need.agent].moments[gate.need.place, gate.need.moment]
-        waiting = next(task.name for task in tasks[gate.agent] if task.first > at)
-        needed = next(task.name for task in tasks[gate.need.agent] if task.last == ends[0])
+        waiting, needed = next(task.name for task in tasks[gate.agent] if task.first > at), PART
+        if gate.need.agent != "source":
+            ends = scripts[gate.need.agent].moments[gate.need.place, gate.need.moment]
+            needed = next(task.name for task in tasks[gate.need.agent] if task.last == ends[0])
         found.append({"task": waiting, "needs": needed, "back": gate.need.back, "lag_s": list(gate.need.lag_s)})
     return found

@@ -1,4 +1,4 @@
-"""The part to play with for task lists in which single tasks depend on more: the library's own numbers."""
+"""The part to play with for task lists whose tasks depend on more, or wait for parts: the library's own numbers."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import browser
 import numpy as np
 import polars as pl
 import pytest
-from played import plans_are_the_same
+from played import ask, plans_are_the_same, same
 
-from cyclekit import TaskSequence, train_task_times
+from cyclekit import TaskSequence, train_task_times, what_if
 from cyclekit.config.sequences import PlannedTask
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.whatif.change import Change
 from cyclekit.ingest.ingest import ingest
 
 if TYPE_CHECKING:
@@ -54,3 +56,32 @@ def test_plans_have_the_numbers_of_the_library(tab, tmp_path):
         for name, arm in orders.items()
     ]
     plans_are_the_same(tab, tmp_path, model, sequences)
+
+
+def write_fed(path: Path) -> None:
+    """Write 40 executions of a robot whose loads begin with a part of a conveyor."""
+    rng = np.random.default_rng(2)
+    rows = []
+    for run in range(40):
+        t, came_s = 0.0, 0.0
+        for task in ["weld", *rng.permutation(["load"] * 3 + ["weld"] * 2).tolist()]:
+            if task == "load":
+                came_s += 5.0 + rng.exponential(4.0)
+                t = max(t, came_s)
+            rows.append((run, "arm", task, t, t + rng.uniform(3.9, 4.1)))
+            t = rows[-1][-1]
+    pl.DataFrame(rows, schema=["run", "agent", "task", "start_s", "end_s"], orient="row").write_csv(path)
+
+
+def test_plans_that_wait_for_parts_have_the_numbers_of_the_library(tab, tmp_path):
+    write_fed(tmp_path / "tasks.csv")
+    ingest([tmp_path / "tasks.csv"], tmp_path / "dataset")
+    model = train_task_times(tmp_path / "dataset")
+    assert any(task.parts for task in model.card.tasks)
+    orders = {"early": ["weld", *["load"] * 7], "late": ["weld"] * 6 + ["load"] * 3}
+    sequences = [TaskSequence.of_plan(name, [PlannedTask("arm", t) for t in arm]) for name, arm in orders.items()]
+    plans_are_the_same(tab, tmp_path, model, sequences)
+    change = Change("no wait", no_wait=(("load", "part"),))
+    played = [{"agent": "arm", "asked": "arm", "name": name, "after": []} for name in orders["early"]]
+    (wanted,) = what_if(model, Dataset.open(tmp_path / "dataset"), sequences[:1], [change])
+    same(ask(tab, played, {"without": ["load for part"]}), wanted.after, within=1e-5)

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Meta, field
 
 from cyclekit.dataset.cards.notes import Note
-from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction, Name
+from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction, Name, Seconds
 
 if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
@@ -21,6 +21,8 @@ Error = Annotated[float, Meta(ge=-1e3, le=1e3)]
 """A relative error."""
 FORMAT = "cyclekit-task-times"
 """Format name in the file."""
+Times = Annotated[tuple[Seconds, ...], Meta(min_length=1, max_length=1000)]
+"""Times, s."""
 PAST = 10_000
 """Maximum number of repetitions stored per task; of more, an even selection."""
 
@@ -59,6 +61,26 @@ class JointCard(Card, frozen=True, kw_only=True):
     times: Count = 0
 
 
+class PartsCard(Card, frozen=True, kw_only=True):
+    """Parts that a task begins with, such as those of a conveyor; no task list tells when they come.
+
+    Attributes:
+        first_s: Time from the start of the execution to the first part; all values are equally probable.
+        gap_s: The same from one part to the next, while there is room.
+        buffer: Number of parts that may wait; the next one then comes when the task starts.
+    """
+
+    first_s: Times
+    gap_s: Times
+    buffer: Annotated[int, Meta(ge=1, le=1000)] = 1
+
+    @property
+    def said(self) -> str:
+        """How they come, in words."""
+        low, high = (f"{float(np.quantile(self.gap_s, level)):.1f}" for level in (0.05, 0.95))
+        return f"a part ({low} to {high} s after the one before; at most {self.buffer} wait)"
+
+
 class TaskTimesCard(Card, frozen=True, kw_only=True):
     """One task of one agent.
 
@@ -76,6 +98,7 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         joint: Task of another agent with which it ends; then `work_s` is from repetitions in which the other side was
             done first.
         planned: Whether it waits for its planned start.
+        parts: The parts that it waits for: the k-th start for the k-th part of the execution.
         turns: Factor on the work at the first, second ... occurrence in one execution.
         lags_s: Time from when it might start to its start, in each repetition.
     """
@@ -95,6 +118,7 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
     needs: Annotated[tuple[NeedCard, ...], Meta(max_length=4)] = ()
     joint: JointCard | None = None
     planned: bool = False
+    parts: PartsCard | None = None
     lags_s: Annotated[tuple[Lag, ...], Meta(min_length=1, max_length=PAST)]
 
     @property
@@ -103,7 +127,14 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         turns = ["", " of the turn before"]
         needs = [f"{_after(need)}{need.agent}: {need.task}{turns[min(need.back, 1)]}" for need in self.needs]
         both = [_together(self.joint)] if self.joint else []
-        return ["the agent's own task before it", *(["its planned start"] if self.planned else []), *needs, *both]
+        parts = [self.parts.said] if self.parts else []
+        return [
+            "the agent's own task before it",
+            *(["its planned start"] if self.planned else []),
+            *needs,
+            *parts,
+            *both,
+        ]
 
 
 def _together(joint: JointCard) -> str:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.whatif.change import Change
 
+PART = "part"
+"""What a task waits for whose parts come by themselves, in `no_wait`."""
+
 
 def what_if_tasks(
     model: TaskModelCard,
@@ -72,9 +75,10 @@ def altered_times(model: TaskModelCard, change: Change) -> TaskModelCard:
         if agent not in {*model.agents, *model.agents.values()}:
             raise UnknownName(where, "agent in faster", agent, {*model.agents, *model.agents.values()})
     waits = {(task.task, need.task) for task in model.tasks for need in task.needs}
+    every = waits | {(task.task, PART) for task in model.tasks if task.parts}
     for task, other in change.no_wait:
-        if (task, other) not in waits:
-            raise UnknownName(where, "wait", f"{task} for {other}", [f"{one} for {two}" for one, two in sorted(waits)])
+        if (task, other) not in every:
+            raise UnknownName(where, "wait", f"{task} for {other}", [f"{one} for {two}" for one, two in sorted(every)])
     for name in change.buffer:
         if name not in {task for task, _ in waits}:
             raise UnknownName(where, "task in buffer that waits for another", name, {task for task, _ in waits})
@@ -90,6 +94,7 @@ def _altered(model: TaskModelCard, task: TaskTimesCard, change: Change) -> TaskT
         usual_s=task.usual_s / factor,
         work_s=tuple(work / factor for work in task.work_s),
         needs=tuple(structs.replace(need, back=need.back + ahead) for need in needs),
+        parts=None if (task.task, PART) in change.no_wait else task.parts,
     )
 
 

@@ -41,7 +41,7 @@ faster = { operator = 1.2 }                       # 1.2 times as fast; in task l
 buffer = { part = 3 }                             # parts in advance, of a source or of a task of task lists
 more_places = { fixture = 1 }                     # additional places of the kind that must be free again
 without_waits = ["robot approach fixture"]        # waits that are removed
-no_wait = [["weld", "mount"]]                     # in task lists: weld no longer waits for mount
+no_wait = [["weld", "mount"]]                     # in task lists: weld no longer waits for mount; "part": for parts
 """
 
 from __future__ import annotations
@@ -165,7 +165,8 @@ class Change:
         without_waits: Waits that are removed: `robot approach fixture`.
         dynamics: Changed response of s to the safety function, by name in `Dynamics`: s, 1/s or m.
         faster: Factor on the speed of an agent, by agent; only the operator in cells with positions.
-        no_wait: Pairs of tasks of task lists: the first no longer waits for the second.
+        no_wait: Pairs of tasks of task lists: the first no longer waits for the second; `part` = for parts that
+            come by themselves.
         buffer: Number of parts in advance, by signal of their source; in task lists by the task that waits for them.
     """
 

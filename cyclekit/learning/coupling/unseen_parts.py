@@ -9,7 +9,7 @@ likelihood of the other standstills gives the buffer size. With that, `part_gaps
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -38,9 +38,24 @@ PARTICLES = 100
 """Number of particles per execution."""
 
 
+class Parts(NamedTuple):
+    """How parts arrive: quantiles of the first arrival and of the gaps, s, and how many parts may wait."""
+
+    first_s: tuple[float, ...]
+    gap_s: tuple[float, ...]
+    buffer: int
+
+
 def find_unseen_parts(courses: Sequence[ExecutionVisits], place: str) -> SourceCard | None:
     """Return how parts arrive that the robot waits for at a place; None if its standstills do not show it."""
-    visits = part_visits(courses, place)
+    found = parts_of(part_visits(courses, place))
+    if found is None:
+        return None
+    return SourceCard(signal=f"part at {place}", **found._asdict(), taken_by=place, inferred=True)
+
+
+def parts_of(visits: PartVisits) -> Parts | None:
+    """Return how parts arrive that these visits wait for; None if they do not show it."""
     waited, seen = visits.waited, np.isfinite(visits.left)
     if min(waited.sum(), (seen & ~waited).sum()) < MIN_WAITS or visits.came.shape[1] < 2:
         return None
@@ -53,14 +68,7 @@ def find_unseen_parts(courses: Sequence[ExecutionVisits], place: str) -> SourceC
         return None
     buffer = next(n for n, each in zip(BUFFERS, found, strict=True) if each >= max(found) - GAIN_TOLERANCE)
     at, to_first, to_next = part_gaps(visits, first, gaps, buffer)
-    return SourceCard(
-        signal=f"part at {place}",
-        gap_s=quantiles(at, to_next),
-        first_s=quantiles(at, to_first),
-        buffer=buffer,
-        taken_by=place,
-        inferred=True,
-    )
+    return Parts(quantiles(at, to_first), quantiles(at, to_next), buffer)
 
 
 def with_parts(courses: Sequence[ExecutionVisits], sources: Iterable[SourceCard]) -> list[ExecutionVisits]:

@@ -6,7 +6,7 @@ runs     the logged executions, tasks by agent
 parts    the repetitions of a task, cut where simultaneous tasks start, are half over, or end
 fit      mean, scatter and effects of one task
 rates    the rate of a task during each task of the other agent
-starts   the conditions of a task's start
+starts   the conditions of a task's start; those that it does not show alone by `alike`, `process`, `unseen_parts`
 learn    all of it, with errors on held-out orders
 saved    storage
 """

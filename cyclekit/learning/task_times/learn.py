@@ -164,6 +164,7 @@ def _task(
         needs=starts.needs,
         joint=joint,
         planned=starts.planned,
+        parts=starts.parts,
         lags_s=_kept(starts.lags_s),
     )
 

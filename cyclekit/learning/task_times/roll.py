@@ -31,7 +31,7 @@ class SimulatedPlan:
         start_s, end_s: Start and end of each task, shape (cycles, tasks), s.
         mean_s: Mean logged duration of each task, shape (tasks,), s.
         decides: Last cause of each start, shape (cycles, tasks): -1 = the agent's previous task, -2 = its planned
-            start, otherwise the number of another task.
+            start, -3 = a part, otherwise the number of another task.
     """
 
     tasks: tuple[PlannedTask, ...]
@@ -67,6 +67,8 @@ class _Plan:
         next: Number of the agent's next task; -1 = none.
         turn: Number of earlier occurrences of the same task.
         needs: Numbers of the tasks that must have ended, and the process time since each, s.
+        parts: Of tasks that wait for a part, numbers of the one that took the part before it, and of the one whose
+            start makes room for it; -1 = none.
         mate: Number of the task that it ends with; its own = none.
         joined: Whether both also start together.
         not_before_s: Earliest start, s.
@@ -81,6 +83,7 @@ class _Plan:
     next: list[int]
     turn: list[int]
     needs: list[list[tuple[int, float]]]
+    parts: dict[int, tuple[int, int]]
     mate: list[int]
     joined: list[bool]
     not_before_s: Vector
@@ -115,7 +118,7 @@ def roll_plan(
         EstimateError: Tasks wait for each other and none can start.
     """
     plan = _laid_out(model, tasks, where)
-    work, lag = _drawn(plan, cycles, np.random.default_rng(seed))
+    work, lag, gap = _drawn(plan, cycles, np.random.default_rng(seed))
     work *= [pace.get(card.agent, 1.0) for card in plan.cards]
     start, end = np.full(work.shape, np.inf), np.full(work.shape, np.inf)
     t = np.zeros(cycles)
@@ -124,7 +127,7 @@ def roll_plan(
     for _ in range(3 * len(tasks) + 2):
         running = np.isfinite(start) & (start <= t[:, None]) & np.isinf(end)
         rate = np.exp(_rates(plan, start, end, late))
-        ready = _ready(plan, end)
+        ready = np.maximum(_ready(plan, end), _parts_s(plan, gap, start))
         due = np.where(np.isinf(start), _together(plan, ready + lag), start) - t[:, None]
         left_s = np.maximum(work - np.where(late, 0.0, half), 0.0) / rate
         due = np.where(running, left_s, np.where(np.isinf(end), np.maximum(due, 0.0), np.inf))
@@ -150,7 +153,7 @@ def roll_plan(
         never = "starts" if np.isinf(start[:, stuck]).any() else "ends"
         msg = f"{where}: {tasks[stuck].shown} never {never}: it waits for a task that waits for it"
         raise EstimateError(msg, cure="Change the order or the 'after' entries.")
-    return SimulatedPlan(tuple(tasks), start, end, usual, _decides(plan, end))
+    return SimulatedPlan(tuple(tasks), start, end, usual, _decides(plan, end, _parts_s(plan, gap, start)))
 
 
 def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) -> _Plan:
@@ -175,13 +178,14 @@ def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) ->
     before = _before(tasks)
     after = [before.index(number) if number in before else -1 for number in range(len(tasks))]
     needs = _needs(cards, tasks, names, where)
+    parts = _parts(cards, pairs)
     mate = _mates(cards, turn)
     joint = [card.joint for card in cards]
     joined = [
         each is not None and each.starts and other != n for n, (each, other) in enumerate(zip(joint, mate, strict=True))
     ]
     told = (rate, later, waiting, at_start, alone)
-    return _Plan(cards, before, after, turn, needs, mate, joined, not_before, *told)
+    return _Plan(cards, before, after, turn, needs, parts, mate, joined, not_before, *told)
 
 
 def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
@@ -247,6 +251,19 @@ def _needs(
     return found
 
 
+def _parts(cards: Sequence[TaskTimesCard], pairs: Sequence[tuple[str, str]]) -> dict[int, tuple[int, int]]:
+    """Return for each task that waits for a part which tasks took the one before it, and make room for it."""
+    taken: dict[tuple[str, str], list[int]] = {}
+    found = {}
+    for number, (card, pair) in enumerate(zip(cards, pairs, strict=True)):
+        if card.parts:
+            mine = taken.setdefault(pair, [])
+            room = len(mine) - card.parts.buffer
+            found[number] = (mine[-1] if mine else -1, mine[room] if room >= 0 else -1)
+            mine.append(number)
+    return found
+
+
 def _mates(cards: Sequence[TaskTimesCard], turn: Sequence[int]) -> list[int]:
     """Return for each task the number of the task that it ends with; its own number if there is none."""
     at = {(card.agent, card.task, nth): number for number, (card, nth) in enumerate(zip(cards, turn, strict=True))}
@@ -256,11 +273,15 @@ def _mates(cards: Sequence[TaskTimesCard], turn: Sequence[int]) -> list[int]:
     ]
 
 
-def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return work at rate 1 and lag of each task, shape (cycles, tasks), s; the draws do not depend on the order."""
-    work, lag = np.empty((cycles, len(plan.cards))), np.empty((cycles, len(plan.cards)))
+def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
+    """Return work at rate 1, lag, and gap before its part of each task, shape (cycles, tasks), s.
+
+    The draws do not depend on the order.
+    """
+    work, lag, gap = np.zeros((3, cycles, len(plan.cards)))
     names = [(card.agent, card.task, turn) for card, turn in zip(plan.cards, plan.turn, strict=True)]
-    for number in sorted(range(len(names)), key=lambda each: names[each]):
+    ordered = sorted(range(len(names)), key=lambda each: names[each])
+    for number in ordered:
         card, before, turn = plan.cards[number], plan.before[number], plan.turn[number]
         factor = card.after.get("" if before < 0 else plan.cards[before].task, 1.0)
         factor *= card.turns[turn] if turn < len(card.turns) else 1.0
@@ -268,7 +289,10 @@ def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, 
         lag[:, number] = np.maximum(rng.choice(card.lags_s, cycles), least_lag_s(card))
         if plan.joined[number] and plan.mate[number] < number:
             work[:, number] = 0.0  # one side tells the time of both
-    return work, lag
+    for number in ordered:  # at last, so that a wait that is removed changes no other draw
+        if parts := plan.cards[number].parts:
+            gap[:, number] = rng.choice(parts.gap_s if plan.turn[number] else parts.first_s, cycles)
+    return work, lag, gap
 
 
 def least_lag_s(card: TaskTimesCard) -> float:
@@ -300,12 +324,25 @@ def _ready(plan: _Plan, end: Floats) -> Floats:
     return np.asarray(ready)
 
 
+def _parts_s(plan: _Plan, gap: Floats, start: Floats) -> Floats:
+    """Return when the part of each task comes, shape (cycles, tasks), s; 0 if it waits for none.
+
+    It is infinite while there is no room for it.
+    """
+    found = np.zeros(gap.shape)
+    for number, (last, room) in plan.parts.items():
+        found[:, number] = gap[:, number] + (found[:, last] if last >= 0 else 0.0)
+        if room >= 0:
+            found[:, number] = np.maximum(found[:, number], start[:, room])
+    return found
+
+
 def _together(plan: _Plan, at_s: Floats) -> Floats:
     """Return the starts with joint tasks that start together put to the later one, shape (cycles, tasks), s."""
     return np.where(plan.joined, np.maximum(at_s, at_s[:, plan.mate]), at_s)
 
 
-def _decides(plan: _Plan, end: Floats) -> Floats:
+def _decides(plan: _Plan, end: Floats, parts_s: Floats) -> Floats:
     ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
     latest = ends[:, plan.before].copy()
     found = np.full(end.shape, -1)
@@ -319,4 +356,5 @@ def _decides(plan: _Plan, end: Floats) -> Floats:
             later_here = end[:, need] + after_s > latest[:, number]
             found[later_here, number] = need
             latest[later_here, number] = end[later_here, need] + after_s
+    found[parts_s > latest] = -3
     return found

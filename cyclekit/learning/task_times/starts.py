@@ -2,7 +2,8 @@
 
 A condition is accepted if the starts respect it, if it decides several of them, and if the lags between being ready and
 starting become more regular than chance among all candidates can explain. `alike` adds what only tasks of one kind show
-together, `process` a process time since an earlier task of the agent itself.
+together, `process` a process time since an earlier task of the agent itself, `unseen_parts` parts that come by
+themselves.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
     from cyclekit.config import Wait
+    from cyclekit.dataset.cards.task_model import PartsCard
     from cyclekit.learning.task_times.runs import Run
     from cyclekit.schema import Vector
 
@@ -60,11 +62,13 @@ class Starts:
         needs: Tasks that must have ended.
         planned: Whether it waits for its planned start.
         lags_s: Lag of each logged start after its conditions, shape (N,), s.
+        parts: Parts that it waits for.
     """
 
     needs: tuple[NeedCard, ...]
     planned: bool
     lags_s: Vector
+    parts: PartsCard | None = None
 
 
 @dataclass
@@ -123,7 +127,7 @@ def learn_starts(runs: Sequence[Run], agent: str, given: Sequence[Wait] = ()) ->
     find_with_alike(every, others)
     for one in every:
         find_process_time(one, tasks)
-    return {one.task: _told(one) for one in every}
+    return {one.task: _told(one, free=not known <= one.barred) for one in every}
 
 
 def _find(one: Waiting, others: Sequence[NeedCard]) -> None:
@@ -221,8 +225,15 @@ def _deviation(lags_s: Sequence[Vector]) -> float:
     return float(np.concatenate([np.abs(each - np.median(each)) for each in lags_s]).mean()) + REGULAR_S
 
 
-def _told(one: Waiting) -> Starts:
-    """Return the conditions, each need with the share of starts that respect it, and the number that it decided."""
+def _told(one: Waiting, *, free: bool) -> Starts:
+    """Return the conditions, each need with the share of starts that respect it, and the number that it decided.
+
+    Args:
+        one: The starts of a task.
+        free: Whether it may wait for parts.
+    """
+    from cyclekit.learning.task_times.unseen_parts import find_unseen_parts
+
     ready, needs = one.ready_s(), []
     for need in one.found:
         if need is not None:
@@ -231,4 +242,5 @@ def _told(one: Waiting) -> Starts:
             decided = known & (ends >= ready - 1e-9)
             held = float((one.start_s[known] >= ends[known] - early_s(need)).mean()) if known.any() else 1.0
             needs.append(structs.replace(need, held=held, decided=int(decided.sum())))
-    return Starts(tuple(needs), None in one.found, one.start_s - ready)
+    parts, lags_s = find_unseen_parts(one) if free else (None, one.start_s - ready)
+    return Starts(tuple(needs), None in one.found, lags_s, parts)

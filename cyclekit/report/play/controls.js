@@ -230,7 +230,7 @@ const allSliders = () => {
     for (const agent of Object.keys(facts.agents)) {
       slider(say("pace", { agent }), facts.paces, 0.01, 1, times, (by) => { state.asked.paces[agent] = by || 1; });
     }
-    waitSwitches(facts.tasks.flatMap((card) => card.needs.map((need) => ({
+    waitSwitches(facts.tasks.flatMap((card) => everyWait(card).map((need) => ({
       name: waitName(card, need), text: say("no_wait", { task: card.task, other: need.task }),
     }))));
     return;

@@ -37,8 +37,10 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
         fields = {name: getattr(task, name) for name in FIELDS}
         fields["joint"] = task.joint and {name: getattr(task.joint, name) for name in ("agent", "task", "starts")}
         found = {**fields, "needs": [_need(need) for need in task.needs], "first": first, "work": len(task.work_s)}
-        tasks.append({**found, "lags": len(task.lags_s)})
-        values += [*task.work_s, *task.lags_s]
+        comes = task.parts and (task.parts.first_s, task.parts.gap_s)
+        parts = comes and {"first": len(comes[0]), "gaps": len(comes[1]), "buffer": task.parts.buffer}
+        tasks.append({**found, "lags": len(task.lags_s), "parts": parts})
+        values += [*task.work_s, *task.lags_s, *(value for some in comes or () for value in some)]
         first = len(values)
     arrays: Arrays = {"values": np.array(values, np.float32)}
     if judged is not None:

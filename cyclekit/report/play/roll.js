@@ -37,13 +37,23 @@ const laidOut = (tasks, asked) => {
     }
     return mine;
   });
+  const taken = new Map(); // as `roll._parts`
+  const parts = tasks.map((task, number) => {
+    const card = cards[number];
+    if (!card.parts || asked.without.includes(waitName(card, PART))) return null;
+    const key = keyOf(task.agent, task.name);
+    if (!taken.has(key)) taken.set(key, []);
+    const mine = taken.get(key);
+    mine.push(number);
+    return { last: mine.at(-2) ?? -1, room: mine[mine.length - 1 - card.parts.buffer] ?? -1 };
+  });
   const log = (rates, name) => Math.log(name in rates ? rates[name] : 1);
   const mate = cards.map(({ joint }, number) => {
     const theirs = joint ? turns.get(keyOf(joint.agent, joint.task)) || [] : [];
     return turn[number] < theirs.length ? theirs[turn[number]] : number;
   });
   return {
-    cards, turn, needs, unknown, mate, before: beforeEach(tasks),
+    cards, turn, needs, parts, unknown, mate, before: beforeEach(tasks),
     joined: cards.map(({ joint }, number) => mate[number] !== number && joint.starts),
     notBefore_s: tasks.map((task) => task.not_before_s || 0),
     ...Object.fromEntries([["rates", "nth"], ["later"], ["waiting", "nth_waiting"], ["at_start"]].map(([kind, nth]) => [
@@ -55,6 +65,8 @@ const laidOut = (tasks, asked) => {
     alone: cards.map((card) => log(card.rates, "")),
   };
 };
+const PART = { task: "part" }; // what a task waits for whose parts come by themselves
+const everyWait = (card) => (card.parts ? [...card.needs, PART] : card.needs);
 const waitName = (card, need) => `${card.task} for ${need.task}`;
 
 const DRAWS = new Map();
@@ -67,6 +79,10 @@ const drawsOf = (plan, tasks) => { // roll._drawn: which repetition each task dr
     const { below } = generator(facts.seed);
     const drawn = (count) => Uint16Array.from({ length: facts.cycles }, () => below(count));
     DRAWS.set(key, names.map(({ number }) => [drawn(plan.cards[number].work), drawn(plan.cards[number].lags)]));
+    DRAWS.get(key).forEach((some, n) => {
+      const { parts } = plan.cards[names[n].number];
+      if (parts) some.push(drawn(names[n].turn ? parts.gaps : parts.first));
+    });
   }
   const found = [];
   DRAWS.get(key).forEach((drawn, n) => { found[names[n].number] = drawn; });
@@ -93,14 +109,19 @@ const rolledPlan = (tasks, asked) => {
   const start = tasks.map(() => new Float64Array(cycles));
   const end = tasks.map(() => new Float64Array(cycles));
   const decides = tasks.map(() => new Int16Array(cycles));
-  const [work, half, lag, begins, ends, rate, due] = Array.from({ length: 7 }, () => new Float64Array(count));
+  const [work, half, lag, gap, begins, ends, rate, due] = Array.from({ length: 8 }, () => new Float64Array(count));
   const [running, late, held] = Array.from({ length: 3 }, () => new Uint8Array(count)); // held: done, but its joint task is not
   const halves = plan.later.some((row) => row.some((value) => value !== 0)); // else they are no events
   const next = tasks.map((_, number) => plan.before.indexOf(number));
+  const partAt = (n) => { // as `roll._parts_s`
+    if (!plan.parts[n]) return 0;
+    const { last, room } = plan.parts[n];
+    return Math.max(gap[n] + (last < 0 ? 0 : partAt(last)), room < 0 ? 0 : begins[room]);
+  };
   const readyAt = (n) => {
     let ready = Math.max(plan.before[n] < 0 ? 0 : ends[plan.before[n]], plan.notBefore_s[n]);
     for (const [need, after_s] of plan.needs[n]) ready = Math.max(ready, ends[need] + after_s);
-    return ready;
+    return Math.max(ready, partAt(n));
   };
   const startsAt = (n) => { // joint tasks that start together start when both may
     const at_s = readyAt(n) + lag[n];
@@ -112,6 +133,7 @@ const rolledPlan = (tasks, asked) => {
       const card = plan.cards[n];
       work[n] = plan.joined[n] && plan.mate[n] < n ? 0 : factor[n] * tables.values[card.first + draws[n][0][cycle]];
       lag[n] = Math.max(tables.values[card.first + card.work + draws[n][1][cycle]], card.needs.some((need) => need.after_s) ? -Infinity : 0); // roll.least_lag_s
+      if (plan.parts[n]) gap[n] = tables.values[card.first + card.work + card.lags + (plan.turn[n] ? card.parts.first : 0) + draws[n][2][cycle]];
       half[n] = work[n] / 2;
       [begins[n], ends[n], running[n], late[n], held[n]] = [Infinity, Infinity, 0, Number(!halves), 0];
     }
@@ -163,7 +185,7 @@ const rolledPlan = (tasks, asked) => {
       for (const [need, after_s] of other < 0 ? plan.needs[n] : [...plan.needs[n], [other, 0]]) {
         if (ends[need] + after_s > latest) [latest, who] = [ends[need] + after_s, need];
       }
-      decides[n][cycle] = who;
+      decides[n][cycle] = partAt(n) > latest ? -3 : who;
     }
   }
   return { plan, start, end, decides };

@@ -1,0 +1,48 @@
+"""Finds waits for parts that no task list tells of, such as those of a conveyor.
+
+A task that begins with a part starts a lag after both its agent and the part are there. Parts come one after the other,
+so a robot that comes back late waits less: `coupling.unseen_parts` learns their gaps from the waits, and how many wait.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.dataset.cards.task_model import PartsCard
+from cyclekit.learning.coupling.part_visits import PartVisits
+from cyclekit.learning.coupling.unseen_parts import parts_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.learning.task_times.starts import Waiting
+    from cyclekit.schema import Vector
+
+OWN = 0.1
+"""Quantile of the lags that counts as lag without a wait."""
+
+
+def find_unseen_parts(one: Waiting) -> tuple[PartsCard | None, Vector]:
+    """Return the parts that a task waits for, None if its starts show none, and its lags after them, shape (N,), s."""
+    ready_s = np.minimum(one.ready_s(), one.start_s)
+    lags_s = one.start_s - one.ready_s()
+    numbers, row = np.unique([each.run.number for each in one.seen], return_inverse=True)
+    nth = np.array([each.nth for each in one.seen])
+    came, left = np.full((2, len(numbers), nth.max() + 1), np.nan)
+    came[row, nth], left[row, nth] = ready_s, one.start_s
+    visits = PartVisits(came, left, float(np.quantile(one.start_s - ready_s, OWN)))
+    found = parts_of(visits)
+    if found is None:
+        return None, lags_s
+    first_s, gap_s = (_equally_probable(some) for some in (found.first_s, found.gap_s))
+    lags_s = np.where(visits.waited[row, nth], visits.own_s, lags_s)
+    return PartsCard(first_s=first_s, gap_s=gap_s, buffer=found.buffer), lags_s
+
+
+def _equally_probable(quantiles_s: Sequence[float]) -> tuple[float, ...]:
+    """Return the middles between quantiles at evenly spaced levels."""
+    if len(quantiles_s) == 1:
+        return tuple(quantiles_s)
+    return tuple(np.round(0.5 * (np.array(quantiles_s[1:]) + np.array(quantiles_s[:-1])), 4).tolist())

@@ -38,7 +38,7 @@ PARTICLES = 100
 """Number of particles per execution."""
 
 
-class Parts(NamedTuple):
+class PartArrivals(NamedTuple):
     """How parts arrive: quantiles of the first arrival and of the gaps, s, and how many parts may wait."""
 
     first_s: tuple[float, ...]
@@ -48,13 +48,13 @@ class Parts(NamedTuple):
 
 def find_unseen_parts(courses: Sequence[ExecutionVisits], place: str) -> SourceCard | None:
     """Return how parts arrive that the robot waits for at a place; None if its standstills do not show it."""
-    found = parts_of(part_visits(courses, place))
+    found = part_arrivals(part_visits(courses, place))
     if found is None:
         return None
     return SourceCard(signal=f"part at {place}", **found._asdict(), taken_by=place, inferred=True)
 
 
-def parts_of(visits: PartVisits) -> Parts | None:
+def part_arrivals(visits: PartVisits) -> PartArrivals | None:
     """Return how parts arrive that these visits wait for; None if they do not show it."""
     waited, seen = visits.waited, np.isfinite(visits.left)
     if min(waited.sum(), (seen & ~waited).sum()) < MIN_WAITS or visits.came.shape[1] < 2:
@@ -68,7 +68,7 @@ def parts_of(visits: PartVisits) -> Parts | None:
         return None
     buffer = next(n for n, each in zip(BUFFERS, found, strict=True) if each >= max(found) - GAIN_TOLERANCE)
     at, to_first, to_next = part_gaps(visits, first, gaps, buffer)
-    return Parts(quantiles(at, to_first), quantiles(at, to_next), buffer)
+    return PartArrivals(quantiles(at, to_first), quantiles(at, to_next), buffer)
 
 
 def with_parts(courses: Sequence[ExecutionVisits], sources: Iterable[SourceCard]) -> list[ExecutionVisits]:

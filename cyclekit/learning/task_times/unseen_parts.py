@@ -12,7 +12,7 @@ import numpy as np
 
 from cyclekit.dataset.cards.task_model import PartsCard
 from cyclekit.learning.coupling.part_visits import PartVisits
-from cyclekit.learning.coupling.unseen_parts import parts_of
+from cyclekit.learning.coupling.unseen_parts import part_arrivals
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,7 +33,7 @@ def find_unseen_parts(one: Waiting) -> tuple[PartsCard | None, Vector]:
     came, left = np.full((2, len(numbers), nth.max() + 1), np.nan)
     came[row, nth], left[row, nth] = ready_s, one.start_s
     visits = PartVisits(came, left, float(np.quantile(one.start_s - ready_s, OWN)))
-    found = parts_of(visits)
+    found = part_arrivals(visits)
     if found is None:
         return None, lags_s
     first_s, gap_s = (_equally_probable(some) for some in (found.first_s, found.gap_s))

@@ -14,7 +14,7 @@ from cyclekit.report.play.tables import SEED
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.dataset.cards.task_model import NeedCard, TaskModelCard
+    from cyclekit.dataset.cards.task_model import NeedCard, PartsCard, TaskModelCard
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.play.tables import Arrays, Tables
 
@@ -37,10 +37,9 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
         fields = {name: getattr(task, name) for name in FIELDS}
         fields["joint"] = task.joint and {name: getattr(task.joint, name) for name in ("agent", "task", "starts")}
         found = {**fields, "needs": [_need(need) for need in task.needs], "first": first, "work": len(task.work_s)}
-        comes = task.parts and (task.parts.first_s, task.parts.gap_s)
-        parts = comes and {"first": len(comes[0]), "gaps": len(comes[1]), "buffer": task.parts.buffer}
-        tasks.append({**found, "lags": len(task.lags_s), "parts": parts})
-        values += [*task.work_s, *task.lags_s, *(value for some in comes or () for value in some)]
+        tasks.append({**found, "lags": len(task.lags_s), "parts": task.parts and _parts(task.parts)})
+        values += [*task.work_s, *task.lags_s]
+        values += [*task.parts.first_s, *task.parts.gap_s] if task.parts else []
         first = len(values)
     arrays: Arrays = {"values": np.array(values, np.float32)}
     if judged is not None:
@@ -67,6 +66,10 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
 
 def _need(need: NeedCard) -> dict[str, Any]:
     return {name: getattr(need, name) for name in ("agent", "task", "back", "after_s")}
+
+
+def _parts(parts: PartsCard) -> dict[str, int]:
+    return {"first": len(parts.first_s), "gaps": len(parts.gap_s), "buffer": parts.buffer}
 
 
 def _plan(card: TaskModelCard, each: CycleEstimate) -> dict[str, Any]:

@@ -25,6 +25,8 @@ STEP_M = 0.05
 DISTANCES = 2
 """Number of distances, which are the first features."""
 FAR_M = 99.0
+MARGIN_S = 60.0
+"""Time before the first and after the last sample, s, for which the signals of a session are kept."""
 UNSEEN_S = 5.0
 """Maximum time, s, for which a lost operator is assumed to be at the last position seen."""
 
@@ -44,6 +46,12 @@ class TwoStateSignal(NamedTuple):
         """Return whether it was in state `on` at any time in the `past_s` seconds up to times (M,)."""
         now, then = (np.searchsorted(self.t_s, t - shift, side="right") - 1 for t, shift in ((t_s, 0.0), (t_s, past_s)))
         return np.asarray((self.at(t_s) == on) | (self.at(t_s - past_s) == on) | (now - then > 1))
+
+    def during(self, first_s: float, last_s: float) -> TwoStateSignal:
+        """Return the signal from `first_s` to `last_s`: a log of events may be of many sessions."""
+        here = (self.t_s > first_s) & (self.t_s <= last_s)
+        first = self.at(np.array([first_s]))
+        return TwoStateSignal(np.append(first_s, self.t_s[here]), np.append(first, self.on[here]))
 
     def held(self, more_s: float) -> TwoStateSignal:
         """Return the signal with each stretch in state on `more_s` longer; stretches that then meet are one."""
@@ -128,7 +136,8 @@ def joined(parts: Sequence[Rows]) -> Rows:
     shifts = shifts_apart((float(part.t_s[0]), float(part.t_s[-1])) for part in parts)
     for part, shift in zip(parts, shifts, strict=True):
         number = np.array([names.index(name) for name in part.tasks] + [-1])
-        for name, switch in part.switches.items():
+        for name, every in part.switches.items():
+            switch = every.during(float(part.t_s[0]) - MARGIN_S, float(part.t_s[-1]) + MARGIN_S)
             first_s = min(float(switch.t_s[0]), float(part.t_s[0])) - 1.0  # before that, the opposite state
             told.setdefault(name, []).append(
                 TwoStateSignal(np.append(first_s, switch.t_s) + shift, np.append(~switch.on[0], switch.on))

@@ -12,12 +12,12 @@ import polars as pl
 from cyclekit.alignment.recording_clocks import RESTART_S
 from cyclekit.dataset.cards import note
 from cyclekit.dataset.signals import INPUT, OUTPUT, SignalChanges, constant_bits, values_of
-from cyclekit.derive.cause_samples import TwoStateSignal
+from cyclekit.derive.cause_samples import MARGIN_S, TwoStateSignal
 from cyclekit.derive.concatenated import APART_S, commanded_samples, shifts_apart
 from cyclekit.derive.latched_signals import ON, begins_of, latched
 from cyclekit.derive.operator_signals import FoundSignals, find_signals
 from cyclekit.derive.signal_evidence import SignalEvidence
-from cyclekit.scaling.response import LevelChange, SafetyResponse, changes_of, rate_of
+from cyclekit.scaling.response import LevelChange, SafetyResponse, at_speed, changes_of, rate_of
 from cyclekit.segmentation.stored_run import pieces
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def find_presence_signals(
     among = sessions if cell.operator_signals or not any(map(is_tracked, sessions)) else [*compress(sessions, without)]
     if len(levels) < 2 or not among:
         return PresenceSignals(FoundSignals(), [{}] * len(sessions))
-    values = {mine.session: _values(mine, read, stored) for mine in sessions}
+    values = {mine.session: _values(mine, runs[mine.session], read, stored) for mine in sessions}
     restarted = {name for name, mine in values.items() if mine and _restarts(runs[name])}
     values |= {name: {} for name in restarted}
     if not (among := [mine for mine in among if mine.session not in restarted]):
@@ -127,13 +127,23 @@ def some_executions(sessions: Sequence[SecondPassResult]) -> list[str]:
     return [card.execution for one in sessions for card in one.cards][::every]
 
 
-def _values(session: SecondPassResult, read: Read, stored: Stored) -> dict[str, SignalChanges]:
-    """Return all signals of a session in session time."""
+def _values(session: SecondPassResult, runs: Sequence[Run], read: Read, stored: Stored) -> dict[str, SignalChanges]:
+    """Return all signals of a session in session time, during its robot log: an event log may be of many sessions."""
     found: dict[str, SignalChanges] = {}
+    first_s = min((run.time_at(0) for run in runs), default=-np.inf) - MARGIN_S
+    last_s = max((run.time_at(run.rows - 1) for run in runs), default=np.inf) + MARGIN_S
     for entry in session.recordings:
         for name, changes in values_of(entry, read, stored).items():
-            found.setdefault(name, changes._replace(t_s=changes.t_s * entry.clock.rate + entry.clock.offset_s))
-    return found
+            at_s = changes.t_s * entry.clock.rate + entry.clock.offset_s
+            found.setdefault(name, _within(SignalChanges(at_s, changes.value), first_s, last_s))
+    return {name: changes for name, changes in found.items() if len(changes.t_s)}
+
+
+def _within(changes: SignalChanges, first_s: float, last_s: float) -> SignalChanges:
+    """Return the changes in a time, with the state at its beginning."""
+    begin = max(int(np.searchsorted(changes.t_s, first_s, side="right")) - 1, 0)
+    kept = slice(begin, int(np.searchsorted(changes.t_s, last_s, side="right")))
+    return SignalChanges(np.maximum(changes.t_s[kept], first_s), changes.value[kept])
 
 
 def _add_held(
@@ -279,7 +289,8 @@ def _changes_during(run: Run, card: ExecutionCard, levels: Sequence[float]) -> I
     first, last = run.row_at(np.array([card.start_s, card.end_s])).tolist()
     if last > first and run.time_at(first) <= card.end_s and run.time_at(last) >= card.start_s:
         for _, part in pieces(run, first, last):
-            yield from changes_of(part.t_s, part.scaling, levels)
+            scaling = at_speed(part.scaling, part.speed_m_s) if run.is_inferred else part.scaling
+            yield from changes_of(part.t_s, scaling, levels)
 
 
 def _samples(

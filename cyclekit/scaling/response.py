@@ -44,6 +44,11 @@ MAX_CHANGES = 20_000
 """Maximum number of changes that are used."""
 
 
+SLOW_SHARE = 0.2
+"""Share of the usual programmed speed below which an inferred scaling tells no change of level: there it is the ratio
+of two small speeds, so that the rounding of positions looks like changes."""
+
+
 @dataclass(frozen=True)
 class SafetyResponse:
     """Response of the safety function over time; None = unknown.
@@ -67,6 +72,20 @@ class SafetyResponse:
     hold_s: float | None = None
     ramp_down_se_per_s: float | None = None
     ramp_up_se_per_s: float | None = None
+
+
+def at_speed(scaling: Vector, speed_m_s: Vector) -> Vector:
+    """Return an inferred scaling, unknown where the programmed speed is low: at the start and end of each motion.
+
+    Args:
+        scaling: Shape (T,), NaN = unknown; 0 stays.
+        speed_m_s: TCP speed, shape (T,), m/s.
+    """
+    runs = scaling > 0.0
+    programmed = np.divide(speed_m_s, scaling, out=np.full(len(scaling), np.inf), where=runs)
+    known = programmed[runs & np.isfinite(programmed)]
+    usual = float(np.quantile(known, 0.9)) if len(known) else 0.0
+    return np.where(programmed < SLOW_SHARE * usual, np.nan, scaling)
 
 
 def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[LevelChange]:
@@ -258,4 +277,6 @@ def read_response(sessions: Sequence[Changes]) -> SafetyResponse:
     return SafetyResponse(latency_s, down, up, hysteresis_m, len(changes), spread_m, hold_s, down_se, up_se)
 
 
-__all__ = ["LATENCIES_S", "Changes", "LevelChange", "SafetyResponse", "changes_of", "rate_of", "read_response"]
+__all__ = [
+    "LATENCIES_S", "Changes", "LevelChange", "SafetyResponse", "at_speed", "changes_of", "rate_of", "read_response",
+]  # fmt: skip

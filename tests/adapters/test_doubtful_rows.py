@@ -169,7 +169,7 @@ def test_names_that_stand_lower_are_found_for_the_message(tmp_path):
 
 
 def test_names_in_another_encoding_are_said_to_be_so(tmp_path):
-    with pytest.raises(MissingColumns, match="not written in utf-8: give encoding"):
+    with pytest.raises(DamagedLog, match="not written in utf-8: give encoding"):
         mapped(tmp_path / "log.csv", "t,x,größe\n1,2,3\n".encode("latin-1"), y="größe")
 
 

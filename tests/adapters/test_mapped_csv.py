@@ -69,6 +69,24 @@ def test_people_by_id_and_those_not_seen(tmp_path):
     assert log.set_aside["source_row"].to_list() == [4]
 
 
+def test_a_signal_may_be_named_by_device_and_event(tmp_path):
+    text = "t;device;event;state\n0;S1;field;free\n1;S2 ;field;occupied\n2;;reset;1\n"
+    log = read(
+        tmp_path / "plc.csv", text, time="t", signal=["device", "event"], value="state", names={"S1 / field": "a"}
+    )
+    assert log.events.select("signal", "value").rows() == [("a", "free"), ("S2 / field", "occupied")]
+    assert log.set_aside["source_row"].to_list() == [4]
+
+
+def test_the_inputs_of_another_robot_in_one_number_are_events_bit_by_bit(tmp_path):
+    log = read(tmp_path / "other.csv", "t;DI\n0;2\n1;3\n2;3\n3;1\n", time="t", digital_in="DI", role="events")
+    assert log.events.select("t_s", "signal", "value").rows() == [
+        *((0.0, "DI 0", "0"), (0.0, "DI 1", "1")),
+        (1.0, "DI 0", "1"),
+        (3.0, "DI 1", "0"),
+    ]
+
+
 def test_events_keep_signal_and_value_as_text(tmp_path):
     text = 't,tag,val\n1,button,1\n2,"door, left",open\n'
     log = read(tmp_path / "plc.csv", text, time="t", signal="tag", value="val")

@@ -146,18 +146,18 @@ def test_the_export_of_a_safety_scanner_is_read_by_the_map_of_the_guide(tmp_path
     )
     lines = ["Safety scanner;report", "", "Date;Time;Device;Event;State"]
     lines += [
-        "01.05.2024;12:00:00.250;S1;Field set 1 / WF;interrupted",
-        "01.05.2024;12:00:00.900;S1;Field set 1 / PF;free",
+        "01.05.2024;12:00:00.250;Scanner 1;WF;interrupted",
+        "01.05.2024;12:00:00.900;Scanner 1;PF;free",
     ]
     log = read(
         tmp_path / "scanner.csv",
-        "\n".join([*lines, "01.05.2024;12:00:01.000;S1;Contamination;70 %", ""]),
+        "\n".join([*lines, "01.05.2024;12:00:01.000;Scanner 2;WF;70 %", ""]),
         cell["sources"][0]["map"],
     )
     assert log.events.select("t_s", "signal", "value").rows() == [
         (1714557600.25, "warning field", "interrupted"),
         (1714557600.9, "protective field", "free"),
-        (1714557601.0, "Contamination", "70 %"),
+        (1714557601.0, "Scanner 2 / WF", "70 %"),
     ]
     assert log.clock == "epoch"
     assert cell["operator_signals"][0]["occupied"] == "interrupted"

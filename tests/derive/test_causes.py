@@ -357,3 +357,12 @@ def test_who_stands_where_a_robot_stopped_at_its_threshold_is_its_cause() -> Non
     shares = lost_shares(seen, find_evidence(seen, LEVELS))
     stop = SCALING_CAUSES.index("stop")
     assert shares[:, stop].sum() == 0.0
+
+
+def test_a_signal_of_many_sessions_counts_in_each_for_its_own_time():
+    weeks = TwoStateSignal(np.array([0.0, 4.0, 8.0, 1e6, 1e6 + 4.0]), np.array([False, True, False, True, False]))
+    one = weeks.during(-60.0, 70.0)
+    assert one.t_s.tolist() == [-60.0, 0.0, 4.0, 8.0]
+    assert one.at(np.array([-1.0, 5.0, 9.0, 60.0])).tolist() == weeks.at(np.array([-1.0, 5.0, 9.0, 60.0])).tolist()
+    later = weeks.during(1e6 + 1.0, 1e6 + 60.0)
+    assert later.on.tolist() == [True, False]

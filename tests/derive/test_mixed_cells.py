@@ -150,11 +150,12 @@ def test_an_unknown_signal_hides_nobody():
     assert (changed["human_gap"].to_list(), hidden) == (["absent", "occluded"], 1)
 
 
-def test_robot_logs_of_one_folder_share_a_trace_each_with_a_clock_of_its_own(tmp_path, tmp_path_factory):
+@pytest.mark.parametrize("apart_s", [2_000, 2_000_000])  # one trace of a shift, or an export of weeks
+def test_robot_logs_of_one_folder_share_a_trace_each_with_a_clock_of_its_own(tmp_path, tmp_path_factory, apart_s):
     made, shared = two_sessions(tmp_path_factory, "wide"), tmp_path / "logs"
     shared.mkdir()
     rows = []
-    for number, later_s in enumerate((0, 2000)):
+    for number, later_s in enumerate((0, apart_s)):
         shutil.copy(made / f"session_00{number}" / "robot.csv", shared / f"shift_{number}.csv")
         lines = (made / f"session_00{number}" / "plc.csv").read_text().splitlines()[1:]
         times = ((float(line.split(";")[0].replace(",", ".")) + 1e3 * later_s, line) for line in lines)
@@ -169,10 +170,12 @@ def test_robot_logs_of_one_folder_share_a_trace_each_with_a_clock_of_its_own(tmp
     ingest(shared, tmp_path / "dataset")
     dataset = Dataset.open(tmp_path / "dataset")
     traces = [one for one in dataset.recordings if one.tables == ("events",)]
-    assert sorted(round(one.clock.offset_s) for one in traces) == [-2041, -41]
+    assert sorted(round(one.clock.offset_s) for one in traces) == [-41 - apart_s, -41]
     assert {one.session for one in traces} == {one.session for one in dataset.recordings}
     assert len({one.id for one in traces}) == len({one.sources[0].path for one in traces}) + 1 == 2
     assert dataset.samples()["human_signals"].null_count() == 0
+    assert {one.signal for one in dataset.card.operator_signals} == {"warning", "protective"}
+    assert max(one.explained for one in dataset.card.operator_signals) > 0.9
 
 
 @pytest.mark.slow  # trains a model

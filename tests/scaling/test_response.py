@@ -15,7 +15,7 @@ from staircases import LEVELS, commanded, followed
 
 from cyclekit.scaling.agreement import LATENCIES_S
 from cyclekit.scaling.levels import find_staircase
-from cyclekit.scaling.response import Changes, LevelChange, changes_of, error_of, rate_of, read_response
+from cyclekit.scaling.response import Changes, LevelChange, at_speed, changes_of, error_of, rate_of, read_response
 from cyclekit.scaling.short_ramps import by_counts
 
 if TYPE_CHECKING:
@@ -45,6 +45,14 @@ def test_where_zones_decide_their_edges_tell_the_reaction_time_and_no_distance_a
     found = cells("laser-zones", 6).dataset.card.dynamics
     assert found.latency_s == pytest.approx(0.0, abs=0.02)
     assert found.hysteresis_m is None
+
+
+def test_an_inferred_scaling_says_nothing_of_levels_where_the_programmed_speed_is_low():
+    programmed = np.array([0.0, 0.05, 0.15, 0.6, 1.0, 1.0, 1.0, 1.0, 0.1])
+    scaling = np.array([np.nan, 0.7, 0.9, 1.0, 0.5, 0.0, 0.5, 1.0, 0.6])
+    kept = at_speed(scaling, programmed * np.nan_to_num(scaling))
+    assert np.isnan(kept).tolist() == [True, True, True, False, False, False, False, False, True]
+    assert kept[3:8].tolist() == scaling[3:8].tolist()
 
 
 def test_few_changes_say_nothing():

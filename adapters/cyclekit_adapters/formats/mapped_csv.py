@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.adapter import Draft, ReadOptions, Recording, Role, StreamingAdapter, concat_parts
-from cyclekit.errors import ConfigError, MissingColumns
+from cyclekit.errors import ConfigError, DamagedLog, MissingColumns
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
-from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, STATES, WHERE, CsvMap, csv_map
+from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, SIGNAL_JOIN, STATES, WHERE, CsvMap, csv_map
 from cyclekit_adapters.mapped.draft import draft_of
 from cyclekit_adapters.mapped.draft_table import sheet_draft_table, text_draft_table
 from cyclekit_adapters.mapped.map_columns import Columns, columns_of, unresolved
@@ -114,6 +114,10 @@ def _found(path: Path, mapping: CsvMap, role: Role) -> tuple[MapTable, Columns]:
     entries = {entry for kind in _columns(mapping, role) for entry in kind}
     table: MapTable = sheet_table(path, mapping) if is_workbook(path) else text_table(path, mapping, entries)
     if missing := unresolved(entries, table.names):
+        if any("\ufffd" in name for name in table.names):
+            encoding = table.facts.get("encoding", "utf-8")
+            cause = f'its header is not written in {encoding}: give encoding in [sources.map], for example "latin-1"'
+            raise DamagedLog(path, cause)
         raise MissingColumns(path, missing, table.names, table.cure(entries, mapping))
     cells = {name: [row[at] for row in table.first_rows if at < len(row)] for at, name in enumerate(table.names)}
     widths = {name: width for name, columns in cells.items() if (width := first_width(columns)) is not None}
@@ -148,12 +152,12 @@ def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[st
     number_time, text_time = ([], time) if mapping.time_format else (time, [])
     places = mapping.places()
     if role == "events":
-        columns = [column for column in (mapping.signal, mapping.value) if column]
-        if len(columns) < 2 and not mapping.tags:
-            cure = "Name both columns, or in tags the columns that are a signal each."
+        columns, bits = [*mapping.signal, *([mapping.value] if mapping.value else [])], _bit_fields(mapping)
+        if not (mapping.signal and mapping.value) and not mapping.tags and not bits:
+            cure = "Name both columns, or in tags the columns that are a signal each, or in digital_in their bit field."
             raise ConfigError(f"{WHERE}: events need the keys signal and value", cure=cure)
         texts = [*text_time, *columns, *mapping.tags, *([mapping.quality] if mapping.quality else [])]
-        return number_time, list(dict.fromkeys(texts)), [*time, *columns[:1]]
+        return [*number_time, *bits], list(dict.fromkeys(texts)), [*time, *mapping.signal]
     if places and not {"x", "y"}.issubset(places):
         raise ConfigError(f"{WHERE}: a position needs at least x and y", cure=_BOTH)
     if role == "people":
@@ -213,11 +217,29 @@ def _people(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
 
 
 def _events(states: StateChanges, frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
-    if mapping.tags:
-        return states.changes(frame, T_S, mapping.tags)
-    signal, value = pl.col(str(mapping.signal)).alias("signal"), pl.col(str(mapping.value)).alias("value")
+    if mapping.tags or _bit_fields(mapping):
+        frame, bits = _with_bits(frame, _bit_fields(mapping))
+        return states.changes(frame, T_S, [*mapping.tags, *bits])
+    parts = [pl.col(column).str.strip_chars() for column in mapping.signal]
+    name = parts[0] if len(parts) == 1 else pl.concat_str(parts, separator=SIGNAL_JOIN)
+    signal, value = name.alias("signal"), pl.col(str(mapping.value)).alias("value")
     named = signal.replace(dict(mapping.names)) if mapping.names else signal
     return conform(frame.select(pl.col(T_S).alias("t_s"), named, value, "source_row"), EVENTS)
+
+
+def _bit_fields(mapping: CsvMap) -> list[str]:
+    return [column for column in (mapping.digital_in, mapping.digital_out) if column]
+
+
+def _with_bits(frame: pl.DataFrame, columns: list[str]) -> tuple[pl.DataFrame, list[str]]:
+    """Return the rows with a text column for each bit of these columns, named `DI 3`, and the names of these."""
+    names = []
+    for column in columns:
+        field = frame[column].cast(pl.Int64, strict=False)
+        for bit in range(int(field.max() or 0).bit_length()):  # type: ignore[arg-type]  # of an integer column
+            names.append(f"{column} {bit}")
+            frame = frame.with_columns((field // (1 << bit) % 2).cast(pl.String).alias(names[-1]))
+    return frame, names
 
 
 def _of_good_quality(rows: TextRows, mapping: CsvMap) -> TextRows:

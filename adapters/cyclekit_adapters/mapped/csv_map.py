@@ -24,7 +24,9 @@ FRAME, EXCEL = "frame", "excel"
 _CLOCKS = ("epoch", "uptime", "relative")
 _DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";", "whitespace": "\\s+"}
 _NUMBERS = {"scaling_max": (1, 100)}
-_LISTS = ("time", "time_unit", "scaling", "joints", "columns", "tags", "good")
+_LISTS = ("time", "time_unit", "scaling", "joints", "columns", "signal", "tags", "good")
+SIGNAL_JOIN = " / "
+"""Between the parts of a signal's name that several columns hold, such as device and event."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class CsvMap:
         confidence: Column of the tracker's confidence in a person's position; 0 = it repeats an old one.
         missing: Numbers that mean not seen or not measured.
         scaling: Columns whose product is the speed scaling.
+        signal: Column of the signal's name, or its parts: device and event of a safety controller's export.
         tags: Columns that are one signal each, such as those of a PLC trace.
         names: Tag or column -> signal name.
         quality: Column of a value's quality; rows with a quality not in `good` are set aside.
@@ -74,7 +77,7 @@ class CsvMap:
     digital_in: str | None = None
     digital_out: str | None = None
     register: str | None = None
-    signal: str | None = None
+    signal: tuple[str, ...] = ()
     value: str | None = None
     tags: tuple[str, ...] = ()
     names: Mapping[str, str] = field(default_factory=dict)

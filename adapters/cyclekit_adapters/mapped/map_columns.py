@@ -31,12 +31,11 @@ ONE = (
     "digital_in",
     "digital_out",
     "register",
-    "signal",
     "value",
     "quality",
 )
 """Keys that take one column."""
-SEVERAL = ("time", "scaling", "joints", "tags")
+SEVERAL = ("time", "scaling", "joints", "signal", "tags")
 """Keys that take one or several columns."""
 _NUMBER = re.compile(r"#([1-9]\d{0,5})")
 _RANGE = re.compile(r"#([1-9]\d{0,5})\.\.#?([1-9]\d{0,5})")

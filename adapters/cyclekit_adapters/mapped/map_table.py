@@ -82,8 +82,6 @@ class TextTable:
     def cure(self, wanted: Collection[str], mapping: CsvMap) -> str:
         """Return where the columns were found, or which columns exist."""
         layout = self.layout
-        if any("\ufffd" in name for name in layout.names):
-            return f'The header is not written in {layout.encoding}: give encoding, for example "latin-1".'
         named = {entry for entry in wanted if not entry.startswith("#")}  # numbers match in any line
         for number, line in enumerate(head_lines(self.path, _LINES_SEARCHED, layout.encoding)):
             for mark in dict.fromkeys((layout.delimiter, ",", ";", "\t", "|", " ")):

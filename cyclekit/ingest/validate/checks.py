@@ -101,8 +101,8 @@ class Checks:
         if not self._ahead:
             return []
         return [
-            f"the time of {self.whose} jumps ahead by {self._furthest_s / DAY_S:.1f} days: a clock set while "
-            "recording, or two recordings in one file; split the log there"
+            f"the time of {self.whose} jumps ahead by {self._furthest_s / DAY_S:.1f} days: nothing was logged in "
+            "between, or the clock was set; if it was, split the log there"
         ]
 
     def _period_warnings(self) -> list[str]:

@@ -11,8 +11,8 @@ tasks (history) and the estimate of a model that knows no conditions.
         [--kinds signals positions list people half uncoupled robot robot-uncoupled]
         [--executions 60 200] [--seeds 1 2] [--orders 8] [--fresh 1000] [--plans]
 
-With --plans, the order chosen by `plan` is compared with the best of all orders of a small set of jobs: one half of the
-fresh executions determines the best, the other half how much slower the chosen one is.
+With --plans, the order chosen by `plan` from signals or a task list is compared with the best of all orders of a small
+set of jobs: one half of the fresh executions determines the best, the other half how much slower the chosen one is.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import time
-from itertools import permutations
+from collections import Counter
+from itertools import permutations, product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,11 +35,13 @@ from cyclekit.api.plan import plan_order
 from cyclekit.api.train import train_model
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.estimate.plan.jobs import ROW, Jobs
+from cyclekit.estimate.plan.task_orders import JobTask, TaskJobs, plan_tasks
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times import learn
+from cyclekit.learning.task_times.runs import logged_runs
 from cyclekit_sim import COUPLED, SimulationOptions, fresh_cycles, orders_beside, random_orders
-from cyclekit_sim.coupled_list import PART, listed_conditions, task_plan
+from cyclekit_sim.coupled_list import NAMES, PART, listed_conditions, task_plan
 from cyclekit_sim.coupled_scenes import JOINT_TIMES, wired
 from cyclekit_sim.coupled_truth import conditions
 
@@ -61,6 +64,8 @@ KINDS = {
     "robot": SimulationOptions(people="none"),
     "robot-uncoupled": SimulationOptions(people="none", coupling=0.0),
 }
+PLANNED = ("signals", "list")
+"""Kinds for which `plan` is judged."""
 ALONE = ("robot", "robot-uncoupled")
 """Logs of the robot alone, with buttons and sensors as its inputs: the operator's order is unknown, any of these."""
 HEAD = ("cell", "logged", "mean |error|, %", "bias, %", "worst, %", "no conditions, %", "history, %", "CI coverage",
@@ -277,20 +282,37 @@ def every_pair(scene: str) -> list[Order]:
     ]
 
 
-def planned(asked: argparse.Namespace, scene: str, executions: int, seed: int) -> tuple[str, ...]:
+def planned(asked: argparse.Namespace, scene: str, kind: str, executions: int, seed: int) -> tuple[str, ...]:
     """Return how much slower than the best the order chosen by `plan` is, and the spread of all orders, %."""
-    cell = logged(asked.work, scene, executions, seed=seed, options=KINDS["signals"], kind="signals", rules=True)
-    found = plan_order(cell.model, cell.dataset, small_jobs(scene), validate=False)
-    chosen = {"robot": found.places, "operator": ("rest", *(found.operator or ()))}
     pairs = every_pair(scene)
-    cycles_s = np.array([fresh(asked, scene, order, PLANS + n, KINDS["signals"])[0] for n, order in enumerate(pairs)])
+    if kind == "list":
+        chosen, expected_s = _planned_list(asked, scene, executions, seed)
+        mine = [task_plan(COUPLED[scene], order) for order in pairs].index(chosen)
+    else:
+        cell = logged(asked.work, scene, executions, seed=seed, options=KINDS[kind], kind=kind, rules=True)
+        found = plan_order(cell.model, cell.dataset, small_jobs(scene), validate=False)
+        mine = pairs.index({"robot": found.places, "operator": ("rest", *(found.operator or ()))})
+        expected_s = found.expected_s
+    cycles_s = np.array([fresh(asked, scene, order, PLANS + n, KINDS[kind])[0] for n, order in enumerate(pairs)])
     ranked, judged = cycles_s[:, ::2].mean(axis=1), cycles_s[:, 1::2].mean(axis=1)
-    best, mine = int(ranked.argmin()), pairs.index(chosen)
+    best = int(ranked.argmin())
     error = np.hypot(*(cycles_s[n, 1::2].std() / len(cycles_s[n, 1::2]) ** 0.5 for n in (best, mine)))
     slower = 100 * np.array([judged[mine] - judged[best], error]) / judged[best]
     spread = 100 * (judged.max() / judged[best] - 1.0)
-    return (scene, f"{executions}, {seed}", str(len(pairs)), f"{judged[best]:.2f}", f"{judged[mine]:.2f}",
-            f"{slower[0]:+.2f} +- {slower[1]:.2f}", f"{spread:.1f}", f"{found.expected_s:.2f}")  # fmt: skip
+    return (f"{scene}, {kind}", f"{executions}, {seed}", str(len(pairs)), f"{judged[best]:.2f}", f"{judged[mine]:.2f}",
+            f"{slower[0]:+.2f} +- {slower[1]:.2f}", f"{spread:.1f}", f"{expected_s:.2f}")  # fmt: skip
+
+
+def _planned_list(
+    asked: argparse.Namespace, scene: str, executions: int, seed: int
+) -> tuple[list[tuple[str, str]], float]:
+    """Return the tasks of both agents as ordered by `plan` from a task list, and the expected cycle time, s."""
+    data = dataset_of(asked.work, scene, executions, seed=seed, options=KINDS["list"], kind="list")
+    work = Counter(task_plan(COUPLED[scene], every_pair(scene)[0]))
+    jobs = TaskJobs(tuple(JobTask(agent, task, times) for (agent, task), times in work.items()))
+    found = plan_tasks(learn.learn_task_times(data), jobs, logged_runs(data)[0])
+    order = {name: [(name, task.name) for task in found.tasks if task.agent == name] for name in NAMES.values()}
+    return [task for tasks in order.values() for task in tasks], found.estimate.expected_s
 
 
 def _refuse(sequence: TaskSequence, error: Exception) -> None:
@@ -316,8 +338,8 @@ def main() -> None:
         found = Table("cell", "logged, set", "orders", "best, s", "chosen, s", "slower, %", "worst, %", "expected, s")
         for scene in asked.scenes:
             for executions in asked.executions:
-                for seed in asked.seeds:
-                    found.add_row(*planned(asked, scene, executions, seed))
+                for kind, seed in product([kind for kind in asked.kinds if kind in PLANNED], asked.seeds):
+                    found.add_row(*planned(asked, scene, kind, executions, seed))
         OUT.print(found)
         return
     table = Table(*HEAD)

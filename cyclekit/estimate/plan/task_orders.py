@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -30,10 +31,11 @@ from cyclekit.estimate.resample import Z95
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times.learn import plan_of
 from cyclekit.learning.task_times.roll import agent_of, roll_plan
+from cyclekit.learning.task_times.runs import always_in_a_row
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     import polars as pl
@@ -50,6 +52,8 @@ RANDOM, MOVES, CYCLES = 60, 240, 48
 """Number of random initial orders, of moves tried on the best ones, and of cycles rolled out per order."""
 STARTS, FINAL, FINAL_CYCLES = 2, 12, 600
 """Number of random orders that are improved by moves; number of best orders rolled out again, and their cycles."""
+TRIES = 20
+"""Number of attempts at a random order: one in which tasks stay together may come to a task that can never start."""
 _EXAMPLE = """For example:
   [[task]]
   agent = "robot"
@@ -161,7 +165,8 @@ def plan_tasks(
     Args:
         model: Task times learned from task lists.
         jobs: The work.
-        runs: Logged executions; those of the same work are the basis of comparison.
+        runs: Logged executions; those of the same work are the basis of comparison. Tasks that followed each other
+            in all of them stay together.
         seed: Seed of the search and of the draws.
         progress: Called with the fraction done and a text.
 
@@ -170,7 +175,7 @@ def plan_tasks(
         ConfigError: A precedence constraint names no task of the jobs.
         EstimateError: No order is possible.
     """
-    search = _Search(model, jobs, seed)
+    search = _Search(model, jobs, always_in_a_row(runs), seed)
     tell = progress or (lambda _fraction, _text: None)
     tell(0.05, "random orders")
     first = [search.random() for _ in range(RANDOM)]
@@ -193,43 +198,88 @@ def plan_tasks(
 class _Search:
     """Orders as sequences of all tasks in which every needed task comes first, so that none ends in a deadlock."""
 
-    def __init__(self, model: TaskModelCard, jobs: TaskJobs, seed: int) -> None:
+    def __init__(
+        self, model: TaskModelCard, jobs: TaskJobs, in_a_row: Mapping[tuple[str, str], str], seed: int
+    ) -> None:
         self.model, self.jobs, self.seed = model, jobs, seed
         self.rng = np.random.default_rng(seed)
         self.tasks = [PlannedTask(job.agent, job.name, job.not_before_s) for job in jobs.task for _ in range(job.times)]
         names = [agent_of(model, task, jobs.shown) for task in self.tasks]
         self.keys = [(name, task.name) for name, task in zip(names, self.tasks, strict=True)]
         self.turn = [self.keys[:number].count(key) for number, key in enumerate(self.keys)]
+        self.at = {(key, turn): number for number, (key, turn) in enumerate(zip(self.keys, self.turn, strict=True))}
+        self.after = self._together(in_a_row)
         self.first = self._precedence()
         self.scored: dict[Order, float] = {}
 
+    def _together(self, in_a_row: Mapping[tuple[str, str], str]) -> dict[int, int]:
+        """Return by task the one that stays directly before it, if the work has both equally often."""
+        found = {}
+        for number, (key, turn) in enumerate(zip(self.keys, self.turn, strict=True)):
+            other = (key[0], in_a_row.get(key, ""))
+            if self.keys.count(other) == self.keys.count(key):
+                found[number] = self.at[other, turn]
+        return found
+
     def _precedence(self) -> list[set[int]]:
         """Return for each task the numbers of the tasks that must come before it."""
-        at = {(key, turn): number for number, (key, turn) in enumerate(zip(self.keys, self.turn, strict=True))}
         needs = {(card.agent, card.task): card.needs for card in self.model.tasks}
         for name in {name for pair in self.jobs.before for name in pair}:
             if name not in {task for _, task in self.keys}:
                 raise UnknownName(self.jobs.shown, "task in before", name, {task for _, task in self.keys})
         found = []
-        for key, turn in zip(self.keys, self.turn, strict=True):
+        for number, (key, turn) in enumerate(zip(self.keys, self.turn, strict=True)):
             if key not in needs:
                 raise UnknownName(self.jobs.shown, f"task of {key[0]}", key[1], {b for a, b in needs if a == key[0]})
             wanted = [((need.agent, need.task), turn - need.back) for need in needs[key]]
             told = {one for one, other in self.jobs.before if other == key[1]}
             wanted += [(other, turn) for other in set(self.keys) if other[1] in told]
-            found.append({at[one] for one in [*wanted, (key, turn - 1)] if one in at})
+            mine = {self.at[one] for one in [*wanted, (key, turn - 1)] if one in self.at}
+            found.append(mine | ({self.after[number]} if number in self.after else set()))
         return found
 
     def random(self) -> Order:
         """Return a random order that satisfies the precedence."""
+        found = next((order for order in (self._drawn() for _ in range(TRIES)) if order), None)
+        if found is None:
+            msg = f"{self.jobs.shown}: no order is possible: tasks wait for each other"
+            raise EstimateError(msg, cure="Take a pair out of before, or add the task that is waited for.")
+        return found
+
+    def _drawn(self) -> Order | None:
         order: list[int] = []
+        due: dict[str, int] = {}
+        follows = {one: other for other, one in self.after.items()}
         while len(order) < len(self.tasks):
-            free = [n for n in range(len(self.tasks)) if n not in order and self.first[n] <= set(order)]
+            able = [n for n in range(len(self.tasks)) if n not in order and self.first[n] <= set(order)]
+            free = [n for n in able if due.get(self.keys[n][0], n) == n]
             if not free:
-                msg = f"{self.jobs.shown}: no order is possible: tasks wait for each other"
-                raise EstimateError(msg, cure="Take a pair out of before, or add the task that is waited for.")
+                return None
             order.append(int(self.rng.choice(free)))
-        return tuple(order)
+            due.pop(self.keys[order[-1]][0], None)
+            if order[-1] in follows:
+                due[self.keys[order[-1]][0]] = follows[order[-1]]
+        return self._merged(self._by_agent(order))
+
+    def _by_agent(self, order: Sequence[int]) -> dict[str, list[int]]:
+        """Return the tasks of each agent in order; the first, second ... of a kind in turn."""
+        found: dict[str, list[int]] = {name: [] for name in sorted({name for name, _ in self.keys})}
+        turn = Counter[tuple[str, str]]()
+        for number in order:
+            key = self.keys[number]
+            found[key[0]].append(self.at[key, turn[key]])
+            turn[key] += 1
+        return found
+
+    def _merged(self, by_agent: Mapping[str, Sequence[int]]) -> Order | None:
+        """Return the order of all tasks in which each agent does its own as given; None if they wait for each other."""
+        left, found = {name: list(mine) for name, mine in by_agent.items()}, list[int]()
+        while any(left.values()):
+            name = next((name for name, mine in left.items() if mine and self.first[mine[0]] <= set(found)), None)
+            if name is None:
+                return None
+            found.append(left[name].pop(0))
+        return tuple(found)
 
     def plan(self, order: Order) -> list[PlannedTask]:
         """Return an order as a plan: each agent's tasks in order, with the precedence of the jobs."""
@@ -249,16 +299,24 @@ class _Search:
         return self.scored[order]
 
     def improve(self, order: Order, moves: int) -> None:
-        """Try random moves of single tasks, and keep those that do not increase the cycle time."""
+        """Try random moves of single tasks, or of those that stay together; keep what does not take longer."""
         for _ in range(moves):
-            moved = list(order)
-            task = moved.pop(int(self.rng.integers(len(moved))))
-            moved.insert(int(self.rng.integers(len(moved) + 1)), task)
-            place = {number: at for at, number in enumerate(moved)}
-            if any(place[one] > place[number] for number in moved for one in self.first[number]):
-                continue
-            if self.score(tuple(moved)) <= self.score(order):
-                order = tuple(moved)
+            moved = self._moved(order)
+            if moved and self.score(moved) <= self.score(order):
+                order = moved
+
+    def _moved(self, order: Order) -> Order | None:
+        """Return the order with one task of an agent elsewhere, and with it those that stay together with it."""
+        name = self.keys[int(self.rng.integers(len(order)))][0]
+        groups: list[list[int]] = []
+        for number in self._by_agent(order)[name]:
+            if number in self.after:
+                groups[-1].append(number)
+            else:
+                groups.append([number])
+        group = groups.pop(int(self.rng.integers(len(groups))))
+        groups.insert(int(self.rng.integers(len(groups) + 1)), group)
+        return self._merged(self._by_agent([*(n for n in order if self.keys[n][0] != name), *chain(*groups)]))
 
     def best(self) -> list[Order]:
         """Return the best orders scored."""

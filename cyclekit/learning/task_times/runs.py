@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +14,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.dataset.dataset import Dataset
+
+MIN_IN_A_ROW = 5
+"""Minimum number of different orders of an agent in which two of its tasks follow each other."""
 
 
 @dataclass(frozen=True)
@@ -108,3 +113,20 @@ def without_failures(runs: Sequence[Run], least: int) -> list[Run]:
 
 def _tasks(runs: Sequence[Run]) -> set[tuple[str, str]]:
     return {(agent, done.task) for run in runs for agent, some in run.tasks.items() for done in some}
+
+
+def always_in_a_row(runs: Sequence[Run]) -> dict[tuple[str, str], str]:
+    """Return by agent and task the other task of the same agent that always came directly before it, if there is one.
+
+    That other task was never followed by anything else: they are parts of one job, such as picking and placing.
+    """
+    found = {}
+    for agent in sorted({name for run in runs for name in run.tasks}):
+        orders = {tuple(done.task for done in run.tasks.get(agent, ())) for run in runs}
+        pairs = Counter(pair for order in orders for pair in set(pairwise(("", *order, ""))))
+        before, after = (Counter(pair[side] for pair in pairs) for side in (1, 0))
+        for (one, other), count in pairs.items():
+            only = before[other] == after[one] == 1 and one and other
+            if only and count >= MIN_IN_A_ROW:
+                found[agent, other] = one
+    return found

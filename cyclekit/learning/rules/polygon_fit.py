@@ -6,6 +6,7 @@ too: without them a few milliseconds would look like another corner.
 
 from __future__ import annotations
 
+from math import cos, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -123,15 +124,35 @@ def _depths(state: PolygonState, floor_m: Floats) -> Floats:
     return np.asarray(state.out_m[:, None] - normals(state.angle_rad) @ floor_m.T)
 
 
-def fit_of(state: PolygonState, samples: PolygonSamples, depths_m: Floats | None = None) -> float:
+def fit_of(state: PolygonState, samples: PolygonSamples) -> float:
     """Return the log-likelihood of the samples."""
-    depths_m = depths_of(state, samples) if depths_m is None else depths_m
-    return _fit(samples.side, depths_m, samples.spread_with(state.jitter))
+    depth = depths_of(state, samples).min(axis=0)
+    return float(terms_of(depth, samples.side * samples.spread_with(state.jitter)).sum())
 
 
-def _fit(side: Vector, depths_m: Floats, spread_m: Vector) -> float:
-    right = ndtr(side * depths_m.min(axis=0) / spread_m)
-    return float(np.log(WRONG + (1.0 - WRONG) * right).sum())
+def terms_of(depth_m: Vector, spread_m: Vector) -> Vector:
+    """Return the log-likelihood of each sample, (K,).
+
+    Args:
+        depth_m: How far each sample lies within the polygon, (K,), m.
+        spread_m: Standard deviation of the positions, m, times 1 or -1 for samples inside or outside, (K,).
+    """
+    return np.asarray(np.log(WRONG + (1.0 - WRONG) * ndtr(depth_m / spread_m)))
+
+
+def terms_with(terms: Vector, depth_m: Vector, tried_m: Vector, spread_m: Vector) -> Vector:
+    """Return the log-likelihood of each sample, (K,), with depths of which few differ from those of `terms`.
+
+    Args:
+        terms: As `terms_of` gives them for `depth_m`, (K,).
+        depth_m: Depths before, (K,), m.
+        tried_m: Depths now, (K,), m.
+        spread_m: As in `terms_of`.
+    """
+    changed = (tried_m != depth_m).nonzero()[0]
+    found = terms.copy()
+    found[changed] = terms_of(tried_m[changed], spread_m[changed])
+    return found
 
 
 def climbed(
@@ -173,9 +194,14 @@ def walk(
     """
     turn, move = np.zeros_like(begin.angle_rad), np.zeros_like(begin.angle_rad)
     late, jitter = begin.late, begin.jitter
-    floor, spread = samples.at_time(late), samples.spread_with(jitter)  # kept: most steps change neither
-    every = _depths(begin, floor)
-    fit = _fit(samples.side, every, spread)
+    # kept: most steps are not accepted, and one side changes the depth of few samples
+    angles, through = begin.angle_rad.tolist(), begin.through_m.tolist()
+    floor, spread = samples.at_time(late).T, samples.side * samples.spread_with(jitter)
+    every = begin.out_m[:, None] - normals(begin.angle_rad) @ floor
+    depth = every.min(axis=0)
+    terms = terms_of(depth, spread)
+    fit = float(terms.sum())
+    normal = np.empty((1, 2))
     drawn: list[Floats] = []
     scales: Floats | None = None
 
@@ -184,28 +210,35 @@ def walk(
 
     for sweep in range(sweeps):
         scales = _scales(drawn) if sweep == adapt else scales
-        for side in range(len(turn)):
-            was = np.array([turn[side], move[side]])
-            now = was + _step(None if scales is None else scales[side], rng)
-            one = PolygonState(begin.angle_rad[[side]], begin.through_m[[side]]).moved(now[:1], now[1:])
+        for side, (angle, (x, y)) in enumerate(zip(angles, through, strict=True)):
+            by_turn, by_move = _step(None if scales is None else scales[side], rng).tolist()
+            was_turn, was_move = float(turn[side]), float(move[side])
+            to_turn, to_move = was_turn + by_turn, was_move + by_move
+            normal[0] = u, v = cos(angle + to_turn), sin(angle + to_turn)
             before = every[side].copy()
-            every[side] = _depths(one, floor)[0]
-            new = _fit(samples.side, every, spread)
-            if accepts(new, float((was @ was - now @ now) / (2 * NEAR_FIT**2))):
-                fit = new
-                turn[side], move[side] = now
+            np.subtract(u * (x + u * to_move) + v * (y + v * to_move), (normal @ floor)[0], out=every[side])
+            tried = every.min(axis=0)
+            tried_terms = terms_with(terms, depth, tried, spread)
+            new = float(tried_terms.sum())
+            less = was_turn * was_turn + was_move * was_move - (to_turn * to_turn + to_move * to_move)
+            if accepts(new, less / (2 * NEAR_FIT**2)):
+                depth, terms, fit = tried, tried_terms, new
+                turn[side], move[side] = to_turn, to_move
             else:
                 every[side] = before
-        here = begin.moved(turn, move)._replace(late=late, jitter=jitter)
-        other = here._replace(late=late + _LATE_STEP * rng.normal())
-        tried_floor = samples.at_time(other.late)
-        tried = _depths(other, tried_floor)
-        if accepts(new := _fit(samples.side, tried, spread), (late**2 - other.late**2) / (2 * LATE**2)):
-            every, floor, fit, late = tried, tried_floor, new, other.late
-        other = here._replace(jitter=float(np.clip(jitter * np.exp(_JITTER_STEP * rng.normal()), *JITTER)))
-        tried_spread = samples.spread_with(other.jitter)
-        if accepts(new := _fit(samples.side, every, tried_spread), 0.0):
-            spread, fit, jitter = tried_spread, new, other.jitter
+        here = begin.moved(turn, move)
+        tried_late = late + _LATE_STEP * rng.normal()
+        tried_floor = samples.at_time(tried_late).T
+        tried_every = here.out_m[:, None] - normals(here.angle_rad) @ tried_floor
+        tried = tried_every.min(axis=0)
+        tried_terms = terms_of(tried, spread)
+        if accepts(new := float(tried_terms.sum()), (late**2 - tried_late**2) / (2 * LATE**2)):
+            floor, every, depth, terms, fit, late = tried_floor, tried_every, tried, tried_terms, new, tried_late
+        tried_jitter = min(max(float(jitter * np.exp(_JITTER_STEP * rng.normal())), JITTER[0]), JITTER[1])
+        tried_spread = samples.side * samples.spread_with(tried_jitter)
+        tried_terms = terms_of(depth, tried_spread)
+        if accepts(new := float(tried_terms.sum()), 0.0):
+            spread, terms, fit, jitter = tried_spread, tried_terms, new, tried_jitter
         drawn.append(np.array([turn, move]))
     turns, moves = np.array(drawn).swapaxes(0, 1)
     return Walk(turns, moves, begin.moved(turn, move)._replace(late=late, jitter=jitter), fit)

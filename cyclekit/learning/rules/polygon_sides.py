@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.learning.rules.polygon_fit import MAX_SIDES, climbed, depths_of, fit_of, normals
+from cyclekit.learning.rules.polygon_fit import MAX_SIDES, climbed, depths_of, normals, terms_of, terms_with
 
 if TYPE_CHECKING:
     from cyclekit.learning.rules.polygon_fit import PolygonSamples, PolygonState
@@ -61,11 +61,13 @@ def _with_one_more(
         **{name: each[depth > -_ABOUT_M] for name, each in zip(samples._fields, samples, strict=True)}
     )
     depth = depth[depth > -_ABOUT_M]
+    spread = near.side * near.spread_with(state.jitter)
+    terms = terms_of(depth, spread)
     found = []
     for normal, angle in zip(normals(_ANGLES), _ANGLES, strict=True):
         for point in samples.floor_m[wrong]:
             beyond = np.minimum(depth, (point - near.floor_m) @ normal)
-            found.append((fit_of(state, near, beyond[None]), float(angle), point))
+            found.append((float(terms_with(terms, depth, beyond, spread).sum()), float(angle), point))
     found.sort(key=lambda one: -one[0])
     more = [
         state._replace(angle_rad=np.append(state.angle_rad, angle), through_m=np.vstack([state.through_m, point]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -84,7 +85,7 @@ class RuleRows:
         """Whether an operator is present, shape (N,)."""
         return np.isfinite(self.floor_m[:, 0])
 
-    @property
+    @cached_property
     def noise_m(self) -> float:
         """Standard deviation of the operator's position along one axis, m, from its second differences."""
         second = np.flatnonzero((self.before >= 0) & (self.before[self.before] >= 0) & self.present)

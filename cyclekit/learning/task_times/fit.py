@@ -66,12 +66,12 @@ def _density(at: Vector, parts: Parts, prior: Vector) -> tuple[float, Vector]:
     """Return the negative log posterior density, and its gradient."""
     k, count = parts.beside.shape[1], len(parts.last)
     mean, spread, log_rate, factor = at[0], np.exp(at[1]) + _MIN_SPREAD, at[2 : 2 + k], at[2 + k :]
-    work, ends = parts.work(log_rate), parts.beside[parts.last]
+    done, ends = parts.done(log_rate), parts.at_end
+    work = parts.work(done)
     z = (np.log(work) - mean - parts.factors @ factor) / spread
     value = 0.5 * z @ z + count * np.log(spread) + np.log(work).sum() - (ends @ log_rate).sum()
     value += 0.5 * ((at[2:] / prior) ** 2).sum()
     pull = z / spread
-    done = np.exp(parts.beside @ log_rate) * parts.dt_s
     of_rate = parts.beside.T @ (done * ((pull + 1.0) / work)[parts.of]) - ends.sum(axis=0)
     of_spread = (count - z @ z) * np.exp(at[1]) / spread
     of_effects = np.concatenate([of_rate, -parts.factors.T @ pull]) + at[2:] / prior**2
@@ -91,7 +91,7 @@ class Quadratic:
 
     def __init__(self, parts: Parts, at: Vector) -> None:
         k, self.kinds = parts.beside.shape[1], parts.kinds
-        done = np.exp(parts.beside @ at[2 : 2 + k]) * parts.dt_s
+        done = parts.done(at[2 : 2 + k])
         work = np.bincount(parts.of, done)
         of_rate = np.zeros((len(parts.last), k))
         np.add.at(of_rate, parts.of, parts.beside * (done / work[parts.of])[:, None])
@@ -103,8 +103,9 @@ class Quadratic:
 
     def hessian(self, spreads: Mapping[str, float]) -> Floats:
         """Return the Hessian of the negative log posterior density by the mean and the effects."""
-        known = np.append(_FREE, [spreads[kind] ** -2 for kind in self.kinds])
-        return np.asarray(self._gram / self.scatter + np.diag(known))
+        found = self._gram / self.scatter
+        found.flat[:: len(found) + 1] += [_FREE, *(spreads[kind] ** -2 for kind in self.kinds)]
+        return np.asarray(found)
 
     def updated(self, usual: float) -> None:
         """Set the scatter to that of the residuals by the repetitions left; with few, close to the usual variance."""

@@ -18,6 +18,7 @@ from cyclekit.learning.task_times.rates import TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import Run, logged_runs, without_failures
 from cyclekit.learning.task_times.starts import Starts, learn_starts
+from cyclekit.parallel.one_thread import one_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -38,6 +39,7 @@ MANY, ASKED = 1000, 5
 """Number of cycles per plan, and number of plans, for the standard error from finite logs."""
 
 
+@one_thread()
 def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | None = None) -> TaskModelCard:
     """Return the task times learned from the task lists of a dataset.
 
@@ -91,12 +93,14 @@ def learn_runs(
         agents: `robot` or `operator` by agent name.
         given: What tasks do not wait for, as the cell file tells.
         seed: Seed of random draws.
-        folds: Number of cross-validation folds over the orders.
+        folds: Number of cross-validation folds over the orders; 0: no held-out orders.
         progress: Called with the share done.
     """
     tell = progress or (lambda _fraction, _text: None)
     model = _learned(runs, agents, given)
     tell(1.0 / (folds + 1), "task times")
+    if not folds:
+        return model
     judged = _judged(runs, agents, given, seed, folds, lambda done: tell((1.0 + done) / (folds + 1), "held-out orders"))
     return structs.replace(model, held_out=judged)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -76,9 +77,18 @@ class Parts:
             factors=self.factors[:, work],
         )
 
-    def work(self, log_rate: Vector) -> Vector:
-        """Return the work of each repetition, shape (N,), s at rate 1."""
-        return np.asarray(np.bincount(self.of, np.exp(self.beside @ log_rate) * self.dt_s, len(self.last)), float)
+    @cached_property
+    def at_end(self) -> Floats:
+        """Effects on the rate in the last part of each repetition, shape (N, effects)."""
+        return self.beside[self.last]
+
+    def done(self, log_rate: Vector) -> Vector:
+        """Return the work done in each part, shape (parts,), s at rate 1."""
+        return np.asarray(np.exp(self.beside @ log_rate) * self.dt_s)
+
+    def work(self, done: Vector) -> Vector:
+        """Return the work of each repetition, shape (N,), s at rate 1, given that done in each part."""
+        return np.asarray(np.bincount(self.of, done, len(self.last)), float)
 
 
 def beside(agent: str, task: str) -> str:

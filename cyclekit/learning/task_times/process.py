@@ -40,10 +40,11 @@ def find_process_time(one: Waiting, tasks: Sequence[str]) -> None:
         if (back or task != one.task) and task not in one.barred
     ]
     best, found = least_gain(len(LEVELS) * max(len(open_to), 1), len(one.seen)), None
+    ready = one.ready_s()
     for need in open_to:
         for after_s in _process_times(one.start_s - one.ends_s(need)):
             told = structs.replace(need, after_s=after_s)
-            by = gain([(one.start_s, one.ready_s(), one.ends_s(told))], early_s(told))
+            by = gain([(one.start_s, ready, one.ends_s(told))], early_s(told))
             if by > best and _is_steady(one, told):
                 best, found = by, told
     if found:

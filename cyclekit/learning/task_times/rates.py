@@ -109,9 +109,14 @@ def _with_more(parts: Parts, plain: _Fit) -> tuple[Parts, Vector]:
     """Return a fit with the further effects that the repetitions of a task show clearly, or the plain one."""
     found = plain.parts, plain.at
     most = evidence(plain.parts, plain.at, plain.spreads) + MIN_GAIN
+    tried = [plain.parts.effects]
     for kinds in MORE:
-        fit = _refitted(parts.without(set(MORE[-1]) - set(kinds)), plain)
-        if fit.parts.effects != plain.parts.effects and (now := evidence(fit.parts, fit.at, fit.spreads)) > most:
+        more = parts.without(set(MORE[-1]) - set(kinds))
+        if more.effects in tried:
+            continue
+        tried.append(more.effects)
+        fit = _refitted(more, plain)
+        if (now := evidence(fit.parts, fit.at, fit.spreads)) > most:
             found, most = (fit.parts, fit.at), now
     return found
 
@@ -172,7 +177,7 @@ def _rates(parts: Parts, at: Vector) -> TaskRates:
         after=_named(effects, "previous"),
         turns=_by_turn(effects, "turn")[""],
         usual_s=float(parts.dt_s.sum() / len(parts.last)),
-        work=parts.work(at[2 : 2 + k]) / np.exp(parts.factors @ at[2 + k :]),
+        work=parts.work(parts.done(at[2 : 2 + k])) / np.exp(parts.factors @ at[2 + k :]),
         number=parts.number,
     )
 

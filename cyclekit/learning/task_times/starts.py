@@ -8,7 +8,7 @@ themselves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -83,6 +83,8 @@ class Waiting:
         planned_s: Planned starts, shape (N,), s; NaN if not logged.
         found: Conditions, None = the planned start.
         barred: Tasks that it does not wait for.
+        ends: For each start, the end of the task that a condition names, (N,), s, by agent, task and `back`: kept, as
+            many process times are tried after the same ends.
     """
 
     agent: str
@@ -93,10 +95,16 @@ class Waiting:
     planned_s: Vector
     found: list[NeedCard | None]
     barred: frozenset[str] = frozenset()
+    ends: dict[tuple[str, str, int], Vector] = field(default_factory=dict)
 
     def ends_s(self, need: NeedCard | None) -> Vector:
         """Return for each start when a condition allows it, shape (N,), s; NaN where there is none."""
-        return self.planned_s if need is None else _ends(self, need) + need.after_s
+        if need is None:
+            return self.planned_s
+        named = need.agent, need.task, need.back
+        if named not in self.ends:
+            self.ends[named] = _ends(self, need)
+        return self.ends[named] + need.after_s
 
     def ready_s(self, but: NeedCard | None = None) -> Vector:
         """Return for each start when all conditions found allow it, shape (N,), s; without one of them if given."""

@@ -30,12 +30,12 @@ def test_one_item_alone_is_made_by_the_caller():
 
 
 def test_two_are_in_the_making_at_the_same_time():
-    together = threading.Barrier(2, timeout=10.0)
+    together = threading.Barrier(2, timeout=60.0)
     assert len(list(parallel_map(range(2 * THREADS), lambda _: together.wait()))) == 2 * THREADS  # else it would break
 
 
 def test_two_are_in_the_making_while_the_caller_has_a_third():
-    together = threading.Barrier(THREADS + 1, timeout=10.0)
+    together = threading.Barrier(THREADS + 1, timeout=60.0)
 
     def make(item: int) -> None:
         if item in (1, 2):

@@ -85,6 +85,7 @@ def test_logged_executions_are_rolled_out_at_the_pace_they_had(
     logged: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The walks are scaled to the latest pace and back to that of each execution, so the bias stays as it was."""
+    monkeypatch.setattr("cyclekit.estimate.joint.check.MAX_EXECUTIONS", 6)
     card = card_of(logged)
     plain = msgspec.structs.replace(card, pace=None)
     then = judge_joint(*_asked(cell_of(logged, plain, monkeypatch)), levels=(0.05, 0.95), seed=0)

@@ -61,7 +61,7 @@ def logged(seed: int, *, carry: bool = False) -> list[Run]:
 
 @pytest.mark.parametrize("carry", [False, True])
 def test_new_orders_of_joint_tasks_take_as_long_as_they_do(carry: bool) -> None:
-    model = learn_runs(logged(1, carry=carry), AGENTS, folds=2)
+    model = learn_runs(logged(1, carry=carry), AGENTS, folds=0)
     joint = {task.task: (task.joint.task, task.joint.starts) for task in model.tasks if task.joint}
     assert joint == {task: (other, carry) for task, other in JOINT.items()}
     rng = np.random.default_rng(99)
@@ -77,7 +77,7 @@ def test_new_orders_of_joint_tasks_take_as_long_as_they_do(carry: bool) -> None:
 
 def test_a_side_without_the_other_takes_its_own_time_and_crossed_handovers_never_end() -> None:
     runs = logged(2)
-    model = learn_runs(runs, AGENTS, folds=2)
+    model = learn_runs(runs, AGENTS, folds=0)
     alone = roll_plan(model, [PlannedTask("arm", "hand over")], cycles=200)
     assert alone.duration_s.mean() == pytest.approx(MEAN_S["hand over"], rel=0.1)
     plan = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import permutations
 
 import numpy as np
@@ -99,7 +100,7 @@ def test_few_executions_of_tasks_that_depend_on_nothing_show_no_effects(seed: in
 
 
 def test_a_plan_takes_longer_where_the_operator_waits_in_the_way() -> None:
-    model = learn_runs(runs_of(150, waiting=0.3, shortest_s=1.0), AGENTS, folds=2)
+    model = learn_runs(runs_of(150, waiting=0.3, shortest_s=1.0), AGENTS, folds=0)
     for packs, weld_s in ((MOUNT_S + 0.1, 5.0), (MOUNT_S + 3.0, 5.0 + 0.7 * 3.0), (60.0, 5.0 / 0.3)):
         plan = [
             PlannedTask("arm", "weld", not_before_s=MOUNT_S),
@@ -110,9 +111,14 @@ def test_a_plan_takes_longer_where_the_operator_waits_in_the_way() -> None:
         assert (rolled.end_s - rolled.start_s)[:, 0].mean() == pytest.approx(weld_s, rel=0.1)
 
 
+@cache
+def learned_of(count: int) -> TaskModelCard:
+    return learn_runs(runs_of(count), AGENTS, folds=0)
+
+
 def _exact(**changed: dict[str, float]) -> TaskModelCard:
     """A model in which the weld takes 5 s and the mount 4 s."""
-    model = learn_runs(runs_of(10), AGENTS, folds=2)
+    model = learned_of(10)
     tasks = []
     for task in model.tasks:
         work = {"weld": 5.0, "mount": MOUNT_S, "pack": PACK_S}[task.task]
@@ -143,14 +149,14 @@ def test_a_plan_is_rolled_out_with_the_rates_of_both_halves_and_of_the_wait() ->
 
 
 def test_of_two_robots_a_plan_says_which() -> None:
-    model = learn_runs(runs_of(10), {"arm": "robot", "worker": "robot"}, folds=2)
+    model = learn_runs(runs_of(10), {"arm": "robot", "worker": "robot"}, folds=0)
     with pytest.raises(UnknownName, match=r"unknown agent 'robot'\.?\n.*Known: arm, worker\."):
         roll_plan(model, [PlannedTask("robot", "weld")])
 
 
 def _weld_alone(orders: int, bias: float, deviations: np.ndarray) -> CycleEstimate:
     """The estimate of a weld, about 5.0 +- 0.15 s, by a model with these errors on held-out orders."""
-    model = learn_runs(runs_of(60), AGENTS, folds=2)
+    model = learned_of(60)
     judged = HeldOutCard(
         orders=orders, bias=bias, within=0.001, order_error=abs(bias), learning_error=0.0, deviations=tuple(deviations)
     )
@@ -219,7 +225,7 @@ def pairs_of(count: int, *, law: str, seed: int = 1) -> list[Run]:
 def test_the_second_occurrence_of_a_task_may_have_a_rate_of_its_own() -> None:
     found = weld_of(pairs_of(50, law="nth"))
     assert found.nth["worker: mount"][1] / found.nth["worker: mount"][0] == pytest.approx(0.4, rel=0.25)
-    model = learn_runs(pairs_of(50, law="nth"), AGENTS, folds=2)
+    model = learn_runs(pairs_of(50, law="nth"), AGENTS, folds=0)
     for begins, weld_s in ((0.5, 4.0), (12.5, 5.5 + 4.0 - 0.4 * 5.5)):
         plan = [PlannedTask("arm", "weld", not_before_s=begins)]
         plan += [PlannedTask("worker", name) for name in ("mount", "pack", "mount")]
@@ -230,7 +236,7 @@ def test_the_second_occurrence_of_a_task_may_have_a_rate_of_its_own() -> None:
 def test_the_task_at_the_start_may_change_the_whole_task() -> None:
     found = weld_of(pairs_of(50, law="at start"))
     assert found.at_start["worker: mount"] / found.at_start["worker: pack"] == pytest.approx(2.0, rel=0.2)
-    model = learn_runs(pairs_of(50, law="at start"), AGENTS, folds=2)
+    model = learn_runs(pairs_of(50, law="at start"), AGENTS, folds=0)
     for begins, weld_s in ((5.0, 8.0), (7.0, 4.0)):
         plan = [PlannedTask("arm", "weld", not_before_s=begins)]
         plan += [PlannedTask("worker", name) for name in ("mount", "pack", "mount")]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from cyclekit import (
     TaskSequence,
@@ -21,6 +22,7 @@ from cyclekit import (
     write_report,
 )
 from cyclekit.config.sequences import PlannedTask
+from cyclekit.dataset.cards.task_model import TaskModelCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, DatasetError, EstimateError, ModelError
 from cyclekit.estimate.gantt import blocks_of
@@ -32,15 +34,20 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.task_times.learn import learn_runs, learn_task_times
 from cyclekit.learning.task_times.rates import fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
-from cyclekit.learning.task_times.runs import DoneTask, Run
+from cyclekit.learning.task_times.runs import DoneTask, Run, logged_runs
 from cyclekit.learning.task_times.saved import TaskTimesModel, load_task_times
 from cyclekit.learning.task_times.starts import learn_starts
 from cyclekit_sim.task_lists import ListOptions, Order, fresh_durations, random_order, simulate_task_lists
 
 
-def learned(folder: Path, seed: int, options: ListOptions) -> TaskTimesModel:
+def listed(folder: Path, seed: int, options: ListOptions) -> Dataset:
     simulate_task_lists(folder / "logs", executions=40, seed=seed, options=options)
     ingest([folder / "logs" / "tasks.csv"], folder / "dataset")
+    return Dataset.open(folder / "dataset")
+
+
+def learned(folder: Path, seed: int, options: ListOptions) -> TaskTimesModel:
+    listed(folder, seed, options)
     return train_task_times(folder / "dataset", out=folder / "model")
 
 
@@ -201,7 +208,7 @@ def test_of_two_robots_the_times_of_the_one_that_ends_last_make_up_the_cycle_tim
     for number in range(12):
         ends = {agent: took + rng.uniform(0.0, 0.2) for agent, (_, took) in lasts.items()}
         runs.append(Run(str(number), {agent: (DoneTask(lasts[agent][0], 0.0, end),) for agent, end in ends.items()}))
-    model = learn_runs(runs, {"arm": "robot", "rover": "robot", "worker": "operator"}, folds=2)
+    model = learn_runs(runs, {"arm": "robot", "rover": "robot", "worker": "operator"}, folds=0)
     plan = TaskSequence.of_plan("all", [PlannedTask(agent, task) for agent, (task, _) in lasts.items()])
     (found,) = estimate_plans(model, [plan], refused=lambda _sequence, error: pytest.fail(str(error)))
     assert found.nominal_s == pytest.approx(5.1, abs=0.1)
@@ -234,8 +241,23 @@ def test_few_executions_are_refused(tmp_path) -> None:
         learn_task_times(Dataset.open(tmp_path / "dataset"))
 
 
+def test_task_times_are_learned_on_one_thread(coupled, monkeypatch) -> None:
+    folder, model = coupled
+    threads = set()
+
+    def learned_here(*_: object, **__: object) -> TaskModelCard:
+        threads.update(each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas")
+        return model.card
+
+    monkeypatch.setattr("cyclekit.learning.task_times.learn.learn_runs", learned_here)
+    with threadpool_limits(2, "blas"):
+        learn_task_times(Dataset.open(folder / "dataset"))
+    assert threads == {1}
+
+
 def test_a_task_that_takes_longer_each_time_in_an_execution_is_learned_so(tmp_path) -> None:
-    card = learned(tmp_path, 4, ListOptions(coupled=False, parallel_rates=False, fatigue=0.2)).card
+    options = ListOptions(coupled=False, parallel_rates=False, fatigue=0.2)
+    card = learn_runs(*logged_runs(listed(tmp_path, 4, options)), folds=0)
     rolled = roll_plan(card, [PlannedTask("worker", "pack")] * 3, cycles=500)
     took = (rolled.end_s - rolled.start_s).mean(axis=0)
     assert took[1] / took[0] == pytest.approx(1.2, abs=0.05)

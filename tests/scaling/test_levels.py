@@ -51,10 +51,10 @@ def test_clusters_equal_scikit_learn_on_noisy_levels_with_border_and_noise_point
 def test_a_million_values_are_clustered_in_a_moment():
     rng = np.random.default_rng(0)
     x = rng.choice(LEVELS, 1_000_000) + rng.normal(0, 0.01, 1_000_000)
-    begin = time.perf_counter()
+    begin = time.process_time()
     labels = dbscan_1d(x, eps=0.02, min_samples=10)
     assert labels.max() == 4
-    assert time.perf_counter() - begin < 10  # a quadratic algorithm would not end at all
+    assert time.process_time() - begin < 10  # a quadratic algorithm would not end at all
 
 
 @pytest.mark.parametrize("bad", [[[0.1, 0.2]], [0.1, np.nan], [np.inf]])

@@ -26,6 +26,13 @@ LEVELS = (0.0, 0.5, 1.0)
 ROWS, EXECUTIONS = 400, 30
 
 
+FEW = ("presence", TO_TCP, "rectangle on the floor")
+"""Kinds of rules for the quick form of a test; `make test-all` tries all."""
+OF_KINDS = pytest.mark.parametrize(
+    "kinds", [FEW, pytest.param(tuple(FAMILIES), marks=pytest.mark.slow)], ids=["few", "all"]
+)
+
+
 def walks(*, away: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A robot and somebody who walks at up to 1.5 m/s, ten times a second: TCP and operator (N, 3), execution (N,)."""
     rng = np.random.default_rng(0)
@@ -294,33 +301,33 @@ def test_labels_that_are_wrong_now_and_then_hide_no_rule(step: Any) -> None:
     assert max(abs(seen[place].value - metres.value) for place, metres in truth.items()) < 0.015
 
 
-def test_labels_that_are_wrong_together_in_one_execution_hide_no_rule() -> None:
+@OF_KINDS
+def test_labels_that_are_wrong_together_in_one_execution_hide_no_rule(kinds: tuple[str, ...]) -> None:
     rows = rows_by(by_distance, noise_m=0.02)
     held_out = np.arange(6)
     at = np.flatnonzero((rows.execution == 2) & (rows.apart_m[TO_TCP] > 2.0))[:16]  # of 2400 that are judged: 0.7 %
     level = rows.level.copy()
     level[at] = 0
-    found = find_rule(replace(rows, level=level), LEVELS, held_out=held_out)
+    found = find_rule(replace(rows, level=level), LEVELS, held_out=held_out, kinds=kinds)
     assert found.rule is not None
     assert found.rule.family == TO_TCP
     all_over = rows.level.copy()
     for number in held_out.tolist():  # as wrong in every execution: there is another cause
         all_over[np.flatnonzero((rows.execution == number) & (rows.apart_m[TO_TCP] > 2.0))[:16]] = 0
-    assert find_rule(replace(rows, level=all_over), LEVELS, held_out=held_out).rule is None
+    assert find_rule(replace(rows, level=all_over), LEVELS, held_out=held_out, kinds=kinds).rule is None
 
 
-@pytest.mark.parametrize(("wrong", "family"), [(0.08, TO_TCP), (0.005, None)], ids=["worse", "better"])
-def test_a_rule_that_explains_not_all_answers_where_the_network_explains_far_less(
-    wrong: float, family: str | None
-) -> None:
+@OF_KINDS
+def test_a_rule_that_explains_not_all_answers_where_the_network_explains_far_less(kinds: tuple[str, ...]) -> None:
     """People whom the tracker misses stop the robot in every execution: no rule can know that."""
     rows, rng = rows_by(by_distance, noise_m=0.02), np.random.default_rng(5)
     level = rows.level.copy()
     level[(rows.apart_m[TO_TCP] > 1.6) & (rng.random(len(rows)) < 0.03)] = 0
-    network = np.where(rng.random(len(rows)) < wrong, (level + 1) % 3, level)
-    found = find_rule(replace(rows, level=level), LEVELS, network=network).rule
-    assert (None if found is None else found.family) == family
-    assert find_rule(replace(rows, level=level), LEVELS).rule is None
+    rows, draws = replace(rows, level=level), rng.random(len(rows))
+    for wrong, family in ((0.08, TO_TCP), (0.005, None), (None, None)):
+        network = None if wrong is None else np.where(draws < wrong, (level + 1) % 3, level)
+        found = find_rule(rows, LEVELS, network=network, kinds=kinds).rule
+        assert (None if found is None else found.family) == family
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
@@ -341,8 +348,9 @@ def test_noise_is_no_hysteresis_and_moves_no_threshold() -> None:
     assert thresholds(found) == pytest.approx([0.7, 1.2], abs=0.015)
 
 
-def test_a_hysteresis_of_a_centimetre_is_none() -> None:
-    found = find_rule(rows_by(by_distance, margin_m=0.01), LEVELS)
+@OF_KINDS
+def test_a_hysteresis_of_a_centimetre_is_none(kinds: tuple[str, ...]) -> None:
+    found = find_rule(rows_by(by_distance, margin_m=0.01), LEVELS, kinds=kinds)
     assert found.rule is not None
     assert (found.rule.family, found.rule.hysteresis) == (TO_TCP, False)
 

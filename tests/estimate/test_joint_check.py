@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.joint.check import JointCheck, judge_joint
+from cyclekit.estimate.joint.check import JointCheck, judge_joint, widening
+from cyclekit.estimate.joint.repetitions import repetitions
 from cyclekit.estimate.joint.unexplained import unexplained_waits
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ def _judged(monkeypatch: pytest.MonkeyPatch, logged: Vector, rolled: Floats) -> 
     monkeypatch.setattr(f"{module}.logged_durations", lambda _, some: logged[[int(one.name) for one in some]])
     monkeypatch.setattr(f"{module}.longest_s", lambda _: 100.0)
     monkeypatch.setattr(f"{module}.unexplained_waits", lambda *_: SimpleNamespace(wait_s=0.0, by_order_s=0.0))
+    monkeypatch.setattr(f"{module}.repetitions", lambda _: 60)
     monkeypatch.setattr(f"{module}.MAX_EXECUTIONS", len(logged))
     cell: Any = SimpleNamespace(
         dataset=None,
@@ -136,3 +138,61 @@ def test_what_the_order_moves_is_finite_for_any_waits(away: list[list[float]]) -
     found = unexplained_waits(waited(9.0, away), [str(number) for number in range(len(away))], 50.0)
     assert np.isfinite(found).all()
     assert min(found) >= 0.0
+
+
+def test_cycles_that_hardly_vary_do_not_widen_all_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In every fifth order the rollouts are nearly the same each time, though logged cycles vary by half a second."""
+    inside = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        spread_s = np.resize([0.01, 1.0, 1.0, 1.0, 1.0], 60)
+        rolled = 50.0 + spread_s[:, None] * rng.normal(0.0, 1.0, (60, 60))
+        found = _judged(monkeypatch, 50.0 + np.hypot(spread_s, 0.5) * rng.normal(0.0, 1.0, 60), rolled)
+        assert found.scores
+        cycles, true = rng.normal(50.0, 1.0, 1000), rng.normal(50.0, np.hypot(1.0, 0.5), 4000)
+        inside.append(np.mean((true >= found.quantile(cycles, 0.05)) & (true <= found.quantile(cycles, 0.95))))
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.03)
+
+
+def _repeated(rare_s: float, often_s: float) -> int:
+    """Return the repetitions in 30 executions of one task in each, and one of three others that are in a third each.
+
+    Args:
+        rare_s: Spread of the durations of these three, s.
+        often_s: That of the task in each execution, s.
+    """
+    rng = np.random.default_rng(1)
+    rows = [
+        {
+            "execution": str(number),
+            "task": task,
+            "start_s": 0.0,
+            "end_s": 20.0 + spread_s * rng.normal(),
+            "wait_s": None,
+        }
+        for number in range(30)
+        for task, spread_s in (("a->b", often_s), (f"b->{number % 3}", rare_s))
+    ]
+    frame = pl.DataFrame(rows, schema_overrides={"wait_s": pl.Float64})
+    cell: Any = SimpleNamespace(
+        executions=30,
+        logged={str(number): () for number in range(30)},
+        dataset=SimpleNamespace(tasks=lambda: frame),
+        gates=SimpleNamespace(waits=lambda _: False),
+    )
+    return repetitions(cell)
+
+
+def test_parts_that_few_executions_have_are_known_from_these_alone() -> None:
+    assert _repeated(rare_s=1.0, often_s=0.0) == 10
+    assert _repeated(rare_s=0.0, often_s=1.0) == 30
+    assert _repeated(rare_s=0.0, often_s=0.0) == 30
+    assert 10 < _repeated(rare_s=1.0, often_s=1.0) < 20
+
+
+def test_single_cycles_scatter_more_where_few_executions_tell_of_their_parts() -> None:
+    cycles = np.random.default_rng(1).normal(50.0, 2.0, 1000)
+    assert [widening(count) for count in (60, 200)] == [1.0, 1.0]
+    assert 1.0 < widening(20) < widening(10) < widening(5) == widening(2) < 1.5
+    usual, few = (judged(widening=each).quantile(cycles, 0.95) for each in (1.0, 1.2))
+    assert few - cycles.mean() == pytest.approx(1.2 * (usual - cycles.mean()))

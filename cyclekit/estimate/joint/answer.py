@@ -13,6 +13,7 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.entry import MIN_SUPPORT
 from cyclekit.estimate.joint.check import JointCheck, judge_joint
 from cyclekit.estimate.joint.plans import Planner
+from cyclekit.estimate.joint.repetitions import repetitions
 from cyclekit.estimate.joint.roll import JointCell, longest_s
 from cyclekit.estimate.joint.shares import operator_shares, planned_shares, task_shares
 from cyclekit.estimate.joint.unended import waits_without_source
@@ -165,7 +166,7 @@ class JointAnswers:
         """Return the estimate of each sequence with an answer, and its mean in each resample (RESAMPLES,), s."""
         plans = {sequence: plan for sequence in sequences if (plan := self._plan(sequence, refuse)) is not None}
         rolled = self._rolled(plans, refuse, tell)
-        drawn = resample_counts(self._ask.seed, self._cell.executions)
+        drawn = resample_counts(self._ask.seed, repetitions(self._cell))
         weights = drawn / drawn.sum(axis=1, keepdims=True)
         shifts = session_shifts(self._ask.seed, self._cell.common)
         pace_error = pace_errors(self._cell, self._planner, list(rolled), seed=self._ask.seed)
@@ -298,10 +299,10 @@ def _slowed(shares: Sequence[TaskShare], factor: float) -> list[TaskShare]:
     return found
 
 
-def resample_counts(seed: int, executions: int, cycles: int = CYCLES) -> Ints:
-    """Return how often each cycle is drawn per resample, (RESAMPLES, cycles); a resample has one draw per execution."""
+def resample_counts(seed: int, count: int, cycles: int = CYCLES) -> Ints:
+    """Return how often each cycle is drawn per resample, (RESAMPLES, cycles); a resample has `count` draws."""
     rng = np.random.default_rng(seed)
-    return np.asarray(rng.multinomial(max(executions, 2), np.full(cycles, 1.0 / cycles), RESAMPLES))
+    return np.asarray(rng.multinomial(max(count, 2), np.full(cycles, 1.0 / cycles), RESAMPLES))
 
 
 def session_shifts(seed: int, common: CommonPaceCard | None) -> Vector | None:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 import polars as pl
-from scipy.special import bdtrc
+from scipy.special import bdtrc, stdtrit
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.bias import bias_of
 from cyclekit.estimate.check import FEW_EXECUTIONS, MAX_EXECUTIONS, MIN_EXECUTIONS, OWN_BIAS, Check, compare
 from cyclekit.estimate.conformal import conformal
 from cyclekit.estimate.joint.plans import Planner
+from cyclekit.estimate.joint.repetitions import repetitions
 from cyclekit.estimate.joint.roll import longest_s
 from cyclekit.estimate.joint.unexplained import unexplained_waits
 from cyclekit.estimate.logged import logged_durations, logged_sequences
@@ -30,11 +31,26 @@ DRAWS = 60
 """Number of cycles rolled out per logged execution."""
 PRIOR = 60
 """Number of logged executions that count as much as the rolled-out cycles themselves in how single cycles scatter."""
+FEWEST = 5
+"""Number of repetitions below which intervals of single cycles do not become wider."""
 OUTSIDE, CHANCE = 0.05, 0.01
 """If more logged executions than chance explains (second value) are outside these outer parts of their rolled-out
 cycles, only the logged executions count."""
+LEAST_SPREAD = 0.5
+"""Minimum standard deviation of rolled-out cycles, as a share of the usual difference of logged cycles from them:
+cycles that seem not to vary would otherwise make the scores of all others huge."""
+MIDDLE = 0.6745
+"""Median absolute value of a standard normal distribution."""
 SAME_PACE = 0.03
 """Difference of the logarithms of paces of the operator that count as one."""
+
+
+class _Scatter(TypedDict, total=False):
+    """How single cycles scatter: attributes of a `JointCheck`."""
+
+    scores: tuple[float, ...]
+    ranks: tuple[float, ...]
+    least_spread: float
 
 
 @dataclass(frozen=True)
@@ -46,11 +62,16 @@ class JointCheck(Check):
             scatter more than the rollouts; else empty.
         ranks: Shares of rolled-out cycles that are shorter than the logged one, and PRIOR evenly spread ones, if
             `scores` is empty; empty with few executions.
+        widening: Factor on the deviations of cycles from their mean where the parts of a cycle were logged few times,
+            unless there are `scores`.
+        least_spread: Minimum standard deviation of rolled-out cycles for `scores`, as a share of their mean.
         unexplained_s: Mean wait of the robot per execution without a known condition, s.
     """
 
     scores: tuple[float, ...] = ()
     ranks: tuple[float, ...] = ()
+    widening: float = 1.0
+    least_spread: float = 0.0
     unexplained_s: float = 0.0
 
     @property
@@ -85,10 +106,12 @@ class JointCheck(Check):
         A rollout has the shape of the cycles of each order. So it is the quantile at the level that logged executions
         have in their own rollouts. If these are wider than the rollouts, their scores in standard deviations count.
         """
+        mean_s = float(np.mean(cycles_s))
         if self.scores:
             off = conformal(np.array(self.scores), level)
-            return float(np.mean(cycles_s)) + off * float(np.std(cycles_s, ddof=1))
-        return float(np.quantile(cycles_s, conformal(np.array(self.ranks), level) if self.ranks else level))
+            return mean_s + off * max(float(np.std(cycles_s, ddof=1)), self.least_spread * mean_s)
+        found = float(np.quantile(cycles_s, conformal(np.array(self.ranks), level) if self.ranks else level))
+        return mean_s + self.widening * (found - mean_s)
 
 
 def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], seed: int) -> JointCheck | None:
@@ -122,12 +145,29 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
     off = logged / means - 1.0  # the chance of a cycle is in the logged duration, which therefore is the numerator
     bias = bias_of(-off / (1.0 + off.mean()), held_out)
     found = replace(found, own_bias=bias.bias, own_error=bias.error)
-    scatter = _scatter(logged, simulated * found.factor) if len(ended) >= FEW_EXECUTIONS else {}
+    enough = len(ended) >= FEW_EXECUTIONS
+    scatter = _scatter(logged, simulated * found.factor) if enough else _Scatter()
     mean_s = float(logged.mean())
     waits = unexplained_waits(cell.dataset, [each.name for each in sequences], mean_s)
     unseen_s = float(np.hypot(waits.by_order_s, _unseen_people_s(cell, [each.name for each in sequences])))
-    ours = {**scatter, "unexplained_s": waits.wait_s, "unseen_error": unseen_s / mean_s}
+    ours = {
+        **scatter,
+        "widening": widening(repetitions(cell)),
+        "unexplained_s": waits.wait_s,
+        "unseen_error": unseen_s / mean_s,
+    }
     return JointCheck(**{**vars(found), **ours})
+
+
+def widening(count: int) -> float:
+    """Return the factor on deviations of single cycles from their mean if their parts were logged `count` times.
+
+    It is Student's factor of a prediction interval, relative to that of PRIOR repetitions, with which the rollouts
+    were found to scatter as the logs do.
+    """
+    count = max(count, FEWEST)
+    few, many = (float(stdtrit(n - 1, 0.95)) * (1.0 + 1.0 / n) ** 0.5 for n in (count, PRIOR))
+    return float(max(few / many, 1.0))
 
 
 def _at_their_paces(
@@ -164,11 +204,14 @@ def _unseen_people_s(cell: JointCell, executions: Sequence[str]) -> float:
     return cell.model.unseen_error * float(sums.std(ddof=1)) if len(sums) > 1 else 0.0
 
 
-def _scatter(logged: Vector, simulated: Floats) -> dict[str, tuple[float, ...]]:
-    """Return `scores` of logged cycles (E,) against rolled-out ones (E, K) where these are too narrow, else `ranks`."""
+def _scatter(logged: Vector, simulated: Floats) -> _Scatter:
+    """Return `scores` and `least_spread` of logged cycles (E,) in rollouts (E, K) that are too narrow, else `ranks`."""
     ranks = ((simulated < logged[:, None]).sum(axis=1) + 0.5) / (simulated.shape[1] + 1)
     outside = np.count_nonzero(np.abs(ranks - 0.5) > 0.5 - OUTSIDE)
-    if outside and bdtrc(outside - 1, len(ranks), 2.0 * OUTSIDE) < CHANCE:
-        off = (logged - simulated.mean(axis=1)) / np.maximum(simulated.std(axis=1, ddof=1), 1e-9)
-        return {"scores": tuple(off.tolist())}
-    return {"ranks": (*ranks.tolist(), *((np.arange(PRIOR) + 0.5) / PRIOR).tolist())}
+    if not outside or bdtrc(outside - 1, len(ranks), 2.0 * OUTSIDE) >= CHANCE:
+        return {"ranks": (*ranks.tolist(), *((np.arange(PRIOR) + 0.5) / PRIOR).tolist())}
+    means = simulated.mean(axis=1)
+    off = logged - means
+    least = LEAST_SPREAD * float(np.median(np.abs(off) / means)) / MIDDLE
+    spread_s = np.maximum(simulated.std(axis=1, ddof=1), np.maximum(least * means, 1e-9))
+    return {"scores": tuple((off / spread_s).tolist()), "least_spread": least}

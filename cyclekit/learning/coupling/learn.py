@@ -22,11 +22,10 @@ from cyclekit.learning.coupling.conditions import (
     MIN_DECIDED,
     decided_by,
     early_s,
-    since_event,
-    times_of,
 )
 from cyclekit.learning.coupling.departures import Condition, Departures, Gate
 from cyclekit.learning.coupling.errands import errand_places, with_errands
+from cyclekit.learning.coupling.given_signals import since_given
 from cyclekit.learning.coupling.in_turn import find_in_turn
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
 from cyclekit.learning.coupling.logged_visits import courses_of
@@ -309,7 +308,7 @@ def _parts(
         if gate != found.gate:
             continue
         every, alike = found.since_s[gate, condition], found.alike.get(condition)
-        seen_s = every if condition.event.signal is None else _from_leaving(courses, found, condition)
+        seen_s = every if condition.event.signal is None else since_given(courses, found, condition)
         lag = _lag(alike.joined, alike.condition, alike.seen_s) if alike else _lag(found, condition, seen_s)
         mine = lag.decided[alike.mine] if alike else lag.decided
         there, event = ~np.isnan(every), condition.event
@@ -352,14 +351,6 @@ def _lag(found: Departures, condition: Condition, seen_s: Vector) -> _Lag:
     values = quantiles(seen, mass, shortest=not condition.partly)
     every = np.repeat(decided, step)[: len(found.left_s)]
     return _Lag(values, min(1.0, round(float(mass.sum()), 4)), every)
-
-
-def _from_leaving(courses: Sequence[ExecutionVisits], found: Departures, condition: Condition) -> Vector:
-    """Return the time since the agent that gives the signal left its place: the time that a plan knows."""
-    times, left = times_of(courses), condition.event._replace(signal=None)
-    if left not in times:  # all his visits there count as trips
-        return found.since_s[found.gate, condition]
-    return since_event(times, found, condition._replace(event=left))
 
 
 def _distribution(since_s: Vector, decided: Floats) -> tuple[float, ...]:

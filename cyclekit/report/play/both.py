@@ -20,6 +20,7 @@ from cyclekit.estimate.joint.draws import NEAR
 from cyclekit.estimate.joint.legs import Gates, event_kind, precedence_needs
 from cyclekit.estimate.joint.levels import WALK, WORK, Levels
 from cyclekit.estimate.joint.plans import Planner
+from cyclekit.estimate.joint.repetitions import repetitions
 from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, STUCK_PART, TIMES, JointCell
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.tracks import OperatorTracks
@@ -115,7 +116,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     source = scaling_source(model, dataset, legs, tracks, arrays)
     gates = Gates(card)
     paced = max(pace_errors(cell, planner, [_asked_as(shown[0])], seed=SEED).values(), default=0.0)
-    corrected = _corrected(shown[0].check, cell.executions, arrays, paced)
+    corrected = _corrected(shown[0].check, repetitions(cell), arrays, paced)
     facts |= source | {"legs": _legs(legs, gates), "check": corrected}
     return facts, arrays
 
@@ -266,15 +267,15 @@ def _legs(legs: Mapping[str, NominalTask], gates: Gates) -> dict[str, Any]:
     return found
 
 
-def _corrected(check: Check | None, executions: int, arrays: Arrays, paced: float) -> dict[str, float]:
+def _corrected(check: Check | None, count: int, arrays: Arrays, paced: float) -> dict[str, float]:
     """Return the corrections of a rollout, with the error of his latest pace; put resamples into `arrays`."""
     judged = len(check.residuals) if check else 2
-    arrays["drawn"] = resample_counts(SEED, executions).astype(np.uint8)
+    arrays["drawn"] = resample_counts(SEED, count).astype(np.uint8)
     arrays["errors"] = np.random.default_rng(SEED + 1).standard_t(max(judged - 1, 1), RESAMPLES).astype(np.float32)
     if not isinstance(check, JointCheck):
-        return {"factor": 1.0, "model_error": paced, "doubted_bias": 0.0}
+        return {"factor": 1.0, "model_error": paced, "doubted_bias": 0.0, "widening": 1.0}
     for name in ("scores", "ranks"):
         if told := getattr(check, name):
             arrays[name] = np.array(told, np.float32)
-    told = {"factor": check.factor, "doubted_bias": check.doubted_bias}
+    told = {name: getattr(check, name) for name in ("factor", "doubted_bias", "widening", "least_spread")}
     return {**told, "model_error": float(np.hypot(check.model_error, paced))}

@@ -127,9 +127,13 @@ const sharesOf = (cycles, log, factor) => { // shares.task_shares, as `answer._s
 
 const spreadOf = (values) => Math.sqrt(covariance(values, values));
 const conformalOf = (values, level) => { // JointCheck.quantile
-  if (tables.ranks) return quantile(sorted(values), quantile(sorted(tables.ranks), level, true));
-  if (!tables.scores) return quantile(sorted(values), level);
-  return mean(values) + quantile(sorted(tables.scores), level, true) * spreadOf(values);
+  const middle = mean(values);
+  if (tables.scores) {
+    const spread = Math.max(spreadOf(values), facts.check.least_spread * middle);
+    return middle + quantile(sorted(tables.scores), level, true) * spread;
+  }
+  const at = tables.ranks ? quantile(sorted(tables.ranks), level, true) : level;
+  return middle + facts.check.widening * (quantile(sorted(values), at) - middle);
 };
 const fewDrawn = () => { // of each row of `drawn`, which is nearly empty: the cycles that were drawn
   const [first, which] = [[0], []];

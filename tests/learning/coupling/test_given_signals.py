@@ -1,0 +1,38 @@
+"""A signal that the operator gives belongs to the visit in which he gave it, whatever other visits there are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cyclekit.learning.coupling.departures import Condition, Departures, Gate
+from cyclekit.learning.coupling.given_signals import since_given
+from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
+
+BUTTON = Event("operator", "fixture", "leaves", "button set")
+
+
+def _course(visits: list[PlaceVisit], at: list[float], robot: list[PlaceVisit]) -> ExecutionVisits:
+    both = {"robot": robot, "operator": visits}
+    return ExecutionVisits("a", both, events_of(both) | {BUTTON: np.array(at)})  # type: ignore[arg-type]
+
+
+def _since(visits: list[PlaceVisit], at: list[float], left_s: list[float]) -> list[float]:
+    """Return the times since the departures of the visits with presses of a robot that left at these times."""
+    gate, condition, rows = Gate("robot", "leave", "fixture"), Condition(BUTTON, 0), np.arange(len(left_s))
+    left = np.array(left_s)
+    found = Departures(gate, rows, 0 * rows, rows, left, left, left, {(gate, condition): left - np.array(at)})
+    return [float(since) for since in since_given([_course(visits, at, [])], found, condition)]
+
+
+def test_a_visit_without_a_press_does_not_shift_the_ones_after_it() -> None:
+    visits = [PlaceVisit("fixture", 0.0, 4.0), PlaceVisit("fixture", 6.0, 8.0), PlaceVisit("fixture", 10.0, 15.0)]
+    assert _since(visits, [3.9, 14.8], [4.3, 15.2]) == pytest.approx([0.3, 0.2])
+    assert _since(visits, [3.9, 15.3], [4.3, 15.5]) == pytest.approx([0.3, 0.5])  # pressed as he went
+    parted = [PlaceVisit("fixture", 0.0, 4.0), PlaceVisit("fixture", 4.0, 9.0)]
+    assert _since(parted, [4.0, 8.8], [4.3, 9.2]) == pytest.approx([0.3, 0.2])
+
+
+def test_a_press_in_no_visit_or_in_one_that_the_log_cuts_off_tells_nothing() -> None:
+    visits = [PlaceVisit("fixture", 0.0, 4.0), PlaceVisit("bench", 5.0, 9.0), PlaceVisit("fixture", 10.0, np.nan)]
+    assert _since(visits, [3.9, 7.0, 14.8], [4.3, 7.4, 15.2]) == pytest.approx([0.3, np.nan, np.nan], nan_ok=True)

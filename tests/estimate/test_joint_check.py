@@ -192,7 +192,7 @@ def test_parts_that_few_executions_have_are_known_from_these_alone() -> None:
 
 def test_single_cycles_scatter_more_where_few_executions_tell_of_their_parts() -> None:
     cycles = np.random.default_rng(1).normal(50.0, 2.0, 1000)
-    assert [widening(count) for count in (60, 200)] == [1.0, 1.0]
-    assert 1.0 < widening(20) < widening(10) < widening(5) == widening(2) < 1.5
+    assert [widening(count, count) for count in (40, 200)] == [1.0, 1.0]
+    assert 1.0 < widening(20, 20) < widening(20, 10) < widening(10, 10) < widening(5, 5) == widening(2, 2) < 1.5
     usual, few = (judged(widening=each).quantile(cycles, 0.95) for each in (1.0, 1.2))
     assert few - cycles.mean() == pytest.approx(1.2 * (usual - cycles.mean()))

@@ -42,6 +42,19 @@ def test_who_begins_in_the_middle_of_his_work_has_the_rest_of_it_left_except_in_
     assert [one[2] for one in own_s] == [8.0, 8.0]
 
 
+def test_work_that_few_executions_show_to_its_end_is_still_work() -> None:
+    """The robot ended all executions before he left a fixture, whose work is known from later on; he begins at rest."""
+    needs = ConditionCard(agent="robot", place="jig", event="leaves", lag_s=(0.5,))
+    gates = (
+        GateCard(agent="operator", at="leave", place="jig", own_s=(6.0,)),
+        GateCard(agent="operator", at="leave", place="rest", own_s=(0.9,)),
+        GateCard(agent="operator", at="approach", place="jig", conditions=(needs,)),
+    )
+    agenda = operator_agenda(("rest", "jig", "rest"), Gates(CouplingCard(gates=gates)), {}, {"rest": np.full(1, 0.7)})
+    own_s = [float(leg.own_s[0]) for leg in agenda.legs if leg.task >= 0 and not leg.hold]
+    assert own_s == [0.7, 6.0, 0.0]
+
+
 @pytest.mark.slow
 def test_a_first_stay_too_short_to_be_seen_is_part_of_the_cycle(cells: Cells) -> None:
     """In this scene he stands at his rest place for 0.2 to 0.8 s when an execution begins; a stay lasts longer."""

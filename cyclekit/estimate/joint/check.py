@@ -31,8 +31,9 @@ DRAWS = 60
 """Number of cycles rolled out per logged execution."""
 PRIOR = 60
 """Number of logged executions that count as much as the rolled-out cycles themselves in how single cycles scatter."""
-FEWEST = 5
-"""Number of repetitions below which intervals of single cycles do not become wider."""
+FEWEST, USUAL = 5, 40
+"""Numbers of executions below which intervals of single cycles do not become wider, and with which rollouts were found
+to scatter as the logs do."""
 OUTSIDE, CHANCE = 0.05, 0.01
 """If more logged executions than chance explains (second value) are outside these outer parts of their rolled-out
 cycles, only the logged executions count."""
@@ -62,8 +63,7 @@ class JointCheck(Check):
             scatter more than the rollouts; else empty.
         ranks: Shares of rolled-out cycles that are shorter than the logged one, and PRIOR evenly spread ones, if
             `scores` is empty; empty with few executions.
-        widening: Factor on the deviations of cycles from their mean where the parts of a cycle were logged few times,
-            unless there are `scores`.
+        widening: Factor on the deviations of cycles from their mean, without `scores`: above 1 with few executions.
         least_spread: Minimum standard deviation of rolled-out cycles for `scores`, as a share of their mean.
         unexplained_s: Mean wait of the robot per execution without a known condition, s.
     """
@@ -152,22 +152,25 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
     unseen_s = float(np.hypot(waits.by_order_s, _unseen_people_s(cell, [each.name for each in sequences])))
     ours = {
         **scatter,
-        "widening": widening(repetitions(cell)),
+        "widening": widening(len(ended), repetitions(cell)),
         "unexplained_s": waits.wait_s,
         "unseen_error": unseen_s / mean_s,
     }
     return JointCheck(**{**vars(found), **ours})
 
 
-def widening(count: int) -> float:
-    """Return the factor on deviations of single cycles from their mean if their parts were logged `count` times.
+def widening(executions: int, count: int) -> float:
+    """Return the factor on deviations of single cycles from their mean; 1 with USUAL executions or more.
 
-    It is Student's factor of a prediction interval, relative to that of PRIOR repetitions, with which the rollouts
-    were found to scatter as the logs do.
+    It is Student's factor of a prediction interval: the scatter is known from so many executions, and the mean of each
+    part of a cycle from `count` repetitions.
     """
-    count = max(count, FEWEST)
-    few, many = (float(stdtrit(n - 1, 0.95)) * (1.0 + 1.0 / n) ** 0.5 for n in (count, PRIOR))
-    return float(max(few / many, 1.0))
+    few = _student(max(executions, FEWEST)) * (1.0 + 1.0 / max(count, FEWEST)) ** 0.5
+    return float(max(few / (_student(USUAL) * (1.0 + 1.0 / USUAL) ** 0.5), 1.0))
+
+
+def _student(executions: int) -> float:
+    return float(stdtrit(executions - 1, 0.95))
 
 
 def _at_their_paces(

@@ -313,19 +313,20 @@ def operator_agenda(
     Args:
         places: The places, in order.
         gates: Gates of the cell.
-        work_s: Quantiles of stays at each place, which are work if he never waits; elsewhere he has no work.
-        first_stays_s: Quantiles of stays at the start of an execution, for places where he is at no other time.
+        work_s: Quantiles of stays at each place, which are work if he never waits.
+        first_stays_s: Quantiles of stays at the start of an execution; where he is at no other time he has no work.
         precedence: Tasks that each must follow (`after`), by number.
         not_before_s: Earliest start of each task.
         begun: Whether he has begun his work at the first place before the cycle begins, as in the logs.
     """
     builder = _Builder("operator", "", np.empty((0, 3)), gates, places)
     for number, place in enumerate(places):
-        own = gates.own_s("operator", place) if gates.waits("operator") else None
-        own = work_s.get(place, NONE) if own is None or place not in work_s else own
+        worked = place in work_s or place not in first_stays_s  # the end of each of few stays may be unlogged
+        own = gates.own_s("operator", place) if gates.waits("operator") and worked else None
+        own = work_s.get(place, NONE) if own is None else own
         before = places[number - 1] if number else "" if begun else None
         around = before, places[number + 1] if number + 1 < len(places) else None
-        by_place = gates.own_by_s(place, *around) if place in work_s else None
+        by_place = gates.own_by_s(place, *around) if worked else None
         own = own if by_place is None else by_place
         own = first_stays_s.get(place, own) if number == 0 and place not in work_s else own
         leg = AgendaLeg(number, place, np.empty((0, 3)), start=builder.legs[-1].place, own_s=own, name=place)

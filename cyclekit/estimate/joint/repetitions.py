@@ -22,7 +22,7 @@ MIN_REPETITIONS = 3
 """Minimum number of repetitions of a part to estimate its variance; below it, that of the other parts of its kind."""
 
 
-class Part(NamedTuple):
+class RepeatedPart(NamedTuple):
     """A part of cycles.
 
     Attributes:
@@ -48,7 +48,7 @@ def repetitions(cell: JointCell) -> int:
     return min(max(round(mean), 2), cell.executions)
 
 
-def _usual_variance(parts: Sequence[Part]) -> list[Part]:
+def _usual_variance(parts: Sequence[RepeatedPart]) -> list[RepeatedPart]:
     """Return the parts, those with few repetitions with the mean variance of the others of their kind."""
     usual: dict[str, list[float]] = defaultdict(list)
     for part in parts:
@@ -60,27 +60,27 @@ def _usual_variance(parts: Sequence[Part]) -> list[Part]:
     ]
 
 
-def _tasks(cell: JointCell) -> Iterator[Part]:
+def _tasks(cell: JointCell) -> Iterator[RepeatedPart]:
     took = (pl.col("end_s") - pl.col("start_s") - pl.col("wait_s").fill_null(0.0)).var()
     mine = cell.dataset.tasks().filter(pl.col("execution").is_in(list(cell.logged)))
     found = mine.group_by("task", maintain_order=True).agg(pl.len(), pl.col("execution").n_unique(), took.alias("took"))
     for _, times, executions, variance in found.iter_rows():
-        yield Part("task", times, executions, variance or 0.0)
+        yield RepeatedPart("task", times, executions, variance or 0.0)
 
 
-def _work(cell: JointCell) -> Iterator[Part]:
+def _work(cell: JointCell) -> Iterator[RepeatedPart]:
     waits = cell.gates.waits("operator")
     for place, names in _occurrences(cell, 1).items():
         own_s = cell.gates.own_s("operator", *place) if waits else None
         own_s = cell.work_s.get(place[0], np.zeros(1)) if own_s is None else own_s
-        yield Part("work", len(names), len(set(names)), float(np.var(own_s)))
+        yield RepeatedPart("work", len(names), len(set(names)), float(np.var(own_s)))
 
 
-def _walks(cell: JointCell) -> Iterator[Part]:
+def _walks(cell: JointCell) -> Iterator[RepeatedPart]:
     for (start, goal), names in _occurrences(cell, 2).items():
         if start != goal:
             took_s = cell.segments.durations_s(cell.segments.walk(start, goal))
-            yield Part("walk", len(names), len(set(names)), float(np.var(took_s)))
+            yield RepeatedPart("walk", len(names), len(set(names)), float(np.var(took_s)))
 
 
 def _occurrences(cell: JointCell, count: int) -> dict[tuple[str, ...], list[str]]:

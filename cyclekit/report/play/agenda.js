@@ -147,7 +147,8 @@ const operatorAgenda = (places, asked, told, begun) => { // begun: his first wor
     const before = number ? places[number - 1] : begun ? "" : null;
     const own = ownByOf(place, before, places[number + 1], asked) || (waits ? ownOf("operator", place, asked) : null);
     const first = number ? null : facts.first_stays_s[place];
-    const work = (stays && own) || (stays || first || NOTHING_S).map((seconds) => seconds / asked.pace);
+    const worked = stays || !facts.first_stays_s[place];
+    const work = (worked && own) || (stays || first || NOTHING_S).map((seconds) => seconds / asked.pace);
     agenda.go(number, place, { place, start: number ? places[number - 1] : "", own_s: work, name: place }, told ? told[number] : AS_LEARNED);
   });
   return agenda.ended(places);

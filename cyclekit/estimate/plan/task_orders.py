@@ -166,7 +166,7 @@ def plan_tasks(
         model: Task times learned from task lists.
         jobs: The work.
         runs: Logged executions; those of the same work are the basis of comparison. Tasks that followed each other
-            in all of them stay together.
+            in all of them stay together, and what was always an agent's first or last task stays that.
         seed: Seed of the search and of the draws.
         progress: Called with the fraction done and a text.
 
@@ -208,15 +208,16 @@ class _Search:
         self.keys = [(name, task.name) for name, task in zip(names, self.tasks, strict=True)]
         self.turn = [self.keys[:number].count(key) for number, key in enumerate(self.keys)]
         self.at = {(key, turn): number for number, (key, turn) in enumerate(zip(self.keys, self.turn, strict=True))}
-        self.after = self._together(in_a_row)
+        self.in_a_row = in_a_row
+        self.after = self._together()
         self.first = self._precedence()
         self.scored: dict[Order, float] = {}
 
-    def _together(self, in_a_row: Mapping[tuple[str, str], str]) -> dict[int, int]:
+    def _together(self) -> dict[int, int]:
         """Return by task the one that stays directly before it, if the work has both equally often."""
         found = {}
         for number, (key, turn) in enumerate(zip(self.keys, self.turn, strict=True)):
-            other = (key[0], in_a_row.get(key, ""))
+            other = (key[0], self.in_a_row.get(key, ""))
             if self.keys.count(other) == self.keys.count(key):
                 found[number] = self.at[other, turn]
         return found
@@ -235,8 +236,22 @@ class _Search:
             told = {one for one, other in self.jobs.before if other == key[1]}
             wanted += [(other, turn) for other in set(self.keys) if other[1] in told]
             mine = {self.at[one] for one in [*wanted, (key, turn - 1)] if one in self.at}
-            found.append(mine | ({self.after[number]} if number in self.after else set()))
+            mine |= {self.after[number]} if number in self.after else set()
+            found.append(mine | {other for other in range(len(self.keys)) if self._is_before(other, number)})
         return found
+
+    def _is_before(self, one: int, other: int) -> bool:
+        """Return whether one of two tasks of an agent was always its first, or the other always its last."""
+        agent, task = self.keys[one]
+        is_first, is_last = self.in_a_row.get((agent, task)) == "", self._is_last(other)
+        return agent == self.keys[other][0] and one != other and ((is_first and self._is_once(one)) or is_last)
+
+    def _is_last(self, number: int) -> bool:
+        agent, task = self.keys[number]
+        return self.in_a_row.get((agent, "")) == task and self._is_once(number)
+
+    def _is_once(self, number: int) -> bool:
+        return self.keys.count(self.keys[number]) == 1
 
     def random(self) -> Order:
         """Return a random order that satisfies the precedence."""

@@ -118,7 +118,8 @@ def _tasks(runs: Sequence[Run]) -> set[tuple[str, str]]:
 def always_in_a_row(runs: Sequence[Run]) -> dict[tuple[str, str], str]:
     """Return by agent and task the other task of the same agent that always came directly before it, if there is one.
 
-    That other task was never followed by anything else: they are parts of one job, such as picking and placing.
+    That other task was never followed by anything else: they are parts of one job, such as picking and placing. "" as
+    the other task = it always came first; as the task = what the agent always did last.
     """
     found = {}
     for agent in sorted({name for run in runs for name in run.tasks}):
@@ -126,7 +127,6 @@ def always_in_a_row(runs: Sequence[Run]) -> dict[tuple[str, str], str]:
         pairs = Counter(pair for order in orders for pair in set(pairwise(("", *order, ""))))
         before, after = (Counter(pair[side] for pair in pairs) for side in (1, 0))
         for (one, other), count in pairs.items():
-            only = before[other] == after[one] == 1 and one and other
-            if only and count >= MIN_IN_A_ROW:
+            if before[other] == after[one] == 1 and count >= MIN_IN_A_ROW:
                 found[agent, other] = one
     return found

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 OWN = 0.1
 """Quantile of the lags that counts as lag without a wait."""
+MIN_WAIT_S, MIN_STEPS = 1.0, 2.0
+"""Minimum of the usual wait for a part, s, and in steps of the times: in whole seconds any lag may look like a wait."""
 
 
 def find_unseen_parts(one: Waiting) -> tuple[PartsCard | None, Vector]:
@@ -33,11 +35,15 @@ def find_unseen_parts(one: Waiting) -> tuple[PartsCard | None, Vector]:
     came, left = np.full((2, len(numbers), nth.max() + 1), np.nan)
     came[row, nth], left[row, nth] = ready_s, one.start_s
     visits = PartVisits(came, left, float(np.quantile(one.start_s - ready_s, OWN)))
-    found = part_arrivals(visits)
+    waited = visits.waited[row, nth]
+    step_s = float(np.diff(np.unique(np.round(one.start_s, 3))).min(initial=np.inf))
+    least_s = max(MIN_WAIT_S, MIN_STEPS * step_s)
+    is_long = waited.any() and np.median(lags_s[waited]) - visits.own_s > least_s
+    found = part_arrivals(visits) if is_long else None
     if found is None:
         return None, lags_s
     first_s, gap_s = (_equally_probable(some) for some in (found.first_s, found.gap_s))
-    lags_s = np.where(visits.waited[row, nth], visits.own_s, lags_s)
+    lags_s = np.where(waited, visits.own_s, lags_s)
     return PartsCard(first_s=first_s, gap_s=gap_s, buffer=found.buffer), lags_s
 
 

@@ -73,10 +73,14 @@ class Run:
 
 
 def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
-    """Return the executions in which all tasks end, ordered by time, and `robot` or `operator` by agent name."""
+    """Return the executions in which all tasks end, ordered by time, and `robot` or `operator` by agent name.
+
+    Names of an agent's tasks that differ only in case, spaces or underscores are those of one task.
+    """
     rows = dataset.every_task().with_columns(agent_name=pl.coalesce("agent_name", "agent")).sort("start_s")
     named = rows.select("agent_name", "agent").unique().sort("agent_name")
     agents = {str(name): str(agent) for name, agent in named.iter_rows()}
+    spelling = _spelling(rows)
     found: list[Run] = []
     for (name,), mine in rows.group_by(["execution"], maintain_order=True):
         if mine["end_s"].null_count():
@@ -88,12 +92,26 @@ def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
         tasks: dict[str, list[DoneTask]] = {}
         for agent, task, start_s, end_s, planned_s in times.iter_rows():
             planned = np.nan if planned_s is None else planned_s
+            task = spelling[agent, _plain(task)]
             tasks.setdefault(agent, []).append(DoneTask(task, start_s, end_s, planned))
         failed = bool((mine["outcome"] == "failed").any())
         found.append(Run(str(name), {agent: tuple(some) for agent, some in tasks.items()}, failed=failed))
     at = {str(name): number for number, name in enumerate(dataset.executions["execution"])}
     found.sort(key=lambda run: at[run.name])
     return [replace(run, number=number) for number, run in enumerate(found)], agents
+
+
+def _spelling(rows: pl.DataFrame) -> dict[tuple[str, str], str]:
+    """Return the most frequent spelling of each task's name, by agent and `_plain` name."""
+    found: dict[tuple[str, str], str] = {}
+    often = rows.group_by("agent_name", "task").len().sort("len", "task", descending=[True, False])
+    for agent, task, _ in often.iter_rows():
+        found.setdefault((agent, _plain(task)), task)
+    return found
+
+
+def _plain(task: str) -> str:
+    return " ".join(task.casefold().replace("_", " ").split())
 
 
 def without_failures(runs: Sequence[Run], least: int) -> list[Run]:

@@ -8,7 +8,7 @@ cause decided; distributions and probabilities are estimated alternately (EM).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
@@ -55,16 +55,18 @@ def deciding_causes(since_s: Floats) -> Causes:
     known, there = np.isfinite(since_s), ~np.isnan(since_s)
     since, ranked = np.where(known, since_s, 0.0), np.where(there, since_s, 0.0)
     share = _first_guess(np.where(known, since_s, np.nan))
-    kernels: list[tuple[Floats, Floats]] = []
+    kernels: list[_Kernels | None] = [None] * len(since)
+    others_of = ~np.eye(len(since), dtype=bool)
     for number in range(ROUNDS if len(since) > 1 else 1):
         mass = np.array([reverse_kaplan_meier(*each) for each in zip(ranked, share, there, strict=True)])
         if number <= SETTLED:
             kernels = [
-                _kernels(t, m, OF_LAG if c else OF_OWN) for c, (t, m) in enumerate(zip(since, mass, strict=True))
+                _kernels(t[on], m[on], OF_LAG if c else OF_OWN, kernels[c])
+                for c, (t, m, on) in enumerate(zip(since, mass, known, strict=True))
             ]
         parts = [_smooth(*each) for each in zip(mass, known, there, kernels, strict=True)]
         cdf = np.array([below for _, below in parts])
-        others = [np.prod(np.delete(cdf, c, axis=0), axis=0) for c in range(len(cdf))]
+        others = [cdf[rows].prod(axis=0) for rows in others_of]
         joint = np.array([pdf for pdf, _ in parts]) * others
         share = joint / np.maximum(joint.sum(axis=0), _TINY)
     return Causes(share, mass, np.log(np.maximum(joint.sum(axis=0), _TINY)))
@@ -118,25 +120,39 @@ def _first_guess(since_s: Floats) -> Floats:
     return np.where(np.isfinite(since_s), guess, 0.0)
 
 
-def _kernels(times: Vector, mass: Vector, irregular: float) -> tuple[Floats, Floats]:
-    """Return kernel density and kernel distribution function of each time at every other time, both (N, N)."""
+class _Kernels(NamedTuple):
+    """Kernel density and kernel distribution function of each known time at every other one, both (K, K)."""
+
+    width_s: float
+    density: Floats
+    below: Floats
+
+
+def _kernels(times: Vector, mass: Vector, irregular: float, before: _Kernels | None) -> _Kernels:
+    """Return the kernels of K known times with this mass; those before if the width is the same."""
     width = _width(times, mass)
+    if before is not None and before.width_s == width:
+        return before
     density, below = np.zeros((len(times), len(times))), np.zeros((len(times), len(times)))
     for part, scale in ((1.0 - irregular, width), (irregular, WIDE * width)):
         z = (times[:, None] - times[None, :]) / scale
         density += part * np.exp(-0.5 * z * z) / (scale * np.sqrt(2.0 * np.pi))
         below += part * ndtr(z)
     np.fill_diagonal(density, 0.0)
-    return density, below
+    return _Kernels(width, density, below)
 
 
-def _smooth(mass: Vector, known: Bools, there: Bools, kernels: tuple[Floats, Floats]) -> tuple[Vector, Vector]:
-    """Return leave-one-out density and distribution function of a cause at each departure, both (N,)."""
-    (density, below), total = kernels, float(mass.sum())
-    pdf = (1.0 - ANY) * total * (density @ mass) / np.maximum(total - mass, 1e-9) + ANY / ANY_S
+def _smooth(mass: Vector, known: Bools, there: Bools, kernels: _Kernels) -> tuple[Vector, Vector]:
+    """Return leave-one-out density and distribution function of a cause at each departure, both (N,).
+
+    Unknown times have no mass.
+    """
+    mine, total = mass[known], float(mass.sum())
     missing = 1.0 - total  # below all observed times
-    cdf = np.clip(below @ mass + missing, 1e-9, 1.0)
-    return np.where(known, pdf, 0.0), np.where(known, cdf, np.where(there, np.clip(missing, 1e-9, 1.0), 1.0))
+    pdf, cdf = np.zeros(len(mass)), np.where(there, np.clip(missing, 1e-9, 1.0), 1.0)
+    pdf[known] = (1.0 - ANY) * total * (kernels.density @ mine) / np.maximum(total - mine, 1e-9) + ANY / ANY_S
+    cdf[known] = np.clip(kernels.below @ mine + missing, 1e-9, 1.0)
+    return pdf, cdf
 
 
 def _width(times: Vector, mass: Vector) -> float:

@@ -57,6 +57,12 @@ def no_boosting(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def two_folds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Task times of the test are learned three times instead of six: other files look at their held-out orders."""
+    monkeypatch.setattr("cyclekit.learning.task_times.learn.FOLDS", 2)
+
+
+@pytest.fixture
 def words_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages of the test have empty pictures: drawing them takes most of the time, and other files look at them."""
     monkeypatch.setattr("cyclekit.report.pictures.Picture._drawn", lambda *_: "<svg></svg>")

@@ -65,17 +65,21 @@ def best_at(parts: Parts, spreads: Mapping[str, float], begin: Vector, least: fl
 def _density(at: Vector, parts: Parts, prior: Vector) -> tuple[float, Vector]:
     """Return the negative log posterior density, and its gradient."""
     k, count = parts.beside.shape[1], len(parts.last)
-    mean, spread, log_rate, factor = at[0], np.exp(at[1]) + _MIN_SPREAD, at[2 : 2 + k], at[2 + k :]
-    done, ends = parts.done(log_rate), parts.at_end
+    mean, grown, log_rate, factor = at[0], np.exp(at[1]), at[2 : 2 + k], at[2 + k :]
+    spread, done, ends = grown + _MIN_SPREAD, parts.done(log_rate), parts.at_end
     work = parts.work(done)
-    z = (np.log(work) - mean - parts.factors @ factor) / spread
-    value = 0.5 * z @ z + count * np.log(spread) + np.log(work).sum() - (ends @ log_rate).sum()
-    value += 0.5 * ((at[2:] / prior) ** 2).sum()
+    log_work, off, variance = np.log(work), at[2:] / prior, prior**2
+    z = (log_work - mean - parts.factors @ factor) / spread
+    value = 0.5 * z @ z + count * np.log(spread) + log_work.sum() - (ends @ log_rate).sum()
+    value += 0.5 * (off**2).sum()
     pull = z / spread
-    of_rate = parts.beside.T @ (done * ((pull + 1.0) / work)[parts.of]) - ends.sum(axis=0)
-    of_spread = (count - z @ z) * np.exp(at[1]) / spread
-    of_effects = np.concatenate([of_rate, -parts.factors.T @ pull]) + at[2:] / prior**2
-    return float(value), np.concatenate([[-pull.sum(), of_spread], of_effects])
+    slope = np.empty(len(at))
+    slope[0] = -pull.sum()
+    slope[1] = (count - z @ z) * grown / spread
+    slope[2 : 2 + k] = parts.beside.T @ (done * ((pull + 1.0) / work)[parts.of]) - parts.ends
+    slope[2 + k :] = -parts.factors.T @ pull
+    slope[2:] += at[2:] / variance
+    return float(value), slope
 
 
 class Quadratic:

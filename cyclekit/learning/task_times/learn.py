@@ -59,7 +59,7 @@ def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | No
     given = dataset.card.settings.waits
     _check_waits(runs, agents, given)
     clean = without_failures(runs, MIN_EXECUTIONS)
-    model = learn_runs(clean, agents, given=given, seed=seed, progress=progress)
+    model = learn_runs(clean, agents, given=given, seed=seed, folds=FOLDS, progress=progress)
     return structs.replace(model, dataset=dataset.path.name, failed=len(runs) - len(clean))
 
 

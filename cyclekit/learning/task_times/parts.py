@@ -82,6 +82,11 @@ class Parts:
         """Effects on the rate in the last part of each repetition, shape (N, effects)."""
         return self.beside[self.last]
 
+    @cached_property
+    def ends(self) -> Vector:
+        """Sum of these over the repetitions, shape (effects,)."""
+        return np.asarray(self.at_end.sum(axis=0))
+
     def done(self, log_rate: Vector) -> Vector:
         """Return the work done in each part, shape (parts,), s at rate 1."""
         return np.asarray(np.exp(self.beside @ log_rate) * self.dt_s)

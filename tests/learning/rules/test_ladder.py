@@ -25,12 +25,9 @@ from cyclekit.learning.rules.words import sentences, verdict
 LEVELS = (0.0, 0.5, 1.0)
 ROWS, EXECUTIONS = 400, 30
 
-
-FEW = ("presence", TO_TCP, "rectangle on the floor")
-"""Kinds of rules for the quick form of a test; `make test-all` tries all."""
-OF_KINDS = pytest.mark.parametrize(
-    "kinds", [FEW, pytest.param(tuple(FAMILIES), marks=pytest.mark.slow)], ids=["few", "all"]
-)
+FEW = ("presence", TO_TCP, "rectangle on the floor", f"{TO_TCP}, or rectangle on the floor")
+EVERY = pytest.param(tuple(FAMILIES), marks=pytest.mark.slow)
+OF_KINDS = pytest.mark.parametrize("kinds", [FEW, EVERY], ids=["few", "all"])
 
 
 def walks(*, away: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -183,8 +180,9 @@ def by_distance_or_far_box(robot: np.ndarray, human: np.ndarray, margin_m: float
     return np.where(far, np.minimum(1, by_distance(robot, human, margin_m)), by_distance(robot, human, margin_m))
 
 
-def test_a_rectangle_that_slows_like_a_distance_with_hysteresis_is_told_apart_from_it() -> None:
-    found = find_rule(rows_by(by_distance_or_far_box, margin_m=0.2, noise_m=0.02), LEVELS)
+@OF_KINDS
+def test_a_rectangle_that_slows_like_a_distance_with_hysteresis_is_told_apart_from_it(kinds: tuple[str, ...]) -> None:
+    found = find_rule(rows_by(by_distance_or_far_box, margin_m=0.2, noise_m=0.02), LEVELS, kinds=kinds)
     assert found.rule is not None
     assert (found.rule.family, found.rule.hysteresis) == (f"{TO_TCP}, or rectangle on the floor", True)
     half = found.rule.limits[1]

@@ -19,33 +19,39 @@ if TYPE_CHECKING:
     from simulated_cells import Cells
 
 
-def notes_without_frame(logs: Path, folder: Path) -> dict[str, dict[str, object]]:
-    """Ingest logs by their cell file without its frame; return the dataset's notes by code."""
+def without_frame(logs: Path, folder: Path) -> Dataset:
+    """Ingest logs by their cell file without its frame."""
     cell = folder / "cell.toml"
     lines = (logs / "cell.toml").read_text(encoding="utf-8").splitlines()
     cell.write_text("\n".join(line for line in lines if not line.startswith("frame = ")), encoding="utf-8")
     ingest_logs(logs, out=folder / "dataset", cell=cell)
-    return {one.code: dict(one.values) for one in Dataset.open(folder / "dataset").card.warnings}
+    return Dataset.open(folder / "dataset")
 
 
-def test_a_forgotten_frame_is_proposed_from_the_slow_downs(cells: Cells, tmp_path: Path):
-    logs = cells.logs("box-picking", 8)
-    line = str(notes_without_frame(logs, tmp_path)["frame-doubtful"]["line"])
+def notes_of(dataset: Dataset) -> dict[str, dict[str, object]]:
+    return {one.code: dict(one.values) for one in dataset.card.warnings}
+
+
+@pytest.fixture(scope="module")
+def forgotten(cells: Cells, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return without_frame(cells.logs("box-picking", 8), tmp_path_factory.mktemp("forgotten"))
+
+
+def test_a_forgotten_frame_is_proposed_from_the_slow_downs(forgotten: Dataset):
+    line = str(notes_of(forgotten)["frame-doubtful"]["line"])
     found = [float(number) for number in re.findall(r"-?\d+\.\d+", line)]
     assert found[:2] == pytest.approx([1.4, -2.6], abs=0.1)
     assert found[3] == pytest.approx(35.0, abs=1.5)
 
 
-def test_a_model_and_an_estimate_without_the_frame_carry_the_warning(cells: Cells, tmp_path: Path):
-    notes_without_frame(cells.logs("box-picking", 8), tmp_path)
-    dataset = Dataset.open(tmp_path / "dataset")
-    model = train(dataset, ModelSpec.of("now", "classifier", epochs=1))
+def test_a_model_and_an_estimate_without_the_frame_carry_the_warning(forgotten: Dataset):
+    model = train(forgotten, ModelSpec.of("now", "classifier", epochs=1))
     assert "frame-doubtful" in {one.code for one in model.card.warnings}
-    assert any("frame is probably wrong" in text for text in limits_of_logs(dataset, model))
+    assert any("frame is probably wrong" in text for text in limits_of_logs(forgotten, model))
 
 
 def test_where_zones_decide_the_speed_a_forgotten_frame_is_said_to_be_unconfirmed(cells: Cells, tmp_path: Path):
-    assert "frame-assumed" in notes_without_frame(cells.logs("laser-zones", 6), tmp_path)
+    assert "frame-assumed" in notes_of(without_frame(cells.logs("laser-zones", 6), tmp_path))
 
 
 @pytest.mark.parametrize(("scene", "executions"), [("box-picking", None), ("laser-zones", 6)])

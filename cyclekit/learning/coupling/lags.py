@@ -14,6 +14,8 @@ import numpy as np
 from scipy.special import ndtr
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cyclekit.schema import Bools, Floats, Vector
 
 LEVELS = 51
@@ -55,14 +57,15 @@ def deciding_causes(since_s: Floats) -> Causes:
     known, there = np.isfinite(since_s), ~np.isnan(since_s)
     since, ranked = np.where(known, since_s, 0.0), np.where(there, since_s, 0.0)
     share = _first_guess(np.where(known, since_s, np.nan))
-    kernels: list[_Kernels | None] = [None] * len(since)
+    kernels: list[_Kernels] = []
     others_of = ~np.eye(len(since), dtype=bool)
     for number in range(ROUNDS if len(since) > 1 else 1):
         mass = np.array([reverse_kaplan_meier(*each) for each in zip(ranked, share, there, strict=True)])
         if number <= SETTLED:
+            before: Sequence[_Kernels | None] = kernels or [None] * len(since)
             kernels = [
-                _kernels(t[on], m[on], OF_LAG if c else OF_OWN, kernels[c])
-                for c, (t, m, on) in enumerate(zip(since, mass, known, strict=True))
+                _kernels(t[on], m[on], OF_LAG if c else OF_OWN, was)
+                for c, (t, m, on, was) in enumerate(zip(since, mass, known, before, strict=True))
             ]
         parts = [_smooth(*each) for each in zip(mass, known, there, kernels, strict=True)]
         cdf = np.array([below for _, below in parts])

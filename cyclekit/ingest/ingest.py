@@ -64,6 +64,9 @@ if TYPE_CHECKING:
 
 Progress = Callable[[float, str], None]
 
+DATED_S = 9.4e8
+"""Times above it, s, are dates: since 1970 those from 1999 on. No controller runs for 30 years."""
+
 
 @one_thread()
 def ingest(
@@ -347,10 +350,17 @@ def _copied(logs: Sequence[LogCard]) -> list[Note]:
 
 
 def _at_once(logs: Sequence[LogCard]) -> list[Note]:
-    """Return a note if robot logs in epoch time overlap: they are of several robots, which are a dataset each."""
-    robots = [log for log in logs if "robot" in log.tables and log.clock.kind == "epoch"]
-    robots.sort(key=lambda log: log.first_s)
-    pairs = [(one, other) for one, other in pairwise(robots) if other.first_s < one.last_s - OVERLAP_S]
+    """Return a note if robot logs with dates overlap: they are of several robots, which are a dataset each.
+
+    Without a time zone such times count as relative, but those of all robots are probably of the same zone.
+    """
+    robots = [log for log in logs if "robot" in log.tables and (log.clock.kind == "epoch" or log.first_s > DATED_S)]
+    robots.sort(key=lambda log: (log.clock.kind, log.first_s))
+    pairs = [
+        (one, other)
+        for one, other in pairwise(robots)
+        if one.clock.kind == other.clock.kind and other.first_s < one.last_s - OVERLAP_S
+    ]
     return [note("robots-at-once", one=pairs[0][0].shown, other=pairs[0][1].shown)] if pairs else []
 
 

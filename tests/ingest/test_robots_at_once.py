@@ -35,6 +35,20 @@ def test_robot_logs_of_the_same_time_are_named(tmp_path: Path) -> None:
     assert "ignore" in said
 
 
+def test_local_times_without_a_zone_name_them_too(tmp_path: Path) -> None:
+    folder = two_robots(tmp_path, 5.0)
+    for log in sorted(folder.iterdir()):
+        rows = pl.read_csv(log, separator=" ")
+        local = pl.from_epoch((pl.col("timestamp") * 1e3).cast(pl.Int64), "ms").dt.strftime("%Y-%m-%d %H:%M:%S%.3f")
+        places = [pl.col(f"actual_TCP_pose_{k}").alias(axis) for k, axis in enumerate("xyz")]
+        rows.select(local.alias("when"), *places, "speed_scaling").write_csv(log)
+    keys = 'time = "when"\ntime_format = "iso"\nx = "x"\ny = "y"\nz = "z"\nscaling = "speed_scaling"\n'
+    source = '[[sources]]\npath = "robot_*.csv"\nadapter = "csv"\nrole = "robot"\n\n[sources.map]\n'
+    (folder / "cell.toml").write_text(f'name = "two robots"\n\n{source}{keys}')
+    done = ingest([folder], tmp_path / "dataset")
+    assert [text for text in done.warnings if "robot logs of the same time" in text]
+
+
 def test_logs_of_one_robot_after_each_other_are_not(tmp_path: Path) -> None:
     done = ingest([two_robots(tmp_path, 50000.0)], tmp_path / "dataset")
     assert not [text for text in done.warnings if "robot logs of the same time" in text]

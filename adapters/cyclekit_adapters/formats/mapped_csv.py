@@ -19,6 +19,7 @@ from cyclekit.errors import ConfigError, DamagedLog, MissingColumns
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
 from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, SIGNAL_JOIN, STATES, WHERE, CsvMap, csv_map
 from cyclekit_adapters.mapped.draft import draft_of
+from cyclekit_adapters.mapped.draft_events import event_draft
 from cyclekit_adapters.mapped.draft_table import sheet_draft_table, text_draft_table
 from cyclekit_adapters.mapped.map_columns import Columns, columns_of, unresolved
 from cyclekit_adapters.mapped.map_table import MapTable, text_table
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from cyclekit.adapter import ClockKind
 
 _SLACK = 1e-3
+_MOTION = {"x", "joints", "scaling"}
 _BOTH = 'Name the columns of both; in a drafted map choose among the lines that begin with "# ?".'
 
 
@@ -48,7 +50,10 @@ class _MappedCsv:
 
     def draft(self, path: Path) -> Draft | None:
         table = sheet_draft_table(path) if is_workbook(path) else text_draft_table(path)
-        return None if table is None else draft_of(table, f"{path.parent.name} {path.stem}")
+        draft = None if table is None else draft_of(table, f"{path.parent.name} {path.stem}")
+        if is_workbook(path) or (draft is not None and not _MOTION.isdisjoint(line.key for line in draft.map)):
+            return draft
+        return event_draft(path) or draft
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         return concat_parts(self.stream(path, options))

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 LINES = 2000
 """Maximum number of lines read."""
-_DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "|", "\\s+": "whitespace"}
+DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "|", "\\s+": "whitespace"}
 _LINES_SEARCHED = 50
 _MAX_COLUMNS = 2000
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d+|\.)?|[.,]\d+)(?:[eE][+-]?\d+)?")
@@ -75,19 +75,24 @@ class DraftTable:
 
 def text_draft_table(path: Path) -> DraftTable | None:
     """Return the first rows of a text table; None if the file is not a table."""
-    encoding = file_encoding(path)
-    if encoding is None:
-        return None
-    lines, keys = head_lines(path, LINES, encoding), {}
-    if any("\ufffd" in line for line in lines):
-        lines, keys = head_lines(path, LINES, "latin-1"), {"encoding": "latin-1"}
-    lines = lines[:-1] if len(lines) < LINES or not lines[-1] else lines  # the last line may be incomplete
-    marks = [mark for mark in _DELIMITERS if mark == "\\s+" or any(mark in line for line in lines)]
+    lines, keys = draft_lines(path)
+    marks = [mark for mark in DELIMITERS if mark == "\\s+" or any(mark in line for line in lines)]
     found = [rows for mark in marks if (rows := _rows_by(lines, mark)) is not None]
     if not found:
         return None
     best = max(found, key=lambda rows: (rows.numbers, rows.mark != "\\s+"))
-    return _table(best, {**keys, "delimiter": _DELIMITERS[best.mark]})
+    return _table(best, {**keys, "delimiter": DELIMITERS[best.mark]})
+
+
+def draft_lines(path: Path) -> tuple[list[str], dict[str, object]]:
+    """Return the first lines of a text file, and the keys of the map that say how they are written; none if no text."""
+    encoding = file_encoding(path)
+    if encoding is None:
+        return [], {}
+    lines, keys = head_lines(path, LINES, encoding), dict[str, object]()
+    if any("\ufffd" in line for line in lines):
+        lines, keys = head_lines(path, LINES, "latin-1"), {"encoding": "latin-1"}
+    return lines[:-1] if len(lines) < LINES or not lines[-1] else lines, keys  # the last line may be incomplete
 
 
 def sheet_draft_table(path: Path) -> DraftTable | None:

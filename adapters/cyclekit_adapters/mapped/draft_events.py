@@ -1,0 +1,126 @@
+"""Draft of a map for an export of events: a row per change, with time, device, event and state.
+
+Safety controllers and scanners write such exports, each in its own layout. What tells them from other tables is that
+each row differs in its state from the one before it of the same signal.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from cyclekit.adapter import Draft, Proposal
+from cyclekit_adapters.mapped.csv_map import SIGNAL_JOIN
+from cyclekit_adapters.mapped.draft_names import name_of
+from cyclekit_adapters.mapped.draft_table import DELIMITERS, DraftTable, draft_lines
+from cyclekit_adapters.mapped.draft_times import found_times
+from cyclekit_adapters.text.text_layout import fields_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from cyclekit_adapters.mapped.draft_times import FoundTime
+
+_MIN_ROWS, _MIN_SHARE, _HEADER_LINES = 10, 0.7, 50
+"""Minimum number of rows; minimum share of rows that differ from the one before; last line searched for names."""
+_MAX_STATES, _MAX_SIGNALS = 8, 100
+_SAME = 0.02
+"""A column is part of a signal's name if that share does not fall by more."""
+_LISTED = 12
+_VALUES = {"state", "status", "value", "val", "new", "zustand", "wert", "neu", "stato", "valore"}
+
+
+def event_draft(path: Path) -> Draft | None:
+    """Return a proposed map for an export of events; None if the file is none."""
+    table = _table(path)
+    if table is None:
+        return None
+    times = found_times(table, {name: name_of(name) for name in table.names})
+    if not times:
+        return None
+    others = [name for name in table.names if name not in times[0].columns and any(table.cells[name])]
+    able = [found for value in others if (found := _signals(table, value, others))[0] >= _MIN_SHARE]
+    if not able:
+        return None
+    share, signal, value = max(able, key=lambda found: (name_of(found[2]).says(_VALUES), found[0]))
+    lines = [Proposal(key, value) for key, value in table.keys.items()]
+    notes = _add_time(lines, times[0])
+    lines.append(Proposal("signal", signal[0] if len(signal) == 1 else list(signal)))
+    why = f"{100 * share:.0f} % of the rows differ from the one before of the same signal: a row per change"
+    lines.append(Proposal("value", value, why))
+    states: dict[str, set[str]] = {}
+    for name, state in zip(_names(table, signal), table.cells[value], strict=True):
+        states.setdefault(name, set()).add(state)
+    shown = [f"{name} ({', '.join(sorted(mine))})" for name, mine in states.items()]
+    notes.append(f"signals: {'; '.join(shown[:_LISTED])}{'; ...' if len(shown) > _LISTED else ''}")
+    return Draft((Proposal("role", "events", "its rows are changes of states"),), tuple(lines), tuple(notes))
+
+
+def _table(path: Path) -> DraftTable | None:
+    """Return the first rows below a line of names, if nearly all of them have as many cells."""
+    lines, keys = draft_lines(path)
+    for mark, word in DELIMITERS.items():
+        if mark == "\\s+":
+            continue
+        rows = [[cell.strip() for cell in fields_of(line, mark)] for line in lines]
+        for at, names in enumerate(rows[:_HEADER_LINES]):
+            body = [row for row in rows[at + 1 :] if any(row)]
+            fits = [row for row in body if len(row) == len(names)]
+            named = len(names) > 2 and all(names) and len(set(names)) == len(names)
+            if named and len(fits) >= max(_MIN_ROWS, 0.9 * len(body)):
+                cells = {name: [row[place] for row in fits] for place, name in enumerate(names)}
+                skipped = {"skip_rows": at} if at else {}
+                return DraftTable(tuple(names), cells, keys={**keys, "delimiter": word, **skipped})
+    return None
+
+
+def _signals(table: DraftTable, value: str, others: Sequence[str]) -> tuple[float, tuple[str, ...], str]:
+    """Return the share of rows that differ in `value` from the one before, and the columns of the signal's name."""
+    nothing: tuple[float, tuple[str, ...], str] = (0.0, (), value)
+    if not 2 <= len(set(table.cells[value])) <= _MAX_STATES:
+        return nothing
+    able = [name for name in others if name != value and len(set(table.cells[name])) <= _MAX_SIGNALS]
+    share, chosen = max(((_share(table, value, (name,)), (name,)) for name in able), default=(0.0, ()))
+    for name in able:
+        both = tuple(one for one in able if one in (*chosen, name))
+        if name in chosen or len(set(_names(table, both))) == len(set(_names(table, chosen))):
+            continue
+        if (more := _share(table, value, both)) >= share - _SAME:
+            share, chosen = more, both
+    return (share, chosen, value) if chosen else nothing
+
+
+def _share(table: DraftTable, value: str, signal: tuple[str, ...]) -> float:
+    """Return the share of rows that differ in their state from the one before of the same signal; 0 if few have one."""
+    names = _names(table, signal)
+    if len(set(names)) > _MAX_SIGNALS or max(Counter(names).values()) < _MIN_ROWS // 2:
+        return 0.0
+    last: dict[str, str] = {}
+    differ = repeated = 0
+    for name, state in zip(names, table.cells[value], strict=True):
+        repeated += name in last
+        differ += name in last and last[name] != state
+        last[name] = state
+    return differ / repeated if repeated >= 0.5 * len(names) else 0.0
+
+
+def _names(table: DraftTable, signal: tuple[str, ...]) -> list[str]:
+    return [SIGNAL_JOIN.join(cells) for cells in zip(*(table.cells[name] for name in signal), strict=True)]
+
+
+def _add_time(lines: list[Proposal], time: FoundTime) -> list[str]:
+    """Add the lines of the time; return what to say of it."""
+    sure = time.sure and (len(time.patterns) == 1 or (not time.patterns and len(time.units) == len(time.columns)))
+    column = time.columns[0] if len(time.columns) == 1 else list(time.columns)
+    lines.append(Proposal("time", column, "", sure))
+    if not time.patterns:
+        unit = time.units[0] if len(time.columns) == 1 else list(time.units)
+        lines.append(Proposal("time_unit", unit, time.why, sure))
+        if time.epoch:
+            lines.append(Proposal("clock", "epoch", "", sure))
+        return []
+    also = "" if len(time.patterns) == 1 else f"; {time.patterns[1]} is possible too"
+    lines.append(Proposal("time_format", time.patterns[0], time.why + also, sure))
+    zone = 'its times have no time zone; time_zone, for example "Europe/Rome", aligns them with other logs'
+    return [] if time.zoned else [zone]

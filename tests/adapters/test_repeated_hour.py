@@ -40,6 +40,12 @@ def test_times_after_a_step_back_are_of_the_second_hour_wherever_the_blocks_were
     assert "3 times are of the hour repeated" in hour.warnings()[0]
 
 
+def test_an_export_whose_newest_row_comes_first_is_read_from_its_end():
+    hour, first = RepeatedHour("Europe/Rome"), [read_first(t_s) for t_s in TRUE_S]
+    assert hour.in_order(pl.Series("t_s", first[::-1], pl.Float64)).to_list() == TRUE_S[::-1]
+    assert hour.moved == 3
+
+
 def test_rows_a_little_out_of_order_other_hours_and_logs_without_a_zone_are_left():
     for zone, times in (
         ("Europe/Rome", [FIRST + 100.0, FIRST + 70.0, FIRST + 101.0]),

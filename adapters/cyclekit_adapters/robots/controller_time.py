@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit_adapters.text.repeated_hour import newest_first
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -95,11 +97,13 @@ class BackwardSteps:
     def __post_init__(self) -> None:
         self._last: dict[object, float] = {}
         self._before: float | None = None
+        self._newest_first = False
 
     def add(self, frame: pl.DataFrame) -> None:
         """Add the rows of a block."""
         if frame.is_empty():
             return
+        self._newest_first |= newest_first(frame[self.time])
         far = frame[self.time].diff() < -DAY_S
         self.days += int(far.sum()) + (self._before is not None and frame[self.time][0] < self._before - DAY_S)
         self._before = float(frame[self.time][-1])
@@ -113,6 +117,8 @@ class BackwardSteps:
     def warnings(self) -> list[str]:
         """Return a warning with the number of backward steps."""
         likely = "rows out of order, or several recordings in one file"
+        if self._newest_first:
+            return ["its newest rows come first"]
         messages = [f"time steps back {self.count} time(s): {likely}"] if self.count else []
         if self.days and not self.count:
             messages.append(f"time steps back by more than a day {self.days} time(s): {likely}")

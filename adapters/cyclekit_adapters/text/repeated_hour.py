@@ -1,7 +1,7 @@
 """Local times of the hour that is repeated when summer time ends: the order of the rows tells the two apart.
 
 A time of that hour is read as the first one. In a log in order of time, a row that then lies before its predecessor is
-of the second one.
+of the second one. Exports of events often have their newest row first: they are read from their end.
 """
 
 from __future__ import annotations
@@ -14,6 +14,15 @@ HOUR_S = 3600.0
 """How far clocks are set back, s."""
 BACK_S = 60.0
 """Maximum time, s, by which rows that are not quite in order lie before their predecessor."""
+
+NEWEST_FIRST = 5
+"""Minimum number of steps back in a log whose newest row comes first."""
+
+
+def newest_first(t_s: pl.Series) -> bool:
+    """Return whether most rows of a log with times (N,), s, lie before their predecessor."""
+    steps = t_s.drop_nulls().diff().drop_nulls()
+    return int((steps < 0.0).sum()) >= max(NEWEST_FIRST, 2 * int((steps > 0.0).sum()))
 
 
 @dataclass
@@ -37,6 +46,12 @@ class RepeatedHour:
         """
         if self.zone is None or not t_s.len():
             return t_s
+        if newest_first(t_s):
+            self._last = None
+            return self._placed(t_s.reverse()).reverse()
+        return self._placed(t_s)
+
+    def _placed(self, t_s: pl.Series) -> pl.Series:
         twice = (self._on_the_clock(t_s) == self._on_the_clock(t_s + HOUR_S)).fill_null(value=False)
         times = t_s.to_list()
         for row in twice.arg_true().to_list():

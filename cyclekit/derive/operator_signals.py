@@ -19,26 +19,24 @@ from cyclekit.dataset.cards import OperatorSignalCard
 from cyclekit.dataset.signals import OUTPUT, REGISTER, SignalChanges, state_of
 from cyclekit.derive.cause_samples import signal_position_features
 from cyclekit.derive.latched_signals import OFF, ON, begins_of, latched
+from cyclekit.derive.robot_signals import not_set_by_robot, of_program
 from cyclekit.derive.signal_evidence import SignalEvidence
 from cyclekit.derive.signal_responses import (
     MAX_RESTART_S,
     MIN_RESPONSES,
     SAME_S,
     Responses,
-    flips_s_of,
     left_s,
-    mirrors,
     responses_to,
 )
 from cyclekit.derive.usual_levels import usual_levels
 from cyclekit.errors import UnknownName
-from cyclekit.people.activity import GOAL_SIGNAL
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.config.cells import OperatorSignal
-    from cyclekit.schema import Bools, Ints, Vector
+    from cyclekit.schema import Bools, Vector
 
 LATE_S = 0.5
 """Maximum time, s, after a change of speed at which a signal may be a field that is logged late."""
@@ -48,10 +46,6 @@ OF_REST, MIN_LATER_GAIN, BEYOND_CHANCE = 0.5, 0.005, 4.0
 """Enough after the first signal: share of the unexplained time, share of the lost time, standard errors by execution.
 Where two fields together almost always show what a third one shows, the third one explains little more; but without it
 no rule on single fields is right."""
-CELL_M = 0.05
-"""Grid size of the robot's places, m."""
-PROGRAM = 0.97
-"""Minimum balanced accuracy with which the robot's task and place predict a signal that the program sets."""
 FOLDS, MAX_SIGNALS, MAX_ROWS = 5, 16, 30_000
 MAX_RESETS = 3
 """Maximum number of resets that are tried for one stop: those after which the level rises most often."""
@@ -60,11 +54,15 @@ SHORT, COARSE = 5, 4
 
 
 class _Lead(NamedTuple):
-    """Response of the level to a signal: the value that means occupied, and the delays, s, of falls and rises."""
+    """Response of the level to a signal: the value that means occupied, and the delays, s, of falls and rises.
+
+    `by_rises`: no falls answer it, so the delay is that of the rises.
+    """
 
     occupied: str
     delay_s: float
     rise_s: float | None
+    by_rises: bool = False
 
     @property
     def hold_s(self) -> float | None:
@@ -128,7 +126,9 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
         order = [(name, name) for name in found]
     cards: list[OperatorSignalCard] = []
     on: list[Bools] = []
+    usual_s = min((leads[signal].delay_s for _, signal in order if not leads[signal].by_rises), default=np.inf)
     for name, signal in order:
+        leads |= _with_usual_delay(evidence, on, {signal: leads[signal]}, usual_s)
         lead = leads[signal]
         stop = stops.get(signal, _Stop(signal, lead.occupied, "", ""))
         on.append(_on(evidence, signal, lead))
@@ -152,25 +152,14 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
     return FoundSignals(tuple(cards), max(first.delay_s, 0.0), min(holds_s, default=0.0) or None)
 
 
-def _not_set_by_robot(evidence: SignalEvidence) -> dict[str, SignalChanges]:
-    """Return the signals that are no outputs, mirror none, and do not name the operator's goal."""
-    own = [name for name in evidence.signals if name == REGISTER or name.startswith(OUTPUT)]
-    own_s = np.sort(np.concatenate([np.empty(0), *(flips_s_of(evidence.signals[name]) for name in own)]))
-    return {
-        name: changes
-        for name, changes in evidence.signals.items()
-        if not (name in own or GOAL_SIGNAL in name or mirrors(flips_s_of(changes), own_s))
-    }
-
-
 def _leading(evidence: SignalEvidence) -> dict[str, _Lead]:
     """Return the signals that the level follows and that the robot does not set."""
     found = {}
-    for name, changes in _not_set_by_robot(evidence).items():
+    for name, changes in not_set_by_robot(evidence).items():
         tried = [(value, *_delays(evidence, name, value)) for value in np.unique(changes.value).tolist()]
         value, falls, rises = max(tried, key=lambda one: one[1][1] + one[2][1])
         lead = _lead(value, falls, rises, evidence.at_once_s)
-        if lead is not None and not _of_program(evidence, changes.at(evidence.t_s) == value):
+        if lead is not None and not of_program(evidence, changes.at(evidence.t_s) == value):
             found[name] = lead
     return found
 
@@ -185,7 +174,7 @@ def _with_stops(
     """
     resets = [
         (name, value)
-        for name, changes in _not_set_by_robot(evidence).items()
+        for name, changes in not_set_by_robot(evidence).items()
         for value in np.unique(changes.value).tolist()
         if _lead(value, Responses(), _resumes(evidence, changes.to(value)), evidence.at_once_s)
         and 2 * responses_to(left_s(changes, value), evidence.falls_s).number < len(changes.to(value))
@@ -246,7 +235,8 @@ def _lead(occupied: str, falls: Responses, rises: Responses, at_once_s: float) -
     if often.delay_s is None or often.delay_s <= -at_once_s or falls.number + rises.number < MIN_RESPONSES:
         return None
     if seldom.delay_s is None or seldom.delay_s <= -at_once_s:
-        return _Lead(occupied, often.delay_s, None) if 2 * seldom.number < often.number + 1 else None
+        by_rises = often is rises
+        return _Lead(occupied, often.delay_s, None, by_rises) if 2 * seldom.number < often.number + 1 else None
     return _Lead(occupied, falls.delay_s or 0.0, rises.delay_s)
 
 
@@ -270,6 +260,12 @@ def _explaining(
         left = [name for name, lead in leads.items() if (lead.delay_s < evidence.at_once_s) == at_once]
         while left and len(chosen) < MAX_SIGNALS:
             states = {name: _on(evidence, name, leads[name]) for name in left}
+            if chosen:
+                changed = _with_usual_delay(
+                    evidence, on, {name: leads[name] for name in left}, leads[chosen[0]].delay_s
+                )
+                leads |= changed
+                states |= {name: _on(evidence, name, lead) for name, lead in changed.items()}
             able = _shortlist(evidence, on, states, stops)
             rests = {name: _unexplained(evidence, [*on, states[name]]) for name in able}
             simple = {name: rests.get(stop.signal, rest) for name, stop in stops.items() if name in rests}
@@ -291,6 +287,23 @@ def _explaining(
             here = [name for name, lead in leads.items() if (lead.delay_s < evidence.at_once_s) == at_once]
             left = [one for one in here if (stops[one].signal if one in stops else one) not in mine]
     return evidence, leads, stops, chosen
+
+
+def _with_usual_delay(
+    evidence: SignalEvidence, on: Sequence[Bools], leads: Mapping[str, _Lead], delay_s: float
+) -> dict[str, _Lead]:
+    """Return the signals without falls whose level falls at the usual delay and rises later, where that explains more.
+
+    A protective field inside a warning field often shows no fall of its own, but a restart delay.
+    """
+    found = {}
+    for name, lead in leads.items():
+        if lead.by_rises and lead.delay_s > delay_s + SAME_S:
+            other = _Lead(lead.occupied, delay_s, lead.delay_s)
+            now, then = (_unexplained(evidence, [*on, _on(evidence, name, one)]).sum() for one in (lead, other))
+            if then < now:
+                found[name] = other
+    return found
 
 
 def _shortlist(
@@ -343,17 +356,6 @@ def _resumes(evidence: SignalEvidence, free_s: Vector) -> Responses:
     return responses_to(free_s, evidence.rises_s, MAX_RESTART_S)
 
 
-def _of_program(evidence: SignalEvidence, on: Bools) -> bool:
-    """Return whether the robot's task and place predict a signal, on held-out executions."""
-    cells = np.floor(evidence.place / CELL_M)
-    _, group = np.unique(np.column_stack([evidence.task, np.nan_to_num(cells)]), axis=0, return_inverse=True)
-    even = evidence.execution % 2 == 0
-    right = np.zeros(len(on), np.bool_)
-    for learn in (even, ~even):
-        right[~learn] = (_usual_state(group.ravel(), on, learn) == on)[~learn]
-    return bool(on.any() and not on.all() and (right[on].mean() + right[~on].mean()) / 2 >= PROGRAM)
-
-
 def _on(evidence: SignalEvidence, name: str, lead: _Lead) -> Bools:
     """Return where a signal shows a person, shape (N,), shifted by the delay of the level."""
     changes = evidence.signals[name]
@@ -386,10 +388,3 @@ def _unexplained(evidence: SignalEvidence, on: Sequence[Bools], every: int = 1) 
         said = tree.lowest(features[~learn], 0.5)
         wrong[~learn] = np.abs(levels[said] - levels[level[~learn]])
     return np.bincount(execution, wrong) / lost.sum() if lost.any() else np.ones(1)
-
-
-def _usual_state(group: Ints, state: Bools, learn: Bools) -> Bools:
-    """Return for each sample the more frequent state of its group in the training samples, shape (N,)."""
-    count = int(group.max(initial=0)) + 1
-    on, every = (np.bincount(group[learn], weight, count) for weight in (state[learn].astype(np.float64), None))
-    return np.asarray(2 * on > every)[group]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from cyclekit.config.cells import OperatorSignal
 from cyclekit.dataset.signals import SignalChanges
 from cyclekit.derive.cause_samples import TwoStateSignal
 from cyclekit.derive.operator_signals import find_signals
@@ -68,6 +71,18 @@ def test_each_field_has_its_own_restart_delay(seed: int) -> None:
     assert protective.hold_s == pytest.approx(PROTECTIVE_S - DELAY_S, abs=0.02)
     assert found.hold_s == warning.hold_s
     assert protective.explained > 0.97
+
+
+@pytest.mark.parametrize("told", [(), (OperatorSignal("w", "warning", "1"), OperatorSignal("p", "protective", "0"))])
+def test_a_field_whose_falls_are_not_seen_answers_as_soon_as_the_first_one(told: tuple[OperatorSignal, ...]) -> None:
+    evidence = field_in_a_field(4)
+    answers_s = evidence.signals["protective"].to("0") + DELAY_S
+    seen = np.abs(evidence.falls_s[:, None] - answers_s).min(axis=1) > 0.1
+    found = find_signals(replace(evidence, falls_s=evidence.falls_s[seen]), told)
+    protective = found.cards[1]
+    assert (protective.signal, protective.occupied) == ("protective", "0")
+    assert protective.delay_s == pytest.approx(DELAY_S, abs=0.01)
+    assert protective.hold_s == pytest.approx(PROTECTIVE_S - DELAY_S, abs=0.02)
 
 
 def test_a_signal_that_lasts_longer_ends_later_and_bridges_short_gaps() -> None:

@@ -81,7 +81,8 @@ def _signals(table: DraftTable, value: str, others: Sequence[str]) -> tuple[floa
     if not 2 <= len(set(table.cells[value])) <= _MAX_STATES:
         return nothing
     able = [name for name in others if name != value and len(set(table.cells[name])) <= _MAX_SIGNALS]
-    share, chosen = max(((_share(table, value, (name,)), (name,)) for name in able), default=(0.0, ()))
+    share, first = max(((_share(table, value, (name,)), name) for name in able), default=(0.0, ""))
+    chosen: tuple[str, ...] = (first,) if first else ()
     for name in able:
         both = tuple(one for one in able if one in (*chosen, name))
         if name in chosen or len(set(_names(table, both))) == len(set(_names(table, chosen))):

@@ -296,7 +296,7 @@ def _with_usual_delay(
 
     A protective field inside a warning field often shows no fall of its own, but a restart delay.
     """
-    found = {}
+    found: dict[str, _Lead] = {}
     for name, lead in leads.items():
         if lead.by_rises and lead.delay_s > delay_s + SAME_S:
             other = _Lead(lead.occupied, delay_s, lead.delay_s)

@@ -2,9 +2,9 @@
 
 One log holds `--sets` times `--executions` executions, each part with a file of its own. Tracker, events and digital
 inputs are removed, and of the robot's rows every fifth is kept (25 Hz). The model of an unseen operator is learned from
-each part alone, and five orders that were never logged are estimated. Both the estimate and history (sum of the logged
-mean durations of the same tasks) know the same operators, so their difference is hardly affected by the luck of these;
-it is printed with its standard error over the sets. Reaction time, ramps and levels are those of the long log.
+each part alone, and `--orders` orders that were never logged are estimated. Both the estimate and history (sum of the
+logged mean durations of the same tasks) know the same operators, so their difference is hardly affected by the luck of
+these; it is printed with its standard error over the sets. Reaction time, ramps and levels are those of the long log.
 
     python benchmarks/robot_alone.py --scenes scanner-fields --sets 20 --executions 60 --seed 701 --work FOLDER
 """
@@ -86,6 +86,7 @@ def main() -> None:
     parser.add_argument("--executions", type=int, default=60)
     parser.add_argument("--sets", type=int, default=20)
     parser.add_argument("--seed", type=int, default=701)
+    parser.add_argument("--orders", type=int, default=5, help="orders that were never logged")
     parser.add_argument("--fresh", type=int, default=1000, help="fresh executions of each order")
     parser.add_argument("--work", type=Path)
     asked = parser.parse_args()
@@ -94,7 +95,7 @@ def main() -> None:
         work = asked.work or Path(folder)
         for scene in asked.scenes:
             dataset = long_log(work, scene, asked.executions, asked.sets, asked.seed)
-            wanted = unseen_sequences(dataset, scene, 5)
+            wanted = unseen_sequences(dataset, scene, asked.orders)
             took = {one.name: durations_of(fresh(work, scene, one.places, asked.fresh, kind="plain")) for one in wanted}
             names = [one.execution for one in dataset.card.executions]
             cuts = range(0, len(names) - asked.executions + 1, asked.executions)

@@ -127,9 +127,12 @@ def _why(ask: Question, combined: Combined | None) -> str:
     why = model.why if isinstance(model, OnStates) else ESTIMATORS[ask.estimator].why
     if combined is None or combined.history_share < TOLD:
         return why
+    durations = "the logged durations of the same tasks"
+    if combined.by_order:
+        durations += " after the places before them"
     return (
-        f"{why} ({combined.rollout_s:.1f} s), weighted {combined.history_share:.0%} with the logged durations "
-        f"of the same tasks ({combined.history_s:.1f} s)"
+        f"{why} ({combined.rollout_s:.1f} s), weighted {combined.history_share:.0%} with {durations} "
+        f"({combined.history_s:.1f} s)"
     )
 
 

@@ -39,11 +39,13 @@ class Combined:
         rollout_s: Expected cycle time by the rollout alone, corrected by the validation on logged executions, s.
         history_s: Expected cycle time by the logged durations of the tasks alone, s.
         history_share: Weight of `history_s`, in [0, 1].
+        by_order: Whether `history_s` is that of tasks after those before them (`order_effect`).
     """
 
     rollout_s: float
     history_s: float
     history_share: float
+    by_order: bool = False
 
     @property
     def expected_s(self) -> float:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.estimate.history import Combined, TaskTimes, history_share
+from cyclekit.estimate.order_effect import SHARE, order_effect
 from cyclekit.estimate.resample import TOGETHER, interval_of_mean, resampled_alike
 
 if TYPE_CHECKING:
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.estimate.check import Check
+    from cyclekit.estimate.order_effect import OrderEffect
     from cyclekit.estimate.question import Question
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled
@@ -73,6 +75,13 @@ def level_of(ask: Question, tracks: OperatorTracks | None) -> Vector | None:
     return None if level is None or tracks is None else level.resampled(tracks, ask.seed)
 
 
+def order_effect_for(ask: Question) -> OrderEffect | None:
+    """Return the effect of the tasks before each task, if no log shows people and the logs show such an effect."""
+    if ask.altered is not None or ask.check is None or ask.check.level is None:
+        return None
+    return order_effect(ask.dataset)
+
+
 def means_of(
     ask: Question,
     sequence: TaskSequence,
@@ -80,6 +89,7 @@ def means_of(
     weights: Floats,
     history: History | None,
     level: Vector | None = None,
+    effect: OrderEffect | None = None,
 ) -> Means:
     """Return the mean of the cycles of one sequence.
 
@@ -90,6 +100,7 @@ def means_of(
         weights: Weights of the cycles in each resample of the logs, shape (resamples, K).
         history: Logged durations of its tasks; None if they do not apply.
         level: Result of `level_of`, shape (resamples,).
+        effect: Result of `order_effect_for`; None if it does not apply.
     """
     check = ask.check
     resampled_s = cycles.resampled_means(weights)
@@ -99,9 +110,19 @@ def means_of(
         resampled_s = resampled_s * level
     factor = check.factor * (ask.altered.moved.get(sequence.name, 1.0) if ask.altered else 1.0)
     alone = Means(factor, resampled_s * factor, check.model_error, len(check.residuals))
+    if effect is not None and effect.covers(sequence.tasks):
+        return _by_order(alone, float(cycles.duration_s.mean()) * factor, sequence, effect)
     if history is None or check.order_error is None or not history.times.knows(sequence.tasks):
         return alone
     return _combined(alone, float(cycles.duration_s.mean()) * factor, sequence, history, check)
+
+
+def _by_order(alone: Means, rollout_s: float, sequence: TaskSequence, effect: OrderEffect) -> Means:
+    """Return the mean of the rollout `alone`, whose mean is `rollout_s`, and of the tasks after those before them."""
+    both = Combined(rollout_s, effect.expected_s(sequence.tasks), SHARE, by_order=True)
+    other = both.history_s / rollout_s * effect.uncertain(sequence.tasks)
+    resampled_s = alone.resampled_s * (1.0 - SHARE + SHARE * other)
+    return Means(alone.factor * both.expected_s / rollout_s, resampled_s, alone.error, alone.judged, both)
 
 
 def _combined(alone: Means, rollout_s: float, sequence: TaskSequence, history: History, check: Check) -> Means:

@@ -99,6 +99,35 @@ def test_a_rollout_with_the_level_of_the_logs_takes_no_part_of_history(
         assert "logged durations" not in found.why
 
 
+def test_an_effect_of_the_places_before_has_half_of_the_weight(
+    robot_alone: Dataset,
+    unseen: tuple[UnseenOperator, Path],
+    routes: list[tuple[str, ...]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    orders = [TaskSequence(f"{number}", route) for number, route in enumerate(dict.fromkeys(routes))][:2]
+    before = {one.name: one for one in estimate(unseen[0], robot_alone, orders)}
+
+    class Longer:
+        def covers(self, tasks: tuple[str, ...]) -> bool:
+            return tasks == orders[0].tasks
+
+        def expected_s(self, _tasks: tuple[str, ...]) -> float:
+            return 1.2 * before["0"].expected_s
+
+        def uncertain(self, _tasks: tuple[str, ...]) -> Any:
+            return 1.0 + 0.1 * np.random.default_rng(1).standard_normal(1000)
+
+    monkeypatch.setattr("cyclekit.estimate.means.order_effect", lambda _: Longer())
+    found, other = sorted(estimate(unseen[0], robot_alone, orders), key=lambda one: one.name)
+    assert other.expected_s == pytest.approx(before["1"].expected_s)
+    assert found.expected_s == pytest.approx(1.1 * before["0"].expected_s)
+    assert np.array(found.durations_s) == pytest.approx(1.1 * np.array(before["0"].durations_s))
+    assert "weighted 50% with the logged durations of the same tasks after the places before them" in found.why
+    wide, narrow = (one.expected_high_s - one.expected_low_s for one in (found, before["0"]))
+    assert wide > 1.15 * narrow
+
+
 def test_tracks_hold_states_in_place_of_positions(robot_alone: Dataset, unseen: tuple[UnseenOperator, Path]) -> None:
     tracks = operator_tracks(robot_alone, horizon_s=100.0, model=unseen[0])
     assert tracks.state is not None

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.joint.check import JointCheck, judge_joint, widening
-from cyclekit.estimate.joint.repetitions import repetitions
+from cyclekit.estimate.joint.repetitions import cycles_per_resample, repetitions
 from cyclekit.estimate.joint.unexplained import unexplained_waits
 
 if TYPE_CHECKING:
@@ -154,8 +154,8 @@ def test_cycles_that_hardly_vary_do_not_widen_all_intervals(monkeypatch: pytest.
     assert np.mean(inside) == pytest.approx(0.9, abs=0.03)
 
 
-def _repeated(rare_s: float, often_s: float) -> int:
-    """Return the repetitions in 30 executions of one task in each, and one of three others that are in a third each.
+def _repeated(rare_s: float, often_s: float) -> Any:
+    """Return a stand-in of a cell with 30 executions of one task in each, and one of three others in a third each.
 
     Args:
         rare_s: Spread of the durations of these three, s.
@@ -174,20 +174,19 @@ def _repeated(rare_s: float, often_s: float) -> int:
         for task, spread_s in (("a->b", often_s), (f"b->{number % 3}", rare_s))
     ]
     frame = pl.DataFrame(rows, schema_overrides={"wait_s": pl.Float64})
-    cell: Any = SimpleNamespace(
+    return SimpleNamespace(
         executions=30,
         logged={str(number): () for number in range(30)},
         dataset=SimpleNamespace(tasks=lambda: frame),
         gates=SimpleNamespace(waits=lambda _: False),
     )
-    return repetitions(cell)
 
 
 def test_parts_that_few_executions_have_are_known_from_these_alone() -> None:
-    assert _repeated(rare_s=1.0, often_s=0.0) == 10
-    assert _repeated(rare_s=0.0, often_s=1.0) == 30
-    assert _repeated(rare_s=0.0, often_s=0.0) == 30
-    assert 10 < _repeated(rare_s=1.0, often_s=1.0) < 20
+    rare, often = _repeated(rare_s=1.0, often_s=0.0), _repeated(rare_s=0.0, often_s=1.0)
+    assert [repetitions(rare), repetitions(often), repetitions(_repeated(rare_s=0.0, often_s=0.0))] == [10, 30, 30]
+    assert 10 < repetitions(_repeated(rare_s=1.0, often_s=1.0)) < 20
+    assert [cycles_per_resample(rare), cycles_per_resample(often)] == [8, 28]  # Student's t is 2.26 and 2.05
 
 
 def test_single_cycles_scatter_more_where_few_executions_tell_of_their_parts() -> None:

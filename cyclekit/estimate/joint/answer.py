@@ -13,7 +13,7 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.entry import MIN_SUPPORT
 from cyclekit.estimate.joint.check import JointCheck, judge_joint
 from cyclekit.estimate.joint.plans import Planner
-from cyclekit.estimate.joint.repetitions import repetitions
+from cyclekit.estimate.joint.repetitions import cycles_per_resample
 from cyclekit.estimate.joint.roll import JointCell, longest_s
 from cyclekit.estimate.joint.shares import operator_shares, planned_shares, task_shares
 from cyclekit.estimate.joint.unended import waits_without_source
@@ -166,7 +166,7 @@ class JointAnswers:
         """Return the estimate of each sequence with an answer, and its mean in each resample (RESAMPLES,), s."""
         plans = {sequence: plan for sequence in sequences if (plan := self._plan(sequence, refuse)) is not None}
         rolled = self._rolled(plans, refuse, tell)
-        drawn = resample_counts(self._ask.seed, repetitions(self._cell))
+        drawn = resample_counts(self._ask.seed, cycles_per_resample(self._cell))
         weights = drawn / drawn.sum(axis=1, keepdims=True)
         shifts = session_shifts(self._ask.seed, self._cell.common)
         pace_error = pace_errors(self._cell, self._planner, list(rolled), seed=self._ask.seed)

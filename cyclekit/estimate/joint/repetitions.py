@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import polars as pl
+from scipy.special import stdtrit
+
+from cyclekit.estimate.resample import Z95
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -46,6 +49,12 @@ def repetitions(cell: JointCell) -> int:
         return cell.executions
     mean = float(weight @ np.array([part.executions for part in parts]) / weight.sum())
     return min(max(round(mean), 2), cell.executions)
+
+
+def cycles_per_resample(cell: JointCell) -> int:
+    """Return how many cycles a resample draws: the 95 % interval of the mean is then Student's of `repetitions`."""
+    count = repetitions(cell)
+    return max(round(count * (Z95 / float(stdtrit(count - 1, 0.975))) ** 2), 2)
 
 
 def _usual_variance(parts: Sequence[RepeatedPart]) -> list[RepeatedPart]:

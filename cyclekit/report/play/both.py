@@ -20,7 +20,7 @@ from cyclekit.estimate.joint.draws import NEAR
 from cyclekit.estimate.joint.legs import Gates, event_kind, precedence_needs
 from cyclekit.estimate.joint.levels import WALK, WORK, Levels
 from cyclekit.estimate.joint.plans import Planner
-from cyclekit.estimate.joint.repetitions import repetitions
+from cyclekit.estimate.joint.repetitions import cycles_per_resample
 from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, STUCK_PART, TIMES, JointCell
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.tracks import OperatorTracks
@@ -116,7 +116,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
     source = scaling_source(model, dataset, legs, tracks, arrays)
     gates = Gates(card)
     paced = max(pace_errors(cell, planner, [_asked_as(shown[0])], seed=SEED).values(), default=0.0)
-    corrected = _corrected(shown[0].check, repetitions(cell), arrays, paced)
+    corrected = _corrected(shown[0].check, cycles_per_resample(cell), arrays, paced)
     facts |= source | {"legs": _legs(legs, gates), "check": corrected}
     return facts, arrays
 

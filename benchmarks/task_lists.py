@@ -76,18 +76,17 @@ def simple_rates(runs: list[Run], agents: dict[str, str]) -> TaskModelCard:
     return TaskModelCard(agents=agents, tasks=tuple(cards), executions=len(runs))  # type: ignore[arg-type]
 
 
-def chance_of(relative: list[Vector], counts: Vector, draws: int = 2000) -> float:
+def chance_of(relative: list[Vector], draws: int = 2000) -> float:
     """Return the mean |error| of a perfect model, which is not zero as the orders have few executions.
 
     Args:
-        relative: Relative errors of the estimates, minus their mean, of each order with several executions.
-        counts: Number of executions of each order, shape (orders,).
+        relative: Relative errors of the estimates, minus their mean, of each order; several of at least one order.
         draws: Number of random draws per order.
     """
     rng = np.random.default_rng(0)
-    pool = [each * np.sqrt(len(each) / (len(each) - 1)) for each in relative]
+    pool = [each * np.sqrt(len(each) / (len(each) - 1)) for each in relative if len(each) > 1]
     found = []
-    for count in counts.astype(int):
+    for count in map(len, relative):
         which = rng.integers(len(pool), size=draws)
         found.append(np.mean([abs(rng.choice(pool[one], count).mean()) for one in which]))
     return float(np.mean(found))
@@ -151,7 +150,7 @@ def recorded(asked: argparse.Namespace) -> None:
     orders: dict[tuple[tuple[str, ...], ...], list[Run]] = {}
     for run in runs:
         orders.setdefault(run.order, []).append(run)
-    rows, inside, scatter = [], [], []
+    rows, inside, scatter, in_a_row = [], [], [], []
     parts = asked.parts or len(orders)
     of = dict(zip(sorted(orders), np.random.default_rng(0).permutation(len(orders)) % parts, strict=True))
     learned: dict[int, tuple[TaskModelCard, TaskModelCard]] = {}
@@ -174,10 +173,14 @@ def recorded(asked: argparse.Namespace) -> None:
         rival_s = [roll_plan(simple, plan, cycles=1).duration_s[0] for plan in plans]
         planned_s = [_planned_end_s(run, usual) for run in some]
         sums = max(sum(usual[agent, task] for task in tasks) for agent, *tasks in order)
-        inside += [a.quantiles_s[0.05] <= took <= a.quantiles_s[0.95] for a, took in zip(answers, true_s, strict=True)]
+        held = [a.quantiles_s[0.05] <= took <= a.quantiles_s[0.95] for a, took in zip(answers, true_s, strict=True)]
+        inside.append(held)
         mean = true_s.mean()
-        if len(some) > 1:
-            scatter.append((true_s - expected_s - (true_s - expected_s).mean()) / mean)
+        off = (true_s - expected_s) / mean
+        scatter.append(off - off.mean())
+        row = np.cumsum(np.diff([run.number for run in some], prepend=some[0].number) > 1)
+        each_row = np.bincount(row, off) / np.bincount(row)
+        in_a_row.append(each_row - each_row.mean())
         rows.append((*(np.mean(each) / mean - 1 for each in (expected_s, rival_s, planned_s, sums)), len(some)))
     *errors, count = np.array(rows).T
     found, simple_error, plan, history = (100 * np.abs(each).mean() for each in errors)
@@ -185,7 +188,9 @@ def recorded(asked: argparse.Namespace) -> None:
         f"{asked.list.name}: {len(rows)} orders, {int(count.sum())} executions: mean |error| {found:.2f} % (root mean "
         f"square {100 * np.sqrt(np.mean(errors[0] ** 2)):.2f} %, bias {100 * errors[0].mean():+.2f} %), simple rates "
         f"{simple_error:.2f} %, plan {plan:.2f} %, sums {history:.2f} %, chance "
-        f"{100 * chance_of(scatter, count):.2f} %, 90 % intervals hold {np.mean(inside):.0%}",
+        f"{100 * chance_of(scatter):.2f} % ({100 * chance_of(in_a_row):.2f} % if executions of an order in a row count "
+        f"as one), 90 % intervals hold {np.mean(np.concatenate(inside)):.0%}, each order once "
+        f"{np.mean([np.mean(held) for held in inside]):.0%}",
         soft_wrap=True,
     )
 

@@ -84,8 +84,7 @@ def test_what_changes_nothing_is_shrunk_to_nothing() -> None:
     assert np.abs(np.log(off)).mean() < 0.08
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_few_executions_of_tasks_that_depend_on_nothing_show_no_effects(seed: int) -> None:
+def runs_without_effects(seed: int) -> list[Run]:
     rng, runs = np.random.default_rng(seed), []
     for number in range(6):
         tasks = {}
@@ -94,9 +93,14 @@ def test_few_executions_of_tasks_that_depend_on_nothing_show_no_effects(seed: in
             order, starts = rng.permutation(list(names)), [0.0, *ends[:-1]]
             tasks[agent] = tuple(DoneTask(str(name), *at) for name, *at in zip(order, starts, ends, strict=True))
         runs.append(Run(str(number), tasks, number))
-    found = fit_rates(runs, [*(("arm", name) for name in "abc"), *(("worker", name) for name in "uvw")])
-    every = [(*each.rates.values(), *each.after.values(), *each.turns) for each in found.values()]
-    assert np.abs(np.log(np.concatenate(every))).mean() < 0.05
+    return runs
+
+
+def test_few_executions_of_tasks_that_depend_on_nothing_show_no_effects() -> None:
+    pairs = [*(("arm", name) for name in "abc"), *(("worker", name) for name in "uvw")]
+    found = [each for seed in (1, 2, 3) for each in fit_rates(runs_without_effects(seed), pairs).values()]
+    every = np.concatenate([[*each.rates.values(), *each.after.values(), *each.turns] for each in found])
+    assert np.abs(np.log(every)).mean() < 0.019  # 0.023 if spreads hardly fall below those before the logs are seen
 
 
 def test_a_plan_takes_longer_where_the_operator_waits_in_the_way() -> None:

@@ -32,7 +32,7 @@ ROUNDS = 5
 """Number of times that rates and spreads are estimated in turn."""
 STEPS = 40
 """Number of updates of the spreads each time."""
-SPREADS_COUNT = 0.1
+SPREADS_COUNT = 0.01
 """Weight of these in the estimated spreads, as a number of effects."""
 MOST_SPREAD = 2.0
 """Maximum estimated spread, as a multiple of these: tasks that always run alike determine none."""
@@ -99,6 +99,7 @@ def fit_rates(runs: Sequence[Run], pairs: Iterable[tuple[str, str]]) -> dict[tup
         fits = [(parts, best[pair]) for pair, parts in plain.items()]
         spreads, scatter = _spreads(fits, spreads)
         least = dict(zip(every, scatter, strict=True))
+    best = {pair: best_at(parts, spreads, best[pair], least[pair]) for pair, parts in plain.items()}
     return {
         pair: _rates(*_with_more(parts, _Fit(plain[pair], best[pair], spreads, least[pair])))
         for pair, parts in every.items()

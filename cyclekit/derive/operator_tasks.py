@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.people.tracks import PLACE_M
+from cyclekit.people.tracks import nearest_places
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -73,16 +72,13 @@ def operator_tasks(
 
 
 def _visits(standstills: OperatorStandstills, human_places: Mapping[str, Place]) -> list[_Visit]:
-    names = list(human_places)
-    centres = np.array([human_places[name].xyz_m[:2] for name in names]).reshape(-1, 2)
-    reach_m = np.array([max(human_places[name].radius_m, PLACE_M) for name in names])
     found: list[_Visit] = []
-    for (arrived_s, left_s), xyz_m in zip(standstills.times_s.tolist(), standstills.at_m, strict=True):
-        far = np.linalg.norm(centres - xyz_m[:2], axis=1)
-        if not len(far) or far[near := int(far.argmin())] > reach_m[near]:
+    at = nearest_places(standstills.at_m, human_places)
+    for (arrived_s, left_s), place in zip(standstills.times_s.tolist(), at, strict=True):
+        if place is None:
             continue
-        if found and found[-1].place == names[near] and arrived_s - found[-1].left_s < AWAY_S:
+        if found and found[-1].place == place and arrived_s - found[-1].left_s < AWAY_S:
             found[-1] = found[-1]._replace(left_s=left_s)
         else:
-            found.append(_Visit(names[near], arrived_s, left_s))
+            found.append(_Visit(place, arrived_s, left_s))
     return found

@@ -43,6 +43,7 @@ from cyclekit.derive.stops_at_places import StopAtPlace, stops_at_places
 from cyclekit.derive.tracker_frame import frame_notes
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
+from cyclekit.people.hesitations import quick_places
 from cyclekit.people.silence import absences
 from cyclekit.scaling.levels import Staircase, find_staircase
 from cyclekit.scaling.response import MAX_CHANGES, SafetyResponse, read_response
@@ -167,6 +168,9 @@ def _find_in_all_sessions(
     """Find the levels, the operator's places and, unless given, the evidence for causes of lost time."""
     runs = {work.session.name: list(work.runs.values()) for work in to_sample}
     human_places = operator_places([mine for one in sampled if one.samples for mine in one.operator_standstills], cell)
+    quick = quick_places((mine for one in sampled for mine, _ in one.standstills_to_next), human_places)
+    for one in sampled:
+        one.drop_hesitations(human_places, quick)
     staircase, sliders = _staircase(sampled, files, cell, folder)
     labels = np.split(staircase.label, np.cumsum([one.samples for one in sampled])[:-1]) if sampled else []
     levels = tuple(round(float(level), 6) for level in staircase.levels)

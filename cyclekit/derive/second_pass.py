@@ -20,11 +20,12 @@ from cyclekit.derive.sample_file import AT_ONCE, Coded, SampleRows, in_frames, w
 from cyclekit.derive.task_lists import listed_in, operator_rows
 from cyclekit.errors import EstimateError
 from cyclekit.people.activity import OperatorStandstills, Seen, SessionPeople
+from cyclekit.people.hesitations import without_hesitations
 from cyclekit.segmentation.stored_run import Run, Sampled, sampled
 from cyclekit.segmentation.time_account import ExecutedTask, time_account
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from cyclekit.config import Cell, Source
@@ -89,6 +90,13 @@ class SecondPassResult:
     origins: set[str] = field(default_factory=set)
     silences: list[Silence] = field(default_factory=list)
     executed_tasks: list[ExecutedTask] = field(default_factory=list)
+
+    def drop_hesitations(self, places: Mapping[str, Place], quick: Collection[str]) -> None:
+        """Drop the operator's short standstills except at places where he is always quick."""
+        self.operator_standstills = [without_hesitations(one, places, quick) for one in self.operator_standstills]
+        self.standstills_to_next = [
+            (without_hesitations(one, places, quick), until_s) for one, until_s in self.standstills_to_next
+        ]
 
 
 def second_pass(

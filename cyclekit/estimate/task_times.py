@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.task_model import HeldOutCard, TaskModelCard
     from cyclekit.schema import Progress, Vector
 
-CYCLES = 2000
-"""Number of cycles rolled out per plan."""
+CYCLES, FEW_CYCLES = 2000, 500
+"""Number of cycles rolled out per plan, and at a slower pace to see what that changes."""
 WHY = "tasks of both agents rolled out side by side from logged task lists"
 NOT_KNOWN = "task lists hold no positions: nothing is known of zones, distances or what the safety system did"
 LOG_IT = "Log executions with it and train again, or leave it out."
@@ -76,7 +76,7 @@ def _estimated(
     rolled = roll_plan(model, sequence.plan, cycles=CYCLES, seed=seed, where=sequence.shown)
     judged = model.held_out
     durations = rolled.duration_s
-    expected, low, high = _mean(durations, judged, model.executions)
+    expected, low, high = _mean(durations, judged, model.executions, _pace_error(model, sequence, seed))
     corrected = expected / float(durations.mean())
     durations = durations * corrected
     single = _single(durations, judged)
@@ -146,19 +146,33 @@ def _is_robot(model: TaskModelCard, task: PlannedTask, sequence: TaskSequence) -
     return model.agents[agent_of(model, task, sequence.shown)] == "robot"
 
 
-def _mean(durations: Vector, judged: HeldOutCard | None, executions: int) -> tuple[float, float, float]:
+def _pace_error(model: TaskModelCard, sequence: TaskSequence, seed: int) -> float:
+    """Return the standard error of a plan's duration because the latest pace is uncertain, as a share."""
+    if not model.pace:
+        return 0.0
+    usual, slower = (
+        roll_plan(model, sequence.plan, cycles=FEW_CYCLES, seed=seed, where=sequence.shown, pace=pace).duration_s.mean()
+        for pace in ({}, {agent: float(np.exp(pace.error)) for agent, pace in model.pace.items()})
+    )
+    return abs(float(slower / usual) - 1.0)
+
+
+def _mean(
+    durations: Vector, judged: HeldOutCard | None, executions: int, pace_error: float
+) -> tuple[float, float, float]:
     """Return the expected duration and its 95 % interval, s.
 
-    A significant bias on held-out orders is corrected. The interval covers the remaining error on held-out orders, and
-    the error of finite logs.
+    A significant bias on held-out orders is corrected. The interval covers the remaining error on held-out orders, the
+    error of finite logs, and that of the latest pace.
     """
     mean = float(durations.mean())
     if judged is None:
-        chance = float(durations.std(ddof=1)) / mean / np.sqrt(executions)
+        chance = float(np.hypot(durations.std(ddof=1) / mean / np.sqrt(executions), pace_error))
         return mean, mean * (1 - Z95 * chance), mean * (1 + Z95 * chance)
     bias = _bias(judged)
     mean /= 1.0 + bias
-    error = np.hypot(np.sqrt(max(judged.order_error**2 - bias**2, 0.0)), judged.learning_error)
+    rest = max(judged.order_error**2 - bias**2, 0.0)
+    error = float(np.sqrt(rest + judged.learning_error**2 + pace_error**2))
     return mean, mean * (1 - Z95 * error), mean * (1 + Z95 * error)
 
 

@@ -6,7 +6,7 @@ from the standstills of the operator in all sessions. `tracks` samples a single 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from cyclekit.dataset.dataset import Place
 from cyclekit.people.silence import Silence
 from cyclekit.people.tracks import (
     REASONS,
+    STILL_S,
     PersonTrack,
     find_operator_places,
     find_operator_standstills,
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Cell, Source
     from cyclekit.dataset.sessions import Session
-    from cyclekit.schema import Floats, Ints, Points, Vector
+    from cyclekit.schema import Bools, Floats, Ints, Points, Vector
 
     Read = Callable[[str, str], pl.DataFrame | None]
 
@@ -71,6 +72,7 @@ class OperatorStandstills:
     Attributes:
         samples: Number of samples of the execution.
         spans: First and last sample of each standstill.
+        known_s: Time from which and until which standstills are known, session seconds.
         times_s: Start and end of each standstill, shape (M, 2), session seconds.
         at_m: Position of each standstill, shape (M, 3), m.
         goals: Goal from events in the middle of each standstill; empty if the session has no goal events.
@@ -78,11 +80,24 @@ class OperatorStandstills:
     """
 
     samples: int
+    known_s: tuple[float, float]
     spans: list[tuple[int, int]]
     times_s: Floats
     at_m: Points
     goals: list[str | None]
     told: bool
+
+    @property
+    def took_s(self) -> Vector:
+        """Duration of each standstill, shape (M,), s."""
+        return np.asarray(self.times_s[:, 1] - self.times_s[:, 0])
+
+    def only(self, kept: Bools) -> OperatorStandstills:
+        """Return some of the standstills: those where `kept`, shape (M,), is true."""
+        rows = np.flatnonzero(kept).tolist()
+        goals = [self.goals[n] for n in rows] if self.goals else []
+        spans = [self.spans[n] for n in rows]
+        return replace(self, spans=spans, times_s=self.times_s[rows], at_m=self.at_m[rows], goals=goals)
 
 
 @dataclass(frozen=True)
@@ -192,7 +207,8 @@ def _standstills(t_s: Vector, human_m: Points, goals: Sequence[str | None]) -> O
     # The middle sample decides, because at the end the next button is pressed before the operator is seen to walk.
     middles = [goals[(a + b) // 2] for a, b in spans] if goals else []
     times_s = np.array([(t_s[a], t_s[b]) for a, b in spans]).reshape(-1, 2)
-    return OperatorStandstills(len(t_s), spans, times_s, at_m, middles, told=bool(goals))
+    known_s = (float(t_s[0]), float(t_s[-1])) if len(t_s) else (0.0, 0.0)
+    return OperatorStandstills(len(t_s), known_s, spans, times_s, at_m, middles, told=bool(goals))
 
 
 def operator_places(standstills: Sequence[OperatorStandstills], cell: Cell) -> dict[str, Place]:
@@ -201,9 +217,10 @@ def operator_places(standstills: Sequence[OperatorStandstills], cell: Cell) -> d
     Without goal events and places in the cell file, they are clusters of the operator's standstills.
 
     Args:
-        standstills: Standstills of every execution of every session.
+        standstills: Standstills of every execution of every session; short ones found no place.
         cell: Cell with its places.
     """
+    standstills = [mine.only(mine.took_s >= STILL_S) for mine in standstills]
     places = {name: Place(name, p.xyz_m, p.radius_m, inferred=False) for name, p in cell.human_places.items()}
     if not any(mine.told for mine in standstills):
         places = places or find_operator_places(

@@ -28,8 +28,9 @@ if TYPE_CHECKING:
 
 STILL_M_S = 0.2
 """Horizontal speed, m/s, below which the operator stands still."""
-STILL_S = 0.8
-"""Minimum duration of a standstill, s; shorter ones are hesitations."""
+STILL_S, BRIEF_S = 0.8, 0.4
+"""Minimum duration of a standstill, s; shorter ones are hesitations, except where the operator is always quick. Those
+shorter than the second value never count."""
 PLACE_M = 0.4
 """Maximum distance, m, of standstills at the same place."""
 
@@ -264,7 +265,7 @@ def goals_from_events(t_event_s: Vector, values: Sequence[str], t_s: Vector) -> 
 
 
 def find_operator_standstills(t_s: Vector, human_m: Points) -> list[tuple[int, int]]:
-    """Return the standstills in one execution's samples as (first, last) rows: slow for at least STILL_S.
+    """Return the standstills in one execution's samples as (first, last) rows: slow for at least BRIEF_S.
 
     People at work sway, reach and step aside: a standstill continues as long as they stay within PLACE_M of it.
     """
@@ -274,7 +275,7 @@ def find_operator_standstills(t_s: Vector, human_m: Points) -> list[tuple[int, i
     still = speed < STILL_M_S  # NaN compares false: an unseen operator is not at a standstill
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     spans = [(a, b - 1) for a, b in edges.reshape(-1, 2).tolist()]
-    return [(a, b) for a, b in _stays(spans, human_m[:, :2]) if t_s[b] - t_s[a] >= STILL_S]
+    return [(a, b) for a, b in _stays(spans, human_m[:, :2]) if t_s[b] - t_s[a] >= BRIEF_S]
 
 
 def _stays(spans: Sequence[tuple[int, int]], at_m: Floats) -> list[tuple[int, int]]:
@@ -312,6 +313,19 @@ def operator_place(name: str, points: Points) -> Place:
     heights = points[np.isfinite(points[:, 2]), 2]
     x, y = (round(float(v), 4) for v in np.nanmedian(points[:, :2], axis=0))
     return Place(name, (x, y, round(float(np.median(heights)), 4) if len(heights) else 0.0), PLACE_M, inferred=True)
+
+
+def nearest_places(at_m: Points, places: Mapping[str, Place]) -> list[str | None]:
+    """Return the place of each position (M, 3), m: the nearest one that reaches so far; None if none does."""
+    names = list(places)
+    centres = np.array([places[name].xyz_m[:2] for name in names]).reshape(-1, 2)
+    reach_m = np.array([max(places[name].radius_m, PLACE_M) for name in names])
+    found: list[str | None] = []
+    for xyz_m in at_m:
+        far = np.linalg.norm(centres - xyz_m[:2], axis=1)
+        near = int(far.argmin()) if len(far) else -1
+        found.append(names[near] if len(far) and far[near] <= reach_m[near] else None)
+    return found
 
 
 def goals_from_standstills(

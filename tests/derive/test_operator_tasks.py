@@ -16,7 +16,7 @@ SPOTS = {name: Place(name, (x_m, 0.0, 1.0), 0.2, inferred=True) for name, x_m in
 
 def _stays(*times_s: tuple[float, float]) -> OperatorStandstills:
     at_m = np.array([[1.0, 0.0, 1.0], [3.0, 0.0, 1.0]])[: len(times_s)]
-    return OperatorStandstills(0, [(0, 0)] * len(times_s), np.array(times_s), at_m, [], told=False)
+    return OperatorStandstills(0, (0.0, 10.0), [(0, 0)] * len(times_s), np.array(times_s), at_m, [], told=False)
 
 
 def test_where_it_is_known_until_the_next_execution_no_visit_is_cut_by_the_robots_end() -> None:

@@ -230,7 +230,7 @@ class TrendCard(Card, frozen=True, kw_only=True):
         settles: Number of executions in which 63 % of the lasting change has happened; None: it is linear.
         count: Number of executions.
         error: Standard error of the logarithm of durations at the last execution.
-        chance: Probability of such a trend by chance.
+        chance: Probability that the pace does not change steadily.
     """
 
     change: Annotated[float, Meta(ge=-5.0, le=5.0)]

@@ -152,13 +152,15 @@ class PaceCard(Card, frozen=True, kw_only=True):
         law: `linear` in the number of the execution, or `learning`: linear in its logarithm.
         change: Change of the logarithm of durations from the first to the last execution.
         first, last: Numbers of these executions.
-        chance: Probability of such a trend by chance.
+        error: Standard error of the logarithm of durations at the last execution.
+        chance: Probability that the pace does not change steadily.
     """
 
     law: Literal["linear", "learning"]
     change: Error
     first: Count
     last: Count
+    error: Annotated[float, Meta(ge=0.0)] = 0.0
     chance: Fraction = 0.0
 
     def passed(self, number: Ints | int) -> Vector:

@@ -2,8 +2,7 @@
 
 His waits do not count: work after which he may wait counts only where everything he might wait for had come before he
 arrived. Each work and each walk is compared with others of its kind, so another order is no other pace. Another person
-is none either: with few sessions only what changes within them counts; with many, the sessions scatter as their people
-do, and a pace that changes in one or two steps is taken for other people.
+is none either (`pace_trend`).
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from msgspec import structs
-from scipy.special import ndtri, stdtr, stdtrit
 
 from cyclekit.dataset.cards.coupling import OperatorPaceCard, TrendCard
 from cyclekit.learning.coupling.visits import Event
+from cyclekit.learning.pace_trend import MIN_EXECUTIONS, ChangeShape, find_trend
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -28,25 +27,18 @@ if TYPE_CHECKING:
     from cyclekit.learning.coupling.visits import ExecutionVisits
     from cyclekit.schema import Floats, Ints, Vector
 
-MIN_EXECUTIONS, MIN_ALIKE = 30, 3
-"""Minimum number of executions, and of repetitions of one kind of work or walk."""
-MIN_SESSIONS, MAX_SESSIONS = 5, 8
-"""Number of sessions from which on these are compared, and up to which what changes within them is tested: beyond, that
-is too little of the whole."""
+MIN_ALIKE = 3
+"""Minimum number of repetitions of one kind of work or walk."""
 MAX_CHANGE = 0.7
 """Maximum change of the log duration that is believed: half as long, or twice."""
-BLOCKS = 12
-"""Number of blocks of executions whose means are tested: neighbours are correlated."""
-LEVEL, OTHER_LEVEL = 0.0005, 0.05
-"""Significance level, and that of his walks where his work changes, or of his work where his walks do."""
+SURE, OTHER_SURE = 0.9, 0.5
+"""Minimum probability of a trend, and of one of his walks where his work changes, or of his work where his walks do."""
+SETTLES = (None, 1.0, 0.5, 0.25)
+"""Share of the executions in which 63 % of the lasting change has happened; None: it is linear."""
 MIN_CHANGE = 0.04
 """Minimum change of the log duration that is corrected."""
-SETTLES = (np.inf, 0.5, 0.25)
-"""Share of the executions in which 63 % of the lasting change has happened; infinity: it is linear."""
 OUTLIER = 3.0
 """A duration counts as at most so many times as long, or as short, as the usual one: somebody was interrupted."""
-MANY = 400
-"""Maximum number of executions, or means of them, that are searched for steps."""
 LATEST = 0.95
 """Level of the quantile of a lag after which nobody waits any more."""
 Kind = Literal["work", "walk"]
@@ -88,9 +80,9 @@ def operator_pace(courses: Sequence[ExecutionVisits], card: CouplingCard) -> Ope
     every = every_segment(courses, card)
     sessions = np.unique([course.session for course in courses], return_inverse=True)[1]
     paces = [_paces(every[kind], sessions) for kind in ("work", "walk")]
-    if not any(_trend(each, len(courses), LEVEL) for each in paces):
+    if not any(_trend(each, len(courses), SURE) for each in paces):
         return None
-    work, walk = (_trend(each, len(courses), OTHER_LEVEL) for each in paces)
+    work, walk = (_trend(each, len(courses), OTHER_SURE) for each in paces)
     spent = [sum(one.took_s for one in every[kind]) for kind in ("work", "walk")]
     names = tuple(course.name for course in courses)
     return OperatorPaceCard(executions=names, work=work, walk=walk, work_share=round(spent[0] / sum(spent), 4))
@@ -205,109 +197,19 @@ def _paces(segments: Sequence[_Segment], sessions: Ints) -> _Paces | None:
     return _Paces(np.flatnonzero(seen), sessions[seen], off, mine)
 
 
-def _trend(paces: _Paces | None, count: int, level: float) -> TrendCard | None:
-    """Return the trend of the pace over `count` executions; None if it is not significant at a level."""
-    if paces is None or len(paces.number) < MIN_EXECUTIONS:
+def _trend(paces: _Paces | None, count: int, least: float) -> TrendCard | None:
+    """Return the trend of the pace over `count` executions; None if its probability is not at least so large."""
+    if paces is None:
         return None
-    sessions = len(np.unique(paces.session))
-    between = _significant(paces, count, level, within=False) if sessions >= MIN_SESSIONS else None
-    return between or (_significant(paces, count, level, within=True) if sessions <= MAX_SESSIONS else None)
 
-
-def _significant(paces: _Paces, count: int, level: float, *, within: bool) -> TrendCard | None:
-    """Return the trend between sessions, or within them, if it is significant."""
-    blocks = _blocks(paces.session, within=within)
-    fits = []
-    for part in SETTLES:
-        card = TrendCard(change=0.0, settles=None if np.isinf(part) else round(part * count, 1), count=count)
-        fits.append((card, _fitted(card.passed(paces.number), paces, blocks, within=within)))
-    card, best = min(fits, key=lambda fit: fit[1].left)
-    if best.chance > level or not MIN_CHANGE <= abs(best.change) <= MAX_CHANGE or _in_steps(paces, best, within=within):
+    cards = [TrendCard(change=0.0, settles=part and round(part * count, 1), count=count) for part in SETTLES]
+    shapes = []
+    for card in cards:
+        passed, middle = card.passed(paces.number), float(card.passed(paces.number).mean())
+        usual = paces.mine.T @ passed / np.maximum(paces.mine.sum(axis=0), 1e-9)  # when each kind was done, on average
+        shapes.append(ChangeShape(passed - paces.mine @ usual + middle, middle))
+    found = find_trend(paces.off, paces.session, shapes)
+    if found is None or found.probability < least or not MIN_CHANGE <= abs(found.change) <= MAX_CHANGE:
         return None
-    weight = np.array([(best.left / max(fit.left, 1e-12)) ** (len(blocks) / 2) for _, fit in fits])
-    at_end = np.array([fit.change * (1.0 - fit.middle) for _, fit in fits])
-    error = np.array([fit.error * (1.0 - fit.middle) for _, fit in fits])
-    apart = at_end - best.change * (1.0 - best.middle)
-    at_last = float(np.sqrt(weight @ (error**2 + apart**2) / weight.sum()))
-    return structs.replace(card, change=round(best.change, 4), error=round(at_last, 4), chance=best.chance)
-
-
-class _Fit(NamedTuple):
-    """A regression line: change, its standard error and p-value, residual mean square, mean x, residuals (N,)."""
-
-    change: float
-    error: float
-    chance: float
-    left: float
-    middle: float
-    rest: Vector
-
-
-def _fitted(passed: Vector, paces: _Paces, blocks: Sequence[Ints], *, within: bool) -> _Fit:
-    """Fit the pace of executions to the share of the change that has passed at each of them, shape (N,)."""
-    usual = paces.mine.T @ passed / np.maximum(paces.mine.sum(axis=0), 1e-9)  # when each kind was done, on average
-    x, y = passed - paces.mine @ usual, paces.off
-    weight = np.sqrt([len(block) for block in blocks])
-    columns, sides = (np.array([values[block].mean() for block in blocks]) for values in (x, y))
-    groups = [int(paces.session[block[0]]) if within else 0 for block in blocks]
-    columns, sides = (_without_means(values, weight**2, groups) * weight for values in (columns, sides))
-    free = len(blocks) - len(set(groups)) - 1
-    if free < 2 or not columns.any():
-        return _Fit(0.0, np.inf, 1.0, np.inf, float(passed.mean()), y)
-    spread = float(columns @ columns)
-    change = float(columns @ sides) / spread
-    left = float(((sides - change * columns) ** 2).sum()) / free
-    error = float(np.sqrt(left / spread)) + 1e-12
-    wide = float(stdtrit(free, 0.975) / ndtri(0.975))  # few blocks tell little of their scatter
-    chance = float(2.0 * stdtr(free, -abs(change) / error))
-    return _Fit(change, wide * error, chance, left, float(passed.mean()), y - change * x)
-
-
-def _without_means(values: Vector, weight: Vector, groups: Sequence[int]) -> Vector:
-    _, group = np.unique(groups, return_inverse=True)
-    return np.asarray(values - (np.bincount(group, weight * values) / np.bincount(group, weight))[group])
-
-
-def _blocks(session: Ints, *, within: bool) -> list[Ints]:
-    """Return the executions of each block: parts of sessions if `within`, else whole sessions together."""
-    parts = np.split(np.arange(len(session)), np.flatnonzero(np.diff(session)) + 1)
-    if not within:
-        groups = np.array_split(np.arange(len(parts)), min(BLOCKS, len(parts)))
-        return [np.concatenate([parts[n] for n in some]) for some in groups]
-    wanted = [min(max(2, round(BLOCKS * len(part) / len(session))), len(part)) for part in parts]
-    return [block for part, count in zip(parts, wanted, strict=True) for block in np.array_split(part, count)]
-
-
-def _in_steps(paces: _Paces, best: _Fit, *, within: bool) -> bool:
-    """Return whether the pace changes in steps rather than steadily (Bayesian information criterion).
-
-    One step in each session if `within`, else at most two in all.
-    """
-    if len(paces.off) > MANY:
-        together = np.array_split(np.arange(len(paces.off)), MANY)
-        rest, off = (np.array([values[part].mean() for part in together]) for values in (best.rest, paces.off))
-        session = np.array([paces.session[part[0]] for part in together])
-        paces, best = paces._replace(off=off, session=session), best._replace(rest=rest)
-    count, log_count = len(paces.off), np.log(len(paces.off))
-    parts = np.split(np.arange(count), np.flatnonzero(np.diff(paces.session)) + 1) if within else [np.arange(count)]
-    steady = _left(best.rest, parts)
-    scores = [count * np.log(max(steady, 1e-12)) + 2.0 * log_count]
-    for steps in (1,) if within else (1, 2):
-        left = sum(_least_left(paces.off[part], steps) for part in parts)
-        scores.append(count * np.log(max(left, 1e-12)) + 3.0 * steps * len(parts) * log_count)
-    return bool(min(scores) < scores[0])
-
-
-def _left(values: Vector, parts: Sequence[Ints]) -> float:
-    return float(sum(((values[part] - values[part].mean()) ** 2).sum() for part in parts))
-
-
-def _least_left(values: Vector, steps: int) -> float:
-    """Return the least sum of squares about the means of stretches with so many steps between them, 1 or 2."""
-    count = len(values)
-    sums, squares = (np.concatenate([[0.0], np.cumsum(some)]) for some in (values, values**2))
-    at = np.arange(count + 1)
-    long = np.maximum(at[None, :] - at[:, None], 1)
-    cost = squares[None, :] - squares[:, None] - (sums[None, :] - sums[:, None]) ** 2 / long
-    one = np.array([float((cost[0, : end + 1] + cost[: end + 1, end]).min()) for end in at])
-    return float(one[-1] if steps == 1 else (one + cost[:, -1]).min())
+    change, error = round(found.change, 4), round(found.error, 4)
+    return structs.replace(cards[found.shape], change=change, error=error, chance=1.0 - found.probability)

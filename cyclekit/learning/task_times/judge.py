@@ -140,12 +140,13 @@ def _shifts(model: TaskModelCard, before: Sequence[Run], after: Sequence[Run]) -
     before, after = marked(before, joint), marked(after, joint)
     for agent in model.agents:
         old, new = _paces(model, before, agent), _paces(model, after, agent)
+        latest = 0.0
         if pace := model.pace.get(agent):
-            old = old - np.log(pace.factor(np.arange(len(old))))
+            old, latest = old - np.log(pace.factor(np.arange(len(old)))), pace.error
         if min(len(old), len(new)) < BLOCKS:
             continue
         change = float(new.mean() - old.mean())
-        error = float(np.hypot(_error(old), _error(new)))
+        error = float(np.sqrt(_error(old) ** 2 + _error(new) ** 2 + latest**2))
         found.append(PaceShift(agent, float(np.expm1(change)), change / max(error, 1e-9)))
     return tuple(found)
 

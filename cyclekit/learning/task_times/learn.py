@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Wait
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.schema import Progress, Vector
+    from cyclekit.schema import Ints, Progress, Vector
 
 MIN_EXECUTIONS = 5
 """Minimum number of executions."""
@@ -131,7 +131,8 @@ def _learned(runs: Sequence[Run], agents: Mapping[str, str], given: Sequence[Wai
     runs = marked(runs, joint)
     rates = fit_rates(runs, pairs)
     kinds = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
-    paces = {agent: _pace(rates, agent) for agent, kind in kinds.items() if kind == "operator"}
+    sessions = _sessions(runs)
+    paces = {agent: _pace(rates, agent, sessions) for agent, kind in kinds.items() if kind == "operator"}
     pace = {agent: found for agent, found in paces.items() if found}
     told = {agent: [wait for wait in given if wait.agent == kind] for agent, kind in kinds.items()}
     starts = {agent: learn_starts(runs, agent, told[agent]) for agent in {agent for agent, _ in pairs}}
@@ -141,11 +142,19 @@ def _learned(runs: Sequence[Run], agents: Mapping[str, str], given: Sequence[Wai
     return TaskModelCard(agents=kinds, tasks=tasks, pace=pace, executions=len(runs))  # type: ignore[arg-type]  # of these two
 
 
-def _pace(rates: Mapping[tuple[str, str], TaskRates], agent: str) -> PaceCard | None:
+def _sessions(runs: Sequence[Run]) -> Ints:
+    """Return the number of the session of each execution by its number; -1: no such execution is given."""
+    found = np.full(max(run.number for run in runs) + 1, -1)
+    found[[run.number for run in runs]] = np.unique([run.session for run in runs], return_inverse=True)[1]
+    return found
+
+
+def _pace(rates: Mapping[tuple[str, str], TaskRates], agent: str, sessions: Ints) -> PaceCard | None:
     """Return the trend of an agent's pace over all its tasks; None if there is none."""
     mine = [each for (name, _), each in rates.items() if name == agent]
     log_work = [np.log(each.work) - np.log(each.work).mean() for each in mine]
-    return pace_drift(np.concatenate([each.number for each in mine]), np.concatenate(log_work))
+    number = np.concatenate([each.number for each in mine])
+    return pace_drift(number, np.concatenate(log_work), sessions[number])
 
 
 def _task(

@@ -53,12 +53,14 @@ class Run:
         tasks: Tasks by agent name, ordered by start.
         number: Number among all logged executions, ordered by time.
         failed: Whether one of its tasks failed.
+        session: Name of its session.
     """
 
     name: str
     tasks: Mapping[str, tuple[DoneTask, ...]]
     number: int = 0
     failed: bool = False
+    session: str = ""
 
     @property
     def order(self) -> tuple[tuple[str, ...], ...]:
@@ -96,9 +98,10 @@ def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
             tasks.setdefault(agent, []).append(DoneTask(task, start_s, end_s, planned))
         failed = bool((mine["outcome"] == "failed").any())
         found.append(Run(str(name), {agent: tuple(some) for agent, some in tasks.items()}, failed=failed))
-    at = {str(name): number for number, name in enumerate(dataset.executions["execution"])}
+    at = {one.execution: number for number, one in enumerate(dataset.card.executions)}
+    session = {one.execution: one.session for one in dataset.card.executions}
     found.sort(key=lambda run: at[run.name])
-    return [replace(run, number=number) for number, run in enumerate(found)], agents
+    return [replace(run, number=number, session=session[run.name]) for number, run in enumerate(found)], agents
 
 
 def _spelling(rows: pl.DataFrame) -> dict[tuple[str, str], str]:

@@ -71,7 +71,9 @@ def _found(courses: Sequence[ExecutionVisits], card: CouplingCard = NO_WAITS) ->
     return operator_pace(courses, card)
 
 
-@pytest.mark.parametrize(("size", "count"), [(20, 120), (120, 120), (5, 120), (1, 120), (20, 200), (60, 120)])
+@pytest.mark.parametrize(
+    ("size", "count"), [(20, 120), (120, 120), (5, 120), (1, 120), (20, 200), (60, 120), (20, 60), (30, 60)]
+)
 def test_a_pace_that_changes_over_the_executions_is_found(size: int, count: int) -> None:
     for seed in (1, 2):
         pace = _found(_logged(_quicker, seed=seed, count=count, size=size))

@@ -18,6 +18,7 @@ from cyclekit.learning.coupling.circles import in_circles
 from cyclekit.learning.coupling.common_pace import with_common_pace
 from cyclekit.learning.coupling.conditions import (
     FEW_DECIDED,
+    HELD,
     KEPT,
     MIN_DECIDED,
     decided_by,
@@ -31,6 +32,7 @@ from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
 from cyclekit.learning.coupling.logged_visits import courses_of
 from cyclekit.learning.coupling.own_work import own_work_by_place, rest_at_start
 from cyclekit.learning.coupling.pace import at_latest_pace, operator_pace, paces_beside
+from cyclekit.learning.coupling.phases import with_phases
 from cyclekit.learning.coupling.sources import find_sources
 from cyclekit.learning.coupling.together import NeededTogether, needed_together
 from cyclekit.learning.coupling.trips import parted_courses, trip_places, waits_before_s, with_trips
@@ -47,11 +49,11 @@ if TYPE_CHECKING:
 
 MIN_EXECUTIONS, MAX_EXECUTIONS = 5, 400
 """Minimum and maximum number of executions to learn from; if there are more, an evenly spaced subset is used."""
-MIN_LOST = 10
-"""Number of motions, those with the least safety loss, from which the waiting point short of a place is computed."""
 TIE_S = 0.05
 """Tolerance, s: if the 10 % and 30 % quantiles of dwell are this close, the shortest dwells are own work without a
 wait."""
+EVEN = 0.2
+"""Maximum ratio of the ranges of lag and standstill, 10 to 90 %, if the event explains the standstills."""
 AGENTS: tuple[Agent, ...] = ("robot", "operator")
 
 
@@ -115,12 +117,7 @@ def learn_executions(
     found = with_common_pace(_without_known_trips(courses, found), found)
     if not found.coupled and not any(course.visits["operator"] for course in courses):
         return None
-    phases = _phases(tasks)
-    approaches = [gate for gate in found.gates if _approaches(gate)]
-    gates = (
-        replace(gate, phase=_phase(gate, phases, approaches)) if gate in approaches else gate for gate in found.gates
-    )
-    return replace(found, gates=tuple(gates))
+    return replace(found, gates=with_phases(found.gates, tasks))
 
 
 def _without_known_trips(courses: Sequence[ExecutionVisits], card: CouplingCard) -> Sequence[ExecutionVisits]:
@@ -145,7 +142,11 @@ def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()
         raise ConfigError(msg, cure='Name the place: before = "fixture" or leaving = "fixture"')
     works_at = [wait.spot for wait in given if wait.spot is not None]
     given = [wait for wait in given if wait.place("approach") or wait.place("leave")]
-    if places := trip_places(courses):
+    places = trip_places(courses)
+    if places:
+        found = _at_spots(courses, _without_trips(courses, given), given, works_at)
+        if (spots := spots_of(found)) and not trip_places(with_spots(courses, spots)):
+            return found
         parted, trips = parted_courses(courses, places)
         found = _without_trips(parted, given)
         gates = {(gate.at, gate.place) for gate in found.gates if gate.agent == "operator" and gate.conditions}
@@ -220,12 +221,25 @@ def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait]) ->
 def _unseen(
     courses: Sequence[ExecutionVisits], gates: Sequence[Departures], given: Sequence[Wait]
 ) -> tuple[SourceCard, ...]:
-    """Return sources of parts that no signal reports, at places where the robot waits for no signal."""
+    """Return sources of parts that no signal reports, where the robot waits for no signal and not always for people."""
     leaving = {each.gate.place: each for each in gates if each.gate.at == "leave"}
-    by_signal = {place for place, each in leaving.items() if any(one.event.agent == "signal" for one in each.found)}
+    known = {place for place, each in leaving.items() if any(_explains(each, one) for one in each.found)}
     by_file = {wait.leaving for wait in given if wait.agent == "robot"}
-    found = (find_unseen_parts(courses, place) for place in leaving if place not in by_signal | by_file)
+    found = (find_unseen_parts(courses, place) for place in leaving if place not in known | by_file)
     return tuple(source for source in found if source is not None)
+
+
+def _explains(leaving: Departures, condition: Condition) -> bool:
+    """Return whether a condition of the robot leaves no waits for parts that no signal reports.
+
+    One of the operator does if the robot reacts to it far more evenly than it stands.
+    """
+    if condition.event.agent != "operator" or condition.partly:
+        return condition.event.agent == "signal"
+    since_s = leaving.since_s[leaving.gate, condition]
+    decided = _lag(leaving, condition, since_s).decided
+    lag, stood = (np.ptp(np.quantile(x[decided], (0.1, 0.9))) for x in (since_s, leaving.left_s - leaving.own_s))
+    return bool(lag < EVEN * stood)
 
 
 def _tools(courses: Sequence[ExecutionVisits], gates: Sequence[Departures]) -> set[Event]:
@@ -297,7 +311,7 @@ def _parts(
     step = -(-len(found.left_s) // KEPT)
     since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
     decided, stays_s = decided_by(since), (found.left_s - found.own_s + found.more_s)[::step]
-    if (decided == 0).any():
+    if (decided == 0).mean() > 1.0 - HELD:  # fewer are the exceptions that the conditions allow
         own_s = _distribution(stays_s, decided == 0)
     else:
         shortest_s, low, middle = np.quantile(stays_s, (0.0, 0.1, 0.3)).tolist()
@@ -357,29 +371,3 @@ def _distribution(since_s: Vector, decided: Floats) -> tuple[float, ...]:
     known = np.isfinite(since_s)
     some = np.where(known, since_s, 0.0)
     return quantiles(some, reverse_kaplan_meier(some, decided * 1.0, known))
-
-
-def _approaches(gate: GateCard) -> bool:
-    return gate.agent == "robot" and gate.at == "approach"
-
-
-def _phase(gate: GateCard, phases: Mapping[str, float], approaches: Sequence[GateCard]) -> float:
-    """Return where the robot waits on its way to a place; if it never did, but at places alike, as there."""
-    kind = _learned_together(gate)
-    if gate.place in phases or not kind:
-        return phases.get(gate.place, 0.0)
-    alike = [phases[one.place] for one in approaches if one.place in phases and kind & _learned_together(one)]
-    return float(np.median(alike)) if alike else 0.0
-
-
-def _learned_together(gate: GateCard) -> set[tuple[object, ...]]:
-    """Return what the conditions of a gate that was learned with others have in common with those of the others."""
-    return {(one.agent, one.event, one.back, one.alike, one.lag_s) for one in gate.conditions if one.alike}
-
-
-def _phases(tasks: pl.DataFrame) -> dict[str, float]:
-    """Return per place the share of the nominal motion at which the robot may wait, from motions with least loss."""
-    seen = tasks.filter(pl.col("reached_s").is_not_null() & (pl.col("nominal_s") > 0.0)).sort("safety_loss_s")
-    part = ((pl.col("reached_s") - pl.col("start_s")) / pl.col("nominal_s")).clip(0.0, 1.0)
-    phases = seen.group_by("goal_place").agg(part.head(MIN_LOST).median())
-    return {str(place): float(phase) for place, phase in phases.iter_rows()}

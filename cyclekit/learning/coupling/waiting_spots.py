@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import CouplingCard
     from cyclekit.dataset.cards.coupling import GateCard
 
-NEXT = 0.95
+NEXT = 0.9
 """Minimum share of the visits to a waiting spot after which he goes to the same place."""
 MIN_VISITS, MIN_DIRECT = 10, 5
 """Minimum number of visits to a waiting spot, and of ways to the same place without one: he can go there directly."""
@@ -74,7 +74,7 @@ def possible_spots(
         goals = [goal for goal, _ in after]
         goal = max(set(goals), key=lambda name: (goals.count(name), name))
         direct = sum(after.place == goal and before.place not in (place, goal) for before, after in pairs)
-        gate = waits.get(("leave", place)) or waits.get(("approach", goal))
+        gate = waits.get(("leave", place)) or waits.get(("approach", goal)) or waits.get(("leave", goal))
         if (
             gate is not None
             and len(after) >= MIN_VISITS
@@ -108,8 +108,11 @@ def _reacts(courses: Sequence[ExecutionVisits], place: str, gate: GateCard) -> f
 
 
 def is_spot(courses: Sequence[ExecutionVisits], place: str, gate: GateCard | None) -> bool:
-    """Return whether most stays at a place end with an event; `gate`: learned as if the operator only waited there."""
-    visits = sum(visit.place == place for course in courses for visit in course.visits["operator"])
+    """Return whether most stays at a place end with an event; `gate`: learned as if the operator only waited there.
+
+    A stay at the end of an execution ends with none.
+    """
+    visits = sum(visit.place == place for course in courses for visit in course.visits["operator"][:-1])
     return gate is not None and max((one.decided for one in gate.conditions), default=0) >= DECIDED * visits
 
 

@@ -15,6 +15,7 @@ from cyclekit.errors import UnknownName
 from cyclekit.learning.coupling.errands import errand_places, joined
 from cyclekit.learning.coupling.givers import with_givers
 from cyclekit.learning.coupling.learn import learn_courses, learn_executions
+from cyclekit.learning.coupling.trips import trip_places
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.waits import with_waits_named
 from cyclekit.learning.coupling.words import habit_lines, wait_rows
@@ -176,6 +177,59 @@ def test_a_place_where_he_only_waits_is_a_wait_before_the_next_place(errands: fl
     assert np.quantile(one.lag_s, (0.1, 0.9)) == pytest.approx([0.43, 0.67], abs=0.1)
     assert not any(gate.place == "aside" for gate in card.gates)
     assert "operator before fixture, at aside" in {row.who for row in wait_rows(card)}
+
+
+def _handed_over(rng: np.random.Generator, name: str) -> ExecutionVisits:
+    """Return one in which the robot shows four parts and the operator takes each, as soon as it is there.
+
+    After each part he steps aside. Next comes another part, for which he may have to wait there, or his work at two
+    benches. He ends the execution aside.
+    """
+    robot, operator = [PlaceVisit("home", 0.0, 0.0)], [PlaceVisit("rest", 0.0, 0.5)]
+    for task in ["part", "part", *rng.permutation(["bench", "desk"]).tolist(), "part", "part"]:
+        last = operator[-1]
+        if task != "part":
+            operator.append(PlaceVisit(task, last.left_s + 2.5, last.left_s + 2.5 + rng.uniform(3.0, 9.0)))
+            continue
+        shown = robot[-1].left_s + rng.choice([rng.uniform(0.1, 0.5), rng.uniform(3.0, 9.0)])
+        came = last.left_s + 2.5
+        if last.place == "take":
+            went = max(last.left_s + 1.5, shown + rng.uniform(0.3, 0.7))
+            if went > last.left_s + 2.0:
+                operator.append(PlaceVisit("aside", last.left_s + 1.5, went))
+            came = went + 1.5
+        taken = max(came, shown) + rng.uniform(0.8, 1.3)
+        operator.append(PlaceVisit("take", came, taken))
+        robot.append(PlaceVisit("show", shown, taken + rng.uniform(0.4, 0.7)))
+    operator.append(PlaceVisit("aside", operator[-1].left_s + 1.5, np.nan))
+    robot.append(PlaceVisit("home", robot[-1].left_s + 2.0, np.nan))
+    visits: dict[Agent, list[PlaceVisit]] = {"robot": robot, "operator": operator}
+    return ExecutionVisits(name, visits, events_of(visits))
+
+
+def test_who_waits_aside_between_two_parts_is_on_no_trip() -> None:
+    rng = np.random.default_rng(8)
+    courses = [_handed_over(rng, str(number)) for number in range(60)]
+    assert trip_places(courses) == ("aside",), "by its counts alone it could be one"
+    card = learn_courses(courses)
+    gate = _gate(card, "operator", "approach", "take")
+    assert (gate.wait_at, gate.wait_from) == ("aside", ("take",))
+    assert not any(gate.trip for gate in card.gates)
+    assert _condition(gate) == ("robot", "show", "arrives", None)
+
+
+def test_one_visit_that_was_not_seen_tells_nothing_of_the_robots_own_work() -> None:
+    """The robot always waits to be freed; its own work is shorter than any of its standstills."""
+    rng = np.random.default_rng(9)
+    courses = [_handed_over(rng, str(number)) for number in range(40)]
+    whole = _gate(learn_courses(courses), "robot", "leave", "show")
+    visits = list(courses[0].visits["operator"])
+    unseen = max((visit for visit in visits if visit.place == "take"), key=lambda visit: visit.left_s - visit.arrived_s)
+    courses[0] = courses[0].with_operator([visit for visit in visits if visit is not unseen])
+    gate = _gate(learn_courses(courses), "robot", "leave", "show")
+    assert _condition(gate) == _condition(whole) == ("operator", "take", "leaves", None)
+    assert gate.own_s == whole.own_s
+    assert max(gate.own_s) <= min(one.left_s - one.arrived_s for c in courses for one in c.visits["robot"][1:-1])
 
 
 def test_a_place_to_which_he_always_goes_stays_one_of_his_order() -> None:

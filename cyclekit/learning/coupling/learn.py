@@ -238,6 +238,8 @@ def _explains(leaving: Departures, condition: Condition) -> bool:
         return condition.event.agent == "signal"
     since_s = leaving.since_s[leaving.gate, condition]
     decided = _lag(leaving, condition, since_s).decided
+    if decided.sum() < MIN_DECIDED:
+        return False
     lag, stood = (np.ptp(np.quantile(x[decided], (0.1, 0.9))) for x in (since_s, leaving.left_s - leaving.own_s))
     return bool(lag < EVEN * stood)
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 STILL_M_S = 0.2
 """Horizontal speed, m/s, below which the operator stands still."""
-STILL_S, BRIEF_S = 0.8, 0.4
+STILL_S, BRIEF_S = 0.8, 0.2
 """Minimum duration of a standstill, s; shorter ones are hesitations, except where the operator is always quick. Those
 shorter than the second value never count."""
 PLACE_M = 0.4

@@ -11,8 +11,9 @@ import polars as pl
 
 from cyclekit.config.sequences import PLAN
 from cyclekit.estimate.bias import half_width_95
+from cyclekit.estimate.latest_pace import at_latest_pace, logged_pace, share_of_pace
 from cyclekit.estimate.logged_both import logged_of_both, logged_plan
-from cyclekit.estimate.resample import TOGETHER, resampled, wilson
+from cyclekit.estimate.resample import TOGETHER, Z95, resampled, wilson
 from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, SPLIT, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.estimate.same_work import plan_goals, work_of
 from cyclekit.learning.task_times.runs import logged_runs
@@ -20,6 +21,8 @@ from cyclekit.learning.task_times.runs import logged_runs
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from cyclekit.dataset.cards import OperatorPaceCard
+    from cyclekit.dataset.cards.task_model import PaceCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.same_work import Work
     from cyclekit.learning.task_times.runs import Run
@@ -45,6 +48,8 @@ class Baseline:
         others: Number of executions of the same work in other orders, which do not count.
         names: Names of the executions.
         sequence: Name of the sequence chosen as baseline; None without one.
+        as_logged_s: Mean cycle time as logged, if all else is at the operator's latest pace; None: all is as logged.
+        pace_share: Share of a cycle that follows the operator's pace; None: all is as logged.
     """
 
     executions: int
@@ -57,6 +62,8 @@ class Baseline:
     others: int = 0
     names: tuple[str, ...] = ()
     sequence: str | None = None
+    as_logged_s: float | None = None
+    pace_share: float | None = None
 
     @property
     def missed_share(self) -> float | None:
@@ -70,7 +77,11 @@ class Baseline:
 
 
 def baseline_of(
-    dataset: Dataset, work: Work, takt_s: float | None, named: CycleEstimate | None = None
+    dataset: Dataset,
+    work: Work,
+    takt_s: float | None,
+    named: CycleEstimate | None = None,
+    pace: Sequence[OperatorPaceCard | PaceCard] = (),
 ) -> Baseline | None:
     """Return the baseline: the logged executions of this work, without reference runs without an operator.
 
@@ -82,6 +93,7 @@ def baseline_of(
         work: The work of the cycles.
         takt_s: The takt time, s.
         named: The sequence chosen as baseline: its logged executions are used, or its estimate if it was never logged.
+        pace: Accepted changes of the operator's pace: logged cycles are then counted at his latest pace.
     """
     durations = dict(dataset.executions.filter("complete").select("execution", "duration_s").iter_rows())
     logged = {name: [order] for name, order in _orders(dataset).items()}
@@ -101,16 +113,24 @@ def baseline_of(
             return _estimated(named, takt_s)
     if not ran:
         return None
+    every = dict(ran)
     (order, times), count = Counter(ran.values()).most_common(1)[0], len(ran)
     if times >= MIN_RUNS and 2 * times > count:
         ran = {name: places for name, places in ran.items() if places == order}
     names, same = tuple(ran), len(set(ran.values())) == 1
     cycles_s = np.array([durations[name] for name in names], dtype=np.float64)
-    low_s, high_s = _interval(names, cycles_s)
+    logged_s, at_pace = cycles_s, logged_pace(dataset, pace)
+    share = None if at_pace is None else share_of_pace(at_pace, durations, every)
+    error_s = 0.0
+    if at_pace is not None and share is not None:
+        cycles_s, error_s = at_latest_pace(at_pace, share, names, logged_s)
+    low_s, high_s = _interval(names, cycles_s, error_s)
     missed = None if takt_s is None else int((cycles_s > takt_s).sum())
     within = None if missed is None else (1 - missed / len(names), *wilson(1 - missed / len(names), len(names)))
     mean_s, name, usual = float(cycles_s.mean()), named.name if named else None, order if same else None
-    return Baseline(len(names), mean_s, low_s, high_s, missed, within, usual, count - len(names), names, name)
+    as_logged = {} if share is None else {"as_logged_s": float(logged_s.mean()), "pace_share": share.mean}
+    others = count - len(names)
+    return Baseline(len(names), mean_s, low_s, high_s, missed, within, usual, others, names, name, **as_logged)
 
 
 def _orders(dataset: Dataset) -> dict[str, tuple[str, ...]]:
@@ -151,13 +171,16 @@ def _estimated(named: CycleEstimate, takt_s: float | None) -> Baseline:
     return Baseline(0, named.expected_s, *interval, None, within, named.places, sequence=named.name)
 
 
-def _interval(names: Sequence[str], cycles_s: Vector) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of cycles, shape (N,), s; Student's t widens it for few cycles."""
+def _interval(names: Sequence[str], cycles_s: Vector, more_s: float = 0.0) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of cycles, shape (N,), s; Student's t widens it for few cycles.
+
+    `more_s`: another standard error of the mean, which the scatter of the cycles does not show.
+    """
     mean_s, count = float(cycles_s.mean()), len(cycles_s)
     if count < 2:
-        return mean_s, mean_s
+        return mean_s - Z95 * more_s, mean_s + Z95 * more_s
     error_s = float((resampled(names, 0, together=TOGETHER) @ cycles_s).std()) * (count / (count - 1)) ** 0.5
-    half_s = half_width_95(error_s, count)
+    half_s = float(np.hypot(half_width_95(error_s, count), Z95 * more_s))
     return mean_s - half_s, mean_s + half_s
 
 

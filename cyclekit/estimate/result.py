@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.config.sequences import PlannedTask
+    from cyclekit.dataset.cards import OperatorPaceCard
+    from cyclekit.dataset.cards.task_model import PaceCard
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.history import Combined
     from cyclekit.plots.drawing import Drawing
@@ -131,6 +133,7 @@ class CycleEstimate(Result):
         operator_at: Share of cycles in which the operator is at, or on the way to, each task, in PARTS equal parts of
             `expected_s`; empty if he is unknown, or if `plan` has his tasks.
         asked: The requested tasks of both agents of a plan.
+        pace: Accepted changes of the operator's pace; the estimate is for the pace at their end.
     """
 
     name: str
@@ -165,6 +168,7 @@ class CycleEstimate(Result):
     idle_s: float = 0.0
     operator_at: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     asked: tuple[PlannedTask, ...] = field(default=(), repr=False)
+    pace: tuple[OperatorPaceCard | PaceCard, ...] = field(default=(), repr=False)
 
     @property
     def per_visit_s(self) -> float:
@@ -197,11 +201,11 @@ class CycleEstimate(Result):
         return gantt_figure([self])
 
     def to_dict(self) -> dict[str, object]:
-        """Return plain JSON values, without `check` and `asked`; quantile levels become keys such as "0.05"."""
+        """Return plain JSON values, without `check`, `asked` and `pace`; quantile levels become keys such as "0.05"."""
         out = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in vars(self).items()
-            if name not in ("check", "asked")
+            if name not in ("check", "asked", "pace")
         }
         out["tasks"] = [dict(vars(task)) for task in self.tasks]
         out["plan"] = [dict(vars(task)) for task in self.plan]

@@ -121,6 +121,7 @@ def _estimated(
         takt_probability=within,
         plan=planned,
         asked=sequence.plan,
+        pace=tuple(model.pace.values()),
         idle_s=max(expected - nominal - beside - waited, 0.0),
     )
 

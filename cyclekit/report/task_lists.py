@@ -149,7 +149,8 @@ def _today(texts: ReportTexts, dataset: Dataset, today: Baseline | None) -> Cycl
     """Return the logged cycle that the plans are compared with, if its executions ran one order."""
     if not today or not today.order or not today.executions:
         return None
-    return listed_cycle(dataset, today.names, texts("time_chart.today", executions=count(today.executions)))
+    key = "time_chart.today" if today.as_logged_s is None else "time_chart.as_logged"
+    return listed_cycle(dataset, today.names, texts(key, executions=count(today.executions)))
 
 
 def _logged(texts: ReportTexts, dataset: Dataset, takt_s: float | None) -> list[Part]:

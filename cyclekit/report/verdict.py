@@ -1,7 +1,8 @@
 """The verdict: today's logged cycle time against the best order and change found for the same work.
 
 "Today" is the mean of the logged executions of this work (of the usual order alone, if more than half ran it), or of
-the sequence that was named for the baseline; only where that was never logged, its estimate.
+the sequence that was named for the baseline; only where that was never logged, its estimate. If the operator's pace
+changed, estimates are for his latest pace, and so is "today": else what he learned would count as a saving.
 """
 
 from __future__ import annotations
@@ -130,7 +131,8 @@ def verdict(
     works = [work_of(named.places, named.operator)] if named else [work for work in works if work.visits]
     if not works:
         return None
-    logged = {work: baseline_of(dataset, work, takt_s, named) for work in works}
+    pace = {work: some[0].pace for work, some in by_work(ranked).items()}
+    logged = {work: baseline_of(dataset, work, takt_s, named, pace.get(work, ())) for work in works}
     work = next((work for work in works if logged[work] is not None), works[0])
     mine = by_work(ranked).get(work, [])
     return TaktVerdict(work, takt_s, logged[work], planned, mine[0] if mine else None, best_change(work, ranked, tried))
@@ -153,11 +155,16 @@ def _today(texts: ReportTexts, found: TaktVerdict) -> str:
     if today is None:
         return ""
     mean, _ = with_uncertainty(today.mean_s, today.low_s, today.high_s)
-    mean = fixed(today.mean_s, 1) if today.executions else mean  # of what was logged it is no estimate
     key = "verdict.today_single" if today.executions == 1 else "verdict.today"
-    said = texts(key, mean=mean, executions=count(today.executions))
-    if today.sequence is not None:
-        said = texts("verdict.baseline", name=today.sequence, mean=mean)
+    values = {"name": today.sequence, "executions": count(today.executions)}
+    if today.as_logged_s is not None:
+        of_one = "verdict.today_single_at_pace" if today.executions == 1 else "verdict.today_at_pace"
+        key = of_one if today.sequence is None else "verdict.baseline_at_pace"
+        values["logged"] = fixed(today.as_logged_s, 1)
+    else:
+        mean = fixed(today.mean_s, 1) if today.executions else mean  # of what was logged it is no estimate
+        key = key if today.sequence is None else "verdict.baseline"
+    said = texts(key, mean=mean, **values)
     return f"{said}{_within(texts, 'verdict.within_takt', today.within, found.takt_s)}."
 
 
@@ -226,12 +233,18 @@ def basis(texts: ReportTexts, found: TaktVerdict) -> str:
     mean, interval = with_uncertainty(today.mean_s, today.low_s, today.high_s)
     if not today.executions:
         return texts("verdict.estimated", name=today.sequence, mean=mean, interval=interval)
-    if today.executions == 1:
+    if today.executions == 1 and today.as_logged_s is None:
         return texts("verdict.today_one", mean=fixed(today.mean_s, 1))
+    if today.executions == 1:
+        logged = fixed(today.as_logged_s, 1)
+        return texts("verdict.today_one_at_pace", mean=fixed(today.mean_s, 1), interval=interval, logged=logged)
     values = {"mean": fixed(today.mean_s, 1), "interval": interval, "executions": count(today.executions)}
     said = texts("verdict.basis_order" if today.order else "verdict.basis", **values)
     said += texts("verdict.basis_others", others=count(today.others)) if today.others else ""
+    if today.as_logged_s is not None:
+        said += texts("verdict.basis_pace", logged=fixed(today.as_logged_s, 1), part=percent(today.pace_share))
     if today.missed is None or found.takt_s is None:
         return f"{said}."
     missed = {"missed": count(today.missed), "share": percent(today.missed_share), "takt": given(found.takt_s)}
-    return f"{said}; {texts('verdict.basis_missed', **missed)}"
+    key = "verdict.basis_missed" if today.as_logged_s is None else "verdict.basis_missed_at_pace"
+    return f"{said}; {texts(key, **missed)}"

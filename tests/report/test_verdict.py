@@ -11,6 +11,8 @@ import pytest
 from msgspec import structs
 from report_pages import Page, estimate
 
+from cyclekit.dataset.cards import OperatorPaceCard
+from cyclekit.dataset.cards.coupling import TrendCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import UnknownName
 from cyclekit.estimate.baseline import baseline_of
@@ -146,6 +148,30 @@ def test_an_order_that_is_not_sure_to_save_time_is_no_answer(logged, tmp_path):
         found["answer"]
         == "Today 31.0 s (mean of 4 logged executions). No clearly faster order of the same work was found."
     )
+
+
+def test_where_the_operator_became_quicker_today_is_at_his_latest_pace_too(logged, tmp_path):
+    names = tuple(one.execution for one in logged.card.executions)
+    pace = (OperatorPaceCard(executions=names, work=TrendCard(change=-0.4, count=len(names))),)
+    given = {"estimates": [estimate("turned", 20.0, places=TURNED, pace=pace)], "takt_s": 30.5}
+    found = document(logged, tmp_path, **given)
+    today = found["verdict"]["today"]
+    assert today["as_logged_s"] == 31.0
+    assert today["pace_share"] == pytest.approx(0.5)  # of so few executions half of the cycle
+    assert today["mean_s"] < 29.0
+    assert found["verdict"]["best"]["saves_s"] == pytest.approx(today["mean_s"] - 20.0)
+    assert "s at the operator's latest pace (mean of 4 logged executions, 31.0 s as logged)" in found["answer"]
+    basis = found["sentences"]["answer"][0]
+    assert "as logged it is 31.0 s, and 50 % of a change of his pace reaches the cycle" in basis
+    assert "at that pace 1 of them (25 %) miss" in basis
+    single = (structs.replace(pace[0], executions=("run 0", "run 1")),)
+    given["estimates"] = [estimate("turned", 20.0, places=TURNED, pace=single)]
+    held = document(in_orders(logged, ROUTE), tmp_path, **given)
+    assert "(one logged execution, 28.0 s as logged)" in held["answer"]
+    assert "(one logged execution does this work, in 28.0 s)" in held["sentences"]["answer"][0]
+    held = document(logged, tmp_path, estimates=[estimate("as now", 25.0, places=ROUTE, pace=pace)], baseline="as now")
+    assert held["answer"].startswith("“as now” (baseline) ")
+    assert "s at the operator's latest pace (31.0 s as logged)" in held["answer"]
 
 
 def test_a_change_of_other_work_or_without_a_sure_saving_is_not_in_the_verdict(logged, tmp_path):

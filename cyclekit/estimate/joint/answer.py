@@ -106,14 +106,16 @@ def estimate_both(
     found = answers.found(sequences, judged, refuse, tell)
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, cell.model)]
     unseen = cell.model.doubts if isinstance(cell.model, OnStates) else ()
-    paced = [cell.coupling.pace.said] if cell.coupling is not None and cell.coupling.pace is not None else []
+    pace = () if cell.coupling is None or cell.coupling.pace is None else (cell.coupling.pace,)
+    paced = [one.said for one in pace]
     entries = []
     for entry, _ in found:
         entry, of_other_work, of_work = with_work(entry, _process_tasks(entry.places, nominal, cell))
         doubts = (*unseen, *of_other_work, *entry.doubts, *extrapolation_of(entry), *(judged.doubts if judged else ()))
         doubts += unknown
         few = [few_tracks(entry)] if entry.executions < FEW_EXECUTIONS else []
-        entries.append(replace(entry, doubts=doubts, warnings=(*doubts, *of_work, *few, *paced, *limits)))
+        warnings = (*doubts, *of_work, *few, *paced, *limits)
+        entries.append(replace(entry, doubts=doubts, warnings=warnings, pace=pace))
     tell(1.0, "done")
     return ranked(entries, [means for _, means in found], [False] * len(found))
 

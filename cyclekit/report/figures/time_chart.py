@@ -43,6 +43,7 @@ _WORDS = {
     "picture": "Time chart of {count} cycles. {name}: {mean} s; largest safety loss at {task}, {loss} s.",
     "more": "{count} more are in the tables.",
     "today": "today, {executions} logged executions",
+    "as_logged": "{executions} executions as logged, not at the latest pace",
     "one": "logged execution {name}",
     "split": "Mean split of one cycle, seconds",
     "tasks": "{name}: mean split per task, in order",
@@ -124,7 +125,8 @@ def _today(page: PageInputs) -> CycleEstimate | None:
     names = logged_order(page.dataset) if not page.ranked else today.names if today and today.order else ()
     if not names:
         return None
-    key = "time_chart.one" if len(names) == 1 else "time_chart.today"
+    key = "time_chart.as_logged" if today and today.as_logged_s is not None else "time_chart.today"
+    key = "time_chart.one" if len(names) == 1 else key
     title = page.texts(key, name=names[0], executions=count(len(names)))
     both = today.order[:1] == (PLAN,) if today and today.order else page.coupled
     return logged_cycle(page.dataset, names, title, both=both)

@@ -127,6 +127,11 @@ def _why(ask: Question, combined: Combined | None) -> str:
     why = model.why if isinstance(model, OnStates) else ESTIMATORS[ask.estimator].why
     if combined is None or combined.history_share < TOLD:
         return why
+    if combined.visits_after is not None:
+        return (
+            f"{why} ({combined.rollout_s:.1f} s), weighted {combined.history_share:.0%} with the visits of people that "
+            f"follow {ask.dataset.label(combined.visits_after)} ({combined.history_s:.1f} s)"
+        )
     durations = "the logged durations of the same tasks"
     if combined.by_order:
         durations += " after the places before them"

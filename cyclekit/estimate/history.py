@@ -40,12 +40,15 @@ class Combined:
         history_s: Expected cycle time by the logged durations of the tasks alone, s.
         history_share: Weight of `history_s`, in [0, 1].
         by_order: Whether `history_s` is that of tasks after those before them (`order_effect`).
+        visits_after: Place that visits of people follow, if `history_s` is the rollout with such visits
+            (`visit_effect`).
     """
 
     rollout_s: float
     history_s: float
     history_share: float
     by_order: bool = False
+    visits_after: str | None = None
 
     @property
     def expected_s(self) -> float:

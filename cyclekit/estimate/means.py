@@ -9,7 +9,10 @@ import numpy as np
 
 from cyclekit.estimate.history import Combined, TaskTimes, history_share
 from cyclekit.estimate.order_effect import SHARE, order_effect
-from cyclekit.estimate.resample import TOGETHER, interval_of_mean, resampled_alike
+from cyclekit.estimate.resample import RESAMPLES, TOGETHER, interval_of_mean, resampled_alike
+from cyclekit.estimate.safety import OnStates
+from cyclekit.estimate.visit_effect import SHARE as OF_VISITS
+from cyclekit.estimate.visit_effect import visit_effect
 
 if TYPE_CHECKING:
     from cyclekit.config.sequences import TaskSequence
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.order_effect import OrderEffect
     from cyclekit.estimate.question import Question
     from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.estimate.visit_effect import VisitEffect
     from cyclekit.estimate.walk import Rolled
     from cyclekit.schema import Floats, Vector
 
@@ -82,6 +86,17 @@ def order_effect_for(ask: Question) -> OrderEffect | None:
     return order_effect(ask.dataset)
 
 
+def visit_effect_for(ask: Question) -> VisitEffect | None:
+    """Return the effect of visits that follow a place, if signals show people and the logs show such visits."""
+    if ask.altered is not None or ask.check is None or ask.check.level is not None:
+        return None
+    if ask.check.phases is not None:  # people come with the start of an execution, and their courses begin there
+        return None
+    if not isinstance(ask.model, OnStates) or not ask.model.card.operator_signals:
+        return None
+    return visit_effect(ask.dataset)
+
+
 def means_of(
     ask: Question,
     sequence: TaskSequence,
@@ -90,6 +105,7 @@ def means_of(
     history: History | None,
     level: Vector | None = None,
     effect: OrderEffect | None = None,
+    visits: VisitEffect | None = None,
 ) -> Means:
     """Return the mean of the cycles of one sequence.
 
@@ -101,6 +117,7 @@ def means_of(
         history: Logged durations of its tasks; None if they do not apply.
         level: Result of `level_of`, shape (resamples,).
         effect: Result of `order_effect_for`; None if it does not apply.
+        visits: Result of `visit_effect_for`; None if it does not apply.
     """
     check = ask.check
     resampled_s = cycles.resampled_means(weights)
@@ -112,6 +129,8 @@ def means_of(
     alone = Means(factor, resampled_s * factor, check.model_error, len(check.residuals))
     if effect is not None and effect.covers(sequence.tasks):
         return _by_order(alone, float(cycles.duration_s.mean()) * factor, sequence, effect)
+    if visits is not None:
+        return _by_visits(alone, cycles, factor, sequence, visits)
     if history is None or check.order_error is None or not history.times.knows(sequence.tasks):
         return alone
     return _combined(alone, float(cycles.duration_s.mean()) * factor, sequence, history, check)
@@ -122,6 +141,18 @@ def _by_order(alone: Means, rollout_s: float, sequence: TaskSequence, effect: Or
     both = Combined(rollout_s, effect.expected_s(sequence.tasks), SHARE, by_order=True)
     other = both.history_s / rollout_s * effect.uncertain(sequence.tasks)
     resampled_s = alone.resampled_s * (1.0 - SHARE + SHARE * other)
+    return Means(alone.factor * both.expected_s / rollout_s, resampled_s, alone.error, alone.judged, both)
+
+
+def _by_visits(alone: Means, cycles: Rolled, factor: float, sequence: TaskSequence, visits: VisitEffect) -> Means:
+    """Return the mean of the rollout `alone` and of one with visits that follow a place."""
+    usual_s, places = float(cycles.duration_s.mean()), sequence.places[1:]
+    free_s, rollout_s = usual_s - float(cycles.safety_s.sum(axis=1).mean()), usual_s * factor
+    lost_s = max(rollout_s - free_s, 0.0)
+    others_s = rollout_s + (visits.factor(places, free_s) - 1.0) * lost_s
+    both = Combined(rollout_s, others_s, OF_VISITS, visits_after=visits.place)
+    draws = (visits.uncertain(places, free_s, RESAMPLES) - 1.0) * lost_s / rollout_s
+    resampled_s = alone.resampled_s * (1.0 + OF_VISITS * draws)
     return Means(alone.factor * both.expected_s / rollout_s, resampled_s, alone.error, alone.judged, both)
 
 

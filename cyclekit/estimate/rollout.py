@@ -28,7 +28,7 @@ from cyclekit.estimate.limits import (
     validated,
     with_work,
 )
-from cyclekit.estimate.means import history_of, level_of, means_of, order_effect_for
+from cyclekit.estimate.means import history_of, level_of, means_of, order_effect_for, visit_effect_for
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.question import Altered, Question
@@ -139,7 +139,7 @@ def estimate(
     if check and check.operator and check.operator.said:
         limits.append(check.operator.said)
     unseen = model.doubts if chosen == "rollout" and isinstance(model, OnStates) else ()
-    effect = order_effect_for(ask)
+    effect, visits = order_effect_for(ask), visit_effect_for(ask)
     found: list[CycleEstimate] = []
     means: list[Vector] = []
     looked_up: list[bool] = []
@@ -153,8 +153,8 @@ def estimate(
         for sequence, cycles in zip(mine, rolled, strict=True):
             tasks = programs[sequence].tasks
             by_work = any(task.by_work for task in tasks)
-            pooled = (None, None) if by_work else (history, None if operator else effect)  # of all works
-            mean = means_of(ask, sequence, cycles, weights, pooled[0], level, pooled[1])
+            of_all = (None, None, None) if by_work or operator else (history, effect, visits)  # works and operators
+            mean = means_of(ask, sequence, cycles, weights, of_all[0], level, *of_all[1:])
             entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights, mean)
             entry, of_other_work, of_work = with_work(entry, tasks)
             doubts = (*unseen, *of_other_work, *doubts_of(cycles, entry, check), *unknown)

@@ -29,6 +29,9 @@ BETWEEN, OF_BETWEEN = (0.0, 0.03, 0.06, 0.12, 0.24), (0.4, 0.15, 0.15, 0.15, 0.1
 """Standard deviations of the log pace between sessions that are weighed, and their prior probabilities."""
 IN_TURN = (2, 3)
 """Numbers of people who may take turns by session, each with a pace of his own; each comes at least twice."""
+SURE_TURNS, OF_DAY = 0.95, 0.06
+"""Minimum probability that people take turns for the error of the pace to be that given these people, and the standard
+deviation between sessions of one of them that it then has at least."""
 SCATTERS = tuple(np.geomspace(0.004, 0.3, 14).tolist())
 """Standard deviations of the mean log pace of a block."""
 SPREAD = 0.2
@@ -56,7 +59,7 @@ class PaceTrend(NamedTuple):
     Attributes:
         shape: Number of the most probable shape.
         change: Change of the log pace from the first execution to the last, in that shape.
-        error: Standard error of the log pace at the last execution.
+        error: Standard error of the log pace at the last execution; of people who take turns, of their mean.
         probability: Probability of a steady change.
     """
 
@@ -90,7 +93,8 @@ def find_trend(off: Vector, session: Ints, shapes: Sequence[ChangeShape]) -> Pac
         return None
     blocks, group = _blocks(session)
     y = np.array([off[block].mean() for block in blocks])
-    weigh = _Weigher(y, *_covariances(np.array([len(block) for block in blocks]), group))
+    *covariances, of_people = _covariances(np.array([len(block) for block in blocks]), group)
+    weigh = _Weigher(y, *covariances)
     others = [weigh(np.empty((1, len(y), 0))) + np.log(1.0 - STEADY - STEPS)]
     others += [weigh(_steps(len(y), number)) + np.log(STEPS / 2.0) for number in (1, 2)]
     left = np.array([1.0 - shape.middle for shape in shapes])
@@ -105,6 +109,8 @@ def find_trend(off: Vector, session: Ints, shapes: Sequence[ChangeShape]) -> Pac
     best = int(weight.sum(axis=1).argmax())
     change = float((weight * slope * left[:, None]).sum() / left[best])
     mean = float((weight * level).sum())
+    if weight[:, of_people > 0.0].sum() > SURE_TURNS:
+        variance = np.maximum(variance - of_people, 0.0) + OF_DAY**2 / len(np.unique(group))
     error = float((weight * (variance + (level - mean) ** 2)).sum()) ** 0.5
     return PaceTrend(best, change, error, steady / (steady + other))
 
@@ -123,22 +129,28 @@ def _blocks(session: Ints) -> tuple[list[Ints], Ints]:
     return blocks, np.array([session[block[0]] for block in blocks])
 
 
-def _covariances(size: Ints, group: Ints) -> tuple[Vector, Floats, Vector]:
-    """Return log prior, inverse (V, B, B) and log determinant of each covariance of the means of blocks."""
+def _covariances(size: Ints, group: Ints) -> tuple[Vector, Floats, Vector, Vector]:
+    """Return log prior, inverse (V, B, B) and log determinant of each covariance of the means of blocks.
+
+    The last value is the variance of the mean of the people who take turns, less that of their unequal shares in the
+    logs. They return, so it is no uncertainty of the pace at the end. It is 0 where each session is by itself.
+    """
     number = np.unique(group, return_inverse=True)[1]
     count = int(number.max()) + 1
     several = 1 < count < len(group)
     who = [number, *(number % people for people in IN_TURN if several and count >= 2 * people)]
     own = np.diag(size.mean() / size)
-    priors, covariances = [], []
+    priors, covariances, of_people = [], [], []
     for sd, prior in zip(BETWEEN, OF_BETWEEN, strict=True) if several else [(0.0, 1.0)]:
         for person in who if sd else who[:1]:
             alike = person[:, None] == person
             for scatter in SCATTERS:
                 priors.append(np.log(prior / (len(who) if sd else 1)))
                 covariances.append(sd**2 * alike + scatter**2 * own)
+                share = np.bincount(person, size) / size.sum()
+                of_people.append(0.0 if person is number else sd**2 * (2.0 / len(share) - float(share @ share)))
     every = np.array(covariances)
-    return np.array(priors), np.linalg.inv(every), np.linalg.slogdet(every)[1]
+    return np.array(priors), np.linalg.inv(every), np.linalg.slogdet(every)[1], np.array(of_people)
 
 
 class _Weigher:

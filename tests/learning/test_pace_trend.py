@@ -64,5 +64,24 @@ def test_the_error_of_the_latest_pace_is_known(sessions: int) -> None:
     assert float(np.mean(np.abs(off) < 1.96)) >= 0.8
 
 
+@pytest.mark.parametrize(
+    ("levels", "sessions", "least", "most"),
+    [
+        ((0.14, -0.14) * 3, 6, 0.02, 0.05),  # two people who return
+        ((0.14, -0.14) * 3 + (0.14,), 7, 0.02, 0.06),  # one of them came more often
+        ((0.15, -0.12, 0.02, 0.09, -0.2, 0.06), 6, 0.05, 0.2),  # others each day
+    ],
+)
+def test_only_people_who_return_are_known(levels: tuple[float, ...], sessions: int, least: float, most: float) -> None:
+    off = []
+    for seed in range(4):
+        paces = _paces(-0.3, seed, levels, 12 * sessions)
+        found = _found(paces, sessions)
+        assert found is not None
+        assert least < found.error < most
+        off.append(abs(float(paces.mean()) + 0.5 * found.change + 0.3) / found.error)
+    assert max(off) < 2.5
+
+
 def test_few_executions_tell_of_no_change() -> None:
     assert _found(_paces(-0.3, 0, count=20), 2) is None

@@ -49,8 +49,8 @@ FOLLOWS, USUALLY_FOLLOWS, CLOSE = 0.8, 0.5, 0.75
 as the share CLOSE of those; above both, the event is a consequence of own work."""
 PULSE_S = 1.0
 """Penalty, s, on the end of a button's pulse, so that the press is chosen as the event."""
-PAIRED = 0.9
-"""Minimum share of executions with exactly two departures per event, or two events per departure."""
+PAIRED, MAX_TURNS = 0.9, 6
+"""Minimum share of executions with exactly n departures per event, or n events per departure; maximum n."""
 SHUFFLES = 6
 """Number of random orders of the events."""
 MAX_CONDITIONS = 2
@@ -123,7 +123,10 @@ def find_answer(gate: Departures, times: Times) -> Condition | None:
 
 
 def candidates_of(times: Times, gate: Departures, agent: Agent) -> list[Condition]:
-    """Return the possible conditions of a gate; if one side is twice as frequent, also those of every second one."""
+    """Return the possible conditions of a gate; if one side is n times as frequent, also those of every n-th one.
+
+    The operator who fills a bin with three parts is needed by every third visit of the robot to it.
+    """
     found = []
     departures = np.zeros(len(next(iter(times.values()), ())), np.int64)
     np.maximum.at(departures, gate.course, gate.occurrence + 1)
@@ -133,10 +136,11 @@ def candidates_of(times: Times, gate: Departures, agent: Agent) -> list[Conditio
             continue
         some, events = departures > 0, np.isfinite(at).sum(axis=1)
         pairs = [Turns()]
-        if np.mean(departures[some] == 2 * events[some]) >= PAIRED:
-            pairs += [Turns(every=2, first=first) for first in (0, 1)]
-        elif np.mean(events[some] == 2 * departures[some]) >= PAIRED:
-            pairs += [Turns(event_every=2, event_first=first) for first in (0, 1)]
+        for each in range(2, MAX_TURNS + 1):
+            if np.mean(departures[some] == each * events[some]) >= PAIRED:
+                pairs += [Turns(every=each, first=first) for first in range(each)]
+            elif np.mean(events[some] == each * departures[some]) >= PAIRED:
+                pairs += [Turns(event_every=each, event_first=first) for first in range(each)]
         found += [Condition(event, back, turns) for turns in pairs for back in (0, 1)]
     return found
 

@@ -59,9 +59,13 @@ def wait_rows(found: CouplingCard | None, shown: Callable[[str], str] = str) -> 
 def _passages(one: ConditionCard) -> str:
     """Return in which passages a condition is needed, as the end of a phrase."""
     text = f", {one.back} visit{'s' * (one.back > 1)} earlier" if one.back else ""
-    text += ", every 2nd time" if one.turns.every > 1 else ""
+    text += f", every {_nth(one.turns.every)} time" if one.turns.every > 1 else ""
     text += f", needed in {one.needed:.0%}" if one.needed < 1.0 else ""
     return text + (", where the other waits too" if one.together else "")
+
+
+def _nth(number: int) -> str:
+    return {2: "2nd", 3: "3rd"}.get(number, f"{number}th")
 
 
 def habit_lines(found: CouplingCard | None) -> list[str]:

@@ -42,7 +42,7 @@ SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class Execution:
+class PeopleInExecution:
     """Visits in one logged execution.
 
     Attributes:
@@ -139,7 +139,7 @@ def visit_effect(dataset: Dataset) -> VisitEffect | None:
     return visit_effect_of(_logged(dataset))
 
 
-def visit_effect_of(logged: Sequence[Execution]) -> VisitEffect | None:
+def visit_effect_of(logged: Sequence[PeopleInExecution]) -> VisitEffect | None:
     """Return the effect of the place that visits follow most clearly; None if the logs do not show one."""
     starts = [one.starts() for one in logged]
     best, found = MIN_GAIN, None
@@ -162,7 +162,7 @@ def visit_effect_of(logged: Sequence[Execution]) -> VisitEffect | None:
 
 
 def _effect(
-    place: str, logged: Sequence[Execution], counts: Floats, mine_lost_s: Vector, others_lost_s: Vector
+    place: str, logged: Sequence[PeopleInExecution], counts: Floats, mine_lost_s: Vector, others_lost_s: Vector
 ) -> VisitEffect | None:
     """Return the effect of a place from the visits after it and the others; None if either cost no time."""
     mine, mine_s, others, others_s = counts.sum(axis=0).tolist()
@@ -199,7 +199,7 @@ def _holds_elsewhere(counts: Floats) -> bool:
     return float(gain.sum()) > BEYOND * float(np.sqrt((gain**2).sum()))
 
 
-def _logged(dataset: Dataset) -> list[Execution]:
+def _logged(dataset: Dataset) -> list[PeopleInExecution]:
     """Return the visits in complete, uninterrupted executions."""
     frame = dataset.samples(columns=["execution", "t_s", "human_signals", "scaling"]).drop_nulls("human_signals")
     if frame.is_empty():
@@ -221,5 +221,5 @@ def _logged(dataset: Dataset) -> list[Execution]:
         left_s, took_s = part["end_s"].to_numpy(), (part["end_s"] - part["start_s"] - part["safety_loss_s"]).sum()
         step_s = np.diff(t_s, append=t_s[-1:])
         places = tuple(part["goal_place"].to_list())
-        found.append(Execution(places, left_s, float(took_s), t_s, people, slower * step_s))
+        found.append(PeopleInExecution(places, left_s, float(took_s), t_s, people, slower * step_s))
     return found

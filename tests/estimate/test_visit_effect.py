@@ -14,7 +14,7 @@ from cyclekit.estimate.resample import RESAMPLES
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.visit_effect import (
     LAST,
-    Execution,
+    PeopleInExecution,
     VisitEffect,
     _logged,
     departures,
@@ -33,7 +33,7 @@ VISIT_S = 4.0
 ORDERS = (("feed", "box", "feed", "home"), ("box", "feed", "feed", "home"), ("feed", "feed", "feed", "home"))
 
 
-def executions(count: int, after_box: float, seed: int, usual_gap_s: float = 60.0) -> list[Execution]:
+def executions(count: int, after_box: float, seed: int, usual_gap_s: float = 60.0) -> list[PeopleInExecution]:
     """Return executions whose visits last VISIT_S each; a share `after_box` of the departures from box has one more."""
     rng = np.random.default_rng(seed)
     found = []
@@ -48,7 +48,7 @@ def executions(count: int, after_box: float, seed: int, usual_gap_s: float = 60.
         people = np.zeros(len(t_s), dtype=np.bool_)
         for begin_s in begins:
             people |= (t_s >= begin_s) & (t_s < begin_s + VISIT_S)
-        found.append(Execution(places, left_s, float(left_s[-1]), t_s, people, 0.5 * STEP_S * people))
+        found.append(PeopleInExecution(places, left_s, float(left_s[-1]), t_s, people, 0.5 * STEP_S * people))
     return found
 
 

@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
+from cyclekit import TaskSequence
+from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import PaceCard
+from cyclekit.estimate.task_times import estimate_plans
+from cyclekit.learning.task_times.learn import learn_runs
 from cyclekit.learning.task_times.pace import pace_drift
+from cyclekit.learning.task_times.runs import DoneTask, Run
 
 
 @given(st.floats(-0.4, 0.4), st.sampled_from(["linear", "learning"]), st.integers(0, 10_000))
@@ -32,3 +38,21 @@ def test_no_drift_is_found_where_executions_near_each_other_are_alike() -> None:
         log_work = np.repeat(0.1 * rng.standard_normal(10), 50) + 0.1 * rng.standard_normal(500)
         found += pace_drift(number, log_work) is not None
     assert found <= 3
+
+
+def test_the_interval_of_the_mean_holds_the_doubt_about_the_latest_pace() -> None:
+    rng = np.random.default_rng(5)
+    runs = [
+        Run(str(n), {"worker": (DoneTask("mount", 0.0, float(6.0 * np.exp(-0.2 * n / 59 + 0.05 * rng.normal()))),)}, n)
+        for n in range(60)
+    ]
+    model = learn_runs(runs, {"worker": "operator"}, folds=2)
+    plan = TaskSequence.of_plan("all", [PlannedTask("worker", "mount")])
+
+    def half_s(error: float) -> float:
+        pace = {"worker": structs.replace(model.pace["worker"], error=error)}
+        (found,) = estimate_plans(structs.replace(model, pace=pace), [plan], refused=lambda *_: None)
+        return found.expected_high_s - found.expected_s
+
+    assert 0.0 < model.pace["worker"].error < 0.1
+    assert half_s(0.1) ** 2 - half_s(0.0) ** 2 == pytest.approx((1.96 * 0.105 * 6.0 * np.exp(-0.2)) ** 2, rel=0.1)

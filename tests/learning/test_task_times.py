@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec import structs
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from cyclekit import (
@@ -394,21 +393,3 @@ def test_evaluate_names_a_pace_that_changed_since_the_training(coupled, tmp_path
     assert not by_agent["arm"].changed
     assert by_agent["worker"].change == pytest.approx(-0.25, abs=0.05)
     assert "durations of worker since the training: CHANGED by -2" in found.said()
-
-
-def test_the_interval_of_the_mean_holds_the_doubt_about_the_latest_pace() -> None:
-    rng = np.random.default_rng(5)
-    runs = [
-        Run(str(n), {"worker": (DoneTask("mount", 0.0, float(6.0 * np.exp(-0.2 * n / 59 + 0.05 * rng.normal()))),)}, n)
-        for n in range(60)
-    ]
-    model = learn_runs(runs, {"worker": "operator"}, folds=2)
-    plan = TaskSequence.of_plan("all", [PlannedTask("worker", "mount")])
-
-    def half_s(error: float) -> float:
-        pace = {"worker": structs.replace(model.pace["worker"], error=error)}
-        (found,) = estimate_plans(structs.replace(model, pace=pace), [plan], refused=lambda *_: None)
-        return found.expected_high_s - found.expected_s
-
-    assert 0.0 < model.pace["worker"].error < 0.1
-    assert half_s(0.1) ** 2 - half_s(0.0) ** 2 == pytest.approx((1.96 * 0.105 * 6.0 * np.exp(-0.2)) ** 2, rel=0.1)

@@ -7,7 +7,7 @@ from unittest import mock
 
 import pytest
 from backports import zstd
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cyclekit.errors import DamagedLog
@@ -58,6 +58,7 @@ def test_reading_fast_and_looking_at_every_line_give_the_same_rows(body, cut, qu
 
 
 @given(st.lists(st.tuples(lines, ends), max_size=30), st.booleans(), st.integers(1, 40), st.sampled_from([8, 64]))
+@example(body=[("", "\n")] * 3 + [("-2.5", "\n\n"), ("1,1,1", "\n")], cut=False, block=7, halving=8)
 def test_a_log_in_small_blocks_gives_the_rows_of_one_block(body, cut, block, halving):
     text = "a,b,c\n" + "".join(line + end for line, end in body)
     text = text[:-1] if cut and body else text

@@ -333,7 +333,7 @@ def test_plan_orders_the_work_of_both(logged: Dataset, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_what_if_takes_quicker_people_and_a_second_place(logged: Dataset) -> None:
     robot = ("home->conveyor", "conveyor->left_2", "left_2->conveyor", "conveyor->left_5", "left_5->conveyor")
-    asked = [both(("inbound", "out_left_1", "inbound", "rest"), robot)]
+    asked = [both(("inbound", "out_left_1", "inbound"), robot)]
     model = Coupled(gates(*BOTH_WAIT, own_s=0.5))
     changes = [
         Change("quick", faster={"operator": 2.0}),

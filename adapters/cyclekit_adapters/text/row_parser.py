@@ -158,7 +158,8 @@ class RowParser:
         reason = pl.Series("reason", fields).replace_strict(reasons, return_dtype=pl.String)
         none = self._rows(_Sorted(), len(lines))
         aside = pl.DataFrame([pl.Series("source_row", lines + self.line), reason], schema=SET_ASIDE)
-        last = block[block.rfind(b"\n", 0, len(block) - 1) + 1 :]
+        above = block.rstrip()  # empty lines are between rows, too
+        last = above[above.rfind(b"\n") + 1 :]
         self.after_fragment = not self.end_reason and self._is_fragment(last)
         self.line, self.row = self.line + block.count(b"\n"), self.row + len(lines)
         return replace(none, set_aside=aside)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import polars as pl
 
 from cyclekit import schema
+from cyclekit.people.hesitations import EDGE_S
 from cyclekit.people.tracks import nearest_places
 
 if TYPE_CHECKING:
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
 AWAY_S = 1.5
 """Minimum absence, s: an operator who returns to a place sooner has not left it."""
-EDGE_S = 0.15
-"""Tolerance, s: a standstill this close to the start or end of an execution extends beyond it."""
 
 
 class _Visit(NamedTuple):

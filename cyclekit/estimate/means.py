@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,20 @@ class History:
 
     times: TaskTimes
     weights: Floats
+
+
+class BesideRollout(NamedTuple):
+    """What the logs of all operators tell beside the rollout; each None where it does not apply.
+
+    Attributes:
+        history: Logged durations of tasks.
+        effect: Result of `order_effect_for`.
+        visits: Result of `visit_effect_for`.
+    """
+
+    history: History | None
+    effect: OrderEffect | None
+    visits: VisitEffect | None
 
 
 @dataclass(frozen=True)
@@ -102,10 +116,8 @@ def means_of(
     sequence: TaskSequence,
     cycles: Rolled,
     weights: Floats,
-    history: History | None,
     level: Vector | None = None,
-    effect: OrderEffect | None = None,
-    visits: VisitEffect | None = None,
+    others: BesideRollout | None = None,
 ) -> Means:
     """Return the mean of the cycles of one sequence.
 
@@ -114,10 +126,8 @@ def means_of(
         sequence: The sequence.
         cycles: K cycles of it, as simulated.
         weights: Weights of the cycles in each resample of the logs, shape (resamples, K).
-        history: Logged durations of its tasks; None if they do not apply.
         level: Result of `level_of`, shape (resamples,).
-        effect: Result of `order_effect_for`; None if it does not apply.
-        visits: Result of `visit_effect_for`; None if it does not apply.
+        others: What may be weighed in; None if nothing applies to this sequence.
     """
     check = ask.check
     resampled_s = cycles.resampled_means(weights)
@@ -127,6 +137,9 @@ def means_of(
         resampled_s = resampled_s * level
     factor = check.factor * (ask.altered.moved.get(sequence.name, 1.0) if ask.altered else 1.0)
     alone = Means(factor, resampled_s * factor, check.model_error, len(check.residuals))
+    if others is None:
+        return alone
+    history, effect, visits = others
     if effect is not None and effect.covers(sequence.tasks):
         return _by_order(alone, float(cycles.duration_s.mean()) * factor, sequence, effect)
     if visits is not None:

@@ -28,7 +28,7 @@ from cyclekit.estimate.limits import (
     validated,
     with_work,
 )
-from cyclekit.estimate.means import history_of, level_of, means_of, order_effect_for, visit_effect_for
+from cyclekit.estimate.means import BesideRollout, history_of, level_of, means_of, order_effect_for, visit_effect_for
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.question import Altered, Question
@@ -149,12 +149,12 @@ def estimate(
         if not mine:
             continue
         weights = _weights(ask, rolled[0], tracks)
-        history, level = history_of(ask, tracks) if operator is None else None, level_of(ask, tracks)
+        level = level_of(ask, tracks)
+        beside = BesideRollout(history_of(ask, tracks), effect, visits) if operator is None else None
         for sequence, cycles in zip(mine, rolled, strict=True):
             tasks = programs[sequence].tasks
-            by_work = any(task.by_work for task in tasks)
-            of_all = (None, None, None) if by_work or operator else (history, effect, visits)  # works and operators
-            mean = means_of(ask, sequence, cycles, weights, of_all[0], level, *of_all[1:])
+            pooled = None if any(task.by_work for task in tasks) else beside  # of all works
+            mean = means_of(ask, sequence, cycles, weights, level, pooled)
             entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights, mean)
             entry, of_other_work, of_work = with_work(entry, tasks)
             doubts = (*unseen, *of_other_work, *doubts_of(cycles, entry, check), *unknown)

@@ -25,7 +25,7 @@ HARDLY_LONGER = 2.0
 MIN_QUICK, QUICK = 5, 0.1
 """Minimum number of such stays at a place, and minimum share of its stays."""
 EDGE_S = 0.15
-"""A standstill this close to the start or end of an execution may be longer than seen, s."""
+"""A standstill this close to the start or end of an execution extends beyond it, s."""
 
 
 def quick_places(standstills: Iterable[OperatorStandstills], places: Mapping[str, Place]) -> set[str]:

@@ -19,17 +19,29 @@ from cyclekit.ingest.ingest import ingest
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from cyclekit.learning.task_times.saved import TaskTimesModel
+
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(browser.why_not() is not None, reason=str(browser.why_not())),
 ]
 OPERATOR = ["mount", "pack", "mount"]
+Row = tuple[int, str, str, float, float]
 
 
-def write_list(path: Path) -> None:
-    """Write 50 executions: a weld is slow during the second mount; glue that begins in a pack takes twice as long."""
+def model_of(rows: list[Row], folder: Path) -> TaskTimesModel:
+    """Return the model of a task list with these rows, ingested in a folder."""
+    pl.DataFrame(rows, schema=["run", "agent", "task", "start_s", "end_s"], orient="row").write_csv(
+        folder / "tasks.csv"
+    )
+    ingest([folder / "tasks.csv"], folder / "dataset")
+    return train_task_times(folder / "dataset")
+
+
+def slowed_rows() -> list[Row]:
+    """Return 50 executions: a weld is slow during the second mount; glue that begins in a pack takes twice as long."""
     rng = np.random.default_rng(1)
-    rows = []
+    rows: list[Row] = []
     for run in range(50):
         rows += [(run, "human", task, at, at + 6.0) for task, at in zip(OPERATOR, (0.0, 6.0, 12.0), strict=True)]
         glue, weld = rng.uniform(0.0, 10.0), 12.0 + rng.uniform(0.0, 3.0) if run % 2 else None
@@ -39,13 +51,11 @@ def write_list(path: Path) -> None:
         slow = min(max(work - fast_s, 0.0) / 0.4, 18.0 - max(weld, 12.0))
         welded = weld + work - 0.4 * slow + slow
         rows += [(run, "arm", "glue", glue, glued), (run, "arm", "weld", weld, welded)]
-    pl.DataFrame(rows, schema=["run", "agent", "task", "start_s", "end_s"], orient="row").write_csv(path)
+    return rows
 
 
 def test_plans_have_the_numbers_of_the_library(tab, tmp_path):
-    write_list(tmp_path / "tasks.csv")
-    ingest([tmp_path / "tasks.csv"], tmp_path / "dataset")
-    model = train_task_times(tmp_path / "dataset")
+    model = model_of(slowed_rows(), tmp_path)
     assert any(task.nth for task in model.card.tasks)
     assert any(task.at_start for task in model.card.tasks)
     orders = {"as logged": ["glue", "weld"], "twice": ["weld", "glue", "weld", "glue"]}
@@ -58,10 +68,10 @@ def test_plans_have_the_numbers_of_the_library(tab, tmp_path):
     plans_are_the_same(tab, tmp_path, model, sequences)
 
 
-def write_fed(path: Path) -> None:
-    """Write 40 executions of a robot whose loads begin with a part of a conveyor."""
+def fed_rows() -> list[Row]:
+    """Return 40 executions of a robot whose loads begin with a part of a conveyor."""
     rng = np.random.default_rng(2)
-    rows = []
+    rows: list[Row] = []
     for run in range(40):
         t, came_s = 0.0, 0.0
         for task in ["weld", *rng.permutation(["load"] * 3 + ["weld"] * 2).tolist()]:
@@ -70,13 +80,11 @@ def write_fed(path: Path) -> None:
                 t = max(t, came_s)
             rows.append((run, "arm", task, t, t + rng.uniform(3.9, 4.1)))
             t = rows[-1][-1]
-    pl.DataFrame(rows, schema=["run", "agent", "task", "start_s", "end_s"], orient="row").write_csv(path)
+    return rows
 
 
 def test_plans_that_wait_for_parts_have_the_numbers_of_the_library(tab, tmp_path):
-    write_fed(tmp_path / "tasks.csv")
-    ingest([tmp_path / "tasks.csv"], tmp_path / "dataset")
-    model = train_task_times(tmp_path / "dataset")
+    model = model_of(fed_rows(), tmp_path)
     assert any(task.parts for task in model.card.tasks)
     orders = {"early": ["weld", *["load"] * 7], "late": ["weld"] * 6 + ["load"] * 3}
     sequences = [TaskSequence.of_plan(name, [PlannedTask("arm", t) for t in arm]) for name, arm in orders.items()]

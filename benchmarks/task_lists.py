@@ -164,10 +164,9 @@ def recorded(asked: argparse.Namespace) -> None:
         if any((agent, task) not in usual for agent, *tasks in order for task in tasks):
             continue
         plans = [learn.plan_of(run) for run in some]
-        answers = [
-            estimate_plans(model, [TaskSequence.of_plan(run.name, plan)], refused=refuse)[0]
-            for run, plan in zip(some, plans, strict=True)
-        ]
+        each_plan = {tuple(plan): TaskSequence.of_plan(run.name, plan) for run, plan in zip(some, plans, strict=True)}
+        by_plan = {plan: estimate_plans(model, [one], refused=refuse)[0] for plan, one in each_plan.items()}
+        answers = [by_plan[tuple(plan)] for plan in plans]
         true_s = np.array([run.duration_s for run in some])
         expected_s = np.array([answer.expected_s for answer in answers])
         rival_s = [roll_plan(simple, plan, cycles=1).duration_s[0] for plan in plans]

@@ -14,7 +14,9 @@ from cyclekit.dataset.cards.task_model import HeldOutCard, TaskModelCard
 from cyclekit.errors import UnknownName
 from cyclekit.estimate.result import CycleEstimate
 from cyclekit.estimate.task_times import estimate_plans
+from cyclekit.learning.task_times import fit
 from cyclekit.learning.task_times.learn import learn_runs
+from cyclekit.learning.task_times.parts import task_parts
 from cyclekit.learning.task_times.rates import TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import DoneTask, Run
@@ -253,3 +255,21 @@ def test_tasks_that_show_no_such_effect_get_none(count: int) -> None:
     for seed in range(4):
         found = weld_of(pairs_of(count, law="nothing", seed=seed))
         assert (found.nth, found.nth_waiting, found.at_start) == ({}, {}, {})
+
+
+def test_the_maximum_is_found_in_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Effects whose spreads differ by a factor of a thousand need no hundreds of steps."""
+    parts = task_parts(runs_of(60, second=0.4, waiting=0.5), *WELD).without(("nth", "nth waiting", "at start"))
+    spreads = fit.SPREADS | {"later": 1e-3, "previous": 1e-4, "turn": 1e-4}
+    prior = np.array([spreads[kind] for kind in parts.kinds])
+    steps, density = [], fit._density
+
+    def counted(*args: object, **_: object) -> tuple[float, object]:
+        steps.append(1)
+        return density(*args)  # type: ignore[arg-type]  # of the same function
+
+    monkeypatch.setattr(fit, "_density", counted)
+    found = fit.best_at(parts, spreads, fit.begin_at(parts), -8.0)
+    assert len(steps) < 40
+    away = found + 0.05 * np.random.default_rng(1).standard_normal((50, len(found)))
+    assert density(found, parts, prior)[0] < min(density(at, parts, prior)[0] for at in away)

@@ -38,6 +38,8 @@ at start  the simultaneous task at the start, on the work
 """
 MOST = 4.0
 """Maximum absolute effect on the logarithm of a rate or of the work."""
+MOST_LOG_SPREAD = 3.0
+"""Maximum log spread of the log work."""
 LIKE_OTHERS = 4.0
 """Weight of all tasks' scatter in that of one, as a number of repetitions."""
 _FREE = 1e-6
@@ -55,11 +57,31 @@ def best_at(parts: Parts, spreads: Mapping[str, float], begin: Vector, least: fl
 
     The log spread is at least `least`: effects fitted to few repetitions leave too little of it.
     """
-    spread = np.array([spreads[kind] for kind in parts.kinds])
-    bounds = [(None, None), (least, 3.0), *[(-MOST, MOST)] * len(spread)]
+    prior = np.array([spreads[kind] for kind in parts.kinds])
     begin = np.concatenate([begin[:1], [max(begin[1], least)], begin[2:]])
-    best = minimize(_density, begin, args=(parts, spread), jac=True, method="L-BFGS-B", bounds=bounds).x
-    return np.asarray(best)
+    steps = _steps(parts, spreads, begin)
+    free: tuple[float | None, float | None] = (None, None)
+    low, high = ((end - begin[1]) / steps[1, 1] for end in (least, MOST_LOG_SPREAD))
+    bounds = [free, (low, high), *[free] * len(prior)]
+
+    def density(along: Vector) -> tuple[float, Vector]:
+        value, slope = _density(begin + steps @ along, parts, prior)
+        return value, steps.T @ slope
+
+    best = begin + steps @ minimize(density, np.zeros(len(begin)), jac=True, method="L-BFGS-B", bounds=bounds).x
+    if np.abs(best[2:]).max() <= MOST:
+        return np.asarray(best)
+    bounds = [free, (least, MOST_LOG_SPREAD), *[(-MOST, MOST)] * len(prior)]
+    return np.asarray(minimize(_density, begin, args=(parts, prior), jac=True, method="L-BFGS-B", bounds=bounds).x)
+
+
+def _steps(parts: Parts, spreads: Mapping[str, float], at: Vector) -> Floats:
+    """Return directions along which the density curves alike, as columns: a tenth of the evaluations to its maximum."""
+    rest = np.array([0, *range(2, len(at))])
+    found = np.zeros((len(at), len(at)))
+    found[np.ix_(rest, rest)] = np.linalg.cholesky(np.linalg.inv(Quadratic(parts, at).hessian(spreads)))
+    found[1, 1] = 1.0 / np.sqrt(2.0 * len(parts.last))
+    return found
 
 
 def _density(at: Vector, parts: Parts, prior: Vector) -> tuple[float, Vector]:
@@ -96,9 +118,8 @@ class Quadratic:
     def __init__(self, parts: Parts, at: Vector) -> None:
         k, self.kinds = parts.beside.shape[1], parts.kinds
         done = parts.done(at[2 : 2 + k])
-        work = np.bincount(parts.of, done)
-        of_rate = np.zeros((len(parts.last), k))
-        np.add.at(of_rate, parts.of, parts.beside * (done / work[parts.of])[:, None])
+        work, first = np.bincount(parts.of, done), np.concatenate([[0], parts.last[:-1] + 1])
+        of_rate = np.add.reduceat(parts.beside * (done / work[parts.of])[:, None], first)
         slope = np.hstack([np.ones((len(of_rate), 1)), -of_rate, parts.factors])
         off = np.log(work) - at[0] - parts.factors @ at[2 + k :]
         self._squares, self._gram, self.squares = at[2:] ** 2, slope.T @ slope, float(off @ off)

@@ -220,11 +220,14 @@ def _judged(
         rest = [run for run, of in zip(runs, fold_of, strict=True) if of != fold]
         model = _learned(rest, agents, given)
         models.append(model)
+        rolled: dict[tuple[object, ...], Vector] = {}  # an order often repeats with the same plan: roll it once
         for run in held:
+            same = tuple(plan_of(run)), tuple(float(pace.factor(run.number)) for pace in model.pace.values())
             try:
-                took_s = rolled_run(model, run, seed=seed)
+                took_s = rolled[same] if same in rolled else rolled_run(model, run, seed=seed)
             except (UnknownName, EstimateError):  # has a task that is in no other order
                 continue
+            rolled[same] = took_s
             found.append(_HeldOut(run.order, float(took_s.mean()), float(took_s.std(ddof=1)), run.duration_s))
         tell(float(fold + 1))
     if len(found) < MIN_EXECUTIONS:

@@ -226,8 +226,11 @@ def gap_reasons(
     seen, hidden = np.zeros(len(t_s), bool), np.zeros(len(t_s), bool)
     for track in tracks:
         seen |= np.isfinite(at_times(track, t_s, bridge_s=bridge_s)[:, 0])
-    for person in {track.person for track in tracks}:
-        known = [t.t_s[np.isfinite(t.xyz_m[:, :2]).all(axis=1)] for t in tracks if t.person == person]
+    near: dict[str, list[Vector]] = {}  # frames further away end no gap that counts as occluded
+    for track in tracks if len(t_s) else ():
+        part = track.around(float(t_s.min()) - OCCLUDED_S, float(t_s.max()) + OCCLUDED_S)
+        near.setdefault(track.person, []).append(part.t_s[np.isfinite(part.xyz_m[:, :2]).all(axis=1)])
+    for known in near.values():
         times = np.sort(np.concatenate(known))
         if len(times) > 1:
             right = np.clip(np.searchsorted(times, t_s), 1, len(times) - 1)

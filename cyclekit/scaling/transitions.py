@@ -125,11 +125,11 @@ def held_levels(
     first, last = edges[:-1], edges[1:] - 1
     least_s = held_s + sum(near / rate for rate in rates if rate)
     found = []
-    for row in np.flatnonzero((label[first] >= 0) & (t_s[last] - t_s[first] >= held_s)).tolist():
+    for row in np.flatnonzero((label[first] >= 0) & (t_s[last] - t_s[first] >= least_s)).tolist():
         a, b = int(first[row]), int(last[row])
         ends = a == 0 or b == len(label) - 1 or np.isnan(scaling[a - 1]) or np.isnan(scaling[b + 1])
         passes = _is_on_ramp(t_s[a : b + 1], scaling[a : b + 1], rates) if ends else _passes(scaling, a, b, near)
-        if t_s[b] - t_s[a] >= least_s and not passes:
+        if not passes:
             found.append(HeldLevel(int(label[a]), a, b))
     return found
 

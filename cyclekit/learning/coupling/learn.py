@@ -35,7 +35,7 @@ from cyclekit.learning.coupling.pace import at_latest_pace, operator_pace, paces
 from cyclekit.learning.coupling.phases import with_phases
 from cyclekit.learning.coupling.sources import find_sources
 from cyclekit.learning.coupling.together import NeededTogether, needed_together
-from cyclekit.learning.coupling.trips import parted_courses, trip_places, waits_before_s, with_trips
+from cyclekit.learning.coupling.trips import MIN_TRIPS, parted_courses, trip_places, waits_before_s, with_trips
 from cyclekit.learning.coupling.unseen_parts import find_unseen_parts, with_parts
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits
 from cyclekit.learning.coupling.waiting_spots import is_spot, possible_spots, spots_of, with_spots
@@ -142,23 +142,25 @@ def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()
         raise ConfigError(msg, cure='Name the place: before = "fixture" or leaving = "fixture"')
     works_at = [wait.spot for wait in given if wait.spot is not None]
     given = [wait for wait in given if wait.place("approach") or wait.place("leave")]
-    places = trip_places(courses)
+    places, known = trip_places(courses), None
     if places:
-        found = _at_spots(courses, _without_trips(courses, given), given, works_at)
-        if (spots := spots_of(found)) and not trip_places(with_spots(courses, spots)):
-            return found
+        known = _at_spots(courses, _without_trips(courses, given), given, works_at)
+        if (spots := spots_of(known)) and not trip_places(with_spots(courses, spots)):
+            return known
         parted, trips = parted_courses(courses, places)
         found = _without_trips(parted, given)
         gates = {(gate.at, gate.place) for gate in found.gates if gate.agent == "operator" and gate.conditions}
         after_s = waits_before_s(found, parted, trips)
         parted, trips = parted_courses(courses, places, gates, after_s)
-        known = with_trips(_without_trips(parted, given), parted, trips, places, after_s)
-        if known is not None:
-            return known
+        if sum(map(len, trips)) >= MIN_TRIPS:
+            tried = with_trips(_without_trips(parted, given), parted, trips, places, after_s)
+            if tried is not None:
+                return tried
     errands = errand_places(courses)
     courses = with_errands(courses, errands) if errands else courses
-    found = _at_spots(courses, _without_trips(courses, given), given, works_at)
-    return replace(found, errands=errands)
+    if known is None or errands:
+        known = _at_spots(courses, _without_trips(courses, given), given, works_at)
+    return replace(known, errands=errands)
 
 
 def _at_spots(

@@ -56,8 +56,10 @@ class Times(NamedTuple):
         low, high = np.quantile(times, (0.25, 0.75))
         width = max(0.05, 0.8 * (high - low) * len(times) ** -0.2)
         off = np.abs(at[..., None] - times)
-        kernel = np.where(off < 1e-9, 0.0, np.exp(-0.5 * (off / width) ** 2) / (width * np.sqrt(2.0 * np.pi)))
-        left = np.maximum(mass.sum() - np.where(off < 1e-9, mass, 0.0).sum(axis=-1), 1e-9)
+        same = off < 1e-9
+        kernel = np.exp(-0.5 * np.square(off / width)) / (width * np.sqrt(2.0 * np.pi))
+        kernel[same] = 0.0
+        left = np.maximum(mass.sum() - same @ mass, 1e-9)
         return np.asarray((1.0 - ANY) * mass.sum() * (kernel @ mass) / left + ANY / ANY_S)
 
     def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:

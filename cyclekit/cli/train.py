@@ -182,7 +182,7 @@ def task_times_summary(found: TaskTimesModel) -> str:
             f"mean cycle time {held_out.bias:+.1%} off (+-{held_out.within:.1%}), "
             f"spread over orders {held_out.order_error:.1%}"
         )
-    lines = [held, *(pace.said(agent) for agent, pace in found.card.pace.items())]
+    lines = [held, *found.card.notices]
     text = "\n".join(f"  {line}" for line in lines)
     return f"task times from {found.card.executions} executions\n{table(heads, rows)}\n{text}"
 

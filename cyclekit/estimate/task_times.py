@@ -106,7 +106,7 @@ def _estimated(
             *doubts,
             NOT_KNOWN,
             *(() if judged else (NOT_JUDGED,)),
-            *_drift(model),
+            *model.notices,
             *_failed(model),
             *never_in_a_row(model, sequence),
         ),
@@ -130,10 +130,6 @@ def _failed(model: TaskModelCard) -> list[str]:
     many = f"{model.failed} logged executions with a failed task are left out: "
     many += "times are those of cycles without failures"
     return [many] if model.failed else []
-
-
-def _drift(model: TaskModelCard) -> list[str]:
-    return [pace.said(agent) for agent, pace in model.pace.items()]
 
 
 def _last_robot(model: TaskModelCard, rolled: SimulatedPlan, sequence: TaskSequence) -> str | None:

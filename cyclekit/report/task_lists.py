@@ -260,7 +260,7 @@ def _learned(card: TaskModelCard) -> Part:
         rows.append(
             [task.agent, task.task, str(len(task.work_s)), fixed(task.usual_s, 1), waits, "; ".join(beside) or "-"]
         )
-    said = [f"{pace.said(agent)}." for agent, pace in card.pace.items()]
+    said = [f"{each}." for each in card.notices]
     if any(row[-1] != "-" for row in rows):
         said.append("Speed: during a task of the other agent 1.20 means 1.2 times as fast as alone.")
     heads = ["Agent", "Task", "Times", "Mean, s", "Waits for", "Speed"]

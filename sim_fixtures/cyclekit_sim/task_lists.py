@@ -35,6 +35,7 @@ class ListOptions:
 
     Attributes:
         coupled: Operator and robot wait for each other.
+        needed: Share of the turns in which they do.
         parallel_rates: Tasks are slower or faster in parallel with others.
         spread: Standard deviation of the logarithm of a duration.
         drift: Share by which the operator becomes faster from the first to the last execution; fresh executions have
@@ -43,6 +44,7 @@ class ListOptions:
     """
 
     coupled: bool = True
+    needed: float = 1.0
     parallel_rates: bool = True
     spread: float = 0.1
     drift: float = 0.0
@@ -57,6 +59,7 @@ class _Agent:
     began_s: float = float("nan")
     ready_s: float = 0.0
     ended_s: dict[tuple[str, int], float] = field(default_factory=dict)
+    free: frozenset[int] = frozenset()
 
 
 def random_order(rng: np.random.Generator) -> Order:
@@ -80,7 +83,8 @@ def one_cycle(
     order: Order, rng: np.random.Generator, options: ListOptions, passed: float = 1.0
 ) -> list[tuple[str, str, float, float]]:
     """Return agent, task, start and end, s, of every task of one execution; `passed` is the share of the drift."""
-    agents = {name: _Agent(tasks) for name, tasks in order.items()}
+    free = frozenset(turn for turn in range(REPEATS) if options.needed < 1.0 and rng.random() >= options.needed)
+    agents = {name: _Agent(tasks, free=free) for name, tasks in order.items()}
     done: list[tuple[str, str, float, float]] = []
     t = 0.0
     while any(agent.at < len(agent.order) for agent in agents.values()):
@@ -126,6 +130,8 @@ def _starts(agents: dict[str, _Agent], name: str, options: ListOptions) -> float
     ready = agent.ready_s
     if options.coupled and (needed := WAITS.get(task)):
         nth = agent.order[: agent.at].count(task)
+        if nth in agent.free:
+            return ready + LAG_S
         ended = [other.ended_s for other in agents.values() if needed in other.order]
         ready = max([ready, *(ends.get((needed, nth), float("inf")) for ends in ended)])
     return ready + LAG_S

@@ -93,3 +93,37 @@ def test_plans_that_wait_for_parts_have_the_numbers_of_the_library(tab, tmp_path
     played = [{"agent": "arm", "asked": "arm", "name": name, "after": []} for name in orders["early"]]
     (wanted,) = what_if(model, Dataset.open(tmp_path / "dataset"), sequences[:1], [change])
     same(ask(tab, played, {"without": ["load for part"]}), wanted.after, within=1e-5)
+
+
+def some_times_rows() -> list[Row]:
+    """Return 60 executions in which mount and weld wait for each other in half of the turns."""
+    rng = np.random.default_rng(3)
+    rows: list[Row] = []
+    for run in range(60):
+        both = rng.random() < 0.5
+        bring = rng.uniform(3.0, 9.0)
+        mount = (bring + 0.2 if both else 2.5) + rng.uniform(0.0, 0.1)
+        mounted = mount + rng.uniform(3.9, 4.1)
+        weld = (max(mounted, bring) if both else bring) + rng.uniform(0.1, 0.2)
+        rows += [(run, "arm", "bring", 0.0, bring), (run, "arm", "weld", weld, weld + rng.uniform(2.9, 3.1))]
+        rows += [(run, "human", "pack", 0.0, 2.4), (run, "human", "mount", mount, mounted)]
+    return rows
+
+
+def test_plans_that_wait_some_times_have_the_numbers_of_the_library(tab, tmp_path):
+    model = model_of(some_times_rows(), tmp_path)
+    needs = [need for task in model.card.tasks for need in task.needs]
+    assert len(needs) == 2
+    assert all(0.3 < need.needed < 0.7 and need.together == 1 for need in needs)
+    orders = {"once": ["bring", "weld"], "twice": ["bring", "bring", "weld", "weld"]}
+    sequences = [
+        TaskSequence.of_plan(
+            name,
+            [
+                *(PlannedTask("arm", t) for t in arm),
+                *(PlannedTask("human", t) for t in ["pack", *["mount"] * (len(arm) // 2)]),
+            ],
+        )
+        for name, arm in orders.items()
+    ]
+    plans_are_the_same(tab, tmp_path, model, sequences)

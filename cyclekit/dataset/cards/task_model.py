@@ -34,6 +34,8 @@ class NeedCard(Card, frozen=True, kw_only=True):
         agent, task: The needed task.
         back: The k-th start of the waiting task needs the (k - back)-th end of this one.
         after_s: Process time from that end until the waiting task may start, of an earlier task of its own agent.
+        needed: Share of the starts that need it; the others go on without it.
+        together: Number of the conditions of two agents that are needed by the same occurrences; 0 = alone.
         held: Share of the logged starts that came after it.
         decided: Number of logged starts decided by it: everything else had occurred before.
     """
@@ -42,6 +44,8 @@ class NeedCard(Card, frozen=True, kw_only=True):
     task: Name
     back: Annotated[int, Meta(ge=0, le=100)] = 0
     after_s: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
+    needed: Fraction = 1.0
+    together: Annotated[int, Meta(ge=0, le=1000)] = 0
     held: Fraction = 1.0
     decided: Count = 0
 
@@ -125,7 +129,9 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
     def waits_for(self) -> list[str]:
         """What its start waits for, in words."""
         turns = ["", " of the turn before"]
-        needs = [f"{_after(need)}{need.agent}: {need.task}{turns[min(need.back, 1)]}" for need in self.needs]
+        needs = [
+            f"{_after(need)}{need.agent}: {need.task}{turns[min(need.back, 1)]}{_part(need)}" for need in self.needs
+        ]
         both = [_together(self.joint)] if self.joint else []
         parts = [self.parts.said] if self.parts else []
         return [
@@ -139,6 +145,10 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
 
 def _together(joint: JointCard) -> str:
     return f"{joint.agent}: {joint.task}, to {'start and ' if joint.starts else ''}end with it"
+
+
+def _part(need: NeedCard) -> str:
+    return f" ({need.needed:.0%} of the times)" if need.needed < 1.0 else ""
 
 
 def _after(need: NeedCard) -> str:
@@ -180,6 +190,33 @@ class PaceCard(Card, frozen=True, kw_only=True):
         return f"{agent} becomes {part:.0%} {how} over {count} executions; times are those of the latest pace"
 
 
+class ClockErrorCard(Card, frozen=True, kw_only=True):
+    """What an agent's times were put right by, as its clock is off.
+
+    Attributes:
+        of: The agent whose clock counts as right.
+        least_s, most_s: Least and greatest amount added to times in an execution, s; they differ if the clock changes.
+    """
+
+    of: Name
+    least_s: Lag
+    most_s: Lag
+
+    def said(self, agent: str) -> str:
+        """Return it as a sentence."""
+        low, high = sorted((-self.least_s, -self.most_s))
+        by = _ahead(low) if high - low < CHANGES_S else f"{_ahead(low)} to {_ahead(high)}, as it changes,"
+        return f"clock of {agent}: {by} of the clock of {self.of}; times are put right"
+
+
+CHANGES_S = 0.05
+"""Minimum difference, s, between the amounts of a clock that is said to change."""
+
+
+def _ahead(by_s: float) -> str:
+    return f"{abs(by_s):.2f} s {'ahead' if by_s > 0 else 'behind'}"
+
+
 class HeldOutCard(Card, frozen=True, kw_only=True):
     """Errors on executions whose order of tasks was held out.
 
@@ -209,6 +246,7 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
         agents: `robot` or `operator` by the agent's name in the logs.
         tasks: Tasks of all agents.
         pace: Trends of agents whose pace changes; `work_s` is at the pace of the last execution.
+        clocks: Agents whose clock is off, by name.
         executions: Number of training executions.
         failed: Number of other executions, left out as a task failed.
         held_out: Errors on held-out orders; None if too few orders were logged.
@@ -220,7 +258,13 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
     agents: dict[str, Literal["robot", "operator"]]
     tasks: Annotated[tuple[TaskTimesCard, ...], Meta(min_length=1)]
     pace: dict[str, PaceCard] = field(default_factory=dict)
+    clocks: dict[str, ClockErrorCard] = field(default_factory=dict)
     executions: Count
     failed: Count = 0
     held_out: HeldOutCard | None = None
     warnings: tuple[Note, ...] = ()
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What of the agents' clocks and pace a reader of the times has to know, one sentence each."""
+        return tuple(each.said(agent) for some in (self.clocks, self.pace) for agent, each in some.items())

@@ -35,7 +35,7 @@ def needed_together(
     robot: Sequence[Departures], operator: Sequence[Departures]
 ) -> dict[tuple[Gate, Condition], NeededTogether]:
     """Return the conditions of both agents that are needed in the same departures, as pairs numbered from 1."""
-    pairs = [(mine, his, _gain(mine[1], his[1])) for mine, his in product(_partly(robot), _partly(operator))]
+    pairs = [(mine, his, gain_together(mine[1], his[1])) for mine, his in product(_partly(robot), _partly(operator))]
     found: dict[tuple[Gate, Condition], NeededTogether] = {}
     for (mine, my_needs), (his, his_needs), gain in sorted(pairs, key=lambda pair: -pair[2]):
         if gain >= MIN_GAIN and mine not in found and his not in found:
@@ -45,13 +45,13 @@ def needed_together(
     return found
 
 
-_Needed = dict[tuple[int, int], bool]
+Needed = dict[tuple[int, int], bool]
 """Whether a departure needed its event, where known; key: execution and number of the departure."""
 _Whose = tuple["Gate", "Condition"]
 
 
-def _partly(gates: Sequence[Departures]) -> list[tuple[_Whose, _Needed]]:
-    found: list[tuple[_Whose, _Needed]] = []
+def _partly(gates: Sequence[Departures]) -> list[tuple[_Whose, Needed]]:
+    found: list[tuple[_Whose, Needed]] = []
     for gate in gates:
         if not any(condition.partly for condition in gate.found):
             continue
@@ -67,7 +67,7 @@ def _partly(gates: Sequence[Departures]) -> list[tuple[_Whose, _Needed]]:
     return found
 
 
-def _gain(mine: _Needed, his: _Needed) -> float:
+def gain_together(mine: Needed, his: Needed) -> float:
     """Return the gain in log-likelihood of both conditions if each is needed in the same departures as the other."""
     both = [key for key in mine if key in his]
     a, b = (np.array([needed[key] for key in both], np.bool_) for needed in (mine, his))
@@ -75,6 +75,6 @@ def _gain(mine: _Needed, his: _Needed) -> float:
     return alike - 0.5 * (_log_likelihood(a, mine) + _log_likelihood(b, his))
 
 
-def _log_likelihood(needed: Bools, every: _Needed) -> float:
+def _log_likelihood(needed: Bools, every: Needed) -> float:
     share = float(np.clip(np.mean(list(every.values())), 0.01, 0.99)) if every else 0.5
     return float(np.log(np.where(needed, share, 1.0 - share)).sum())

@@ -3,10 +3,12 @@
 In: table TASKS of a dataset made of task lists, no positions. Out: a `TaskModelCard`, stored as `model.json`.
 
 runs     the logged executions, tasks by agent
+clocks   the executions in one clock, where one agent's is off
 parts    the repetitions of a task, cut where simultaneous tasks start, are half over, or end
 fit      mean, scatter and effects of one task
 rates    the rate of a task during each task of the other agent
-starts   the conditions of a task's start; those that it does not show alone by `alike`, `process`, `unseen_parts`
+starts   the conditions of a task's start; those that it does not show alone by `alike`, `partly`, `process`,
+         `unseen_parts`
 learn    all of it, with errors on held-out orders
 saved    storage
 """

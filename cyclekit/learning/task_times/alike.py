@@ -14,7 +14,7 @@ import numpy as np
 
 from cyclekit.dataset.cards.task_model import NeedCard
 from cyclekit.learning.coupling.alike import number_of
-from cyclekit.learning.task_times.starts import EARLY_S, HELD, MAX_CONDITIONS, gain, least_gain
+from cyclekit.learning.task_times.starts import HELD, MAX_CONDITIONS, gain, least_gain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -62,6 +62,7 @@ def _learn(members: Mapping[str, Waiting], open_to: Sequence[_Needs]) -> None:
 def _tried(members: Mapping[str, Waiting], needs: _Needs) -> tuple[float, list[str]]:
     """Return the gain in regularity by a condition of a kind, and the numbers of the tasks that respect it."""
     times = {}
+    early_s = next(iter(members.values())).early_s
     for number in members.keys() & needs.keys():
         one, need = members[number], needs[number]
         rival = [each for each in one.found if each and (each.agent, each.task) == (need.agent, need.task)]
@@ -69,12 +70,12 @@ def _tried(members: Mapping[str, Waiting], needs: _Needs) -> tuple[float, list[s
             continue
         ends = one.ends_s(need)
         known = np.isfinite(ends)
-        early = int((one.start_s[known] < ends[known] - EARLY_S).sum())
+        early = int((one.start_s[known] < ends[known] - one.early_s).sum())
         if known.any() and early <= (1.0 - HELD) * known.sum() + 0.5:
             times[number] = one.start_s, one.ready_s(need), ends
     numbers = sorted(times)
     showing = sum(_shows(*times[number]) for number in numbers)
-    found = gain([times[number] for number in numbers], EARLY_S) if showing >= MIN_MEMBERS else -np.inf
+    found = gain([times[number] for number in numbers], early_s) if showing >= MIN_MEMBERS else -np.inf
     return found, numbers
 
 

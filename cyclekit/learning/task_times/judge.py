@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import DatasetError, EstimateError, UnknownName
+from cyclekit.learning.task_times.clocks import in_one_clock
 from cyclekit.learning.task_times.joint import marked
 from cyclekit.learning.task_times.learn import rolled_run
 from cyclekit.learning.task_times.runs import logged_runs
@@ -54,7 +55,7 @@ class TaskTimesEvaluation(Result):
         bias, error: Mean and mean absolute value of estimate / logged cycle time - 1.
         coverage: Share of the executions within the middle 90 % of the simulated cycles.
         drift: Change of each agent's pace since training; None if not requested.
-        trends: Trends of the pace within the training, one sentence each.
+        trends: Trends of the pace within the training and clocks that are off, one sentence each.
     """
 
     executions: int
@@ -106,7 +107,9 @@ def judge_task_times(
     Raises:
         DatasetError: No execution can be evaluated.
     """
-    every, _ = logged_runs(dataset)
+    every, agents = logged_runs(dataset)
+    if model.clocks:
+        every, _ = in_one_clock(every, agents)
     runs = every[:: -(-len(every) // MAX_EXECUTIONS) or 1]
     now = max((pace.last for pace in model.pace.values()), default=0)
     ratios, inside, unknown = [], [], 0
@@ -126,10 +129,15 @@ def judge_task_times(
         seen = f"{dataset.place}: none of {len(runs)} executions can be judged: each has a task the model does not know"
         raise DatasetError(seen, cure="Evaluate on logs of the same cell, or train again on these.")
     drift = None if trained_on is None else _shifts(model, logged_runs(trained_on)[0], every)
-    trends = tuple(pace.said(agent) for agent, pace in model.pace.items())
     errors = np.array(ratios)
     return TaskTimesEvaluation(
-        len(ratios), unknown, float(errors.mean()), float(np.abs(errors).mean()), float(np.mean(inside)), drift, trends
+        len(ratios),
+        unknown,
+        float(errors.mean()),
+        float(np.abs(errors).mean()),
+        float(np.mean(inside)),
+        drift,
+        model.notices,
     )
 
 

@@ -12,8 +12,10 @@ from scipy.special import stdtrit
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import PAST, HeldOutCard, JointCard, PaceCard, TaskModelCard, TaskTimesCard
 from cyclekit.errors import ConfigError, DatasetError, EstimateError, UnknownName, command_line
+from cyclekit.learning.task_times.clocks import in_one_clock
 from cyclekit.learning.task_times.joint import joint_tasks, marked
 from cyclekit.learning.task_times.pace import pace_drift
+from cyclekit.learning.task_times.partly import needed_together
 from cyclekit.learning.task_times.rates import TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import Run, logged_runs, without_failures
@@ -97,11 +99,14 @@ def learn_runs(
         progress: Called with the share done.
     """
     tell = progress or (lambda _fraction, _text: None)
-    model = _learned(runs, agents, given)
+    agents = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
+    told = {agent: [wait for wait in given if wait.agent == kind] for agent, kind in agents.items()}
+    runs, clocks = in_one_clock(runs, agents, told)
+    model = structs.replace(_learned(runs, agents, told), clocks=clocks)
     tell(1.0 / (folds + 1), "task times")
     if not folds:
         return model
-    judged = _judged(runs, agents, given, seed, folds, lambda done: tell((1.0 + done) / (folds + 1), "held-out orders"))
+    judged = _judged(runs, agents, told, seed, folds, lambda done: tell((1.0 + done) / (folds + 1), "held-out orders"))
     return structs.replace(model, held_out=judged)
 
 
@@ -125,21 +130,20 @@ def rolled_run(model: TaskModelCard, run: Run, *, cycles: int = CYCLES, seed: in
     return roll_plan(model, plan_of(run), cycles=cycles, seed=seed, pace=pace).duration_s
 
 
-def _learned(runs: Sequence[Run], agents: Mapping[str, str], given: Sequence[Wait]) -> TaskModelCard:
+def _learned(runs: Sequence[Run], agents: Mapping[str, str], told: Mapping[str, Sequence[Wait]]) -> TaskModelCard:
     pairs = sorted({(agent, done.task) for run in runs for agent, some in run.tasks.items() for done in some})
     joint = joint_tasks(runs)
     runs = marked(runs, joint)
     rates = fit_rates(runs, pairs)
-    kinds = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
     sessions = _sessions(runs)
-    paces = {agent: _pace(rates, agent, sessions) for agent, kind in kinds.items() if kind == "operator"}
+    paces = {agent: _pace(rates, agent, sessions) for agent, kind in agents.items() if kind == "operator"}
     pace = {agent: found for agent, found in paces.items() if found}
-    told = {agent: [wait for wait in given if wait.agent == kind] for agent, kind in kinds.items()}
-    starts = {agent: learn_starts(runs, agent, told[agent]) for agent in {agent for agent, _ in pairs}}
+    starts = {agent: learn_starts(runs, agent, told[agent]) for agent in sorted({agent for agent, _ in pairs})}
+    starts = needed_together(starts)
     tasks = tuple(
         _task(*pair, starts[pair[0]][pair[1]], rates[pair], pace.get(pair[0]), joint.get(pair)) for pair in pairs
     )
-    return TaskModelCard(agents=kinds, tasks=tasks, pace=pace, executions=len(runs))  # type: ignore[arg-type]  # of these two
+    return TaskModelCard(agents=dict(agents), tasks=tasks, pace=pace, executions=len(runs))  # type: ignore[arg-type]  # of these two
 
 
 def _sessions(runs: Sequence[Run]) -> Ints:
@@ -201,7 +205,7 @@ class _HeldOut:
 def _judged(
     runs: Sequence[Run],
     agents: Mapping[str, str],
-    given: Sequence[Wait],
+    told: Mapping[str, Sequence[Wait]],
     seed: int,
     folds: int,
     tell: Callable[[float], None],
@@ -218,7 +222,7 @@ def _judged(
     for fold in range(folds):
         held = [run for run, of in zip(runs, fold_of, strict=True) if of == fold]
         rest = [run for run, of in zip(runs, fold_of, strict=True) if of != fold]
-        model = _learned(rest, agents, given)
+        model = _learned(rest, agents, told)
         models.append(model)
         rolled: dict[tuple[object, ...], Vector] = {}  # an order often repeats with the same plan: roll it once
         for run in held:

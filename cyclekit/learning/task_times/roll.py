@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config.sequences import PlannedTask
     from cyclekit.dataset.cards.task_model import TaskModelCard, TaskTimesCard
-    from cyclekit.schema import Bools, Floats, Vector
+    from cyclekit.schema import Bools, Floats, Ints, Vector
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,15 @@ class SimulatedPlan:
         return np.asarray(self.start_s - ends[:, self.before])
 
 
+class _Need(NamedTuple):
+    """Number of a needed task, the process time since, s, the share of cycles in which it is, and `together`."""
+
+    other: int
+    after_s: float = 0.0
+    needed: float = 1.0
+    together: int = 0
+
+
 @dataclass(frozen=True)
 class _Plan:
     """A plan prepared for simulation.
@@ -66,7 +75,7 @@ class _Plan:
         before: Number of the agent's previous task; -1 = none.
         next: Number of the agent's next task; -1 = none.
         turn: Number of earlier occurrences of the same task.
-        needs: Numbers of the tasks that must have ended, and the process time since each, s.
+        needs: The tasks that must have ended.
         parts: Of tasks that wait for a part, numbers of the one that took the part before it, and of the one whose
             start makes room for it; -1 = none.
         mate: Number of the task that it ends with; its own = none.
@@ -82,7 +91,7 @@ class _Plan:
     before: list[int]
     next: list[int]
     turn: list[int]
-    needs: list[list[tuple[int, float]]]
+    needs: list[list[_Need]]
     parts: dict[int, tuple[int, int]]
     mate: list[int]
     joined: list[bool]
@@ -118,7 +127,9 @@ def roll_plan(
         EstimateError: Tasks wait for each other and none can start.
     """
     plan = _laid_out(model, tasks, where)
-    work, lag, gap = _drawn(plan, cycles, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    work, lag, gap = _drawn(plan, cycles, rng)
+    since_s = _since_s(plan, cycles, rng)
     work *= [pace.get(card.agent, 1.0) for card in plan.cards]
     start, end = np.full(work.shape, np.inf), np.full(work.shape, np.inf)
     t = np.zeros(cycles)
@@ -127,7 +138,7 @@ def roll_plan(
     for _ in range(3 * len(tasks) + 2):
         running = np.isfinite(start) & (start <= t[:, None]) & np.isinf(end)
         rate = np.exp(_rates(plan, start, end, late))
-        ready = np.maximum(_ready(plan, end), _parts_s(plan, gap, start))
+        ready = np.maximum(_ready(plan, end, since_s), _parts_s(plan, gap, start))
         due = np.where(np.isinf(start), _together(plan, ready + lag), start) - t[:, None]
         left_s = np.maximum(work - np.where(late, 0.0, half), 0.0) / rate
         due = np.where(running, left_s, np.where(np.isinf(end), np.maximum(due, 0.0), np.inf))
@@ -153,7 +164,7 @@ def roll_plan(
         never = "starts" if np.isinf(start[:, stuck]).any() else "ends"
         msg = f"{where}: {tasks[stuck].shown} never {never}: it waits for a task that waits for it"
         raise EstimateError(msg, cure="Change the order or the 'after' entries.")
-    return SimulatedPlan(tuple(tasks), start, end, usual, _decides(plan, end, _parts_s(plan, gap, start)))
+    return SimulatedPlan(tuple(tasks), start, end, usual, _decides(plan, end, since_s, _parts_s(plan, gap, start)))
 
 
 def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) -> _Plan:
@@ -225,8 +236,8 @@ def _before(tasks: Sequence[PlannedTask]) -> list[int]:
 
 def _needs(
     cards: Sequence[TaskTimesCard], tasks: Sequence[PlannedTask], names: Sequence[str], where: str
-) -> list[list[tuple[int, float]]]:
-    """Return the numbers of the tasks that each task waits for, and the process time since each, s.
+) -> list[list[_Need]]:
+    """Return the tasks that each task waits for.
 
     These are the learned ones, and those given in the plan. No agent waits for a later task of its own.
     """
@@ -237,16 +248,16 @@ def _needs(
     for number, (name, task, card) in enumerate(zip(names, tasks, cards, strict=True)):
         nth = turns[name, task.name].index(number)
         mine = [
-            (turns[need.agent, need.task][nth - need.back], need.after_s)
+            _Need(turns[need.agent, need.task][nth - need.back], need.after_s, need.needed, need.together)
             for need in card.needs
             if 0 <= nth - need.back < len(turns.get((need.agent, need.task), ()))
         ]
-        mine = [(other, after_s) for other, after_s in mine if names[other] != name or other < number]
+        mine = [each for each in mine if names[each.other] != name or each.other < number]
         for told in task.after:
             able = [each for (_, other), some in turns.items() if other == told for each in some if each != number]
             if not able:
                 raise UnknownName(f"{where}: {task.shown}", "task", told, {each.name for each in tasks})
-            mine.append((able[min(nth, len(able) - 1)], 0.0))
+            mine.append(_Need(able[min(nth, len(able) - 1)]))
         found.append(mine)
     return found
 
@@ -295,6 +306,27 @@ def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, 
     return work, lag, gap
 
 
+SHARES = 1000
+"""Number of levels of the draws whether a cycle needs a condition."""
+_Since = dict[tuple[int, int], "Vector | float"]
+"""By a task and one that it waits for, the process time since that one; minus infinity where it is not needed."""
+
+
+def _since_s(plan: _Plan, cycles: int, rng: np.random.Generator) -> _Since:
+    names = [(card.agent, card.task, turn) for card, turn in zip(plan.cards, plan.turn, strict=True)]
+    found: _Since = {}
+    drawn: dict[tuple[int, int], Ints] = {}
+    for number in sorted(range(len(names)), key=lambda each: names[each]):
+        for other, after_s, needed, together in plan.needs[number]:
+            found[number, other] = after_s
+            if needed < 1.0:
+                key = (-together, plan.turn[number]) if together else (number, other)
+                if key not in drawn:
+                    drawn[key] = rng.integers(SHARES, size=cycles)
+                found[number, other] = np.where(drawn[key] < needed * SHARES, after_s, -np.inf)
+    return found
+
+
 def least_lag_s(card: TaskTimesCard) -> float:
     """Return the least lag of a task, s: 0, as less is rounding; after a process time, which varies, any."""
     return -np.inf if any(need.after_s for need in card.needs) else 0.0
@@ -314,13 +346,14 @@ def _rates(plan: _Plan, start: Floats, end: Floats, late: Bools) -> Floats:
     return np.asarray(np.where(beside_any, others - own, plan.alone + waiting @ plan.log_waiting.T))
 
 
-def _ready(plan: _Plan, end: Floats) -> Floats:
+def _ready(plan: _Plan, end: Floats, since_s: _Since) -> Floats:
     """Return when each task may start, shape (cycles, tasks), s; infinite while a required task has not ended."""
     ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
     ready = np.maximum(ends[:, plan.before], plan.not_before_s)
-    for number, needs in enumerate(plan.needs):
-        for need, after_s in needs:
-            ready[:, number] = np.maximum(ready[:, number], end[:, need] + after_s)
+    for (number, need), after_s in since_s.items():
+        with np.errstate(invalid="ignore"):  # not needed, and has not ended
+            at_s = end[:, need] + after_s
+        ready[:, number] = np.fmax(ready[:, number], at_s)
     return np.asarray(ready)
 
 
@@ -342,19 +375,21 @@ def _together(plan: _Plan, at_s: Floats) -> Floats:
     return np.where(plan.joined, np.maximum(at_s, at_s[:, plan.mate]), at_s)
 
 
-def _decides(plan: _Plan, end: Floats, parts_s: Floats) -> Floats:
+def _decides(plan: _Plan, end: Floats, since_s: _Since, parts_s: Floats) -> Floats:
     ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
     latest = ends[:, plan.before].copy()
     found = np.full(end.shape, -1)
     later = plan.not_before_s > latest
     found[later] = -2
     latest = np.maximum(latest, plan.not_before_s)
-    for number, needs in enumerate(plan.needs):
-        mate = plan.mate[number]
-        joined = [(plan.before[mate], 0.0)] if plan.joined[number] and plan.before[mate] >= 0 else []
-        for need, after_s in [*needs, *joined]:
-            later_here = end[:, need] + after_s > latest[:, number]
-            found[later_here, number] = need
-            latest[later_here, number] = end[later_here, need] + after_s
+    joined = {
+        (number, plan.before[mate]): 0.0
+        for number, mate in enumerate(plan.mate)
+        if plan.joined[number] and plan.before[mate] >= 0
+    }
+    for (number, need), after_s in (since_s | joined).items():
+        later_here = end[:, need] + after_s > latest[:, number]
+        found[later_here, number] = need
+        latest[later_here, number] = (end[:, need] + after_s)[later_here]
     found[parts_s > latest] = -3
     return found

@@ -2,8 +2,8 @@
 
 A condition is accepted if the starts respect it, if it decides several of them, and if the lags between being ready and
 starting become more regular than chance among all candidates can explain. `alike` adds what only tasks of one kind show
-together, `process` a process time since an earlier task of the agent itself, `unseen_parts` parts that come by
-themselves.
+together, `partly` what only some starts need, `process` a process time since an earlier task of the agent itself,
+`unseen_parts` parts that come by themselves.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from msgspec import structs
 from cyclekit.dataset.cards.task_model import NeedCard
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from cyclekit.config import Wait
     from cyclekit.dataset.cards.task_model import PartsCard
@@ -63,12 +63,15 @@ class Starts:
         planned: Whether it waits for its planned start.
         lags_s: Lag of each logged start after its conditions, shape (N,), s.
         parts: Parts that it waits for.
+        needed: For each of `needs` that only some starts need, whether a start needed it, by the number of the
+            execution and the occurrence of the task, where that is seen.
     """
 
     needs: tuple[NeedCard, ...]
     planned: bool
     lags_s: Vector
     parts: PartsCard | None = None
+    needed: tuple[Mapping[tuple[int, int], bool], ...] = ()
 
 
 @dataclass
@@ -85,6 +88,7 @@ class Waiting:
         barred: Tasks that it does not wait for.
         ends: For each start, the end of the task that a condition names, (N,), s, by agent, task and `back`: kept, as
             many process times are tried after the same ends.
+        early_s: A start may precede the end of another agent's task by this much, s.
     """
 
     agent: str
@@ -96,6 +100,7 @@ class Waiting:
     found: list[NeedCard | None]
     barred: frozenset[str] = frozenset()
     ends: dict[tuple[str, str, int], Vector] = field(default_factory=dict)
+    early_s: float = EARLY_S
 
     def ends_s(self, need: NeedCard | None) -> Vector:
         """Return for each start when a condition allows it, shape (N,), s; NaN where there is none."""
@@ -104,7 +109,8 @@ class Waiting:
         named = need.agent, need.task, need.back
         if named not in self.ends:
             self.ends[named] = _ends(self, need)
-        return self.ends[named] + need.after_s
+        ends = self.ends[named] + need.after_s
+        return ends if need.needed == 1.0 else np.where(self.start_s >= ends - self.early_s, ends, np.nan)
 
     def ready_s(self, but: NeedCard | None = None) -> Vector:
         """Return for each start when all conditions found allow it, shape (N,), s; without one of them if given."""
@@ -124,21 +130,37 @@ def learn_starts(runs: Sequence[Run], agent: str, given: Sequence[Wait] = ()) ->
         given: What tasks of such agents do not wait for, as the cell file tells.
     """
     from cyclekit.learning.task_times.alike import find_with_alike
+    from cyclekit.learning.task_times.partly import find_partly
     from cyclekit.learning.task_times.process import find_process_time
 
     others = candidates(runs, agent)
-    tasks = sorted({done.task for run in runs for done in run.tasks.get(agent, ())})
+    every = waiting_tasks(runs, agent, given, others)
+    tasks = [one.task for one in every]
     known = {*tasks, *(need.task for need in others)}
-    every = [_waiting(runs, agent, task, _barred(given, task, known)) for task in tasks]
     for one in every:
-        _find(one, others)
+        find_alone(one, others)
     find_with_alike(every, others)
     for one in every:
+        find_partly(one, others)
         find_process_time(one, tasks)
     return {one.task: _told(one, free=not known <= one.barred) for one in every}
 
 
-def _find(one: Waiting, others: Sequence[NeedCard]) -> None:
+def waiting_tasks(runs: Sequence[Run], agent: str, given: Sequence[Wait], others: Sequence[NeedCard]) -> list[Waiting]:
+    """Return the starts of each task of an agent, without conditions, sorted by name.
+
+    Args:
+        runs: Executions; at least one contains the agent.
+        agent: Name of the agent.
+        given: See `learn_starts`.
+        others: Its `candidates`.
+    """
+    tasks = sorted({done.task for run in runs for done in run.tasks.get(agent, ())})
+    known = {*tasks, *(need.task for need in others)}
+    return [_waiting(runs, agent, task, _barred(given, task, known)) for task in tasks]
+
+
+def find_alone(one: Waiting, others: Sequence[NeedCard]) -> None:
     """Add the conditions that the starts of a task show alone.
 
     A planned start needs little evidence: a plan that is estimated is kept, so waits for it must not count as lags too.
@@ -149,7 +171,7 @@ def _find(one: Waiting, others: Sequence[NeedCard]) -> None:
     while len(one.found) < MAX_CONDITIONS:
         ready = one.ready_s()
         tried = {
-            need: gain([(one.start_s, ready, ends)], early_s(need))
+            need: gain([(one.start_s, ready, ends)], early_s(need, one.early_s))
             for need, ends in open_to.items()
             if need not in one.found
         }
@@ -198,9 +220,9 @@ def _ends(one: Waiting, need: NeedCard) -> Vector:
     return found
 
 
-def early_s(need: NeedCard | None) -> float:
+def early_s(need: NeedCard | None, early_s: float = EARLY_S) -> float:
     """Return how much a start may precede a condition, s; None = its planned start."""
-    return EARLY_PLAN_S if need is None else EARLY_S + EARLY_PART * need.after_s
+    return EARLY_PLAN_S if need is None else early_s + EARLY_PART * need.after_s
 
 
 Times = tuple["Vector", "Vector", "Vector"]
@@ -225,10 +247,10 @@ def gain(some: Sequence[Times], early_s: float, decided: int = MIN_DECIDED) -> f
         return -np.inf
     before = [start - ready for start, ready, _ in some]
     after = [start - np.where(start >= ends - early_s, np.fmax(ready, ends), ready) for start, ready, ends in some]
-    return len(start) * float(np.log(_deviation(before) / _deviation(after)))
+    return len(start) * float(np.log(deviation(before) / deviation(after)))
 
 
-def _deviation(lags_s: Sequence[Vector]) -> float:
+def deviation(lags_s: Sequence[Vector]) -> float:
     """Return the mean absolute deviation of lags from the median of each task, s, plus the resolution."""
     return float(np.concatenate([np.abs(each - np.median(each)) for each in lags_s]).mean()) + REGULAR_S
 
@@ -242,7 +264,7 @@ def _told(one: Waiting, *, free: bool) -> Starts:
     """
     from cyclekit.learning.task_times.unseen_parts import find_unseen_parts
 
-    ready, needs = one.ready_s(), []
+    ready, needs, flags = one.ready_s(), [], []
     for need in one.found:
         if need is not None:
             ends = one.ends_s(need)
@@ -250,5 +272,16 @@ def _told(one: Waiting, *, free: bool) -> Starts:
             decided = known & (ends >= ready - 1e-9)
             held = float((one.start_s[known] >= ends[known] - early_s(need)).mean()) if known.any() else 1.0
             needs.append(structs.replace(need, held=held, decided=int(decided.sum())))
+            flags.append(_needed(one, need))
     parts, lags_s = find_unseen_parts(one) if free else (None, one.start_s - ready)
-    return Starts(tuple(needs), None in one.found, lags_s, parts)
+    return Starts(tuple(needs), None in one.found, lags_s, parts, tuple(flags))
+
+
+def _needed(one: Waiting, need: NeedCard) -> dict[tuple[int, int], bool]:
+    """Return whether a start needed a condition that only some need, where the condition would have decided it."""
+    if need.needed == 1.0:
+        return {}
+    ends = one.ends_s(structs.replace(need, needed=1.0))
+    late = ends > one.ready_s(need) + DECIDED_S
+    held = one.start_s >= ends - one.early_s
+    return {(one.seen[row].run.number, one.seen[row].nth): bool(held[row]) for row in np.flatnonzero(late)}

@@ -65,7 +65,7 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
 
 
 def _need(need: NeedCard) -> dict[str, Any]:
-    return {name: getattr(need, name) for name in ("agent", "task", "back", "after_s")}
+    return {name: getattr(need, name) for name in ("agent", "task", "back", "after_s", "needed", "together")}
 
 
 def _parts(parts: PartsCard) -> dict[str, int]:

@@ -27,12 +27,12 @@ const laidOut = (tasks, asked) => {
       const which = nth - need.back;
       const there = which >= 0 && which < theirs.length;
       const ofOwn = there && tasks[theirs[which]].agent === task.agent && theirs[which] > number; // no agent waits for its later task
-      return there && !ofOwn ? [[theirs[which], need.after_s]] : [];
+      return there && !ofOwn ? [[theirs[which], need.after_s, need.needed, need.together]] : [];
     });
     for (const told of task.after) {
       const able = tasks.map((other, n) => n).filter((n) => tasks[n].name === told && n !== number);
       const ordered = [...turns.values()].flat().filter((n) => able.includes(n));
-      if (ordered.length) mine.push([ordered[Math.min(nth, ordered.length - 1)], 0]);
+      if (ordered.length) mine.push([ordered[Math.min(nth, ordered.length - 1)], 0, 1, 0]);
       else unknown.push(told);
     }
     return mine;
@@ -69,12 +69,15 @@ const PART = { task: "part" }; // what a task waits for whose parts come by them
 const everyWait = (card) => (card.parts ? [...card.needs, PART] : card.needs);
 const waitName = (card, need) => `${card.task} for ${need.task}`;
 
+const SHARES = 1000;
 const DRAWS = new Map();
 const drawsOf = (plan, tasks) => { // roll._drawn: which repetition each task draws, alike in every order of the same tasks
   const text = (a, b) => (a < b ? -1 : Number(a > b));
   const names = tasks.map((task, number) => ({ number, agent: task.agent, task: task.name, turn: plan.turn[number] }))
     .sort((a, b) => byCode(a.agent, b.agent, text) || byCode(a.task, b.task, text) || a.turn - b.turn);
-  const key = JSON.stringify(names.map(({ agent, task, turn }) => [agent, task, turn]));
+  const partly = names.map(({ number }) => plan.needs[number].filter((need) => need[2] < 1));
+  const order = partly.flat().length ? [partly, names.map(({ number }) => number)] : [];
+  const key = JSON.stringify([names.map(({ agent, task, turn }) => [agent, task, turn]), ...order]);
   if (!DRAWS.has(key)) {
     const { below } = generator(facts.seed);
     const drawn = (count) => Uint16Array.from({ length: facts.cycles }, () => below(count));
@@ -82,6 +85,14 @@ const drawsOf = (plan, tasks) => { // roll._drawn: which repetition each task dr
     DRAWS.get(key).forEach((some, n) => {
       const { parts } = plan.cards[names[n].number];
       if (parts) some.push(drawn(names[n].turn ? parts.gaps : parts.first));
+    });
+    const levels = new Map(); // roll._since_s: in which cycles a condition is needed that only some need
+    DRAWS.get(key).forEach((some, n) => {
+      some.often = new Map(partly[n].map(([other, , needed, together]) => {
+        const which = together ? `${together} of turn ${names[n].turn}` : `${names[n].number} for ${other}`;
+        if (!levels.has(which)) levels.set(which, drawn(SHARES));
+        return [other, levels.get(which).map((level) => Number(level < needed * SHARES))];
+      }));
     });
   }
   const found = [];
@@ -118,9 +129,11 @@ const rolledPlan = (tasks, asked) => {
     const { last, room } = plan.parts[n];
     return Math.max(gap[n] + (last < 0 ? 0 : partAt(last)), room < 0 ? 0 : begins[room]);
   };
+  let now = 0;
+  const isNeeded = (n, need) => !draws[n].often.has(need) || draws[n].often.get(need)[now];
   const readyAt = (n) => {
     let ready = Math.max(plan.before[n] < 0 ? 0 : ends[plan.before[n]], plan.notBefore_s[n]);
-    for (const [need, after_s] of plan.needs[n]) ready = Math.max(ready, ends[need] + after_s);
+    for (const [need, after_s] of plan.needs[n]) if (isNeeded(n, need)) ready = Math.max(ready, ends[need] + after_s);
     return Math.max(ready, partAt(n));
   };
   const startsAt = (n) => { // joint tasks that start together start when both may
@@ -129,6 +142,7 @@ const rolledPlan = (tasks, asked) => {
   };
   for (let cycle = 0; cycle < cycles; cycle += 1) {
     let [t, left] = [0, count];
+    now = cycle;
     for (let n = 0; n < count; n += 1) {
       const card = plan.cards[n];
       work[n] = plan.joined[n] && plan.mate[n] < n ? 0 : factor[n] * tables.values[card.first + draws[n][0][cycle]];
@@ -183,7 +197,7 @@ const rolledPlan = (tasks, asked) => {
       if (plan.notBefore_s[n] > latest) [latest, who] = [plan.notBefore_s[n], -2];
       const other = plan.joined[n] ? plan.before[plan.mate[n]] : -1;
       for (const [need, after_s] of other < 0 ? plan.needs[n] : [...plan.needs[n], [other, 0]]) {
-        if (ends[need] + after_s > latest) [latest, who] = [ends[need] + after_s, need];
+        if (isNeeded(n, need) && ends[need] + after_s > latest) [latest, who] = [ends[need] + after_s, need];
       }
       decides[n][cycle] = partAt(n) > latest ? -3 : who;
     }

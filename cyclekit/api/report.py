@@ -10,17 +10,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict, cast
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.estimate import estimate_cycles, with_plan
+from cyclekit.api.estimate import estimate_cycles
 from cyclekit.api.evaluate import evaluate_model
-from cyclekit.api.given import Sequences, jobs_of, place_of, refuse_baseline, sequences_of, times_of, trained_of
+from cyclekit.api.given import (
+    Sequences,
+    estimator_model,
+    jobs_of,
+    place_of,
+    refuse_baseline,
+    sequences_of,
+    times_of,
+    trained_of,
+)
 from cyclekit.api.plan import plan_order
-from cyclekit.api.whatif import what_if as try_changes
+from cyclekit.api.whatif import changed_cycles
 from cyclekit.api.workbooks import need_workbook, sheets_of_estimates, sheets_of_logs
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
-from cyclekit.errors import ConfigError, CyclekitError
-from cyclekit.estimate.answers import CycleEstimates, together
+from cyclekit.errors import ConfigError, CyclekitError, EstimateError
+from cyclekit.estimate.answers import CycleEstimates, Refusal
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.whatif.change import Change, load_changes
 from cyclekit.learning.evaluation.evaluate import Evaluation
@@ -85,6 +94,7 @@ class _Page(TypedDict, total=False):
     what_if: Sequence[Tried]
     planned: OrderPlan | None
     missing: Sequence[str]
+    refused: Sequence[Refusal]
 
 
 class _TaskPage(TypedDict, total=False):
@@ -93,6 +103,7 @@ class _TaskPage(TypedDict, total=False):
     estimates: CycleEstimates | None
     planned: TaskOrderPlan | None
     changed: Sequence[WhatIf]
+    refused: Sequence[Refusal]
 
 
 class _Given(TypedDict):
@@ -150,8 +161,12 @@ def write_report(
         evaluation: An earlier evaluation of the model.
         progress: Called with the fraction done and a text.
 
+    A sequence, change or order search that the logs cannot answer is named on the page and in `refused` of the result,
+    with the reason.
+
     Raises:
         ConfigError: Estimates without a model, or changes without sequences.
+        EstimateError: No sequence can be answered, or not the baseline.
         CyclekitError: A requested part cannot be computed or read, or the file cannot be written.
     """
     file, printed = Path(out), None if pdf is None else Path(pdf)
@@ -177,7 +192,9 @@ def write_report(
     looks: _Looks = {"takt_s": takt_s, "baseline": baseline, "template": folder, "cell_name": cell_name}
     times = times_of(model)
     if times is not None or (model is None and data.holds_task_lists_alone):
-        parts: _TaskPage = {} if times is None else _of_tasks(times, data, sequences, changes, jobs, takt_s)
+        parts: _TaskPage = {} if times is None else _of_tasks(times, data, sequences, changes, jobs, takt_s, estimates)
+        if found := parts.get("estimates"):
+            found.require(baseline)
         card = None if times is None else times.card
         if chosen == "xlsx":
             write = partial(report_tasks, card, data, kind="json", **parts, **looks)
@@ -191,6 +208,8 @@ def write_report(
         asked = _Asked(trained, data, validate, extrapolate, other_cell, tell)
         asked.takt_s = takt_s
         page = asked.found(sequences, changes, tried, jobs, estimates, evaluation)
+        if answered := page["estimates"]:
+            answered.require(baseline)
     if chosen == "xlsx":
         write = partial(compose_report, data, trained, kind="json", **page, **looks)
         return _as_workbook(data, trained, file, page.get("estimates") or None, write)
@@ -215,16 +234,43 @@ def _of_tasks(
     changes: list[Change],
     jobs: Jobs | Place | None,
     takt_s: float | None,
+    earlier: CycleEstimates | None,
 ) -> _TaskPage:
     """Return the content of the report of a model of task times, by the argument names of `report_tasks`."""
     wanted = [] if sequences is None else sequences_of(sequences)
-    planned = None if jobs is None else cast("TaskOrderPlan", plan_order(model, data, jobs))
+    refused = list[Refusal]()
+    planned = None
+    if jobs is not None:
+        order = partial(plan_order, model, data, jobs)
+        planned = cast("TaskOrderPlan | None", _searched(order, refused, needed=not wanted))
     asked = [*wanted, *([TaskSequence.of_plan(ORDER, planned.tasks)] if planned else [])]
     if changes and not asked:
         raise ConfigError("changes are tried on sequences, and none are given", cure="Give sequences or jobs.")
-    found = estimate_cycles(model, data, asked, takt_s=takt_s).require_all() if asked else None
-    changed = try_changes(model, data, asked, changes).require_all() if changes else ()
-    return {"estimates": found, "planned": planned, "changed": list(changed)}
+    found = earlier
+    if asked and (found is None or planned):
+        found = estimate_cycles(model, data, asked, takt_s=takt_s)
+    changed = changed_cycles(model, data, _answered(asked, found), changes) if changes else None
+    refused = [*(found.refused if found else ()), *refused, *(changed.refused if changed else ())]
+    return {"estimates": found, "planned": planned, "changed": list(changed or ()), "refused": refused}
+
+
+def _searched(
+    search: Callable[[], OrderPlan | TaskOrderPlan], refused: list[Refusal], *, needed: bool
+) -> OrderPlan | TaskOrderPlan | None:
+    """Return the result of an order search; None if the logs cannot answer it and something else is asked for."""
+    try:
+        return search()
+    except EstimateError as error:
+        if needed:
+            raise
+        refused.append(Refusal(ORDER, error, "order"))
+    return None
+
+
+def _answered(asked: list[TaskSequence], found: CycleEstimates | None) -> list[TaskSequence]:
+    """Return the sequences that have an estimate."""
+    names = {each.name for each in found or ()}
+    return [each for each in asked if each.name in names]
 
 
 def _as_workbook(
@@ -268,15 +314,21 @@ class _Asked:
         Raises:
             CyclekitError: A requested part cannot be computed.
         """
-        planned = None if jobs is None else self._planned(jobs)
-        wanted = _with_order([] if sequences is None else sequences_of(sequences), planned)
+        given = [] if sequences is None else sequences_of(sequences)
+        refused, planned = list[Refusal](), None
+        if jobs is not None:
+            planned = cast("OrderPlan | None", _searched(partial(self._planned, jobs), refused, needed=not given))
+        wanted = _with_order(given, planned)
         if wanted and estimates is None:
             estimates = self._estimated(wanted)
         check = estimates.check if estimates else None
+        refused = [*(estimates.refused if estimates else ()), *refused]
         if changes:
             if not wanted:
                 raise ConfigError("changes are tried on sequences, and none are given", cure="Give sequences or jobs.")
-            tried += [Tried.of(each, self.takt_s) for each in self._changed(wanted, changes, check)]
+            changed = self._changed(_answered(wanted, estimates), changes, check)
+            tried += [Tried.of(each, self.takt_s) for each in changed]
+            refused += changed.refused
         missing: list[str] = []
         if evaluation is None and isinstance(self.model, TrainedModel):
             try:
@@ -290,6 +342,7 @@ class _Asked:
             "what_if": tried,
             "planned": planned,
             "missing": missing,
+            "refused": refused,
         }
 
     def _planned(self, jobs: Jobs | Place) -> OrderPlan:
@@ -298,19 +351,16 @@ class _Asked:
 
     def _estimated(self, wanted: list[TaskSequence]) -> CycleEstimates:
         tell = _part(self.tell, 0.1, 0.2)
-        found = estimate_cycles(
+        return estimate_cycles(
             self.model, self.data, wanted, takt_s=self.takt_s, extrapolate=self.extrapolate, progress=tell, **self.given
         )
-        if found.refused:
-            raise with_plan(together(found.refused), self.model, self.data, wanted)
-        return found
 
     def _changed(self, wanted: list[TaskSequence], changes: list[Change], check: Check | None) -> WhatIfAnswers:
         tell = _part(self.tell, 0.2, 0.3)
-        return try_changes(
-            self.model, self.data, wanted, changes, check=check, extrapolate=self.extrapolate, progress=tell,
-            **self.given,
-        ).require_all()  # fmt: skip
+        return changed_cycles(
+            estimator_model(self.model), self.data, wanted, changes, check=check, extrapolate=self.extrapolate,
+            progress=tell, **self.given,
+        )  # fmt: skip
 
     def _evaluated(self, model: TrainedModel) -> Evaluation:
         foreign, tell = self.given["other_cell"], _part(self.tell, 0.3, 0.35)

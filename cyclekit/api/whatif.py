@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import Changes, Sequences, changes_of, estimator_model, path_of, place_of, sequences_of
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.estimate.answers import Refusal, refusing, together
@@ -14,6 +17,7 @@ from cyclekit.estimate.safety import SafetyModel
 from cyclekit.estimate.whatif.answer import what_if as compare
 from cyclekit.estimate.whatif.answers import WhatIfAnswers
 from cyclekit.estimate.whatif.both import what_if_tasks
+from cyclekit.estimate.whatif.change import Change
 from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.storage.atomic import write_text
 from cyclekit.text.plain_json import json_text
@@ -50,10 +54,10 @@ def what_if(
         progress: Called with the fraction done and a text.
 
     Returns:
-        The answers. A change that cannot be answered from these logs is in `refused`, with the reason.
+        The answers. A sequence or change that cannot be answered from these logs is in `refused`, with the reason.
 
     Raises:
-        EstimateError: A sequence cannot be estimated in the unchanged cell, or no change can be answered.
+        EstimateError: No sequence can be answered, or no change.
         ModelError: As in `estimate_cycles`.
         UnknownName: A place does not exist.
     """
@@ -61,29 +65,39 @@ def what_if(
     inputs = [place_of(given) for given in (model, sequences, changes, dataset)]
     check_output(file, "what-if", inputs, endings=(".json",))
     wanted, changed = sequences_of(sequences), changes_of(changes)
-    refused: list[Refusal] = []
-    refuse = partial(refusing, refused)
-    opened, logs = estimator_model(model), Dataset.of(dataset)
-
-    if isinstance(opened, TaskTimesModel):
-        found = what_if_tasks(opened.card, wanted, changed, seed=seed, refused=refuse)
-    else:
-        found = compare(
-            opened,
-            logs,
-            wanted,
-            changed,
-            seed=seed,
-            extrapolate=extrapolate,
-            validate=validate,
-            check=check,
-            other_cell=other_cell,
-            refused=refuse,
-            progress=progress,
-        )
-    if not found and changed:
-        raise together(refused)
-    answer = WhatIfAnswers(tuple(found), tuple(refused))
+    answer = changed_cycles(
+        estimator_model(model),
+        Dataset.of(dataset),
+        wanted,
+        changed,
+        seed=seed,
+        extrapolate=extrapolate,
+        validate=validate,
+        check=check,
+        other_cell=other_cell,
+        progress=progress,
+    )
+    if not answer.answers and changed:
+        raise together(answer.refused)
     if file is not None:
         write_text(file, json_text(answer.to_dict(), ascii_only=True) + "\n")
     return answer
+
+
+def changed_cycles(
+    model: SafetyModel | TaskTimesModel,
+    logs: Dataset,
+    wanted: Sequence[TaskSequence],
+    changed: Sequence[Change],
+    *,
+    seed: int = 0,
+    **given: Any,  # noqa: ANN401  # the other options of `what_if`
+) -> WhatIfAnswers:
+    """Return the answers of `what_if`, also if there are none."""
+    refused: list[Refusal] = []
+    refuse = partial(refusing, refused)
+    if isinstance(model, TaskTimesModel):
+        found = what_if_tasks(model.card, wanted, changed, seed=seed, refused=refuse)
+    else:
+        found = compare(model, logs, wanted, changed, seed=seed, refused=refuse, **given)
+    return WhatIfAnswers(tuple(found), tuple(refused))

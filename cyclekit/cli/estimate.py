@@ -41,6 +41,8 @@ IDLE = "seconds: motion at full speed + slow-down for safety + dwell + wait"
 UNTIL_DONE = " + idle until the operator is done = expected"
 DOUBT_MARK = "* "
 SPLIT_HEADS = ["motion", "safety", "dwell", "wait"]
+PLAN_RESTS = "rest: the robot waited on its way to the place"
+PLAN_SHARES = "in brackets: in which share of the cycles it came last"
 MIN_WAIT_S = 0.2
 """Minimum wait between two tasks, s, whose cause is printed."""
 
@@ -107,6 +109,7 @@ def estimate(
             engine=work,
             progress=progress,
         )
+    found.require(baseline)
     for file in (out, gantt):
         if file is not None:
             terminal.remark(f"written: {file}")
@@ -130,9 +133,8 @@ def estimate(
 
 
 def not_answered(refused: Sequence[Refusal]) -> str:
-    """Return the sequences that could not be estimated, one per line with the reason."""
-    texts = [". ".join(part for part in (one.error.seen, one.error.cure) if part) for one in refused]
-    return f"Not answered\n{bullet(texts)}" if texts else ""
+    """Return the sequences and changes without an answer, one per line with the reason."""
+    return f"Not answered\n{bullet([one.reason for one in refused])}" if refused else ""
 
 
 def warning_lines(alarms: Sequence[str]) -> str:
@@ -286,12 +288,22 @@ def tasks_table(entry: CycleEstimate) -> str:
 
 def plan_table(entry: CycleEstimate) -> str:
     """Return a table with one row per task of a plan for both agents: start, end, and cause of its wait."""
+    from cyclekit.estimate.gantt import ALWAYS
+
     rows = []
     for task in sorted(entry.plan, key=lambda one: one.start_s):
-        cause = task.ended_by if task.wait_s > MIN_WAIT_S else None
-        waited = f"{cause[0]} ({percent(cause[1])} of cycles)" if cause else "-"
-        rows.append([task.agent, task.task, f"{task.start_s:.1f}", f"{task.end_s:.1f}", f"{task.wait_s:.1f}", waited])
-    return table(["agent ", "task ", "start, s", "end, s", "wait, s", "wait ended by"], rows)
+        cause, share = (task.ended_by if task.wait_s > MIN_WAIT_S else None) or ("-", ALWAYS)
+        waited = cause if share >= ALWAYS else f"{cause} ({percent(share)})"
+        rows.append([task.agent, task.shown, f"{task.start_s:.1f}", f"{task.end_s:.1f}", f"{task.wait_s:.1f}", waited])
+    rests = [PLAN_RESTS] if any(task.rest for task in entry.plan) else []
+    shares = [PLAN_SHARES] if any(row[-1].endswith("%)") for row in rows) else []
+    notes = bullet([*rests, *shares], mark="")
+    return "\n".join(
+        [
+            table(["agent ", "task ", "start, s", "end, s", "wait, s", "wait ended by "], rows),
+            *([notes] if notes else []),
+        ]
+    )
 
 
 def basis_and_limits(found: Sequence[CycleEstimate]) -> str:

@@ -63,7 +63,8 @@ def report(
     """Write the page for the customer.
 
     One HTML file that needs no network: cycle times, where the time goes, why, what would help, and how reliable that
-    is.
+    is. A sequence or change that cannot be answered from these logs is named there with the reason, and the others are
+    answered; if no sequence can be answered, the command fails.
     """
     from cyclekit.api.report import write_report
 
@@ -89,7 +90,7 @@ def report(
             other_cell=other_cell,
             progress=progress,
         )
-    terminal.warnings(facts.missing)
+    terminal.warnings([*facts.missing, *(f"not answered: {each.reason}" for each in facts.refused)])
     terminal.done(facts.to_dict(), _said(facts, chosen))
 
 

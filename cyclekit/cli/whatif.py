@@ -44,8 +44,9 @@ def whatif(
     """Estimate cycle times in a changed cell. No safety proof.
 
     Changes: thresholds and edges of the model's rule, another staircase or zones, reaction time, ramps and hysteresis,
-    a moved base or place, more or fewer visits of the operator. A change that cannot be answered from these logs is
-    listed with the reason, and the others are answered; if none can be answered, the command fails.
+    a moved base or place, more or fewer visits of the operator; a faster operator, a second fixture, a buffer, a
+    removed wait. A sequence or change that cannot be answered from these logs is listed with the reason, and the others
+    are answered; if none can be answered, the command fails.
     """
     from cyclekit.api.whatif import what_if
 

@@ -20,6 +20,7 @@ _EXAMPLE = """Add one:
   [[sequence]]
   name = "A"
   places = ["home", "conveyor", "left_1", "home"]"""
+NOT_ITSELF = "Name another task of the plan in after, or leave it out."
 PLAN = "plan"
 """First entry of the places of a plan for robot and operator."""
 MAX_S, EARLY_S = 1e7, 1e-3

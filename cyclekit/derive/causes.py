@@ -43,6 +43,8 @@ MIN_SAMPLES_OF_STATE = 50
 """Minimum number of samples in motion in each state of a signal to judge it."""
 MIN_FOLLOWED_SHARE, MAX_RESPONSE_S = 0.5, 1.0
 """Minimum share of an input's changes that the scaling follows, and the maximum time, s, in which it begins to."""
+MIN_CHANGES = 5
+"""Minimum number of changes to a state that judge whether the robot was slow already."""
 MIN_ACCURACY = 0.9
 """Minimum balanced accuracy with which the operator's position predicts a signal that watches the operator."""
 MAX_ROWS = 60_000
@@ -256,9 +258,10 @@ def _capping(rows: Rows, moving: Bools, top: float) -> dict[str, Input]:
 def _scaling_follows(rows: Rows, switch: TwoStateSignal, top: float, *, state: bool) -> bool:
     """Return whether the scaling falls when a signal turns to a state, and rises when it turns back.
 
-    An operator who presses a button is near the robot: it is slow while the button is on, and before and after.
+    An operator who presses a button is near the robot: it is slow while the button is on, and before and after. If the
+    robot was slow already whenever the signal turned to the state, nothing shows that the signal slows it.
     """
-    follows = list[bool]()
+    follows, slow_already, seen_at_speed = list[bool](), 0, False
     for at_s, on in zip(switch.t_s.tolist(), switch.on.tolist(), strict=True):
         low, middle, high = np.searchsorted(rows.t_s, (at_s - MAX_RESPONSE_S, at_s, at_s + MAX_RESPONSE_S)).tolist()
         before, after = (some[np.isfinite(some)] for some in (rows.scaling[low:middle], rows.scaling[middle:high]))
@@ -266,9 +269,14 @@ def _scaling_follows(rows: Rows, switch: TwoStateSignal, top: float, *, state: b
             continue
         fast = before[-1] >= top - SAME
         if on == state and fast:
+            seen_at_speed = True
             follows.append(bool(after.min() < before[-1] - SAME))
+        elif on == state:
+            slow_already += 1
         elif on != state and not fast:
             follows.append(bool(after.max() > before[-1] + SAME))
+    if slow_already >= MIN_CHANGES and not seen_at_speed:
+        return False
     return not follows or float(np.mean(follows)) >= MIN_FOLLOWED_SHARE
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, overload
 
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.gantt import gantt_figure
 from cyclekit.estimate.result import SPLIT, CycleEstimate
@@ -15,7 +16,6 @@ from cyclekit.text.results import Result
 if TYPE_CHECKING:
     import polars as pl
 
-    from cyclekit.config.sequences import TaskSequence
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.whatif.change import Change
     from cyclekit.plots.drawing import Drawing
@@ -27,10 +27,37 @@ _MEAN = ("name", "expected_s", "expected_low_s", "expected_high_s")
 
 @dataclass(frozen=True)
 class Refusal:
-    """A sequence or change that these logs cannot answer: its name and the reason."""
+    """A sequence, a change or an order search that these logs cannot answer.
+
+    Attributes:
+        name: Its name.
+        error: The reason.
+        kind: What it is.
+        sequence: The sequence, if it is one.
+    """
 
     name: str
     error: EstimateError
+    kind: Literal["sequence", "change", "order"] = "sequence"
+    sequence: TaskSequence | None = None
+
+    @property
+    def reason(self) -> str:
+        """The reason and its cure in one line."""
+        return ". ".join(part for part in (self.error.seen, self.error.cure) if part)
+
+    @property
+    def why(self) -> str:
+        """The reason without the name, for a table that has it in another column."""
+        named = (f"change {self.name!r}", *(() if self.sequence is None else (self.sequence.shown,)))
+        text = self.reason
+        for start in named:
+            text = text.removeprefix(f"{start}: ")
+        return text
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain JSON values."""
+        return {self.kind: self.name, "reason": str(self.error)}
 
 
 @dataclass(frozen=True, repr=False)
@@ -69,6 +96,16 @@ class Answers(Result, Sequence[Answer]):
             raise refusal.error
         return self
 
+    def require(self, name: str | None) -> None:
+        """Refuse a name without an answer.
+
+        Raises:
+            EstimateError: The reason why it has none.
+        """
+        for refusal in self.refused:
+            if refusal.name == name:
+                raise refusal.error
+
 
 @dataclass(frozen=True, repr=False)
 class CycleEstimates(Answers[CycleEstimate]):
@@ -93,7 +130,7 @@ class CycleEstimates(Answers[CycleEstimate]):
         return {
             "warnings": list(self.alarms),
             "sequences": [one.to_dict() for one in self],
-            "refused": [{"sequence": one.name, "reason": str(one.error)} for one in self.refused],
+            "refused": [one.to_dict() for one in self.refused],
             "check": self.check.to_dict() if self.check else None,
         }
 
@@ -140,6 +177,10 @@ def together(refused: Sequence[Refusal]) -> EstimateError:
 
 
 def refusing(refused: list[Refusal], asked: TaskSequence | Change, error: EstimateError) -> None:
-    """Add a sequence or change to `refused`, at most once per name."""
-    if asked.name not in {one.name for one in refused}:
-        refused.append(Refusal(asked.name, error))
+    """Add a sequence or change to `refused`, each reason once."""
+    if (asked.name, str(error)) in {(one.name, str(one.error)) for one in refused}:
+        return
+    if isinstance(asked, TaskSequence):
+        refused.append(Refusal(asked.name, error, "sequence", asked))
+    else:
+        refused.append(Refusal(asked.name, error, "change"))

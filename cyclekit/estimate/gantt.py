@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
-from cyclekit.estimate.result import AWAY, ELSEWHERE, OF_STATES, CycleEstimate, PlannedShare, TaskShare
+from cyclekit.estimate.result import AWAY, ELSEWHERE, MAJORITY, OF_STATES, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.plots import colours
 from cyclekit.plots.gantt import Arrow, Bar, BarLabel, Block, Layer, TaskEnds, draw_gantt
 from cyclekit.text.numbers import whole_percent
@@ -24,6 +24,8 @@ _SPEEDS = (0.75, 0.5, 0.25)
 """Mean speeds whose colours the legend shows."""
 SHOWN_S = 0.2
 """Minimum wait that is drawn, s."""
+ALWAYS = 0.995
+"""From this share of the cycles on, what ended a wait is given without the share."""
 _TINTS = ("#0f7b6c", "#56aa9d", "#a3d1c9")
 """Colours of the operator's most frequent activities, in descending order; all others share one colour."""
 _OTHER, _AWAY = "#d8ebe7", "#ffffff"
@@ -123,31 +125,77 @@ def _parts(share: TaskShare, lane: int, start_s: float, end_s: float, row: str) 
 def _of_plan(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
     agents = _agents(each.plan)
     lane = {agent: number for number, agent in enumerate(agents)}
+    layers = _layers(each, tints)
+    lane |= {"operator": len(agents)} if layers else {}
     bars, arrows, labels = list[Bar](), list[Arrow](), list[BarLabel]()
-    shares, turn = _shares_of(each), Counter[str]()
-    for number, task in enumerate(each.plan, start=1):
-        turn[task.agent] += 1
+    shares, turn, rests = _shares_of(each), Counter[str](), _rests(each.plan)
+    for number, task in enumerate(each.plan):
+        turn[task.agent] += not task.rest
         at, row = lane[task.agent], f"{task.agent}: {turn[task.agent]} {shown_task(task.task)}"
         if task.wait_s > SHOWN_S:
-            ended = _ended_by(task, each.plan)
-            cause = f", until {ended.agent}: {shown_task(ended.task)}" if ended else ""
-            tip = f"{task.agent} waits {task.wait_s:.1f} s before {shown_task(task.task)}{cause}"
-            bars.append(Bar(at, task.start_s - task.wait_s, task.start_s, colours.WAIT, waits=True, tip=tip, row=row))
-            if ended:
-                arrows.append(Arrow(lane[ended.agent], at, min(ended.end_s, task.start_s), task.start_s))
-        share = shares.get(number)
-        if share is not None:
-            bars += _parts(share, at, task.start_s, task.end_s, row)
+            bars.append(_wait(task, at, row))
+            if arrow := _arrow(task, each.plan, lane):
+                arrows.append(arrow)
+            else:
+                labels.append(BarLabel(at, task.start_s - task.wait_s, task.start_s, _until(task, lane)))
+        if number in shares:
+            bars += _parts(shares[number], at, task.start_s, task.end_s, row)
         else:
             colour = colours.NOMINAL if task.kind == "robot" else colours.OPERATOR
             tip = f"{row}: {task.start_s:.1f} to {task.end_s:.1f} s"
             bars.append(Bar(at, task.start_s, task.end_s, colour, tip=tip, row=row))
-        labels.append(BarLabel(at, task.start_s, task.end_s, _texts(task.task, turn[task.agent])))
+        if not task.rest:
+            end_s = each.plan[rests[number]].end_s if number in rests else task.end_s
+            labels.append(BarLabel(at, task.start_s, end_s, _texts(task.task, turn[task.agent])))
     ends = [
-        _Ended(f"{one.agent}: {shown_task(one.task)}", one.end_s, one.end_low_s, one.end_high_s) for one in each.plan
+        _Ended(f"{one.agent}: {shown_task(one.task)}", one.end_s, one.end_low_s, one.end_high_s)
+        for number, one in enumerate(each.plan)
+        if number not in rests
     ]
-    parts = tuple(bars), tuple(labels), tuple(arrows), _course(ends), _layers(each, tints)
+    parts = tuple(bars), tuple(labels), tuple(arrows), _course(ends), layers
     return Block(_titles(each), tuple(agents), *parts, "operator")
+
+
+def _rests(plan: Sequence[PlannedShare]) -> dict[int, int]:
+    """Return, of each task in which the agent waits on its way, the number of its rest in the plan."""
+    last, found = dict[str, int](), dict[int, int]()
+    for number, task in enumerate(plan):
+        if task.rest:
+            found[last[task.agent]] = number
+        last[task.agent] = number
+    return found
+
+
+def _wait(task: PlannedShare, lane: int, row: str) -> Bar:
+    """Return the bar of the wait before a task, or on the way of one."""
+    cause, share = task.ended_by or ("", 0.0)
+    until = f", until {shown_task(cause)}" if cause else ""
+    until += f" (in {whole_percent(share)} of the cycles)" if 0.0 < share < ALWAYS else ""
+    where = "on the way to" if task.rest else "before"
+    name = shown_task(task.task.rpartition("->")[2] if task.rest else task.task)
+    tip = f"{task.agent} waits {task.wait_s:.1f} s {where} {name}{until}"
+    return Bar(lane, task.start_s - task.wait_s, task.start_s, colours.WAIT, waits=True, tip=tip, row=row)
+
+
+def _until(task: PlannedShare, lane: Mapping[str, int]) -> tuple[str, ...]:
+    """Return the label of a wait whose end no arrow shows: the signal, or the planned start."""
+    cause, _ = task.ended_by or ("", 0.0)
+    agent, _, name = cause.rpartition(": ")
+    return (f"until {name}",) if cause and agent not in lane else ()
+
+
+def _arrow(task: PlannedShare, plan: Sequence[PlannedShare], lane: Mapping[str, int]) -> Arrow | None:
+    """Return the arrow from what ended a wait; None if no lane shows it.
+
+    If the tasks of the other agent have no times of their own, it comes from his lane, at the end of the wait.
+    """
+    cause, share = task.ended_by or ("", 0.0)
+    agent = cause.partition(": ")[0]
+    if agent not in lane or agent == task.agent:
+        return None
+    ended_s = _ended_s(task, plan)
+    seldom = share < MAJORITY
+    return Arrow(lane[agent], lane[task.agent], min(ended_s or task.start_s, task.start_s), task.start_s, seldom)
 
 
 def _agents(plan: Sequence[PlannedShare]) -> list[str]:
@@ -157,24 +205,49 @@ def _agents(plan: Sequence[PlannedShare]) -> list[str]:
 
 
 def _shares_of(each: CycleEstimate) -> dict[int, TaskShare]:
-    """Return the known splits of the robot's tasks by number in the plan, without the wait before the task."""
-    found, turn = dict[int, TaskShare](), Counter[str]()
-    for number, task in enumerate(each.plan, start=1):
+    """Return the known splits of the robot's tasks by number in the plan, without waits.
+
+    If the robot waits on its way, the motion until then and the rest have the mean speed of the task; dwell is of the
+    rest.
+    """
+    found, turn, rests = dict[int, TaskShare](), Counter[str](), _rests(each.plan)
+    for number, task in enumerate(each.plan):
         mine = [share for share in each.tasks if share.task == task.task]
-        if task.kind == "robot" and mine and not _of_lists(each):
-            share = mine[min(turn[task.task], len(mine) - 1)]
-            turn[task.task] += 1
-            found[number] = TaskShare(share.task, 0.0, share.nominal_s, share.safety_loss_s, share.dwell_s, 0.0)
-    return {number: share for number, share in found.items() if share.nominal_s + share.safety_loss_s > 0.0}
+        if task.kind != "robot" or task.rest or not mine or _of_lists(each):
+            continue
+        share = mine[min(turn[task.task], len(mine) - 1)]
+        turn[task.task] += 1
+        motion_s = share.nominal_s + share.safety_loss_s
+        if motion_s <= 0.0:
+            continue
+        part = min((task.end_s - task.start_s) / motion_s, 1.0) if number in rests else 1.0
+        found[number] = _moving(share, part, 0.0 if number in rests else share.dwell_s)
+        if number in rests:
+            found[rests[number]] = _moving(share, 1.0 - part, share.dwell_s)
+    return found
 
 
-def _ended_by(task: PlannedShare, plan: Sequence[PlannedShare]) -> PlannedShare | None:
-    """Return the other agent's task that ended a wait: the last of that name to have ended, else to have begun."""
+def _moving(share: TaskShare, part: float, dwell_s: float) -> TaskShare:
+    """Return a part of the motion of a task, with a dwell."""
+    return TaskShare(share.task, 0.0, part * share.nominal_s, part * share.safety_loss_s, dwell_s, 0.0)
+
+
+def _ended_s(task: PlannedShare, plan: Sequence[PlannedShare]) -> float | None:
+    """Return when the other agent's task that ended a wait was done, or left, s; None if the plan has no such task.
+
+    It is the last of that name that had ended by then, else the last that had begun. An agent that has to wait after a
+    task may leave much later than it is done: what ended the wait is then that it left.
+    """
     cause, _ = task.ended_by or ("", 0.0)
-    able = [one for one in plan if f"{one.agent}: {one.task}" == cause and one.agent != task.agent]
-    ended = [one for one in able if one.end_s <= task.start_s + SHOWN_S]
-    begun = [one for one in able if one.start_s < task.start_s]
-    return max(ended or begun, key=lambda one: one.end_s, default=None)
+    rests = _rests(plan)
+    able = [n for n, one in enumerate(plan) if f"{one.agent}: {one.task}" == cause and n not in rests]
+    until_s = task.start_s + SHOWN_S
+    ended = [n for n in able if plan[n].end_s <= until_s] or [n for n in able if plan[n].start_s < task.start_s]
+    last = max(ended, key=lambda n: plan[n].end_s, default=None)
+    if last is None:
+        return None
+    left_s = next((one.start_s for one in plan[last + 1 :] if one.agent == plan[last].agent), None)
+    return plan[last].end_s if left_s is None or left_s > until_s else left_s
 
 
 def _course(ended: Sequence[_Ended]) -> TaskEnds | None:

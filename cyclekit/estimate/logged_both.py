@@ -69,7 +69,7 @@ def logged_of_both(dataset: Dataset) -> dict[str, LoggedBoth]:
 def logged_plan(dataset: Dataset, names: Sequence[str]) -> tuple[PlannedShare, ...]:
     """Return mean start, end and wait of each task of executions in one order of both agents.
 
-    A robot that waits short of a place has two rows there, as in a rollout. Empty if the orders differ.
+    A task in which the robot waits on its way has two rows, as in a rollout. Empty if the orders differ.
     """
     executions = logged_of_both(dataset)
     if len({executions[name].tasks if name in executions else () for name in names}) != 1 or names[0] not in executions:
@@ -148,11 +148,12 @@ def _shares(agent: str, tasks: Sequence[pl.DataFrame]) -> Iterator[PlannedShare]
         task, ended_by = str(rows["task"][0]), _causes(rows)
         columns = ("start_s", "end_s", "wait_s", "on_way_s", "went_on_s")
         start_s, end_s, wait_s, on_way_s, went_on_s = (rows[name].to_numpy().astype(np.float64) for name in columns)
-        if on_way_s.mean() > MIN_WAIT_S:
+        halted = on_way_s.mean() > MIN_WAIT_S
+        if halted:
             yield _share(agent, task, start_s, went_on_s - on_way_s, start_s - before_s, causes)
             start_s, before_s, causes, ended_by = went_on_s, went_on_s - on_way_s, ended_by, {OWN_TASK: 1.0}
         works_s = end_s - (wait_s - on_way_s)
-        yield _share(agent, task, start_s, works_s, start_s - before_s, causes)
+        yield replace(_share(agent, task, start_s, works_s, start_s - before_s, causes), rest=halted)
         before_s, causes = works_s, ended_by
 
 

@@ -73,6 +73,7 @@ class PlannedShare:
         decided: Share of the cycles in which each cause decided the start: another task, the planned start, or the
             agent's previous task.
         end_low_s, end_high_s: Lowest and highest requested quantile of the end in single cycles; None if unknown.
+        rest: Whether it is the rest of the agent's task before it: the robot waited on its way to the place.
     """
 
     agent: str
@@ -84,6 +85,12 @@ class PlannedShare:
     decided: Mapping[str, float]
     end_low_s: float | None = None
     end_high_s: float | None = None
+    rest: bool = False
+
+    @property
+    def shown(self) -> str:
+        """The task in a table: the rest of one is marked."""
+        return f"{self.task}, rest" if self.rest else self.task
 
     @property
     def ended_by(self) -> tuple[str, float] | None:

@@ -55,7 +55,10 @@ class Work:
     plan: bool = False
 
     def __str__(self) -> str:
-        """Describe the work: `3 visits (conveyor x2, left_1) from home`."""
+        """Describe the work: `3 visits (conveyor x2, left_1) from home`, `7 tasks of robot, 5 tasks of operator`."""
+        if self.plan:
+            of = Counter(visit.partition(": ")[0] for visit in self.visits)
+            return ", ".join(f"{n} task{'s' * (n != 1)} of {agent}" for agent, n in sorted(of.items(), reverse=True))
         often = Counter(self.visits)
         text = f"{len(self.visits)} visits" if len(self.visits) != 1 else "1 visit"
         if len(often) <= SHOWN:

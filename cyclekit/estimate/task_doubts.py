@@ -59,7 +59,7 @@ def never_in_a_row(model: TaskModelCard, sequence: TaskSequence) -> list[str]:
         if last is not None and last not in cards[agent, task.name].after:
             found.append(f"{task.name} after {last}")
         before[agent] = task.name
-    return [f"{sequence.shown}: never logged in a row: {_some(found)}"] if found else []
+    return [f"never logged in a row: {_some(found)}"] if found else []
 
 
 def _some(names: Sequence[str]) -> str:

@@ -34,6 +34,7 @@ from cyclekit.fleet.stages import (
     fingerprint_of,
     output_exists,
     run_stages,
+    told_of,
 )
 from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.task_times.saved import TaskTimesModel, holds_task_times, load_task_times
@@ -239,12 +240,12 @@ def _report_lists(work: CellAtWork, model: TaskTimesModel, dataset: Dataset) -> 
     mark = fingerprint_of(dataset, plain(model.card), asked_for(wanted), cell.looks)
     if work.ledger.reported == mark and output_exists(cell.report):
         return "unchanged", "nothing is new"
-    told = work.tell
     facts = write_report(
-        dataset, cell.report, model=model, sequences=wanted or None, progress=told, cell_name=cell.name, **cell.looks
-    )
+        dataset, cell.report, model=model, sequences=wanted or None, estimates=work.estimates(), progress=work.tell,
+        cell_name=cell.name, **cell.looks,
+    )  # fmt: skip
     work.ledger = replace(work.ledger, reported=mark)
-    return "done", facts.headline
+    return "done", told_of(facts)
 
 
 def _model_of_any_kind(cell: FleetCell) -> TrainedModel | TaskTimesModel | UnseenOperator | None:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.answers import CycleEstimates
     from cyclekit.fleet.read import FleetCell
     from cyclekit.learning.evaluation.evaluate import Evaluation
+    from cyclekit.report import ReportFacts
 
 SHOWN = 3
 """Maximum number of unreadable logs, or of estimates, named in a result."""
@@ -200,7 +201,7 @@ def _report(work: CellAtWork) -> tuple[State, str]:
         return "unchanged", "nothing is new"
     judged = None if model is None else _judged(model, dataset)
     drift = "there is no model" if model is None else since_last_month(model, dataset, days)
-    # recorded before the estimates, which may fail: a sequence without an estimate is an error of this stage
+    # recorded before the estimates, which may fail: if no sequence can be answered, this stage fails
     work.ledger = replace(work.ledger, figures=figures_of(dataset, drift, days, _doubt(model, judged)))
     asked, estimates = wanted if model is not None and wanted else None, work.estimates()
     with Scratch() as scratch:
@@ -212,7 +213,12 @@ def _report(work: CellAtWork) -> tuple[State, str]:
         if is_url(cell.report):
             write_text(cell.report, file.read_text(encoding="utf-8"))
     work.ledger = replace(work.ledger, reported=mark)
-    return "done", facts.headline
+    return "done", told_of(facts)
+
+
+def told_of(facts: ReportFacts) -> str:
+    """Return the result of a report in a line: its answer, and what the logs cannot answer."""
+    return "; ".join([facts.headline, *(f"not answered: {each.error.seen}" for each in facts.refused)])
 
 
 def asked_for(sequences: Sequence[TaskSequence]) -> list[object]:

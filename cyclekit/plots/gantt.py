@@ -68,12 +68,16 @@ class BarLabel:
 
 @dataclass(frozen=True)
 class Arrow:
-    """Arrow from the end of one bar to the start of another one that waited for it: lanes and times, s."""
+    """Arrow from the end of one bar to the start of another one that waited for it: lanes and times, s.
+
+    `seldom`: in fewer than half of the cycles; it is dotted.
+    """
 
     from_lane: int
     to_lane: int
     from_s: float
     to_s: float
+    seldom: bool = False
 
 
 @dataclass(frozen=True)
@@ -279,6 +283,7 @@ class _Drawing:
         below = arrow.from_lane < arrow.to_lane
         ends = self._bars_in[arrow.from_lane] + below * _BAR_IN, self._bars_in[arrow.to_lane] + (not below) * _BAR_IN
         look = {"arrowstyle": "->", "color": colours.ROBOT, "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0}
+        look |= {"linestyle": (0, (1, 1.5))} if arrow.seldom else {}
         self._axes.annotate("", xy=(arrow.to_s, ends[1]), xytext=(arrow.from_s, ends[0]), arrowprops=look, zorder=5)
 
     def _draw_layers(self) -> None:

@@ -16,6 +16,7 @@ from cyclekit.report import verdict
 from cyclekit.report.figures import charts_of
 from cyclekit.report.numbers import UNKNOWN, decimals_for, fixed, given, percent, seconds, with_uncertainty
 from cyclekit.report.tables import ReportTable
+from cyclekit.text.plain_text import shown_task
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from cyclekit.report.findings import Overview
     from cyclekit.report.inputs import PageInputs
     from cyclekit.report.texts import ReportTexts
-
 
 SURE = 0.975
 """A mean that is below another one in this part of the resampled logs is below it (95 %, both sides)."""
@@ -66,10 +66,21 @@ def section(page: PageInputs) -> dict[str, Any]:
         "sentences": sentences + missing,
         "charts": charts_of("answer", page),
         "table": _table(texts, works, takt_s),
+        "refused": not_answered(page, "sequence"),
         "interval_note": texts("answer.interval_checked" if page.check is not None else "answer.interval_tracks"),
         "warnings": _warnings(texts, ranked),
         "missing": missing,
     }
+
+
+def not_answered(page: PageInputs, *kinds: str) -> ReportTable | None:
+    """Return the sequences, changes or order searches (`kinds`) that the logs cannot answer, with the reasons."""
+    texts = page.texts
+    rows = [[each.name, shown_task(each.why)] for each in page.refused if each.kind in kinds]
+    title = texts("answer.refused")
+    what = texts("answer.refused_sequence") if kinds == ("sequence",) else texts("answer.refused_change")
+    heads = [what, texts("answer.refused_why")]
+    return ReportTable(title, heads, rows, silent=True, title=title) if rows else None
 
 
 def _caption(texts: ReportTexts, works: Mapping[Work, Sequence[CycleEstimate]]) -> str:
@@ -111,7 +122,7 @@ def _warnings(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> list[str]:
 
 def _logged(texts: ReportTexts, seen: Overview, takt_s: float | None, missing: Sequence[str]) -> dict[str, Any]:
     """The answer without estimates: the executions as they were."""
-    found: dict[str, Any] = {"sentences": list(missing), "table": None, "warnings": []}
+    found: dict[str, Any] = {"sentences": list(missing), "table": None, "refused": None, "warnings": []}
     durations = seen.duration_s
     if not len(durations):
         return {**found, "headline": texts("answer.no_executions")}

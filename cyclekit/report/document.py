@@ -38,6 +38,7 @@ def as_json(cell: str, made: str, page: PageInputs, sections: Mapping[str, Any])
         "answer": headline,
         "verdict": None if page.verdict is None else page.verdict.to_dict(headline),
         "sequences": [each.to_dict() for each in page.ranked],
+        "refused": [each.to_dict() for each in page.refused],
         "logged_tasks": [asdict(share) | {"total_s": share.total_s} for share in task_shares(page.tasks)],
         "levels": [asdict(band) for band in found.bands] if found else [],
         "distance_explains": found.explained if found else None,

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.estimate.same_work import by_work
+from cyclekit.report.answer import not_answered
 from cyclekit.report.figures import charts_of
 from cyclekit.report.findings import losses
 from cyclekit.report.numbers import count, decimals_for, fixed, percent, seconds, with_uncertainty
@@ -37,11 +38,13 @@ def section(page: PageInputs) -> dict[str, Any]:
         *(_order(texts, alike) for alike in by_work(ranked).values()),
     )
     sentences = [text for text in said if text]
-    if not tried:
+    unanswered = {each.kind for each in page.refused}
+    if not tried and "change" not in unanswered:
         sentences.append(texts("helps.not_asked"))
-    if planned is None:
+    if planned is None and "order" not in unanswered:
         sentences.append(texts("helps.not_planned"))
-    made = (_what_if(texts, tried, before), _plan(texts, planned), _moments(texts, page.samples, page.seen))
+    refused = not_answered(page, "change", "order")
+    made = (_what_if(texts, tried, before), _plan(texts, planned), refused, _moments(texts, page.samples, page.seen))
     return {"sentences": sentences, "charts": charts_of("helps", page), "tables": [table for table in made if table]}
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.answers import Refusal
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
@@ -51,6 +52,7 @@ class PageInputs:
         takt_s: The takt time, s.
         baseline: Name of the sequence that the others are compared with.
         unseen: Whether the estimates are of a model of an operator whom no log shows; `model` is None then.
+        refused: Sequences, changes and an order search that the logs cannot answer, each with the reason.
     """
 
     texts: ReportTexts
@@ -64,6 +66,7 @@ class PageInputs:
     takt_s: float | None = None
     baseline: str | None = None
     unseen: bool = False
+    refused: Sequence[Refusal] = ()
 
     @cached_property
     def samples(self) -> pl.DataFrame:
@@ -127,6 +130,7 @@ class PageInputs:
     def to_log(self) -> RecordingPlan | None:
         """What to log next for these sequences; None where the robot's tasks are not known."""
         asked = [TaskSequence(each.name, _robot_places(each)) for each in self.ranked]
+        asked += [each.sequence for each in self.refused if each.sequence is not None and not each.sequence.plan]
         try:
             return what_to_log(self.dataset, asked)
         except DatasetError:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.answers import Refusal
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
@@ -57,6 +58,7 @@ class ReportFacts(Result):
         missing: What the page says it could not show, one sentence each.
         sequences: How many sequences were estimated for it.
         pdf: Where it was printed; None where it was not.
+        refused: Sequences, changes and an order search that the logs cannot answer, each with the reason.
     """
 
     path: Path
@@ -66,14 +68,19 @@ class ReportFacts(Result):
     missing: tuple[str, ...]
     sequences: int = 0
     pdf: Path | None = None
+    refused: tuple[Refusal, ...] = ()
 
     def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
-        document = {"report": str(self.path), "answer": self.headline, "sequences": self.sequences, "bytes": self.bytes}
-        return {**document, "missing": list(self.missing), **({"pdf": str(self.pdf)} if self.pdf else {})}
+        document: dict[str, object] = {"report": str(self.path), "answer": self.headline}
+        document |= {"sequences": self.sequences, "bytes": self.bytes}
+        refused = [each.to_dict() for each in self.refused]
+        document |= {"missing": list(self.missing), "refused": refused}
+        return {**document, **({"pdf": str(self.pdf)} if self.pdf else {})}
 
     def _lines(self) -> list[str]:
-        return [f"{self.headline}", f"{self.path}", *(f"missing: {text}" for text in self.missing)]
+        missing = [f"missing: {text}" for text in self.missing]
+        return [self.headline, f"{self.path}", *missing, *(f"not answered: {each.reason}" for each in self.refused)]
 
 
 @one_thread()
@@ -90,6 +97,7 @@ def compose_report(
     takt_s: float | None = None,
     baseline: str | None = None,
     missing: Sequence[str] = (),
+    refused: Sequence[Refusal] = (),
     cell_name: str | None = None,
     kind: str = "html",
     template: Path | None = None,
@@ -111,6 +119,7 @@ def compose_report(
         takt_s: Takt time to compare the cycles with, s.
         baseline: Name of the sequence that the others are compared with; by default the logged executions.
         missing: Optional parts that could not be computed, and why, one sentence each; shown in the last section.
+        refused: Sequences, changes and an order search that the logs cannot answer; each is named at its place.
         cell_name: Title of the page; the dataset's name where not given.
         kind: `html`; `json` for everything, `csv` for the seconds per task, `md` for words and tables.
         template: Folder whose files replace the page's own (docs/report.md).
@@ -130,10 +139,13 @@ def compose_report(
     texts = replace(look.texts, place=dataset.label)
     unseen = isinstance(model, UnseenOperator)
     shown = None if isinstance(model, UnseenOperator) else model
-    page = PageInputs(texts, dataset, shown, ranked, what_if, planned, evaluation, check, takt_s, baseline, unseen)
+    page = PageInputs(
+        texts, dataset, shown, ranked, what_if, planned, evaluation, check, takt_s, baseline, unseen, refused
+    )
+    left_out = tuple(refused)
     if kind == "csv":
         write_text(out, as_csv(page))
-        return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing), len(ranked))
+        return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing), len(ranked), refused=left_out)
     sections: dict[str, Any] = {}
     for number, (key, section) in enumerate(SECTIONS.items()):
         say(0.05 * number, f"section {number + 1} of {len(SECTIONS)}: {texts(f'{key}.title').lower()}")
@@ -155,7 +167,7 @@ def compose_report(
     write_text(out, content)
     said = tuple(missing) + tuple(text for section in sections.values() for text in section.get("missing", ()))
     headline, size = sections["answer"]["headline"], out.stat().st_size
-    return ReportFacts(out, size, headline, content.count("<figure"), said, len(ranked))
+    return ReportFacts(out, size, headline, content.count("<figure"), said, len(ranked), refused=left_out)
 
 
 def _draw(sections: dict[str, Any], say: Callable[[float, str], None]) -> None:

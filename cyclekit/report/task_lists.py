@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards.task_model import TaskModelCard
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.answers import CycleEstimates
+    from cyclekit.estimate.answers import CycleEstimates, Refusal
     from cyclekit.estimate.baseline import Baseline
     from cyclekit.estimate.plan.task_orders import TaskOrderPlan
     from cyclekit.estimate.result import CycleEstimate, PlannedShare
@@ -83,6 +83,7 @@ def report_tasks(
     estimates: CycleEstimates | None = None,
     planned: TaskOrderPlan | None = None,
     changed: Sequence[WhatIf] = (),
+    refused: Sequence[Refusal] = (),
     takt_s: float | None = None,
     baseline: str | None = None,
     kind: str = "html",
@@ -99,6 +100,7 @@ def report_tasks(
         estimates: Of plans, the order found among them.
         planned: The order found.
         changed: Plans under changes.
+        refused: Plans, changes and an order search that the logs cannot answer, each with the reason.
         takt_s: Takt time that the cycles are held against, s.
         baseline: Name of the plan that the others are compared with; by default the logged executions.
         kind: `html`, `json`, `md`, or `csv` for the estimates alone.
@@ -117,7 +119,8 @@ def report_tasks(
     missing = [NOT_KNOWN[0], *([] if card else [NO_MODEL])]
     played = play_lists(texts, card, found, takt_s) if play and card and kind == "html" else None
     missing += played.missing if played else ()
-    parts = [*_ranking(found, takt_s), *(_plan(one) for one in found), *_order(planned), *_changes(changed)]
+    parts = [*_ranking(found, takt_s), *_not_answered(refused, "sequence"), *(_plan(one) for one in found)]
+    parts += [*_order(planned), *_changes(changed), *_not_answered(refused, "change", "order")]
     if found:
         drawn = [*([today] if today else []), *found[:MAX_SEQUENCES]]
         parts[0] = replace(parts[0], chart=time_chart(texts, drawn, takt_s))
@@ -133,7 +136,8 @@ def report_tasks(
     elif kind == "json":
         shown = [{key: getattr(part, key) for key in ("title", "sentences", "heads", "rows")} for part in parts]
         data = {"name": name, "headline": headline, "verdict": held.to_dict(headline) if held else None, "parts": shown}
-        content = json_text(data | {"estimates": [one.to_dict() for one in found]}) + "\n"
+        data |= {"estimates": [one.to_dict() for one in found], "refused": [one.to_dict() for one in refused]}
+        content = json_text(data) + "\n"
     elif kind == "md":
         content = _markdown(name, made, [headline, *said], parts)
     else:
@@ -142,7 +146,8 @@ def report_tasks(
         content = look.render(page=PAGE, said=said, parts=parts, sections=sections, play=played, **texts_of)
         content += f"\n{MARK}\n"
     write_text(out, content)
-    return ReportFacts(out, out.stat().st_size, headline, content.count("<figure"), tuple(missing), len(found))
+    size, pictures = out.stat().st_size, content.count("<figure")
+    return ReportFacts(out, size, headline, pictures, tuple(missing), len(found), refused=tuple(refused))
 
 
 def _today(texts: ReportTexts, dataset: Dataset, today: Baseline | None) -> CycleEstimate | None:
@@ -205,6 +210,12 @@ def _ranking(found: Sequence[CycleEstimate], takt_s: float | None) -> list[Part]
         for one in found
     ]
     return [Part("Plans", heads=heads, rows=rows)] if found else []
+
+
+def _not_answered(refused: Sequence[Refusal], *kinds: str) -> list[Part]:
+    rows = [[one.name, one.why] for one in refused if one.kind in kinds]
+    head = "Plan" if kinds == ("sequence",) else "Change"
+    return [Part(f"{head}s not answered", heads=[head, "Reason"], rows=rows)] if rows else []
 
 
 def _plan(one: CycleEstimate) -> Part:

@@ -133,14 +133,53 @@ def test_what_cannot_be_computed_as_asked_is_a_usage_error(
     assert not (tmp_path / "r.html").exists()
 
 
-def test_a_sequence_of_tasks_never_logged_says_what_to_log_next(
-    model: Path, dataset: Path, tmp_path: Path, cyclekit: Shell
-):
+@pytest.fixture
+def asked(tmp_path: Path) -> Path:
+    """Two sequences: the logs can answer the first, and hold no task of the second."""
     file = tmp_path / "asked.toml"
     known, new = '["home", "conveyor", "left_1"]', '["home", "left_1", "conveyor"]'
     both = "".join(f'[[sequence]]\nname = "{n}"\nplaces = {places}\n' for n, places in (("A", known), ("B", new)))
     file.write_text(both, encoding="utf-8")
-    words = ("report", dataset, "--model", model, "--sequences", file, "--extrapolate", "--no-check", "--quiet")
+    return file
+
+
+def test_the_page_answers_what_it_can_and_names_the_rest_with_the_reason(
+    model: Path, dataset: Path, asked: Path, changes: Path, tmp_path: Path, cyclekit: Shell
+):
+    jobs, out = tmp_path / "jobs.toml", tmp_path / "r.json"
+    jobs.write_text('start = "left_1"\nvisit = ["left_2", "left_3"]\n', encoding="utf-8")
+    changes.write_text(changes.read_text("utf-8") + '[[change]]\nname = "often"\nfrequency = 500.0\n', encoding="utf-8")
+    words = ("report", dataset, "--model", model, "--sequences", asked, "--extrapolate", "--no-check")
+    typed = cyclekit(*words, "--what-if", changes, "--plan", jobs, "--out", out, "--json")
+    assert typed.code == 0, typed.err
+    document = json.loads(out.read_text("utf-8"))
+    assert [entry["name"] for entry in document["sequences"]] == ["A"]
+    assert [(entry["label"], entry["sequence"]) for entry in document["what_if"]] == [("open", "A")]
+    refused = [{kind: name for kind, name in entry.items() if kind != "reason"} for entry in document["refused"]]
+    assert refused == [{"sequence": "B"}, {"order": "order found"}, {"change": "often"}]
+    assert typed.document["refused"] == document["refused"]
+    assert "not answered: " in typed.err
+    assert "home->left_1" in document["to_log"]["missing"]
+
+
+def test_a_refused_sequence_is_named_below_the_estimates(
+    model: Path, dataset: Path, asked: Path, tmp_path: Path, cyclekit: Shell
+):
+    words = ("report", dataset, "--model", model, "--sequences", asked, "--extrapolate", "--no-check", "--quiet")
+    assert cyclekit(*words, "--out", tmp_path / "r.md").code == 0
+    answer = (tmp_path / "r.md").read_text("utf-8").partition("## 2 ")[0]
+    assert "### Not answered" in answer
+    assert "| B | task 'home → left_1' was never logged" in answer
+    refused = cyclekit(*words, "--baseline", "B", "--out", tmp_path / "no.html")
+    assert (refused.code, (tmp_path / "no.html").exists()) == (1, False)
+    assert "'home->left_1' was never logged" in refused.err
+
+
+def test_a_page_of_sequences_without_any_answer_is_not_written(
+    model: Path, dataset: Path, asked: Path, tmp_path: Path, cyclekit: Shell
+):
+    asked.write_text('[[sequence]]\nname = "B"\nplaces = ["home", "left_1", "conveyor"]\n', encoding="utf-8")
+    words = ("report", dataset, "--model", model, "--sequences", asked, "--no-check", "--quiet")
     typed = cyclekit(*words, "--out", tmp_path / "r.html")
-    assert typed.code == 1
+    assert (typed.code, (tmp_path / "r.html").exists()) == (1, False)
     assert "To log next: log 5 executions of home, left_1, conveyor (sequence 'B')" in typed.err

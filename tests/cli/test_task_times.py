@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,28 @@ def test_plan_whatif_evaluate_and_report_answer(cyclekit, listed: Path, tmp_path
     done = cyclekit("report", data, "--model", model, "--plan", tmp_path / "jobs.toml", "--out", tmp_path / "page.html")
     assert done.code == 0, done.err
     assert "“order found” takes" in done.out
+
+
+@pytest.mark.usefixtures("words_only")
+def test_a_plan_with_an_unknown_task_is_named_and_the_others_are_answered(
+    cyclekit, listed: Path, tmp_path: Path
+) -> None:
+    plans, changes, model, data = tmp_path / "p.toml", tmp_path / "c.toml", listed / "model", listed / "dataset"
+    task = '[[sequence.task]]\nagent = "robot"\nname = "{}"\n'
+    plans.write_text(
+        "".join(f'[[sequence]]\nname = "{name}"\n{task.format(of)}' for name, of in (("A", "bring"), ("B", "brign"))),
+        encoding="utf-8",
+    )
+    changes.write_text('[[change]]\nname = "quicker"\nfaster = { robot = 1.1 }\n', encoding="utf-8")
+    found = cyclekit("whatif", model, plans, changes, "--dataset", data, "--json").document
+    assert [entry["after"]["name"] for entry in found["answers"]] == ["A"]
+    assert [entry["sequence"] for entry in found["refused"]] == ["B"]
+    words = ("report", data, "--model", model, "--sequences", plans, "--what-if", changes)
+    assert cyclekit(*words, "--out", tmp_path / "r.md").code == 0
+    page = (tmp_path / "r.md").read_text("utf-8")
+    assert "## Plans not answered" in page
+    assert re.search(r"\| B \| unknown task of \w+ 'brign'", page)
+    assert "| quicker | A |" in page
 
 
 def test_places_are_refused_with_an_example(cyclekit, listed: Path, tmp_path: Path) -> None:

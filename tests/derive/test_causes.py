@@ -160,6 +160,18 @@ def test_a_button_pressed_near_the_robot_does_not_slow_it():
         assert find_evidence(logged, LEVELS).inputs == {}
 
 
+def test_a_button_after_which_the_operator_goes_away_does_not_slow_the_robot():
+    distance, execution = walked()
+    near = distance < 1.0
+    leaves = np.flatnonzero(np.diff(near.astype(int)) < 0)
+    on = np.zeros(2000, np.bool_)
+    on[(leaves[leaves > 12][:, None] - np.arange(3, 11)).ravel()] = True  # 0.8 s, until shortly before he leaves
+    edges = np.flatnonzero(np.diff(on.astype(int))) + 1
+    button = TwoStateSignal(edges / 10.0, on[edges])
+    logged = rows(halves(distance), distance, execution=execution, switches={"button": button})
+    assert find_evidence(logged, LEVELS).inputs == {}
+
+
 def test_a_signal_that_watches_the_operator_is_no_input():
     distance, execution = walked()
     on = distance < 1.0

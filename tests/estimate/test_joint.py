@@ -120,7 +120,7 @@ def test_an_estimate_says_which_part_of_the_cycles_it_leaves_out(logged: Dataset
     (found,) = estimate(Coupled(gates(gate, mine)), logged, [both(("inbound", "rest"))], **asked)
     assert any("2.0% of the cycles are left out: they end in a deadlock" in said for said in found.doubts)
     (whole,) = estimate(Coupled(gates(mine)), logged, [both(("inbound", "rest"))], **asked)
-    assert not any("left out" in said for said in whole.doubts)
+    assert not any("of the cycles are left out" in said for said in whole.doubts)
 
 
 @pytest.mark.parametrize("state", ["set", "cleared"])
@@ -134,6 +134,17 @@ def test_a_signal_that_neither_agent_gives_is_not_left_out_in_silence(logged: Da
         card = msgspec.structs.replace(gates(gate), sources=sources)
         (found,) = estimate(Coupled(card), logged, [both(("inbound", "out_left_1", "rest"))], **asked)
         assert any(doubt.startswith(said) for doubt in found.doubts) is told
+
+
+def test_a_wait_for_a_task_that_the_plan_lacks_is_not_left_out_in_silence(logged: Dataset) -> None:
+    gate = GateCard(agent="robot", at="approach", place="left_5", phase=0.4, conditions=(AFTER_INBOUND,))
+    asked = {"validate": False, "extrapolate": True}
+    said = (
+        "wait of the robot before left_5 until operator leaves inbound: left out once, the plan has no such task then"
+    )
+    for operator, told in ((("out_left_1", "rest"), True), (("inbound", "rest"), False)):
+        (found,) = estimate(Coupled(gates(gate)), logged, [both(operator)], **asked)
+        assert (said in found.doubts) is told
 
 
 def test_the_operator_waits_where_he_is_until_the_robot_has_left(logged: Dataset) -> None:
@@ -158,6 +169,10 @@ def test_a_robot_waits_midway_at_a_part_of_its_motion(logged: Dataset) -> None:
     assert first.end_s - first.start_s == pytest.approx(0.4 * nominal)
     assert second.end_s - second.start_s == pytest.approx(0.6 * nominal + OWN_S)
     assert second.decided == {"operator: rest": 1.0}
+    assert (first.rest, second.rest) == (False, True)
+    early = both(("rest", "inbound"))
+    (whole,) = (one for one in planned_shares(rolled(logged, gates(gate), early)) if one.task == "conveyor->left_5")
+    assert (whole.rest, whole.end_s - whole.start_s) == (False, pytest.approx(nominal + OWN_S))
 
 
 def test_two_who_wait_for_each_other_are_named(logged: Dataset) -> None:
@@ -168,6 +183,12 @@ def test_two_who_wait_for_each_other_are_named(logged: Dataset) -> None:
         rolled(logged, gates(gate, mine), both(("inbound", "rest")))
     assert "robot waits at conveyor until operator leaves inbound" in caught.value.seen
     assert "operator waits at inbound until robot leaves left_5" in caught.value.seen
+
+
+def test_a_task_cannot_follow_itself(logged: Dataset) -> None:
+    own = PlannedTask("operator", "rest", after=("rest",))
+    with pytest.raises(EstimateError, match="operator: rest: after names the task itself"):
+        rolled(logged, gates(), both(("inbound", "rest"), rest=own))
 
 
 def test_told_precedence_and_earliest_start_hold(logged: Dataset) -> None:

@@ -58,6 +58,8 @@ def test_cycles_are_put_together_by_their_work_in_the_order_given():
 
 def test_the_work_is_named_by_its_visits():
     assert str(work_of(["home", "conveyor", "left_1", "conveyor"])) == "3 visits (conveyor x2, left_1) from home"
+    plan = ("plan", "robot: home->a", "operator: b", "robot: a->home")
+    assert str(work_of(plan)) == "2 tasks of robot, 1 task of operator"
     assert str(work_of(["home", "conveyor", "home"])) == "2 visits (conveyor, home)"
     assert str(work_of(["home", "a"], ("stack",))) == "1 visit (a) from home with an operator at stack"
     assert str(work_of(["home", *"abcdefg", "home"])) == "8 visits"

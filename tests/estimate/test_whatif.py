@@ -211,6 +211,22 @@ def test_a_change_that_cannot_be_answered_is_named_and_the_others_are_answered(l
         what_if(staircase, logged, [TaskSequence("A", places)], changes)
 
 
+def test_a_sequence_that_cannot_be_answered_is_named_and_the_others_are_compared(logged: Dataset, staircase: Any):
+    refused: list[tuple[str, str]] = []
+    known, new = TaskSequence("A", ("home", "conveyor")), TaskSequence("B", ("home", "home"))
+    (same,) = what_if(
+        staircase,
+        logged,
+        [new, known],
+        [Change("same", levels=LEVELS, thresholds_m=THRESHOLDS_M)],
+        refused=lambda asked, error: refused.append((asked.name, error.seen)),
+    )
+    assert (same.change, same.after.name) == ("same", "A")
+    ((name, reason),) = refused
+    assert name == "B"
+    assert "'home->home' was never logged" in reason
+
+
 def test_a_refusal_of_the_estimate_itself_names_the_change_too(logged: Dataset, staircase: Any):
     halted = Change("halted for ever", levels=(0.0, 1.0), thresholds_m=(1e6,))
     with pytest.raises(EstimateError, match=r"change 'halted for ever': .* do not end"):

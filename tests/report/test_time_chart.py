@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from report_pages import draw_only, estimate
 
 from cyclekit.estimate.baseline import logged_cycle, logged_order
+from cyclekit.estimate.gantt import blocks_of
 from cyclekit.estimate.result import PARTS, PlannedShare, TaskShare
 from cyclekit.plots import colours
 from cyclekit.report import compose_report
@@ -77,6 +78,58 @@ def test_the_bars_are_the_numbers_of_the_estimates_on_one_time_axis(narrow):
     wanted = np.array(list(expected.values())).ravel()
     slope, offset = np.polyfit(wanted, shown, 1)
     assert shown == pytest.approx(offset + slope * wanted, abs=0.02 * slope)
+
+
+def planned(agent, task, start_s, end_s, wait_s=0.0, cause="own task before", share=1.0, *, rest=False):
+    decided = {cause: share} if share == 1.0 else {cause: share, "own task before": 1.0 - share}
+    return PlannedShare(agent, agent, task, start_s, end_s, wait_s, decided, end_s, end_s, rest)
+
+
+HALTED = estimate(
+    "halted", 30.0,
+    tasks=(TaskShare("a->b", 6.0, 3.0, 2.0, 1.0, 0.0), TaskShare("b->c", 24.0, 6.0, 4.0, 2.0, 12.0)),
+    plan=(
+        planned("robot", "a->b", 0.0, 6.0),
+        planned("robot", "b->c", 6.0, 8.5),
+        planned("robot", "b->c", 20.5, 30.0, 12.0, "operator: c", rest=True),
+        planned("operator", "c", 2.0, 10.0),
+        planned("operator", "d", 20.5, 25.0, 10.5, "robot: a->b", 0.3),
+    ),
+)  # fmt: skip
+
+
+def test_a_task_in_which_the_robot_waits_on_its_way_is_one_task_with_one_dwell():
+    svg = drawn(HALTED)
+    titles = [title for title, *_ in spans(svg)]
+    assert [title for title in titles if "2 b → c: dwell" in title] == [
+        "robot: 2 b → c: dwell 2.0 s (21 % of the task)"
+    ]
+    assert sum("2 b → c: motion at full speed" in title for title in titles) == 2
+    assert "robot waits 12.0 s on the way to c, until operator: c" in titles
+    assert not any("3 b" in title for title in titles)
+    assert "4 of 4 tasks done" in svg
+
+
+def test_an_arrow_comes_from_where_the_other_agent_left_and_is_dotted_where_that_is_seldom():
+    (block,) = blocks_of([HALTED])
+    to_robot, to_operator = block.arrows
+    assert (to_robot.from_lane, to_robot.to_lane, to_robot.from_s, to_robot.to_s) == (1, 0, 20.5, 20.5)  # not at 10.0
+    assert not to_robot.seldom
+    assert (to_operator.from_lane, to_operator.from_s, to_operator.seldom) == (0, 6.0, True)
+
+
+def test_a_wait_that_the_chart_has_no_task_for_shows_what_ended_it():
+    wait = planned("robot", "b->c", 9.0, 12.0, 3.0, "operator: desk")
+    mine = replace(ONE, plan=(planned("robot", "a->b", 0.0, 6.0), wait))
+    (block,) = blocks_of([mine])
+    (arrow,) = block.arrows
+    assert (block.lanes, block.layers_name) == (("robot",), "operator")
+    assert (arrow.from_lane, arrow.to_lane, arrow.from_s, arrow.to_s) == (1, 0, 9.0, 9.0)
+    signal = replace(mine, plan=(mine.plan[0], replace(wait, decided={"signal: part": 1.0})))
+    (block,) = blocks_of([signal])
+    assert block.arrows == ()
+    assert [label.texts for label in block.labels if label.start_s == 6.0] == [("until part",)]
+    assert "robot waits 3.0 s before b → c, until signal: part" in [title for title, *_ in spans(drawn(signal))]
 
 
 def test_places_of_the_operator_that_differ_by_their_number_alone_have_a_layer_each():

@@ -72,7 +72,7 @@ def test_the_conditions_are_a_table_with_the_seconds_waited_in_each_execution(co
         ["operator at desk", "robot arrives left", "0.5", "0.5 to 0.5", "100 %", "5 of 20", "1.5"],
         ["robot, elsewhere", "not known", "", "", "", "", "0.5"],
     ]  # fmt: skip
-    assert "When it comes: parts of digital-input 3 come 4.2 to 8.8 s apart; at most 2 wait at right." in part
+    assert "Parts of digital-input 3 come 4.2 to 8.8 s apart; at most 2 wait at right." in part
     typed = " ".join(coupling_table(CARD).split())
     for row in rows[1:-1]:
         assert all(word in typed for word in [*row[0].split(), *row[1].split(), row[5]])

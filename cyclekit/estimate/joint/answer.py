@@ -16,7 +16,7 @@ from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.repetitions import cycles_per_resample
 from cyclekit.estimate.joint.roll import JointCell, longest_s
 from cyclekit.estimate.joint.shares import operator_shares, planned_shares, task_shares
-from cyclekit.estimate.joint.unended import waits_without_source
+from cyclekit.estimate.joint.unended import waits_without_source, waits_without_task
 from cyclekit.estimate.limits import (
     FEW_EXECUTIONS,
     extrapolation_of,
@@ -283,7 +283,8 @@ def _left_out(cycles: RolledBoth, cell: JointCell) -> list[str]:
     ended = f"{part:.1%} of the cycles are left out: they end in a deadlock or do not end within {until_s:.0f} s"
     composed = [COMPOSED] if cycles.plan.composed else []
     unsourced = waits_without_source((cycles.plan.robot, *cycles.plan.operators), cell.coupling)
-    return [*([ended] if part else []), *composed, *unsourced]
+    told = cycles.plan.both and waits_without_task(cycles.plan.robot, *cycles.plan.operators)
+    return [*([ended] if part else []), *composed, *unsourced, *(told or ())]
 
 
 def _slowed(shares: Sequence[TaskShare], factor: float) -> list[TaskShare]:

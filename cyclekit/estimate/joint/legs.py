@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.config.sequences import NOT_ITSELF
 from cyclekit.dataset.cards import CouplingCard
-from cyclekit.errors import UnknownName
+from cyclekit.errors import EstimateError, UnknownName
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -172,6 +173,7 @@ def precedence_needs(tasks: Sequence[PlannedTask], where: str) -> dict[int, tupl
 
     Raises:
         UnknownName: A task in `after` is not in the plan.
+        EstimateError: It is the task itself.
     """
     turns: Counter[tuple[str, str]] = Counter()
     count = Counter((task.agent, task.name) for task in tasks)
@@ -182,6 +184,8 @@ def precedence_needs(tasks: Sequence[PlannedTask], where: str) -> dict[int, tupl
         needs = []
         for earlier in task.after:
             able = [key for key in count if key[1] == earlier and key != (task.agent, task.name)]
+            if not able and earlier == task.name:
+                raise EstimateError(f"{where}: {task.shown}: after names the task itself", cure=NOT_ITSELF)
             if not able:
                 raise UnknownName(f"{where}: {task.shown}", "task", earlier, {each.name for each in tasks})
             needs += [Need((key[0], earlier, "done", min(nth, count[key] - 1))) for key in able]

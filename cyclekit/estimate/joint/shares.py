@@ -36,7 +36,7 @@ def task_shares(rolled: RolledBoth) -> list[TaskShare]:
 def planned_shares(
     rolled: RolledBoth, factor: float = 1.0, band: Callable[[Vector], tuple[float, ...]] = lambda _ends_s: ()
 ) -> list[PlannedShare]:
-    """Return start, end and cause of the start of each task; a task that waits midway has two rows.
+    """Return start, end and cause of the start of each task; one in which the robot waits on its way has two rows.
 
     If the operator's agenda differs between cycles, his tasks have no mean times and are left out. Where the cycle ends
     with the robot, his tasks are cut there, and those that begin later in most cycles are left out.
@@ -49,11 +49,11 @@ def planned_shares(
     agents = [rolled.robot, *(rolled.operators if len(rolled.operators) == 1 else ())]
     whose, found = _whose(rolled), list[PlannedShare]()
     for agent in agents:
-        for span in _told(agent, rolled):
+        for span in _joined(_told(agent, rolled)):
             first, last, wait = (factor * float(at.mean()) for at in (span.start_s, span.end_s, span.wait_s))
             name, decided = agent.agenda.agent, _decided(span.decided, whose)
-            ends = band(factor * span.end_s)
-            found.append(PlannedShare(name, name, span.task, first, last, wait, decided, *ends))
+            low, high, *_ = (*band(factor * span.end_s), None, None)
+            found.append(PlannedShare(name, name, span.task, first, last, wait, decided, low, high, span.rest))
     return found
 
 
@@ -83,20 +83,29 @@ def _named(agenda: Agenda, task: int) -> str:
     return f"{agenda.agent}: {agenda.tasks[task]}" if task >= 0 else f"{agenda.agent}: start"
 
 
+MIN_WAIT_S = 0.05
+"""Minimum mean wait on the way of a task that divides it, s."""
+
+
 class _Span(NamedTuple):
-    """One task of one agent: times from the start of each cycle (rows,), s, and what decided departure at its gates."""
+    """One task of one agent: times from the start of each cycle (rows,), s, and what decided departure at its gates.
+
+    `rest`: it is the rest of the task before it, after a wait on the way.
+    """
 
     task: str
     start_s: Vector
     end_s: Vector
     wait_s: Vector
     decided: Ints
+    rest: bool = False
 
 
 def _spans(agent: OneAgent, rolled: RolledBoth) -> Iterator[_Span]:
     agenda, times, before = agent.agenda, agent.times, 0
     begin_s = begins_s(len(rolled.duration_s), (rolled.robot, *rolled.operators))[agent.rows]
     for name, legs in zip(agenda.tasks, legs_of_tasks(agenda), strict=True):
+        rest = False
         for leg in legs:
             if agenda.legs[leg].hold:
                 continue
@@ -104,8 +113,8 @@ def _spans(agent: OneAgent, rolled: RolledBoth) -> Iterator[_Span]:
             start, works = times.passes_s[:, leg - 1], np.maximum(times.works_s[:, before], begin_s)
             end = times.passes_s[:, leg] if leg == len(agenda.legs) - 1 else times.works_s[:, leg]
             wait = np.maximum(start - works, 0.0)
-            yield _Span(name, start - begin_s, end - begin_s, wait, times.decided[:, gates])
-            before = leg
+            yield _Span(name, start - begin_s, end - begin_s, wait, times.decided[:, gates], rest)
+            before, rest = leg, True
 
 
 def _told(agent: OneAgent, rolled: RolledBoth) -> Iterator[_Span]:
@@ -115,6 +124,20 @@ def _told(agent: OneAgent, rolled: RolledBoth) -> Iterator[_Span]:
         found = span if ends_here else _in_cycle(span, rolled.duration_s[agent.rows])
         if found is not None:
             yield found
+
+
+def _joined(spans: Iterator[_Span]) -> Iterator[_Span]:
+    """Yield tasks, each in one piece unless the agent waits on its way."""
+    last: _Span | None = None
+    for span in spans:
+        if last is not None and span.rest and span.wait_s.mean() < MIN_WAIT_S:
+            last = last._replace(end_s=span.end_s)
+            continue
+        if last is not None:
+            yield last
+        last = span
+    if last is not None:
+        yield last
 
 
 def _in_cycle(span: _Span, cycle_s: Vector) -> _Span | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards import CouplingCard
     from cyclekit.estimate.joint.draws import EventColumns
-    from cyclekit.estimate.joint.legs import Agenda, Event
+    from cyclekit.estimate.joint.legs import Agenda, AgendaLeg, Event
     from cyclekit.estimate.joint.walk import JointCycles
 
 
@@ -25,7 +26,7 @@ def deadlock(robot: Agenda, operator: Agenda, simulated: JointCycles, row: int, 
             missing = [
                 need.event for need in leg.needs if np.isinf(simulated.events_s[row, columns.needed(need.event)])
             ]
-            where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
+            where = _where(leg)
             waits.append(f"{agenda.agent} waits {where} until {' and '.join(_shown(event) for event in missing)}")
     return "; ".join(waits)
 
@@ -37,7 +38,7 @@ def waits_without_source(agendas: Iterable[Agenda], coupling: CouplingCard | Non
     found: dict[str, None] = {}
     for agenda in agendas:
         for leg in agenda.legs:
-            where = f"before {leg.name.removeprefix('hold ')}" if leg.hold else f"at {leg.place}"
+            where = _where(leg)
             for who, signal, state, _ in (need.event for need in leg.needs):
                 if who == "signal" and (signal, state) not in brought:
                     found[
@@ -45,6 +46,27 @@ def waits_without_source(agendas: Iterable[Agenda], coupling: CouplingCard | Non
                         "that signal, and when it comes was not learned"
                     ] = None
     return list(found)
+
+
+def waits_without_task(robot: Agenda, operator: Agenda) -> list[str]:
+    """Return the waits for tasks that the plan of the other agent lacks, one sentence each: they are left out."""
+    given = {event for agenda in (robot, operator) for event, _ in agenda.events}
+    found = Counter[str]()
+    for agenda in (robot, operator):
+        for leg in agenda.legs:
+            for who, place, what, turn in (need.event for need in leg.needs):
+                if who in ("robot", "operator") and (who, place, what, turn) not in given:
+                    found[f"wait of the {agenda.agent} {_where(leg)} until {_shown((who, place, what, 0))}"] += 1
+    times = {1: "once", 2: "twice"}
+    return [
+        f"{wait}: left out {times.get(n, f'{n} times')}, the plan has no such task then" for wait, n in found.items()
+    ]
+
+
+def _where(leg: AgendaLeg) -> str:
+    """Return where an agent waits: before a place, or at one."""
+    kind, _, place = leg.name.partition(" ")
+    return f"before {place}" if kind in ("hold", "approach") and place else f"at {leg.place}"
 
 
 def _shown(event: Event) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -93,48 +94,65 @@ def what_if(
     extrapolate: bool = False,
     validate: bool = True,
     check: Check | None = None,
-    refused: Callable[[Change, EstimateError], None] | None = None,
+    refused: Callable[[TaskSequence | Change, EstimateError], None] | None = None,
     other_cell: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> list[WhatIf]:
     """Estimate every sequence in the unchanged cell and under every change.
 
-    The arguments are described at `cyclekit.what_if`. `refused` is called with each change that these logs cannot
-    answer and the reason; the others are answered. Without it the error of the first such change is raised.
+    The arguments are described at `cyclekit.what_if`. `refused` is called with each sequence that these logs cannot
+    answer in the unchanged cell, and each change that they cannot answer, and the reason; the others are answered.
+    Without it the first such error is raised.
 
     Raises:
         UnknownName: A place does not exist; the message names the change.
         ModelError: As in `estimate`.
-        EstimateError: As in `estimate`, for the unchanged cell; or a change cannot be answered, such as an operator who
-            cannot come as often as requested.
+        EstimateError: As in `estimate`; or a change cannot be answered, such as an operator who cannot come as often
+            as requested.
     """
     tell = progress or (lambda fraction, text: None)
-    names = [sequence.name for sequence in sequences]
 
-    def estimates(safety: SafetyModel, altered: Altered | None, **given: Any) -> dict[str, CycleEstimate]:  # noqa: ANN401
+    def estimates(
+        safety: SafetyModel,
+        wanted: Sequence[TaskSequence],
+        altered: Altered | None,
+        **given: Any,  # noqa: ANN401
+    ) -> dict[str, CycleEstimate]:
         asked = {"seed": seed, "extrapolate": extrapolate, "other_cell": other_cell, **given}
-        return {entry.name: entry for entry in estimate(safety, dataset, sequences, altered=altered, **asked)}
+        return {entry.name: entry for entry in estimate(safety, dataset, wanted, altered=altered, **asked)}
 
-    before = estimates(model, None, validate=validate, check=check)
+    before = estimates(model, sequences, None, validate=validate, check=check, refused=refused)
+    answered = [sequence for sequence in sequences if sequence.name in before]
     check = next((entry.check for entry in before.values()), None)
     moved = {
         name: entry.combined.expected_s / entry.combined.rollout_s for name, entry in before.items() if entry.combined
     }
     logged, answers = Dynamics.of(dataset.card.dynamics, model), []
-    for number, change in enumerate(changes):
+    for number, change in enumerate(changes if answered else ()):
         tell(number / len(changes), change.name)
+        refuse = None if refused is None else partial(_refuse_change, change, refused)
         try:
             safety = on_states_of(altered_safety(change, model, logged), dataset)
             altered = replace(_altered(change, safety, dataset, logged), moved=moved, pace=change.operator_pace)
             altered = replace(altered, coupling=altered_coupling(change, model.card.coupling))
-            after = estimates(safety, altered, check=_check_of(change, check))
+            after = estimates(safety, answered, altered, check=_check_of(change, check), refused=refuse)
         except EstimateError as error:
             if refused is None:
                 raise _named(change, error) from error
             refused(change, _named(change, error))
             continue
+        names = [sequence.name for sequence in answered if sequence.name in after]
         answers += [_compared(change, before[name], _marked(change, after[name], logged), seed) for name in names]
     return answers
+
+
+def _refuse_change(
+    change: Change,
+    refused: Callable[[TaskSequence | Change, EstimateError], None],
+    _: TaskSequence,
+    error: EstimateError,
+) -> None:
+    refused(change, _named(change, error))
 
 
 def _named(change: Change, error: EstimateError) -> EstimateError:

@@ -18,7 +18,7 @@ class WhatIfAnswers(Answers[WhatIf]):
 
     Attributes:
         answers: One for each change and sequence, in the order of the changes.
-        refused: Changes that these logs cannot answer.
+        refused: Sequences that these logs cannot answer in the unchanged cell, and changes that they cannot answer.
         safety: Note that this is no safety proof.
     """
 
@@ -36,7 +36,7 @@ class WhatIfAnswers(Answers[WhatIf]):
             "safety": self.safety,
             "warnings": list(self.alarms),
             "answers": [one.to_dict() for one in self],
-            "refused": [{"change": one.name, "reason": str(one.error)} for one in self.refused],
+            "refused": [one.to_dict() for one in self.refused],
         }
 
     def to_frame(self) -> pl.DataFrame:

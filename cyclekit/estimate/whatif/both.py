@@ -30,7 +30,7 @@ def what_if_tasks(
     changes: Sequence[Change],
     *,
     seed: int = 0,
-    refused: Callable[[Change, EstimateError], None],
+    refused: Callable[[TaskSequence | Change, EstimateError], None],
 ) -> list[WhatIf]:
     """Estimate every plan in the unchanged cell and under every change.
 
@@ -39,23 +39,26 @@ def what_if_tasks(
         sequences: Plans for both agents.
         changes: Changes, each applied alone.
         seed: Seed of the draws; the same before and after.
-        refused: Called with each change that has no answer, and the reason.
-
-    Raises:
-        EstimateError: A plan in the unchanged cell has no answer.
+        refused: Called with each plan that has no answer in the unchanged cell, and each change that has none, and the
+            reason.
     """
-    before = _estimates(model, sequences, seed)
+    before = _estimates(model, sequences, seed, refused)
+    answered = [plan for plan in sequences if plan.name in before]
     answers = []
-    for change in changes:
+    for change in changes if answered else ():
+
+        def refuse(_: TaskSequence, error: EstimateError, change: Change = change) -> None:
+            refused(change, error)
+
         try:
-            after = _estimates(altered_times(model, change), sequences, seed)
+            after = _estimates(altered_times(model, change), answered, seed, refuse)
         except UnknownName as error:
             refused(change, EstimateError(error.seen, nearest=error.nearest, cure=error.cure))
         except EstimateError as error:
             refused(change, error)
         else:
             answers += [
-                WhatIf(change.name, before[name], after[name], _saved(before[name], after[name])) for name in before
+                WhatIf(change.name, before[name], after[name], _saved(before[name], after[name])) for name in after
             ]
     return answers
 
@@ -98,11 +101,13 @@ def _altered(model: TaskModelCard, task: TaskTimesCard, change: Change) -> TaskT
     )
 
 
-def _estimates(model: TaskModelCard, sequences: Sequence[TaskSequence], seed: int) -> dict[str, CycleEstimate]:
-    def refuse(_: TaskSequence, error: EstimateError) -> None:
-        raise error
-
-    return {each.name: each for each in estimate_plans(model, sequences, seed=seed, refused=refuse)}
+def _estimates(
+    model: TaskModelCard,
+    sequences: Sequence[TaskSequence],
+    seed: int,
+    refused: Callable[[TaskSequence, EstimateError], None],
+) -> dict[str, CycleEstimate]:
+    return {each.name: each for each in estimate_plans(model, sequences, seed=seed, refused=refused)}
 
 
 def _saved(before: CycleEstimate, after: CycleEstimate) -> tuple[float, float, float]:

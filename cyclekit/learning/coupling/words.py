@@ -94,10 +94,10 @@ def _trip_line(gate: GateCard, trip: TripCard) -> str:
 
 def _own_work_line(gate: GateCard) -> str:
     sides = {"next": "before he goes to", "before": "after he comes from"}
-    begun = "left of it where he begins a cycle"
+    begun = "if a cycle begins in the middle of it"
     where = [f"{sides[one.side]} {one.place}" if one.place else begun for one in gate.own_by]
     each = [f"{_quantile(one.own_s, 0.5):.1f} s {what}" for one, what in zip(gate.own_by, where, strict=True)]
-    return f"operator at {gate.place}: own work of {', '.join(each)}"
+    return f"operator at {gate.place}: median own work {', '.join(each)}"
 
 
 def _in_turn_line(card: InTurnCard) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from cyclekit.config.sequences import NOT_ITSELF
 from cyclekit.errors import EstimateError, UnknownName
 from cyclekit.learning.task_times.parts import ALONE, beside
 
@@ -255,6 +256,8 @@ def _needs(
         mine = [each for each in mine if names[each.other] != name or each.other < number]
         for told in task.after:
             able = [each for (_, other), some in turns.items() if other == told for each in some if each != number]
+            if not able and told == task.name:
+                raise EstimateError(f"{where}: {task.shown}: after names the task itself", cure=NOT_ITSELF)
             if not able:
                 raise UnknownName(f"{where}: {task.shown}", "task", told, {each.name for each in tasks})
             mine.append(_Need(able[min(nth, len(able) - 1)]))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.config.sequences import PLAN
 from cyclekit.estimate.baseline import logged_cycle, logged_order
-from cyclekit.estimate.gantt import SHOWN_S, blocks_of, legend_of
+from cyclekit.estimate.gantt import ALWAYS, SHOWN_S, blocks_of, legend_of
 from cyclekit.plots.gantt import draw_blocks, height_in
 from cyclekit.plots.style import tip
 from cyclekit.report.figures.figure import Chart, Figure
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 MAX_SEQUENCES = 4
 """Maximum number of sequences drawn; the others are in the tables."""
-ALWAYS = 0.995
-"""From this share of the cycles on, what ended a wait is given without the share."""
 PAPER_IN = 4.5
 """Maximum height of a chart that is printed as a whole, inches."""
 PARTS = ("nominal", "safety", "dwell", "wait")
@@ -36,7 +34,8 @@ _FIELDS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 _WORDS = {
     "caption": "Mean times from the start of the cycle, on one time axis. Within a task the motion at full speed is "
     "drawn first, then the time that slow-down adds, in the colour of the mean speed. Hatched: wait; an arrow comes "
-    "from what ended it. A label is the number of the task and where it leads.",
+    "from what ended it, dotted where it did so in fewer than half of the cycles. "
+    "A label is the number of the task and where it leads.",
     "course": "Line “tasks done”: expected course; its band holds {share} of the cycles.",
     "lane": "Operator: share of the cycles in which the operator is at each place or on the way to it.",
     "cut": "The cycle of a sequence of places ends when the robot is done: the operator’s tasks are cut there.",
@@ -58,6 +57,7 @@ _WORDS = {
     "band": "End in single cycles, s",
     "wait": "Wait before it, s",
     "ended": "Wait ended by",
+    "rest": "{task}, rest",
     "ended_in": "{cause} (in {share} of the cycles)",
 }
 
@@ -171,7 +171,16 @@ def _plan(texts: ReportTexts, each: CycleEstimate) -> ReportTable:
         cause, share = (task.ended_by if task.wait_s > SHOWN_S else None) or ("", 0.0)
         ended = texts.task(cause)
         ended = texts("time_chart.ended_in", cause=ended, share=percent(share)) if 0.0 < share < ALWAYS else ended
-        rows.append([texts.task(task.task), task.agent, *times, fixed(task.wait_s, 1), ended])
+        name = texts.task(task.task)
+        rows.append(
+            [
+                texts("time_chart.rest", task=name) if task.rest else name,
+                task.agent,
+                *times,
+                fixed(task.wait_s, 1),
+                ended,
+            ]
+        )
     caption = texts("time_chart.plan", name=each.name)
     return ReportTable(caption, heads, rows, frozenset((2, 3, 4, 5)), silent=True)
 

@@ -45,7 +45,7 @@ _WORDS = {
     "below 0 it is just before the event. "
     "Obeyed: share of the logged passages that came after the event. Had to wait: passages in which this event came "
     "last, and so decided when to go on.",
-    "source": "When it comes: {text}.",
+    "source": "{text}.",
 }
 
 
@@ -68,7 +68,7 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
         return figure
 
     caption = texts("waits.caption", executions=count(card.executions))
-    table = _table(page, [texts("waits.source", text=line) for line in habit_lines(card)])
+    table = _table(page, [texts("waits.source", text=f"{line[:1].upper()}{line[1:]}") for line in habit_lines(card)])
     yield Chart(Picture("waits", alt, drawn), caption, title=texts("waits.title"), table=table)
 
 

@@ -85,7 +85,7 @@ def test_who_begins_a_cycle_in_the_middle_of_his_work_has_the_rest_of_it_left() 
     (rest,) = [one for one in bench.own_by if not one.place]
     assert rest.side == "before"
     assert max(rest.own_s) > 12.0  # after nine seconds or so the robot is away: sooner is not seen
-    assert any("left of it where he begins a cycle" in line for line in habit_lines(card))
+    assert any("if a cycle begins in the middle of it" in line for line in habit_lines(card))
 
 
 def test_trips_at_both_ends_of_an_execution_are_no_tasks() -> None:

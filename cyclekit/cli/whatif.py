@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -100,4 +101,7 @@ def _limits(found: Sequence[WhatIf]) -> str:
                 about.setdefault((entry.change, text), []).append(entry.after.name)
     every = len({entry.after.name for entry in found})
     shown = {key: "all sequences" if len(names) == every > 1 else ", ".join(names) for key, names in about.items()}
-    return bullet([f"{change}, {shown[change, text]}: {text}" for change, text in about])
+    times = Counter(text for _, text in about for _ in about[_, text])
+    of_all = [text for text, n in times.items() if n == len(found) > 1]
+    lines = [f"{change}, {shown[change, text]}: {text}" for change, text in about if text not in of_all]
+    return bullet([*lines, *of_all])

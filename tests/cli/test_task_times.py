@@ -51,10 +51,16 @@ def test_a_plan_with_an_unknown_task_is_named_and_the_others_are_answered(
         "".join(f'[[sequence]]\nname = "{name}"\n{task.format(of)}' for name, of in (("A", "bring"), ("B", "brign"))),
         encoding="utf-8",
     )
-    changes.write_text('[[change]]\nname = "quicker"\nfaster = { robot = 1.1 }\n', encoding="utf-8")
+    two = '[[change]]\nname = "two"\nmore_places = { fixture = 1 }\n'
+    quicker = "".join(f'[[change]]\nname = "{n}"\nfaster = {{ robot = 1.1 }}\n' for n in ("quicker", "again"))
+    changes.write_text(quicker + two, encoding="utf-8")
     found = cyclekit("whatif", model, plans, changes, "--dataset", data, "--json").document
-    assert [entry["after"]["name"] for entry in found["answers"]] == ["A"]
-    assert [entry["sequence"] for entry in found["refused"]] == ["B"]
+    assert [entry["after"]["name"] for entry in found["answers"]] == ["A", "A"]
+    refused = {entry.get("sequence") or entry["change"]: entry["reason"] for entry in found["refused"]}
+    assert list(refused) == ["B", "two"]
+    assert "buffer = { TASK = 1 } for a second fixture" in refused["two"]
+    shown = cyclekit("whatif", model, plans, changes, "--dataset", data).out
+    assert "\n- task lists hold no positions" in shown  # of every change: without its name
     words = ("report", data, "--model", model, "--sequences", plans, "--what-if", changes)
     assert cyclekit(*words, "--out", tmp_path / "r.md").code == 0
     page = (tmp_path / "r.md").read_text("utf-8")

@@ -84,7 +84,9 @@ def test_the_dataset_says_that_it_has_no_positions(listed) -> None:
     assert card["positions"] == []
     assert [entry["positions"] for entry in card["recordings"]] == [False]
     assert card["recordings"][0]["duration_s"] == 109.0
-    assert report.warnings == ("no positions of robot and people, so no motion or safety can be learned",)
+    assert report.warnings == (
+        "no positions of robot and people: train learns task times and waits, and no safety function",
+    )
     assert dataset.positions == ()
 
 

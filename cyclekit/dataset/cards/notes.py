@@ -228,7 +228,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "source-in-folders": (
         'source {path!r} of the cell file matches no log: the logs of that name lie in folders; write path = "{glob}"'
     ),
-    "no-positions": ("no positions of robot and people, so no motion or safety can be learned"),
+    "no-positions": "no positions of robot and people: train learns task times and waits, and no safety function",
     "no-robot-log": (
         "there is no robot log, which training and estimates need: put the robot controller's log into the session's "
         "folder, and ingest both"

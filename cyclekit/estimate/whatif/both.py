@@ -71,6 +71,9 @@ def altered_times(model: TaskModelCard, change: Change) -> TaskModelCard:
         UnknownName: An agent, a task or a wait is not in the model.
     """
     where = f"change {change.name!r}"
+    if change.more_places or change.without_waits:
+        cure = 'Give buffer = { TASK = 1 } for a second fixture, no_wait = [["TASK", "OTHER"]] for a removed wait.'
+        raise EstimateError(f"{where}: more_places and without_waits are for cells with positions", cure=cure)
     if not change.of_tasks:
         msg = f"{where}: changes positions or the safety function, and task lists hold neither"
         raise EstimateError(msg, cure="Ask for faster, no_wait or buffer; or ingest the robot's log and the positions.")

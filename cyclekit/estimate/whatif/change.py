@@ -39,7 +39,7 @@ hysteresis_m = 0.0               # also ramp_down_per_s, latency_s
 name = "a practised operator, parts in advance"   # if robot and operator wait for each other
 faster = { operator = 1.2 }                       # 1.2 times as fast; in task lists also robot or the agent's name
 buffer = { part = 3 }                             # parts in advance, of a source or of a task of task lists
-more_places = { fixture = 1 }                     # additional places of the kind that must be free again
+more_places = { fixture = 1 }                     # additional places that an agent waits for to be free
 without_waits = ["robot approach fixture"]        # waits that are removed
 no_wait = [["weld", "mount"]]                     # in task lists: weld no longer waits for mount; "part": for parts
 """
@@ -161,7 +161,7 @@ class Change:
         base_m, base_yaw_deg: New position of the robot's base, in the present base frame.
         places: Moved places of the robot: name -> TCP, m, in the frame of the robot's base.
         frequency: The operator's visits per hour, relative to the logged ones.
-        more_places: Number of additional places, by name of a place that must be free again.
+        more_places: Number of additional places, by name of a place that an agent waits for to be free.
         without_waits: Waits that are removed: `robot approach fixture`.
         dynamics: Changed response of s to the safety function, by name in `Dynamics`: s, 1/s or m.
         faster: Factor on the speed of an agent, by agent; only the operator in cells with positions.

@@ -40,7 +40,7 @@ def altered_coupling(change: Change, card: CouplingCard | None) -> CouplingCard 
         raise UnknownName(where, "wait", missing[0], known)
     places = {_freed(gate, one) for gate in card.gates for one in gate.conditions if one.back > 0}
     if missing := [name for name in change.more_places if name not in places]:
-        raise UnknownName(where, "place that must be free again", missing[0], places)
+        raise UnknownName(where, "place at which an agent waits until it is free", missing[0], places)
     parts = {source.signal for source in card.sources if not source.after}
     if missing := [name for name in change.buffer if name not in parts]:
         raise UnknownName(where, "source of parts", missing[0], parts)

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from cyclekit.report.texts import ReportTexts
 
 PAGE = "tasks.html.jinja"
+UNCHANGED = 0.1
+"""Speeds beside the other agent that differ less from that alone are not shown."""
 NOT_KNOWN = (
     "Task lists hold only starts and ends. Positions, distances, zones and the safety function are unknown: this page "
     "does not show how near the operator comes to the robot, and attributes no lost time to the safety system.",
@@ -125,7 +127,7 @@ def report_tasks(
         drawn = [*([today] if today else []), *found[:MAX_SEQUENCES]]
         parts[0] = replace(parts[0], chart=time_chart(texts, drawn, takt_s))
     parts += [] if found and today else _logged(texts, dataset, takt_s)
-    parts += [*([_learned(card)] if card else []), _trust(card, missing)]
+    parts += [*(_learned(card) if card else ()), _trust(card, missing)]
     headline = in_words(texts, held) if held else _logged_in_words(dataset, takt_s)
     said = [basis(texts, held)] if held else []
     name, date = cell_name or dataset.card.name or dataset.path.name, dt.datetime.now(tz=dt.UTC).date().isoformat()
@@ -255,27 +257,32 @@ def _changes(changed: Sequence[WhatIf]) -> list[Part]:
     return [Part("What if", heads=heads, rows=rows)] if rows else []
 
 
-def _learned(card: TaskModelCard) -> Part:
+def _learned(card: TaskModelCard) -> list[Part]:
+    """Return who waits for what, and how fast tasks proceed beside those of the other agent."""
+    rows = [
+        [task.agent, task.task, str(len(task.work_s)), fixed(task.usual_s, 1), ", ".join(task.waits_for[1:]) or "-"]
+        for task in card.tasks
+    ]
+    said = [f"{each}." for each in card.notices]
+    waits = Part("Who waits for what", said, ["Agent", "Task", "Times", "Mean, s", "Waits for"], rows)
+    return [waits, *_speeds(card)]
+
+
+def _speeds(card: TaskModelCard) -> list[Part]:
+    """Return the speed of each task during tasks of the other agent, and while he waits after them."""
     rows, two = [], len({task.agent for task in card.tasks}) == 2
-
-    def called(name: str) -> str:
-        return name.partition(": ")[2] if two else name  # the only other agent needs no name
-
     for task in card.tasks:
         alone = task.rates.get(ALONE, 1.0)
-        during = {f"during {called(name)}": rate for name, rate in task.rates.items() if name}
-        waiting = {f"while the other waits after {called(name)}": rate * alone for name, rate in task.waiting.items()}
-        changes = {**during, **waiting}.items()
-        beside = [f"{when} {rate:.2f}" for when, rate in changes if abs(rate - 1.0) > 0.1]
-        waits = ", ".join(task.waits_for[1:]) or "-"
-        rows.append(
-            [task.agent, task.task, str(len(task.work_s)), fixed(task.usual_s, 1), waits, "; ".join(beside) or "-"]
-        )
-    said = [f"{each}." for each in card.notices]
-    if any(row[-1] != "-" for row in rows):
-        said.append("Speed: during a task of the other agent 1.20 means 1.2 times as fast as alone.")
-    heads = ["Agent", "Task", "Times", "Mean, s", "Waits for", "Speed"]
-    return Part("Who waits for what", said, heads, rows)
+        waiting = {name: rate * alone for name, rate in task.waiting.items()}
+        for name in dict.fromkeys((*task.rates, *waiting)):
+            speeds = [task.rates.get(name), waiting.get(name)]
+            shown = ["" if rate is None or abs(rate - 1.0) <= UNCHANGED else fixed(rate, 2) for rate in speeds]
+            if name and any(shown):
+                other = name.partition(": ")[2] if two else name  # the only other agent needs no name
+                rows.append([task.agent, task.task, other, *(text or "-" for text in shown)])
+    said = f"1.20: 1.2 times as fast as alone. Changes of less than {percent(UNCHANGED)} are left out."
+    heads = ["Agent", "Task", "Other agent's task", "During it", "While he waits after it"]
+    return [Part("Speed beside the other agent", [said], heads, rows)] if rows else []
 
 
 def _trust(card: TaskModelCard | None, missing: Sequence[str]) -> Part:

@@ -146,15 +146,13 @@ def test_a_workbook_of_task_lists_is_a_workbook(logged: Dataset, tmp_path: Path)
 
 
 @pytest.mark.parametrize(("third", "other"), [(False, "weld"), (True, "arm: weld")])
-def test_speeds_beside_the_other_agent_are_said_in_words_and_name_him_only_among_several(
-    third: bool, other: str
-) -> None:
+def test_speeds_beside_the_other_agent_are_a_table_and_name_him_only_among_several(third: bool, other: str) -> None:
     mount = SimpleNamespace(
         agent="worker", task="mount", work_s=(5.0,), usual_s=5.0, waits_for=("",),
         rates={"": 0.5, "arm: weld": 1.2, "arm: bring": 1.05}, waiting={"arm: weld": 0.5},
     )  # fmt: skip
     others = [SimpleNamespace(agent=name, task="x", work_s=(1.0,), usual_s=1.0, waits_for=("",), rates={}, waiting={})
               for name in ("arm", *(["helper"] if third else []))]  # fmt: skip
-    part = _learned(SimpleNamespace(tasks=[mount, *others], pace={}))
-    assert part.rows[0][-1] == f"during {other} 1.20; while the other waits after {other} 0.25"
-    assert "1.2 times as fast as alone" in part.sentences[-1]
+    _, speeds = _learned(SimpleNamespace(tasks=[mount, *others], pace={}))
+    assert speeds.rows == [["worker", "mount", other, "1.20", "0.25"]]
+    assert "1.2 times as fast as alone" in speeds.sentences[-1]

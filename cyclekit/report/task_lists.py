@@ -121,7 +121,7 @@ def report_tasks(
     missing = [NOT_KNOWN[0], *([] if card else [NO_MODEL])]
     played = play_lists(texts, card, found, takt_s) if play and card and kind == "html" else None
     missing += played.missing if played else ()
-    parts = [*_ranking(found, takt_s), *_not_answered(refused, "sequence"), *(_plan(one) for one in found)]
+    parts = [*_ranking(found, takt_s), *(_plan(one) for one in found), *_not_answered(refused, "sequence")]
     parts += [*_order(planned), *_changes(changed), *_not_answered(refused, "change", "order")]
     if found:
         drawn = [*([today] if today else []), *found[:MAX_SEQUENCES]]
@@ -281,7 +281,7 @@ def _speeds(card: TaskModelCard) -> list[Part]:
                 other = name.partition(": ")[2] if two else name  # the only other agent needs no name
                 rows.append([task.agent, task.task, other, *(text or "-" for text in shown)])
     said = f"1.20: 1.2 times as fast as alone. Changes of less than {percent(UNCHANGED)} are left out."
-    heads = ["Agent", "Task", "Other agent's task", "During it", "While he waits after it"]
+    heads = ["Agent", "Task", "Other agent's task", "During it", "While waiting after it"]
     return [Part("Speed beside the other agent", [said], heads, rows)] if rows else []
 
 

@@ -367,6 +367,11 @@ def test_a_project_of_task_lists_reports_its_plans(tmp_path: Path, monkeypatch, 
     assert "Who waits for what" in Path("report.html").read_text(encoding="utf-8")
     assert re.search("usual order|a logged order", Path("report.html").read_text(encoding="utf-8"))
     assert " ".join(cyclekit("run").out.split()).count("unchanged") == 4
+    with Path("sequences.toml").open("a", encoding="utf-8") as file:
+        file.write('\n[[sequence]]\nname = "new"\n[[sequence.task]]\nagent = "robot"\nname = "fly"\n')
+    rows = {row["stage"]: row for row in cyclekit("run", "--json").document["rows"]}
+    assert (rows["estimate"]["state"], rows["report"]["state"]) == ("done", "done")
+    assert "not answered: sequences.toml: sequence 'new'" in rows["report"]["text"]
 
 
 def test_a_project_whose_logs_show_nobody_is_estimated(tmp_path: Path, monkeypatch, cyclekit: Shell) -> None:

@@ -153,6 +153,6 @@ def test_speeds_beside_the_other_agent_are_a_table_and_name_him_only_among_sever
     )  # fmt: skip
     others = [SimpleNamespace(agent=name, task="x", work_s=(1.0,), usual_s=1.0, waits_for=("",), rates={}, waiting={})
               for name in ("arm", *(["helper"] if third else []))]  # fmt: skip
-    _, speeds = _learned(SimpleNamespace(tasks=[mount, *others], pace={}))
+    _, speeds = _learned(SimpleNamespace(tasks=[mount, *others], notices=()))
     assert speeds.rows == [["worker", "mount", other, "1.20", "0.25"]]
     assert "1.2 times as fast as alone" in speeds.sentences[-1]

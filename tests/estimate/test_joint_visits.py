@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from one_track import one_track
 
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, OwnWorkCard
 from cyclekit.estimate.joint.legs import Gates, operator_agenda
@@ -14,6 +15,8 @@ from cyclekit.estimate.joint.visits import OperatorVisit, Segments, parted_stays
 
 if TYPE_CHECKING:
     from simulated_cells import Cells
+
+    from cyclekit.dataset.dataset import Dataset
 
 
 def test_who_begins_at_a_place_leaves_it_as_late_as_he_did_in_the_logs() -> None:
@@ -95,3 +98,24 @@ def test_a_stay_is_parted_into_no_more_tasks_than_it_has_time_for() -> None:
         ("bench", 22.0),
     ]
     assert parted_stays(visits, "bench", 2, 2.0) == tuple(visits)
+
+
+@pytest.mark.parametrize("until_s", [6.4, 3.5])
+def test_a_walk_that_ended_after_its_execution_counts(
+    logged: Dataset, monkeypatch: pytest.MonkeyPatch, until_s: float
+) -> None:
+    """Without them long walks would be missing, and there would be hardly any to the place where he ends his work."""
+    stays = (("inbound", 3.0), ("out_left_1", 2.0), ("rest", 4.0))
+    found = one_track(logged, monkeypatch, stays, None, until_s=until_s)
+    for way in (("inbound", "out_left_1"), ("out_left_1", "rest")):
+        (number,) = found.walk(*way).tolist()
+        assert found.durations_s(np.array([number])) == pytest.approx([1.0])
+        xyz_m, first, count = found.table()
+        assert xyz_m[first[number] + count[number] - 1] == pytest.approx(logged.human_places[way[1]].xyz_m)
+    assert {visit.place for visit in found.orders["1"]} <= {"inbound", "out_left_1"}
+
+
+def test_who_idles_after_an_execution_is_on_no_walk(logged: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    stays = (("inbound", 3.0), ("out_left_1", 2.0))
+    found = one_track(logged, monkeypatch, stays, None, walks_s=60.0, until_s=5.0)
+    assert found.durations_s(found.walk("inbound", "out_left_1")).max() < 30.0

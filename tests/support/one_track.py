@@ -23,20 +23,36 @@ COLUMNS = ("agent", "agent_name", "execution", "index", "goal_place", "arrival_s
 
 
 def one_track(
-    logged: Dataset, patch: pytest.MonkeyPatch, stays: Sequence[tuple[str, float]], coupling: CouplingCard | None
+    logged: Dataset,
+    patch: pytest.MonkeyPatch,
+    stays: Sequence[tuple[str, float]],
+    coupling: CouplingCard | None,
+    *,
+    walks_s: float = 1.0,
+    until_s: float = np.inf,
 ) -> Segments:
-    """Return the segments of execution "1": stays at places of a dataset for some seconds each, one second between."""
+    """Return the segments of execution "1": stays at places of a dataset for some seconds each, walks between.
+
+    Args:
+        logged: The dataset with these places.
+        patch: Replaces the logged tracks.
+        stays: Place and seconds of each stay.
+        coupling: Who waits for whom.
+        walks_s: Duration of each walk, s.
+        until_s: When the execution ends, s; its tasks go on.
+    """
     at_s, rows, where = 0.0, list[tuple[object, ...]](), list[np.ndarray]()
     for name, stays_s in stays:
         rows.append(("operator", None, "1", len(rows), name, at_s, at_s + stays_s))
-        where += [np.array(logged.human_places[name].xyz_m)] * round((stays_s + 1.0) * logged.rate_hz)
-        at_s += stays_s + 1.0
+        where += [np.array(logged.human_places[name].xyz_m)] * round((stays_s + walks_s) * logged.rate_hz)
+        at_s += stays_s + walks_s
     visits = pl.DataFrame(rows, COLUMNS, orient="row")
     execution = msgspec.structs.replace(logged.card.executions[0], execution="1", complete=True, reference=False)
     card = msgspec.structs.replace(logged.card, executions=(execution,))
     stub = SimpleNamespace(
         rate_hz=logged.rate_hz, human_places=logged.human_places, card=card, every_task=lambda: visits
     )
-    track = SimpleNamespace(where=np.array(where), begin_s=0.0, seen=True)
+    rows_m = np.array(where)[: round(min(until_s, at_s) * logged.rate_hz) + 1]
+    track = SimpleNamespace(where=rows_m, begin_s=0.0, seen=True)
     patch.setattr("cyclekit.estimate.joint.visits.logged_tracks", lambda _: {"1": track})
     return Segments(stub, coupling)  # type: ignore[arg-type]  # a stub

@@ -12,7 +12,8 @@ import polars as pl
 
 from cyclekit.estimate.tracks import logged_tracks
 from cyclekit.learning.coupling.errands import joined
-from cyclekit.learning.coupling.trips import part_trips, usual_walks_s
+from cyclekit.learning.coupling.own_work import AT_START_S
+from cyclekit.learning.coupling.trips import LONG, LONG_S, part_trips, usual_walks_s
 from cyclekit.learning.coupling.visits import PlaceVisit
 
 if TYPE_CHECKING:
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from cyclekit.estimate.tracks import LoggedTrack
     from cyclekit.schema import Floats, Ints, Vector
 
-AT_START_S = 0.5
-"""Maximum time, s, from the start of an execution to a stay that counts as begun before the start."""
 WALK_M_S = 1.2
 """Walking speed, m/s, of an operator whose walks were never logged."""
 MIN_WALKS, MIN_M = 10, 0.1
@@ -95,14 +94,17 @@ class Segments:
         tracks = logged_tracks(dataset)
         mine = dataset.every_task().filter((pl.col("agent") == "operator") & pl.col("agent_name").is_null())
         every: dict[str, list[PlaceVisit]] = {}
+        cut_off: list[tuple[str, PlaceVisit, PlaceVisit]] = []
         for (name,), visits in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
             if name in complete and str(name) in tracks and tracks[str(name)].seen:
                 every[str(name)] = joined(self._seen(tracks[str(name)], visits), errands)
+                cut_off += [(str(name), *both) for both in self._cut_off(tracks[str(name)], visits, errands)]
         walks_s = usual_walks_s(list(every.values())) if gates else {}
         for name, seen in every.items():
             self._cut(name, tracks[name], seen, walks_s)
         self.orders = self._tasks()
         self._pace = self._paces()
+        self._add_cut_off(cut_off, tracks)
 
     def walk(self, start: str, goal: str) -> Ints:
         """Return the numbers of walks between two places; `start` is empty at the start of an execution.
@@ -204,6 +206,56 @@ class Segments:
             if place in self._places and first_s <= left_s:
                 found.append(PlaceVisit(place, first_s, left_s))
         return found
+
+    def _cut_off(
+        self, track: LoggedTrack, visits: pl.DataFrame, errands: Sequence[str]
+    ) -> list[tuple[PlaceVisit, PlaceVisit]]:
+        """Return the visits before and after each walk that ended after its execution; times as in `_seen`.
+
+        Trips, errands and waits at spots are left out.
+        """
+        last_s, known = (len(track.where) - 1) * self._step_s, set(self._places) - self.trip_places - self._spots
+        every = [
+            PlaceVisit(place, arrives_s - track.begin_s, np.nan if leaves_s is None else leaves_s - track.begin_s)
+            for place, arrives_s, leaves_s in visits.select("goal_place", "arrival_s", "end_s").iter_rows()
+            if arrives_s is not None
+        ]
+        return [
+            (before, after)
+            for before, after in pairwise(every)
+            if after.arrived_s > last_s
+            and after.arrived_s > before.left_s
+            and before.place != after.place
+            and {before.place, after.place} <= known - set(errands)
+        ]
+
+    def _add_cut_off(
+        self, walks: Sequence[tuple[str, PlaceVisit, PlaceVisit]], tracks: Mapping[str, LoggedTrack]
+    ) -> None:
+        """Store walks that ended after their execution: without them, long ones would be missing.
+
+        He may have idled on the way, as the cycle was over: long ones do not count, and those that began after the end
+        only between places with few other walks. His position after the end is assumed on the straight way.
+        """
+        least_s, per_m, _ = self._pace
+        later: list[tuple[tuple[str, str], Floats, float]] = []
+        for name, before, after in walks:
+            way, took_s = (before.place, after.place), after.arrived_s - before.left_s
+            begin, end = (np.array(self._places[place].xyz_m) for place in way)
+            if took_s > LONG * (least_s + per_m * float(np.linalg.norm((end - begin)[:2]))) + LONG_S:
+                continue
+            seen, pace = tracks[name].where[max(self._row(before.left_s), 0) :, :3], self._pace_of(name)[1]
+            path = seen if len(seen) else begin[None]
+            rows = max(self._row(took_s) + 1 - len(path), 1)
+            path = np.concatenate([path, path[-1] + (end - path[-1]) * (np.arange(1, rows + 1) / rows)[:, None]])
+            if len(seen):
+                self._ways[way].append(self._add(path, pace))
+            else:
+                later.append((way, path, pace))
+        few = {way for way, _, _ in later if len(self._ways[way]) < MIN_WALKS}
+        for way, path, pace in later:
+            if way in few:
+                self._ways[way].append(self._add(path, pace))
 
     def _pace_of(self, name: str) -> tuple[float, float]:
         return self._paces_of.get(name, (1.0, 1.0))

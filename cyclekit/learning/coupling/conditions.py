@@ -55,7 +55,7 @@ SHUFFLES = 6
 """Number of random orders of the events."""
 MAX_CONDITIONS = 2
 """Maximum number of conditions per gate."""
-KEPT = 400
+KEPT = 1200
 """Maximum number of departures from which lags are learned."""
 Times = dict[Event, "Floats"]
 """Times of each kind of event per execution, s; see `times_of`."""

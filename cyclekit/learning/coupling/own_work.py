@@ -30,6 +30,8 @@ MIN_OWN = 5.0
 MIN_READY, MIN_GAIN_AT_START = 10, 2.0
 """Minimum number of executions begun at a place, and of other visits to it, to tell them apart; the minimum gain in
 log-likelihood."""
+AT_START_S = 0.5
+"""Maximum time, s, from the start of an execution to a stay that counts as begun before the start."""
 SHRINK = 1.0
 """Number of departures by which the distribution of one group is drawn to that of all."""
 Side = Literal["next", "before"]
@@ -80,7 +82,9 @@ def rest_at_start(
         own_s: Quantiles of his own work there in all of them, s.
     """
     since = np.array([found.left_s - found.own_s + found.more_s, *found.since_s.values()])
-    later = (_others(courses, found, "before") != "") * 1
+    start_s = np.array([course.visits["robot"][0].arrived_s for course in courses])[found.course]
+    came = found.own_s - found.more_s > start_s + AT_START_S  # where he first goes he does his whole work
+    later = ((_others(courses, found, "before") != "") | came) * 1
     step = -(-len(later) // KEPT)
     since, later = since[:, ::step], later[::step]
     if np.bincount(later, minlength=2).min() < MIN_READY:

@@ -88,6 +88,27 @@ def test_who_begins_a_cycle_in_the_middle_of_his_work_has_the_rest_of_it_left() 
     assert any("if a cycle begins in the middle of it" in line for line in habit_lines(card))
 
 
+def test_who_comes_to_his_first_place_after_the_start_has_all_of_his_work_left() -> None:
+    rng = np.random.default_rng(4)
+    orders = [rng.uniform(2.0, 6.0, 1 + number % 3) for number in range(60)]
+    courses = [_execution(rng, str(number), order, (4.0, 14.0)) for number, order in enumerate(orders)]
+    for course in courses:
+        course.visits["robot"][0] = PlaceVisit("home", -5.0, 0.0)  # type: ignore[index]  # a list
+    assert all(one.place for one in _gate(learn_courses(courses), "operator", "leave", "bench").own_by)
+
+
+def test_every_departure_of_two_hundred_executions_counts() -> None:
+    """His first visit to the bench takes 2 s, his second 4 s: every other departure would be all of one kind."""
+    courses = []
+    for number in range(205):
+        operator = [PlaceVisit("bench", 1.0, 3.0), PlaceVisit("bench", 4.0, 8.0), PlaceVisit("rest", 9.0, np.nan)]
+        robot = [PlaceVisit("home", 0.0, 0.0), PlaceVisit("crate", 3.0, 4.0), PlaceVisit("home", 9.0, np.nan)]
+        visits: dict[Agent, list[PlaceVisit]] = {"robot": robot, "operator": operator}
+        courses.append(ExecutionVisits(str(number), visits, events_of(visits)))
+    bench = _gate(learn_courses(courses), "operator", "leave", "bench")
+    assert np.mean(bench.own_s) == pytest.approx(3.0, abs=0.1)
+
+
 def test_trips_at_both_ends_of_an_execution_are_no_tasks() -> None:
     at = {"bench": 1.0, "shelf": 1.0, "fixture": 3.0}
     for order in (("shelf", "bench", "fixture", "bench"), ("bench", "fixture", "bench", "shelf")):

@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from cyclekit.estimate.continuation import ITSELF, LoggedStates, Stretch, smooth
 
@@ -82,6 +81,8 @@ def start_tracks(
 def _followers(logs: Sequence[Stretch], step_s: float, really: Mapping[int, int]) -> dict[int, int]:
     """Return the follower of each log: the one that really followed, else the assigned one."""
     ends = [k for k in range(len(logs)) if k not in really]
+    from scipy.optimize import linear_sum_assignment  # slow to import, and coupled cells need none
+
     begins = sorted(set(range(len(logs))) - set(really.values()))
     head = {begin: begin for begin in begins}  # last log of each chain of really following logs -> its first
     for begin in begins:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -106,6 +107,11 @@ class Agenda:
     def events(self) -> list[tuple[Event, int]]:
         """The events that it sets, each with the number of its task."""
         return [(event, leg.task) for leg in self.legs for event in (*leg.arrives, *leg.passes)]
+
+    @cached_property
+    def alone_s(self) -> float:
+        """How long it takes at most if nothing disturbs the agent, s: 5 s for each walk."""
+        return sum(max(float(np.max(leg.own_s)), 0.0) + leg.way_s + 5.0 for leg in self.legs)
 
 
 class Gates:

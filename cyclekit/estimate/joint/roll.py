@@ -98,6 +98,11 @@ class RolledBoth:
     left_out: float
     shared: Vector
 
+    @cached_property
+    def begins_s(self) -> Vector:
+        """When the first task of any agent starts, shape (cycles,), s."""
+        return _begins_s(len(self.duration_s), (self.robot, *self.operators))
+
 
 class JointCell:
     """Inputs of joint rollouts: safety function, wait conditions, the operator's logged tracks."""
@@ -335,21 +340,17 @@ def _agents_of(
     if plan.both:
         for each in mine:
             duration[each.rows] = np.maximum(duration[each.rows], each.times.passes_s[:, -1])
-        duration -= begins_s(len(rows), (robot, *mine))
+        duration -= _begins_s(len(rows), (robot, *mine))
     return robot, mine, duration
 
 
 def longest_s(plan: Plan) -> float:
     """Return the time after which a cycle of a plan is abandoned, s."""
     latest = max(leg.not_before_s for agenda in (plan.robot, *plan.operators) for leg in agenda.legs)
-    return REST_S + TIMES * (_work_s(plan.robot) + max(map(_work_s, plan.operators))) + latest
+    return REST_S + TIMES * (plan.robot.alone_s + max(agenda.alone_s for agenda in plan.operators)) + latest
 
 
-def _work_s(agenda: Agenda) -> float:
-    return sum(max(float(np.max(leg.own_s)), 0.0) + leg.way_s + 5.0 for leg in agenda.legs)
-
-
-def begins_s(cycles: int, agents: Sequence[OneAgent]) -> Vector:
+def _begins_s(cycles: int, agents: Sequence[OneAgent]) -> Vector:
     """Return when the first task of any agent starts, shape (cycles,), s."""
     begins = np.full(cycles, np.inf)
     for agent in agents:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cyclekit.estimate.joint.plans import legs_of_tasks
-from cyclekit.estimate.joint.roll import begins_s
 from cyclekit.estimate.joint.walk import OWN, PLANNED
 from cyclekit.estimate.result import ELSEWHERE, OWN_TASK, PARTS, PlannedShare, TaskShare
 
@@ -103,7 +102,7 @@ class _Span(NamedTuple):
 
 def _spans(agent: OneAgent, rolled: RolledBoth) -> Iterator[_Span]:
     agenda, times, before = agent.agenda, agent.times, 0
-    begin_s = begins_s(len(rolled.duration_s), (rolled.robot, *rolled.operators))[agent.rows]
+    begin_s = rolled.begins_s[agent.rows]
     for name, legs in zip(agenda.tasks, legs_of_tasks(agenda), strict=True):
         rest = False
         for leg in legs:

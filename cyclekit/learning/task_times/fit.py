@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import minimize
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -57,6 +56,8 @@ def best_at(parts: Parts, spreads: Mapping[str, float], begin: Vector, least: fl
 
     The log spread is at least `least`: effects fitted to few repetitions leave too little of it.
     """
+    from scipy.optimize import minimize  # slow to import, and only needed for task lists
+
     prior = np.array([spreads[kind] for kind in parts.kinds])
     begin = np.concatenate([begin[:1], [max(begin[1], least)], begin[2:]])
     steps = _steps(parts, spreads, begin)

@@ -8,14 +8,13 @@ cause decided; distributions and probabilities are estimated alternately (EM).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from cyclekit.schema import Bools, Floats, Vector
 
 LEVELS = 51
@@ -62,10 +61,9 @@ def deciding_causes(since_s: Floats) -> Causes:
     for number in range(ROUNDS if len(since) > 1 else 1):
         mass = np.array([reverse_kaplan_meier(*each) for each in zip(ranked, share, there, strict=True)])
         if number <= SETTLED:
-            before: Sequence[_Kernels | None] = kernels or [None] * len(since)
             kernels = [
-                _kernels(t[on], m[on], OF_LAG if c else OF_OWN, was)
-                for c, (t, m, on, was) in enumerate(zip(since, mass, known, before, strict=True))
+                _kernels(t[on].tobytes(), _width(t[on], m[on]), OF_LAG if c else OF_OWN)
+                for c, (t, m, on) in enumerate(zip(since, mass, known, strict=True))
             ]
         parts = [_smooth(*each) for each in zip(mass, known, there, kernels, strict=True)]
         cdf = np.array([below for _, below in parts])
@@ -126,23 +124,21 @@ def _first_guess(since_s: Floats) -> Floats:
 class _Kernels(NamedTuple):
     """Kernel density and kernel distribution function of each known time at every other one, both (K, K)."""
 
-    width_s: float
     density: Floats
     below: Floats
 
 
-def _kernels(times: Vector, mass: Vector, irregular: float, before: _Kernels | None) -> _Kernels:
-    """Return the kernels of K known times with this mass; those before if the width is the same."""
-    width = _width(times, mass)
-    if before is not None and before.width_s == width:
-        return before
+@lru_cache(maxsize=32)  # own work and its width are often the same beside each condition that is tried
+def _kernels(known: bytes, width: float, irregular: float) -> _Kernels:
+    """Return the kernels of K known times, given as bytes, with a width; to be read, not changed."""
+    times = np.frombuffer(known)
     density, below = np.zeros((len(times), len(times))), np.zeros((len(times), len(times)))
     for part, scale in ((1.0 - irregular, width), (irregular, WIDE * width)):
         z = (times[:, None] - times[None, :]) / scale
         density += part * np.exp(-0.5 * z * z) / (scale * np.sqrt(2.0 * np.pi))
         below += part * ndtr(z)
     np.fill_diagonal(density, 0.0)
-    return _Kernels(width, density, below)
+    return _Kernels(density, below)
 
 
 def _smooth(mass: Vector, known: Bools, there: Bools, kernels: _Kernels) -> tuple[Vector, Vector]:

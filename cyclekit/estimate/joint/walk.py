@@ -196,7 +196,8 @@ class RobotLine:
 
     def advance(self, scaling: Vector, until_s: float) -> tuple[Vector, Ints]:
         """Advance to a time; return the safety loss of each row in it (N,), s, and the rows that began a new part."""
-        lost, some, touched = np.zeros(len(scaling)), np.flatnonzero(self.part != ENDED), [np.empty(0, dtype=np.int64)]
+        lost, some = np.zeros(len(scaling)), np.flatnonzero(self.part != ENDED)
+        touched: list[Ints] = []
         while len(some):
             row, leg, part, clock = self.row[some], self.leg[some], self.part[some], self._clock[some]
             moves, waits = part == MOVES, part == WAITS
@@ -216,10 +217,14 @@ class RobotLine:
             self.times.lost_s[row, leg] += loss
             lost[some] += loss
             some, decided = some[done], decided[done]
+            if not len(some):
+                break
             self._next(some, decided)
             touched.append(self.row[some])
             some = some[self.part[some] != ENDED]
-        return lost, np.unique(np.concatenate(touched))
+        if len(touched) > 1:
+            return lost, np.unique(np.concatenate(touched))
+        return lost, touched[0] if touched else some[:0]
 
     def _next(self, some: Ints, decided: Ints) -> None:
         """Start the next part of rows that have ended a way, own work or a wait."""

@@ -28,6 +28,9 @@ ANY, ANY_S = 1e-3, 100.0
 """Share of outliers, and the range of their uniform density, s."""
 ROUNDS, SETTLED = 10, 2
 """Number of EM iterations, and the iteration from which the kernels stay fixed."""
+FEW, REMEMBERED = 128, 32
+"""Kernels of at most FEW departures are kept for further calls, REMEMBERED of them (8 MB): own work and its width are
+often the same beside each condition that is tried."""
 _TINY = 1e-300
 
 
@@ -57,12 +60,13 @@ def deciding_causes(since_s: Floats) -> Causes:
     since, ranked = np.where(known, since_s, 0.0), np.where(there, since_s, 0.0)
     share = _first_guess(np.where(known, since_s, np.nan))
     kernels: list[_Kernels] = []
+    kernels_of = _remembered if since.shape[1] <= FEW else lru_cache(maxsize=len(since))(_kernels)
     others_of = ~np.eye(len(since), dtype=bool)
     for number in range(ROUNDS if len(since) > 1 else 1):
         mass = np.array([reverse_kaplan_meier(*each) for each in zip(ranked, share, there, strict=True)])
         if number <= SETTLED:
             kernels = [
-                _kernels(t[on].tobytes(), _width(t[on], m[on]), OF_LAG if c else OF_OWN)
+                kernels_of(t[on].tobytes(), _width(t[on], m[on]), OF_LAG if c else OF_OWN)
                 for c, (t, m, on) in enumerate(zip(since, mass, known, strict=True))
             ]
         parts = [_smooth(*each) for each in zip(mass, known, there, kernels, strict=True)]
@@ -128,7 +132,6 @@ class _Kernels(NamedTuple):
     below: Floats
 
 
-@lru_cache(maxsize=32)  # own work and its width are often the same beside each condition that is tried
 def _kernels(known: bytes, width: float, irregular: float) -> _Kernels:
     """Return the kernels of K known times, given as bytes, with a width; to be read, not changed."""
     times = np.frombuffer(known)
@@ -139,6 +142,9 @@ def _kernels(known: bytes, width: float, irregular: float) -> _Kernels:
         below += part * ndtr(z)
     np.fill_diagonal(density, 0.0)
     return _Kernels(density, below)
+
+
+_remembered = lru_cache(maxsize=REMEMBERED)(_kernels)
 
 
 def _smooth(mass: Vector, known: Bools, there: Bools, kernels: _Kernels) -> tuple[Vector, Vector]:

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit.learning.coupling.lags import deciding_causes, quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling import lags
+from cyclekit.learning.coupling.lags import FEW, deciding_causes, quantiles, reverse_kaplan_meier
 
 
 @settings(max_examples=20, deadline=None)
@@ -47,3 +48,12 @@ def test_quantiles_ascend_within_what_was_seen(times: list[float]) -> None:
     found = quantiles(at, np.full(len(at), 1.0 / len(at)))
     assert list(found) == sorted(found)
     assert at.min() - 1e-3 <= found[0] <= found[-1] <= at.max() + 1e-3
+
+
+def test_kernels_of_many_departures_are_not_kept() -> None:
+    since_s = np.random.default_rng(0).uniform(0.1, 5.0, (2, FEW + 1))
+    before = lags._remembered.cache_info()
+    deciding_causes(since_s)
+    assert lags._remembered.cache_info() == before
+    deciding_causes(since_s[:, :FEW])
+    assert lags._remembered.cache_info().misses > before.misses

@@ -224,20 +224,23 @@ def test_the_time_that_the_operator_needs_after_the_robot_is_idle_time_and_no_wa
     assert "motion" in said.splitlines()[0]
 
 
-@pytest.mark.parametrize("buffer", [1, 2])
-def test_parts_come_after_a_gap_as_long_as_there_is_room(logged: Dataset, buffer: int) -> None:
+@pytest.mark.parametrize(("buffer", "first_s", "gap_s"), [(1, 10.0, 4.0), (2, 10.0, 4.0), (2, -9.0, 12.0)])
+def test_parts_come_after_a_gap_as_long_as_there_is_room(
+    logged: Dataset, buffer: int, first_s: float, gap_s: float
+) -> None:
+    """The first may have come before the cycle; then the next one comes the sooner."""
     need = ConditionCard(agent="signal", place="part", event="set", lag_s=(0.1,))
     gate = GateCard(agent="robot", at="leave", place="conveyor", own_s=(0.0,), conditions=(need,))
     card = msgspec.structs.replace(
         gates(gate),
-        sources=(SourceCard(signal="part", gap_s=(4.0,), first_s=(10.0,), buffer=buffer, taken_by="conveyor"),),
+        sources=(SourceCard(signal="part", gap_s=(gap_s,), first_s=(first_s,), buffer=buffer, taken_by="conveyor"),),
     )
     found = rolled(logged, card, both(("inbound",)))
     at = [n for n, leg in enumerate(found.robot.agenda.legs) if leg.place == "conveyor"]
     taken, arrives = found.robot.times.passes_s[0, at], found.robot.times.works_s[0, at]
-    came = [10.0]
+    came = [first_s]
     for part in (1, 2):
-        came.append(max(came[-1] + 4.0, taken[part - buffer] if part >= buffer else 0.0))
+        came.append(max(came[-1] + gap_s, taken[part - buffer] if part >= buffer else 0.0))
     assert taken == pytest.approx(np.maximum(np.array(came) + 0.1, arrives), abs=1e-9)
 
 

@@ -131,6 +131,32 @@ def test_a_part_comes_a_gap_after_the_one_before_if_there_is_room() -> None:
         altered_times(model, Change("no such wait", no_wait=(("sort", "part"),)))
 
 
+def test_a_conveyor_that_runs_on_between_executions_has_parts_ready() -> None:
+    """Each execution takes one part: the wait depends on how long the last one is ago."""
+    rng = np.random.default_rng(3)
+    begin_s, came_s, taken_s, runs = 0.0, 0.0, 0.0, list[Run]()
+    for number in range(80):
+        sorts = [FIRST] * int(rng.choice([0, 0, 3]))
+        begin, tasks = begin_s + rng.uniform(0.0, 1.0), list[DoneTask]()
+        at = 0.0
+        for task in ("stack", *sorts, "load"):
+            at += rng.uniform(0.05, 0.15)
+            if task == "load":
+                came_s = max(came_s + 14.0 + rng.exponential(4.0), taken_s)
+                at = max(at, came_s - begin)
+                taken_s = begin + at
+            tasks.append(DoneTask(task, at, at + OWN_S[task]))
+            at += OWN_S[task]
+        runs.append(Run(str(number), {"arm": tuple(tasks)}, number, session="shift", begin_s=begin))
+        begin_s = begin + at
+    parts = learn_starts(runs, "arm")["load"].parts
+    assert parts is not None
+    assert np.mean(parts.gap_s) == pytest.approx(18.0, abs=1.5)
+    assert min(parts.first_s) < 0.0
+    elsewhere = [replace(run, session=run.name) for run in runs]
+    assert learn_starts(elsewhere, "arm")["load"].parts is None
+
+
 def test_parts_of_a_conveyor_are_learned_from_a_task_list(tmp_path: Path) -> None:
     scene = "fed-line"
     simulate(scene, tmp_path / "logs", executions=40, seed=3, options=SimulationOptions(task_list=True))

@@ -178,7 +178,8 @@ class SourceCard(Card, frozen=True, kw_only=True):
     Attributes:
         signal: Name of the signal.
         gap_s: Time from one `set` to the next, while there is room.
-        first_s: Time from the start of the execution to the first one.
+        first_s: Time from the start of the execution to the first one; negative = it came before, as the conveyor
+            runs on between executions.
         buffer: Number of parts that may wait; the next one then comes after one is taken.
         taken_by: Place of the robot where a part is taken, or at or before which it waits for the signal.
         inferred: Whether it was learned from standstills of the robot there, without a signal.
@@ -195,6 +196,11 @@ class SourceCard(Card, frozen=True, kw_only=True):
     inferred: bool = False
     event: Literal["set", "cleared"] = "set"
     after: Annotated[tuple[ConditionCard, ...], Meta(max_length=4)] = ()
+
+    @property
+    def comes_on(self) -> bool:
+        """Whether parts come between executions too."""
+        return self.first_s[0] < 0.0 and not self.after
 
     @property
     def brings(self) -> Literal["set", "cleared", "arrives"]:

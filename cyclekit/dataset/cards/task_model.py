@@ -69,7 +69,8 @@ class PartsCard(Card, frozen=True, kw_only=True):
     """Parts that a task begins with, such as those of a conveyor; no task list tells when they come.
 
     Attributes:
-        first_s: Time from the start of the execution to the first part; all values are equally probable.
+        first_s: Time from the start of the execution to the first part; all values are equally probable. Negative = it
+            came before, as the conveyor runs on between executions.
         gap_s: The same from one part to the next, while there is room.
         buffer: Number of parts that may wait; the next one then comes when the task starts.
     """

@@ -165,7 +165,7 @@ class CycleDraws:
             key = f"{agenda.agent} {leg.name}"
             share = self._levels.share_of(leg.own_s, WORK) if agenda.agent == "operator" else 0.0
             work = self._level(rows, key, turns[key], share)
-            self.own_s[rows, number] = np.maximum(quantile(leg.own_s, work), 0.0)
+            self.own_s[rows, number] = np.maximum(quantile(leg.own_s, work), min(leg.not_before_s, 0.0))
             for each, need in enumerate(leg.needs):
                 self.soonest_s[which, number, each] = soonest_s(need.lag_s.tolist())
                 level = self._level(rows, f"{key} after {need.event[:3]}", turns[key], need.common)

@@ -66,7 +66,7 @@ class AgendaLeg:
         own_s: Quantiles of the time of own work at its end, s.
         name: Key of the draws of own work and lags: the same in every plan.
         needs: Events needed before departure.
-        not_before_s: Earliest departure, from the start of the cycle.
+        not_before_s: Earliest departure, from the start of the cycle; -inf = a part may have come before it.
         arrives, passes: Events set at the end of the way, and at departure.
         hold: Whether it is a wait before the task begins.
         trip: Trips that the operator makes before departure, mostly while he waits.

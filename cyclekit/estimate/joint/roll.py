@@ -274,7 +274,7 @@ class JointCell:
         wanted = [need.event for agenda in robots for leg in agenda.legs for need in leg.needs]
         mine = [event for event in wanted if event[:3] == ("signal", source.signal, source.brings)]
         count = 1 + max((event[3] for event in (mine if source.after else taken)), default=-1)
-        legs = []
+        legs, begin_s = [], -np.inf if source.comes_on else 0.0
         for part in range(count):
             if source.after:
                 needs = needs_of(source.after, part)
@@ -284,7 +284,16 @@ class JointCell:
             own = np.array(source.gap_s if part else source.first_s)
             passes = (("signal", source.signal, source.brings, part),)
             legs.append(
-                AgendaLeg(part, "", np.empty((0, 3)), own_s=own, name=source.signal, needs=needs, passes=passes)
+                AgendaLeg(
+                    part,
+                    "",
+                    np.empty((0, 3)),
+                    own_s=own,
+                    name=source.signal,
+                    needs=needs,
+                    not_before_s=begin_s,
+                    passes=passes,
+                )
             )
         return Agenda("signal", tuple(legs) or (AgendaLeg(-1, "", np.empty((0, 3))),), (source.signal,) * count)
 

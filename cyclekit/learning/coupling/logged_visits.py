@@ -73,6 +73,7 @@ def courses_of(
     states = {} if people else {session: _states(recordings, session, logged) for session in sessions}
     known = {name for some in (*inputs.values(), *by_session.values()) for name, state in some if state == "set"}
     ends_s = _until(executions)
+    numbers = {card.execution: number for number, card in enumerate(executions)}
     found: list[ExecutionVisits] = []
     logged_states: dict[str, Mapping[tuple[str, str], Vector]] = {}
     for (name,), rows in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
@@ -93,7 +94,8 @@ def courses_of(
         until_s = ends_s[card.execution]
         after = {} if people else {key: at[(at > end_s) & (at < until_s)] for key, at in every.items()}
         later = {Event("signal", *key): at for key, at in after.items() if len(at)}
-        found.append(ExecutionVisits(card.execution, visits, events_of(visits) | events, card.session, later=later))
+        events, number = events_of(visits) | events, numbers[card.execution]
+        found.append(ExecutionVisits(card.execution, visits, events, card.session, number=number, later=later))
     if not people:
         waited = known - set(fields) - _within_visits(found, logged_states)
         begins = {card.execution: card.start_s for card in executions}

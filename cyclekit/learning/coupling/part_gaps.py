@@ -21,6 +21,8 @@ BIN_S, MAX_BINS = 0.25, 1024
 """Minimum width of a bin, s, and maximum number of bins: the longest chain is within them."""
 MAX_CHAINS = 1000
 """Maximum number of chains to learn from."""
+MAX_PARTS = 40
+"""Maximum number of parts of a chain: the time of later ones is hardly known."""
 ROUNDS = 30
 """Number of EM iterations."""
 ANY = 1e-6
@@ -54,21 +56,24 @@ class _Part(NamedTuple):
     room_s: float
 
 
-def part_gaps(visits: PartVisits, first: Times, gaps: Times, buffer: int) -> tuple[Vector, Vector, Vector]:
+def part_gaps(visits: PartVisits, first: Times | None, gaps: Times, buffer: int) -> tuple[Vector, Vector, Vector]:
     """Return times, s, and the probability that the first part of an execution comes then, and the next one, (N,) each.
 
     Args:
         visits: Visits of the robot to the place of the parts.
-        first: What the first parts of executions tell alone; the estimate starts from it.
+        first: What the first parts of executions tell alone; the estimate starts from it. None: these visits follow a
+            part themselves (`part_chains`), so the first gap is like the others.
         gaps: The same of parts after those that the robot waited for.
         buffer: Maximum number of waiting parts.
     """
-    rows = _rows(visits, buffer)
+    rows = [chain[:MAX_PARTS] for chain in _rows(visits, buffer)]
     rows = rows[:: -(-len(rows) // MAX_CHAINS)]
     longest_s = max(part.latest_s for chain in rows for part in chain)
     bin_s = max(BIN_S, longest_s / (MAX_BINS - 2))
     chains, count = _chains(rows, bin_s), int(longest_s / bin_s) + 2
-    laws: Floats = np.array([_on_grid(each, bin_s, count) for each in (first, gaps)])
+    if first is None:
+        chains = chains._replace(of_start=np.zeros_like(chains.of_start))
+    laws: Floats = np.array([_on_grid(each, bin_s, count) for each in (first or gaps, gaps)])
     for _ in range(ROUNDS):
         expected = _expected(chains, laws)
         laws = np.asarray(expected / np.maximum(expected.sum(axis=1, keepdims=True), _TINY))

@@ -63,11 +63,12 @@ class Times(NamedTuple):
         return np.asarray((1.0 - ANY) * mass.sum() * (kernel @ mass) / left + ANY / ANY_S)
 
     def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-        """Return random times; mass below all observed times is assigned to the shortest."""
+        """Return random times; mass below all observed times is spread evenly over these."""
         some = self.mass > 0.0
-        times, mass = self.at[some], self.mass[some].copy()
-        mass[times.argmin()] += max(0.0, 1.0 - mass.sum())
-        return np.asarray(rng.choice(times, shape, p=mass / mass.sum()))
+        times, mass = self.at[some], self.mass[some]
+        missing = max(0.0, 1.0 - mass.sum())
+        chosen = rng.choice(len(mass) + 1, shape, p=np.append(mass, missing) / (mass.sum() + missing))
+        return np.where(chosen < len(mass), np.append(times, 0.0)[chosen], rng.uniform(0.0, times.min(), shape))
 
 
 def part_visits(courses: Sequence[ExecutionVisits], place: str) -> PartVisits:

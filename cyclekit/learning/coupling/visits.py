@@ -52,6 +52,7 @@ class ExecutionVisits:
         visits: Visits of each agent in order; the first has the start of the execution as arrival.
         events: Times of each kind of event, ascending, s.
         session, pace: Name of its session; duration of the operator's own work relative to the last execution.
+        number: Number among all logged executions, ordered by time; -1 = unknown.
         later: Changes of signals after its end and before the next execution of its session, in logs without operators.
     """
 
@@ -60,6 +61,7 @@ class ExecutionVisits:
     events: Mapping[Event, Vector] = field(default_factory=dict)
     session: str = ""
     pace: float = 1.0
+    number: int = -1
     later: Mapping[Event, Vector] = field(default_factory=dict)
 
     def with_operator(self, visits: Sequence[PlaceVisit]) -> ExecutionVisits:

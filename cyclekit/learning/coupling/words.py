@@ -113,7 +113,10 @@ def _in_turn_line(card: InTurnCard) -> str:
 def _source_lines(source: SourceCard, *, in_turn: bool) -> list[str]:
     gap = f"{_quantile(source.gap_s, 0.05):.1f} to {_quantile(source.gap_s, 0.95):.1f} s"
     if not source.after:
-        return [f"parts of {source.signal} come {gap} apart; at most {source.buffer} wait at {source.taken_by}"]
+        between = ", also between executions" if source.comes_on else ""
+        return [
+            f"parts of {source.signal} come {gap} apart{between}; at most {source.buffer} wait at {source.taken_by}"
+        ]
     lines = []
     for one in source.after:
         lag = f"{max(_quantile(one.lag_s, 0.05), 0.0):.1f} to {_quantile(one.lag_s, 0.95):.1f} s"

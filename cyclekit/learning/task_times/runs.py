@@ -54,6 +54,7 @@ class Run:
         number: Number among all logged executions, ordered by time.
         failed: Whether one of its tasks failed.
         session: Name of its session.
+        begin_s: Its start, session seconds.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Run:
     number: int = 0
     failed: bool = False
     session: str = ""
+    begin_s: float = 0.0
 
     @property
     def order(self) -> tuple[tuple[str, ...], ...]:
@@ -97,7 +99,8 @@ def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
             task = spelling[agent, _plain(task)]
             tasks.setdefault(agent, []).append(DoneTask(task, start_s, end_s, planned))
         failed = bool((mine["outcome"] == "failed").any())
-        found.append(Run(str(name), {agent: tuple(some) for agent, some in tasks.items()}, failed=failed))
+        done = {agent: tuple(some) for agent, some in tasks.items()}
+        found.append(Run(str(name), done, failed=failed, begin_s=begin))
     at = {one.execution: number for number, one in enumerate(dataset.card.executions)}
     session = {one.execution: one.session for one in dataset.card.executions}
     found.sort(key=lambda run: at[run.name])

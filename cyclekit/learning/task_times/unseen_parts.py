@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.cards.task_model import PartsCard
+from cyclekit.learning.coupling.part_chains import succession
 from cyclekit.learning.coupling.part_visits import PartVisits
 from cyclekit.learning.coupling.unseen_parts import part_arrivals
 
@@ -30,7 +31,8 @@ def find_unseen_parts(one: Waiting) -> tuple[PartsCard | None, Vector]:
     """Return the parts that a task waits for, None if its starts show none, and its lags after them, shape (N,), s."""
     ready_s = np.minimum(one.ready_s(), one.start_s)
     lags_s = one.start_s - one.ready_s()
-    numbers, row = np.unique([each.run.number for each in one.seen], return_inverse=True)
+    numbers, first, row = np.unique([each.run.number for each in one.seen], return_index=True, return_inverse=True)
+    runs = [one.seen[n].run for n in first]
     nth = np.array([each.nth for each in one.seen])
     came, left = np.full((2, len(numbers), nth.max() + 1), np.nan)
     came[row, nth], left[row, nth] = ready_s, one.start_s
@@ -39,7 +41,10 @@ def find_unseen_parts(one: Waiting) -> tuple[PartsCard | None, Vector]:
     step_s = float(np.diff(np.unique(np.round(one.start_s, 3))).min(initial=np.inf))
     least_s = max(MIN_WAIT_S, MIN_STEPS * step_s)
     is_long = waited.any() and np.median(lags_s[waited]) - visits.own_s > least_s
-    found = part_arrivals(visits) if is_long else None
+    begins_s = [run.begin_s for run in runs]
+    ends_s = [run.begin_s + run.duration_s for run in runs]
+    order = succession([run.session for run in runs], numbers.tolist(), begins_s, ends_s)
+    found = part_arrivals(visits, order) if is_long else None
     if found is None:
         return None, lags_s
     first_s, gap_s = (_equally_probable(some) for some in (found.first_s, found.gap_s))

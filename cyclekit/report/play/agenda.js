@@ -160,7 +160,7 @@ const sourceAgenda = (source, robot, asked) => { // JointCell.source
   const count = 1 + Math.max(-1, ...taken.map((event) => Number(event[3])));
   const buffer = asked.buffer[source.signal] || source.buffer;
   const legs = Array.from({ length: count }, (_, part) => ({
-    task: part, place: "", path: null, way_s: 0, start: null, hold: false, name: source.signal, notBefore_s: 0,
+    task: part, place: "", path: null, way_s: 0, start: null, hold: false, name: source.signal, notBefore_s: source.first_s[0] < 0 ? -Infinity : 0,
     own_s: part ? source.gap_s : source.first_s,
     needs: part < buffer ? [] : [{
       event: ["robot", source.taken_by, "leaves", part - buffer].join(APART), said: source.said, lag_s: NOTHING_S, soonest_s: 0, needed: 1,

@@ -12,7 +12,7 @@ const drawInto = (rows, cycle, events, asked) => { // what is drawn for one cycl
     const { leg } = row;
     set(events, leg.arrives, Infinity);
     set(events, leg.passes, Infinity);
-    row.own_s = Math.max(drawnFrom(leg.own_s, leg.work, cycle), 0);
+    row.own_s = Math.max(drawnFrom(leg.own_s, leg.work, cycle), Math.min(leg.notBefore_s, 0));
     leg.due.forEach((need, n) => {
       row.lags[n] = need.chance && need.chance[cycle] >= need.needed ? -Infinity : drawnFrom(need.lag_s, need.level, cycle);
     });

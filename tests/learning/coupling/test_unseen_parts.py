@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 import pytest
@@ -9,8 +11,10 @@ import pytest
 from cyclekit import schema
 from cyclekit.dataset.cards.coupling import Agent
 from cyclekit.learning.coupling.learn import learn_courses
+from cyclekit.learning.coupling.part_chains import succession
 from cyclekit.learning.coupling.part_gaps import part_gaps
 from cyclekit.learning.coupling.part_visits import PartVisits, Times
+from cyclekit.learning.coupling.unseen_parts import part_arrivals
 from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.waits import with_waits_named
 
@@ -69,6 +73,69 @@ def test_few_executions_show_parts() -> None:
     rng = np.random.default_rng(3)
     card = learn_courses([_fed(rng, str(number), 2) for number in range(9)])
     assert [source.signal for source in card.sources] == ["part at belt"]
+
+
+def _running_on(
+    rng: np.random.Generator, count: int, parts: int, buffer: int, gap_s: float = 12.0
+) -> list[ExecutionVisits]:
+    """Return executions one after the other at a belt that never stops; each takes so many parts from it."""
+    at, came, taken, found = 0.0, 0.0, list[float](), list[ExecutionVisits]()
+    for number in range(count):
+        robot, begin = [PlaceVisit("home", at, at)], at
+        for _ in range(parts):
+            at = _sorted(robot, rng, at + 2.0, int(rng.choice([1, 1, 6])))
+            came += gap_s - 4.0 + rng.exponential(4.0)
+            came = max(came, taken[-buffer] if len(taken) >= buffer else 0.0)
+            taken.append(max(at, came) + rng.uniform(0.6, 0.61))
+            robot.append(PlaceVisit("belt", at, taken[-1]))
+            at = taken[-1] + 2.0
+        robot.append(PlaceVisit("home", at, np.nan))
+        operator = [PlaceVisit("bench", begin, begin + rng.uniform(1.0, 4.0)), PlaceVisit("shelf", begin + 6.0, np.nan)]
+        visits: dict[Agent, list[PlaceVisit]] = {"robot": robot, "operator": operator}
+        found.append(ExecutionVisits(str(number), visits, events_of(visits), "shift", number=number))
+        at += rng.uniform(1.0, 3.0)
+    return found
+
+
+@pytest.mark.parametrize(("parts", "buffer", "gap_s"), [(3, 1, 12.0), (3, 2, 12.0), (1, 1, 16.0)])
+def test_a_belt_that_runs_on_between_executions_is_found(parts: int, buffer: int, gap_s: float) -> None:
+    courses = _running_on(np.random.default_rng(5), 180 // parts, parts, buffer, gap_s)
+    (source,) = learn_courses(courses).sources
+    assert (source.signal, source.buffer, source.comes_on) == ("part at belt", buffer, True)
+    assert np.mean(source.gap_s) == pytest.approx(gap_s, rel=0.1)
+    came_before = np.mean(np.array(source.first_s) < 0.0)
+    firsts = [next(visit for visit in course.visits["robot"] if visit.place == "belt") for course in courses]
+    assert 0.05 < came_before < np.mean([visit.left_s - visit.arrived_s < 0.7 for visit in firsts])
+
+
+def test_executions_that_are_not_known_to_follow_each_other_tell_nothing_of_it() -> None:
+    courses = [replace(each, session=each.name) for each in _running_on(np.random.default_rng(5), 90, 1, 1, 16.0)]
+    assert learn_courses(courses).sources == ()
+
+
+def test_gaps_too_short_to_be_seen_may_be_any_that_are_shorter() -> None:
+    """In a burst the robot waits for the first part only: no gap within it is seen."""
+    seen = Times(np.array([10.0, 12.0]), np.array([0.2, 0.3]))
+    drawn_s = seen.drawn((20000,), np.random.default_rng(0))
+    assert [np.mean(drawn_s == at) for at in (10.0, 12.0)] == pytest.approx([0.2, 0.3], abs=0.01)
+    assert np.quantile(drawn_s[drawn_s < 10.0], [0.1, 0.5, 0.9]) == pytest.approx([1.0, 5.0, 9.0], abs=0.2)
+
+
+def test_parts_that_come_in_bursts_are_found() -> None:
+    """The robot waits for the first part of a burst only; what it sees after such waits tells little of the others."""
+    rng = np.random.default_rng(3)
+    trip_s = rng.choice([2.0, 5.0, 10.0, 15.0, 20.0], (80, 3)) + rng.uniform(0.0, 0.5, (80, 3))
+    gap_s = np.where(rng.random((80, 3)) < 0.6, rng.uniform(1.0, 3.0, (80, 3)), rng.uniform(15.0, 26.0, (80, 3)))
+    part_s = np.cumsum(gap_s, axis=1)
+    came_s, left_s, at_s = np.empty((80, 3)), np.empty((80, 3)), np.zeros(80)
+    for number in range(3):
+        came_s[:, number] = at_s + trip_s[:, number]
+        left_s[:, number] = at_s = np.maximum(came_s[:, number], part_s[:, number]) + 0.6
+    apart = succession(["shift"] * 80, range(80), range(0, 8000, 100), range(50, 8050, 100))
+    found = part_arrivals(PartVisits(came_s, left_s, 0.6), apart)
+    assert found is not None
+    assert np.mean(found.gap_s) == pytest.approx(0.6 * 2.0 + 0.4 * 20.5, rel=0.25)
+    assert min(found.first_s) >= 0.0
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,15 @@ def test_conditions_are_found_though_one_clock_is_off(ahead_s: float) -> None:
     (said,) = (each for each in answer.warnings if "clock" in each)
     assert said.startswith("clock of worker: ")
     assert f" s {side} of the clock of arm; times are put right" in said
+
+
+def test_the_robots_times_stay_where_an_execution_then_begins_later_or_earlier() -> None:
+    runs = [replace(run, begin_s=100.0 * run.number) for run in logged(np.full(30, -4.0))]
+    right, _ = in_one_clock(runs, KINDS)
+    for before, now in zip(runs, right, strict=True):
+        starts_s = [run.begin_s + run.tasks["arm"][0].start_s for run in (before, now)]
+        assert starts_s[0] == pytest.approx(starts_s[1])
+    assert any(now.begin_s > before.begin_s for before, now in zip(runs, right, strict=True))
 
 
 @pytest.mark.parametrize("drift_s", [1.5, -1.0])

@@ -85,7 +85,8 @@ def _put_right(run: Run, agent: str, by_s: float) -> Run:
     """Return an execution with an amount added to the times of an agent, s."""
     tasks = {name: [_later(done, by_s if name == agent else 0.0) for done in some] for name, some in run.tasks.items()}
     begin_s = min(done.start_s for some in tasks.values() for done in some)
-    return replace(run, tasks={agent: tuple(_later(done, -begin_s) for done in some) for agent, some in tasks.items()})
+    since = {agent: tuple(_later(done, -begin_s) for done in some) for agent, some in tasks.items()}
+    return replace(run, tasks=since, begin_s=run.begin_s + begin_s)
 
 
 def _later(done: DoneTask, by_s: float) -> DoneTask:

@@ -249,35 +249,35 @@ def _capping(rows: Rows, moving: Bools, top: float) -> dict[str, Input]:
             if min(len(here), len(other)) < MIN_SAMPLES_OF_STATE or not (here > HALTED).any():
                 continue
             slower = float(np.quantile(here, ALWAYS_SHARE)) < top - SAME <= float(np.quantile(other, ALWAYS_SHARE))
-            if slower and _scaling_follows(rows, switch, top, state=state):
-                tenths = np.bincount(np.rint(here[here > HALTED] * 100).astype(np.int64))
-                found[name] = Input(state, float(tenths.argmax()) / 100)
+            if slower:
+                percent = np.bincount(np.rint(here[here > HALTED] * 100).astype(np.int64))
+                how = Input(state, float(percent.argmax()) / 100)
+                found |= {name: how} if _scaling_follows(rows, switch, top, how) else {}
     return found
 
 
-def _scaling_follows(rows: Rows, switch: TwoStateSignal, top: float, *, state: bool) -> bool:
-    """Return whether the scaling falls when a signal turns to a state, and rises when it turns back.
+def _scaling_follows(rows: Rows, switch: TwoStateSignal, top: float, how: Input) -> bool:
+    """Return whether the scaling falls when a signal turns to its state, and rises when it turns back.
 
-    An operator who presses a button is near the robot: it is slow while the button is on, and before and after. If the
-    robot was slow already whenever the signal turned to the state, nothing shows that the signal slows it.
+    An operator who presses a button is near the robot: it is slow while the button is on, and before and after. So the
+    scaling has to fall wherever it was above the cap. If it was never above it, nothing shows that the signal slows the
+    robot.
     """
-    follows, slow_already, seen_at_speed = list[bool](), 0, False
+    falls, rises, slow_already = list[bool](), list[bool](), 0
     for at_s, on in zip(switch.t_s.tolist(), switch.on.tolist(), strict=True):
         low, middle, high = np.searchsorted(rows.t_s, (at_s - MAX_RESPONSE_S, at_s, at_s + MAX_RESPONSE_S)).tolist()
         before, after = (some[np.isfinite(some)] for some in (rows.scaling[low:middle], rows.scaling[middle:high]))
         if not len(before) or not len(after) or rows.execution[low] != rows.execution[high - 1]:
             continue
-        fast = before[-1] >= top - SAME
-        if on == state and fast:
-            seen_at_speed = True
-            follows.append(bool(after.min() < before[-1] - SAME))
-        elif on == state:
+        if on == how.on and before[-1] > how.cap + SAME:
+            falls.append(bool(after.min() < before[-1] - SAME))
+        elif on == how.on:
             slow_already += 1
-        elif on != state and not fast:
-            follows.append(bool(after.max() > before[-1] + SAME))
-    if slow_already >= MIN_CHANGES and not seen_at_speed:
+        elif before[-1] < top - SAME:
+            rises.append(bool(after.max() > before[-1] + SAME))
+    if not falls and slow_already >= MIN_CHANGES:
         return False
-    return not follows or float(np.mean(follows)) >= MIN_FOLLOWED_SHARE
+    return all(float(np.mean(some)) >= MIN_FOLLOWED_SHARE for some in (falls, [*falls, *rises]) if some)
 
 
 def _active(rows: Rows, inputs: Mapping[str, Input]) -> Bools:

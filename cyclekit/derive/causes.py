@@ -252,7 +252,8 @@ def _capping(rows: Rows, moving: Bools, top: float) -> dict[str, Input]:
             if slower:
                 percent = np.bincount(np.rint(here[here > HALTED] * 100).astype(np.int64))
                 how = Input(state, float(percent.argmax()) / 100)
-                found |= {name: how} if _scaling_follows(rows, switch, top, how) else {}
+                if _scaling_follows(rows, switch, top, how):
+                    found[name] = how
     return found
 
 

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.standstills import Standstill
 
 
+HOME = "home"
+"""Where executions begin unless the cell file says otherwise, if a place has this name: only people name places so."""
+
+
 @dataclass(frozen=True)
 class Visit:
     """A standstill (or several joined) at a place, rows `first`..`last` of its run.
@@ -93,7 +97,8 @@ def find_executions(
     if how.home is not None and how.home not in places:
         raise UnknownName("cell.toml [executions] home", "place", how.home, places)
     firsts = [seen[0].place for seen in visits if seen]
-    home = how.home or max(sorted(set(firsts)), key=firsts.count, default="")
+    named = HOME if any(visit.place == HOME for seen in visits for visit in seen) else None
+    home = how.home or named or max(sorted(set(firsts)), key=firsts.count, default="")
     found = []
     for number, (seen, marked) in enumerate(zip(visits, marks, strict=True)):
         cuts = _begins(seen, how, home, marked)

@@ -212,6 +212,15 @@ def test_executions_of_an_endless_recording_begin_at_home(tmp_path: Path, robot_
     assert routes["file", None] == routes["gap", None] == [["rest", *["pick", "put", "rest"] * 3]]
 
 
+def test_a_place_named_home_is_where_executions_begin_though_logs_begin_elsewhere(tmp_path: Path, robot_log: Any):
+    cycle: list[tuple[str, float]] = [("move", 0.4), ("stand", 0.6), ("move", 1.0), ("stand", 0.6)]
+    log = robot_log(tmp_path / "run.csv", [("stand", 1.0), *[*cycle, ("move", 0.0), ("stand", 0.6)] * 3])
+    places = {"pick": NamedPlace((0, 0, 0)), "put": NamedPlace((0.4, 0, 0)), "home": NamedPlace((1.0, 0, 0))}
+    found = made_of(tmp_path, log, Cell(places=places))
+    whole = [list(entry.places) for entry in found.card.executions if entry.whole]
+    assert whole == [["home", "pick", "put", "home"]] * 2
+
+
 def test_the_last_execution_of_an_endless_recording_that_was_cut_is_not_complete(tmp_path: Path, robot_log: Any):
     cycle = [("move", 0.4), ("stand", 0.6), ("move", 1.0), ("stand", 0.6), ("move", 0.0), ("stand", 1)]
     log = robot_log(tmp_path / "run.csv", [("stand", 1.0), *cycle * 2, *cycle[:3]])

@@ -15,18 +15,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from cyclekit.learning.coupling.candidates import HELD, candidates_of, early_s, since_event, times_of
 from cyclekit.learning.coupling.conditions import (
     GAIN_TOLERANCE_SHARE,
-    HELD,
     MAX_CONDITIONS,
     attach,
     best_condition,
-    candidates_of,
-    early_s,
     find_conditions,
     is_forbidden,
-    since_event,
-    times_of,
 )
 from cyclekit.learning.coupling.departures import Alike, Condition, Departures, Gate, condition_gain, least_gain
 from cyclekit.learning.coupling.visits import Event
@@ -36,7 +32,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Wait
     from cyclekit.dataset.cards.coupling import Agent
-    from cyclekit.learning.coupling.conditions import Times
+    from cyclekit.learning.coupling.candidates import Times
     from cyclekit.learning.coupling.visits import ExecutionVisits
     from cyclekit.schema import Ints, Vector
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.cards.coupling import ConditionCard, SourceCard
-from cyclekit.learning.coupling.conditions import KEPT, decided_by, early_s, find_answer, times_of
+from cyclekit.learning.coupling.candidates import early_s, times_of
+from cyclekit.learning.coupling.conditions import KEPT, decided_by, find_answer
 from cyclekit.learning.coupling.departures import Departures, Gate
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.learning.coupling.conditions import EARLY_LEAVING_S
+from cyclekit.learning.coupling.candidates import EARLY_LEAVING_S
 from cyclekit.learning.coupling.departures import condition_gain
 
 if TYPE_CHECKING:

@@ -10,29 +10,32 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.dataset.cards.coupling import Turns
 from cyclekit.errors import UnknownName
+from cyclekit.learning.coupling.candidates import (
+    EARLY_S,
+    HELD,
+    candidates_of,
+    early_s,
+    since_event,
+    times_of,
+    with_room,
+)
 from cyclekit.learning.coupling.departures import SEEN, Condition, Departures, departures_of, least_gain
 from cyclekit.learning.coupling.lags import deciding_causes
-from cyclekit.learning.coupling.machines import after_own, is_steady
-from cyclekit.learning.coupling.visits import Event
+from cyclekit.learning.coupling.machines import is_steady
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
     from cyclekit.config import Wait
     from cyclekit.dataset.cards.coupling import Agent
+    from cyclekit.learning.coupling.candidates import Times
     from cyclekit.learning.coupling.lags import Causes
-    from cyclekit.learning.coupling.visits import ExecutionVisits
+    from cyclekit.learning.coupling.visits import Event, ExecutionVisits
     from cyclekit.schema import Floats, Ints, Vector
 
-HELD = 0.98
-"""Minimum share of departures after the event, for a condition that all departures need."""
 NEEDED, MIN_PART = 0.15, 2.0
 """For a condition that only some departures need: minimum share that need it, and factor on the required gain."""
-EARLY_S, EARLY_LEAVING_S = 0.25, 1.0
-"""Tolerance, s: a departure may precede its event by this much (clock error); the second value is for an operator who
-leaves, because he finishes before his motion is visible."""
 MIN_DECIDED, FEW_DECIDED, FEW_LATE, SURE = 5, 3, 2, 2.0
 """Minimum number of departures that a condition must decide; the second value suffices if its gain in log-likelihood is
 SURE times the required one: where few passages need the event, a few long waits that end with it tell enough. In
@@ -49,16 +52,12 @@ FOLLOWS, USUALLY_FOLLOWS, CLOSE = 0.8, 0.5, 0.75
 as the share CLOSE of those; above both, the event is a consequence of own work."""
 PULSE_S = 1.0
 """Penalty, s, on the end of a button's pulse, so that the press is chosen as the event."""
-PAIRED, MAX_TURNS = 0.9, 6
-"""Minimum share of executions with exactly n departures per event, or n events per departure; maximum n."""
 SHUFFLES = 6
 """Number of random orders of the events."""
 MAX_CONDITIONS = 2
 """Maximum number of conditions per gate."""
 KEPT = 1200
 """Maximum number of departures from which lags are learned."""
-Times = dict[Event, "Floats"]
-"""Times of each kind of event per execution, s; see `times_of`."""
 
 
 def find_conditions(
@@ -112,7 +111,7 @@ def find_answer(gate: Departures, times: Times) -> Condition | None:
         times: Of all events.
     """
     robots = {event: at for event, at in times.items() if event.agent == "robot"}
-    candidates = candidates_of(robots, gate, "operator")
+    candidates = [one for one in candidates_of(robots, gate, "operator") if one.back <= 1]
     least = least_gain(min(len(gate.left_s), SEEN)) + np.log(max(len(candidates), 1))
     before = float(gate.causes().log_likelihood.sum())
     found = _best_of(robots, gate, candidates, before, least, follows=False)  # no signal brings the robot
@@ -120,29 +119,6 @@ def find_answer(gate: Departures, times: Times) -> Condition | None:
         return None
     gate.since_s[gate.gate, found[0]] = found[1]
     return found[0]
-
-
-def candidates_of(times: Times, gate: Departures, agent: Agent) -> list[Condition]:
-    """Return the possible conditions of a gate; if one side is n times as frequent, also those of every n-th one.
-
-    The operator who fills a bin with three parts is needed by every third visit of the robot to it.
-    """
-    found = []
-    departures = np.zeros(len(next(iter(times.values()), ())), np.int64)
-    np.maximum.at(departures, gate.course, gate.occurrence + 1)
-    for event, at in times.items():
-        if event.agent == agent:
-            found += after_own(event, gate)
-            continue
-        some, events = departures > 0, np.isfinite(at).sum(axis=1)
-        pairs = [Turns()]
-        for each in range(2, MAX_TURNS + 1):
-            if np.mean(departures[some] == each * events[some]) >= PAIRED:
-                pairs += [Turns(every=each, first=first) for first in range(each)]
-            elif np.mean(events[some] == each * departures[some]) >= PAIRED:
-                pairs += [Turns(event_every=each, event_first=first) for first in range(each)]
-        found += [Condition(event, back, turns) for turns in pairs for back in (0, 1)]
-    return found
 
 
 def attach(gates: Sequence[Departures], to: Departures, condition: Condition, since: Vector) -> list[int]:
@@ -182,6 +158,8 @@ def _given_condition(times: Times, gate: Departures, wait: Wait) -> Condition:
     own = found[0].agent == gate.gate.agent and found[0].place == gate.gate.place  # it waits for an earlier visit
     numbers = ((1,) if own else (0, 1)) if wait.back is None else (wait.back,)
     conditions = [Condition(found[0], back) for back in numbers]
+    if wait.back is None and not own:
+        conditions += with_room(times, gate, found[0])
 
     def likelihood(condition: Condition) -> float:
         since = since_event(times, gate, condition)
@@ -277,7 +255,7 @@ def _best_of(
             decides >= (MIN_DECIDED if condition.partly or gain < SURE * least else FEW_DECIDED)
             and not (follows and _follows(gate, causes, since))
             and not _ahead(gate, condition, causes, since[gate.seen])
-            and (condition.event.agent != gate.gate.agent or is_steady(gate, causes, since[gate.seen]))
+            and (not _is_indirect(gate, condition) or is_steady(gate, causes, since[gate.seen]))
         ):
             tried.append((condition, since, gain))
     tried.sort(key=lambda each: -each[2])
@@ -287,6 +265,11 @@ def _best_of(
     as_good = [each for each in good if each[2] >= good[0][2] - max(GAIN_TOLERANCE, GAIN_TOLERANCE_SHARE * good[0][2])]
     found = min(as_good, key=lambda each: _before(*each[:2]))
     return found[0], found[1], found[2] * gate.weight
+
+
+def _is_indirect(gate: Departures, condition: Condition) -> bool:
+    """Return whether a condition is not on the other agent's last visits, so that it may hold by chance."""
+    return condition.event.agent == gate.gate.agent or condition.back > 1
 
 
 def _follows(gate: Departures, causes: Causes, since: Vector) -> bool:
@@ -324,26 +307,6 @@ def _before(condition: Condition, since: Vector) -> float:
     return abs(float(np.quantile(known, 0.1))) + (PULSE_S if "cleared" in str(condition.event) else 0.0)
 
 
-def since_event(times: Times, gate: Departures, condition: Condition) -> Vector:
-    """Return the time from a condition's event to each departure, shape (N,), s; NaN if the departure needs none."""
-    at, turns = times[condition.event], condition.turns
-    turn, rest = np.divmod(gate.occurrence, turns.every)
-    number = (turn - condition.back) * turns.event_every + turns.event_first
-    there = (rest == turns.first) & (turn >= condition.back) & (number < at.shape[1])
-    return np.asarray(np.where(there, gate.left_s - at[gate.course, np.where(there, number, 0)], np.nan))
-
-
-def times_of(courses: Sequence[ExecutionVisits]) -> Times:
-    """Return the times of each kind of event per execution, s, shape (executions, at least 1), padded with NaN."""
-    found: Times = {}
-    for event in sorted({event for course in courses for event in course.events}, key=str):
-        every = [course.events.get(event, np.empty(0)) for course in courses]
-        found[event] = np.full((len(courses), max(1, *map(len, every))), np.nan)
-        for row, mine in zip(found[event], every, strict=True):
-            row[: len(mine)] = mine
-    return found
-
-
 def _holds(gate: Departures, condition: Condition, since: Vector) -> bool:
     """Return whether enough departures come after their events, and enough events come late enough to have decided."""
     known = np.isfinite(since)
@@ -362,12 +325,6 @@ def _holds(gate: Departures, condition: Condition, since: Vector) -> bool:
 def _later(condition: Condition, since: Vector) -> Vector:
     """Return the time from event to departure; if not all departures need it, -inf where the event came later."""
     return np.where(since < -early_s(condition), -np.inf, since) if condition.partly else since
-
-
-def early_s(condition: Condition) -> float:
-    """Return the time by which a departure may precede a condition's event, s."""
-    of_leaving = condition.event[::2] == ("operator", "leaves") and condition.event.signal is None
-    return EARLY_LEAVING_S if of_leaving else EARLY_S
 
 
 def decided_by(since_s: Floats) -> Ints:

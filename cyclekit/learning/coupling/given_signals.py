@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.learning.coupling.conditions import since_event, times_of
+from cyclekit.learning.coupling.candidates import since_event, times_of
 from cyclekit.learning.coupling.givers import WITHIN_S
 
 if TYPE_CHECKING:

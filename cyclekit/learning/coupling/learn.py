@@ -14,16 +14,10 @@ from cyclekit.errors import ConfigError, DatasetError
 from cyclekit.learning.coupling.alike import Kinds, find_with_alike, kinds_by_waits
 from cyclekit.learning.coupling.answers import is_own_tool
 from cyclekit.learning.coupling.begins import with_work_in_lag
+from cyclekit.learning.coupling.candidates import HELD, early_s
 from cyclekit.learning.coupling.circles import in_circles
 from cyclekit.learning.coupling.common_pace import with_common_pace
-from cyclekit.learning.coupling.conditions import (
-    FEW_DECIDED,
-    HELD,
-    KEPT,
-    MIN_DECIDED,
-    decided_by,
-    early_s,
-)
+from cyclekit.learning.coupling.conditions import FEW_DECIDED, KEPT, MIN_DECIDED, decided_by
 from cyclekit.learning.coupling.departures import Condition, Departures, Gate
 from cyclekit.learning.coupling.errands import errand_places, with_errands
 from cyclekit.learning.coupling.given_signals import since_given

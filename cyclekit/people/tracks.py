@@ -270,7 +270,8 @@ def goals_from_events(t_event_s: Vector, values: Sequence[str], t_s: Vector) -> 
 def find_operator_standstills(t_s: Vector, human_m: Points) -> list[tuple[int, int]]:
     """Return the standstills in one execution's samples as (first, last) rows: slow for at least BRIEF_S.
 
-    People at work sway, reach and step aside: a standstill continues as long as they stay within PLACE_M of it.
+    People at work sway, reach and step aside: a standstill continues as long as they stay within PLACE_M of it, also
+    where the tracker loses them for at most OCCLUDED_S.
     """
     if len(t_s) < 3:
         return []
@@ -278,22 +279,26 @@ def find_operator_standstills(t_s: Vector, human_m: Points) -> list[tuple[int, i
     still = speed < STILL_M_S  # NaN compares false: an unseen operator is not at a standstill
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     spans = [(a, b - 1) for a, b in edges.reshape(-1, 2).tolist()]
-    return [(a, b) for a, b in _stays(spans, human_m[:, :2]) if t_s[b] - t_s[a] >= BRIEF_S]
+    return [(a, b) for a, b in _stays(spans, t_s, human_m[:, :2]) if t_s[b] - t_s[a] >= BRIEF_S]
 
 
-def _stays(spans: Sequence[tuple[int, int]], at_m: Floats) -> list[tuple[int, int]]:
+def _stays(spans: Sequence[tuple[int, int]], t_s: Vector, at_m: Floats) -> list[tuple[int, int]]:
     """Join spans of (first, last) rows between which all positions, shape (T, 2), m, are within PLACE_M of the first.
 
-    A position that is not known joins nothing.
+    Nothing is joined across a longer time without a position than OCCLUDED_S: he may have been away.
     """
     found: list[tuple[int, int]] = []
     centre = np.full(2, np.nan)
     for first, last in spans:
-        if found and (np.linalg.norm(at_m[found[-1][1] : last + 1] - centre, axis=1) <= PLACE_M).all():
-            found[-1] = found[-1][0], last
-        else:
-            found.append((first, last))
-            centre = np.median(at_m[first : last + 1], axis=0)
+        if found:
+            rows = np.arange(found[-1][1], last + 1)
+            rows = rows[np.isfinite(at_m[rows]).all(axis=1)]
+            near = np.linalg.norm(at_m[rows] - centre, axis=1) <= PLACE_M
+            if near.all() and np.diff(t_s[rows]).max(initial=0.0) <= OCCLUDED_S:
+                found[-1] = found[-1][0], last
+                continue
+        found.append((first, last))
+        centre = np.median(at_m[first : last + 1], axis=0)
     return found
 
 

@@ -53,10 +53,22 @@ def test_a_person_who_sways_and_reaches_at_a_bench_stays_there_until_the_next_wa
     assert edges == pytest.approx([0.0, 3.0, 5.0, 8.0, 10.0, 12.9], abs=0.5)
 
 
-def test_a_stay_does_not_continue_where_the_operator_was_not_seen():
+@pytest.mark.parametrize(("lost_s", "stays"), [(0.5, 1), (2.5, 1), (4.5, 1), (6.0, 2)])
+def test_a_stay_continues_where_the_tracker_loses_the_operator_for_seconds(lost_s: float, stays: int):
+    t_s = np.arange(0.0, 20.0, 0.1)
+    human = np.tile([1.0, 2.0, 0.2], (len(t_s), 1)) + np.random.default_rng(3).normal(0.0, 0.005, (len(t_s), 3))
+    human[(t_s > 5.0) & (t_s < 5.0 + lost_s)] = np.nan
+    found = find_operator_standstills(t_s, human)
+    assert len(found) == stays
+    assert [found[0][0], found[-1][1]] == pytest.approx([0, len(t_s) - 1], abs=1)
+
+
+def test_a_stay_does_not_continue_where_the_operator_was_elsewhere_when_seen_again():
     t_s, human = staying()
-    human[15:20] = np.nan
-    assert len(find_operator_standstills(t_s, human)) == 4
+    human[25:55] = np.nan  # from the first place to the second
+    stays = find_operator_standstills(t_s, human)
+    assert len(stays) == 3
+    assert float(t_s[stays[0][1]]) < 3.0
 
 
 def test_without_buttons_the_goal_is_the_spot_of_the_stay_that_runs_or_comes_next():

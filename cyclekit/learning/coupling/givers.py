@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit
     from cyclekit.schema import Vector
 
-WITHIN_S = 0.5
-"""Tolerance, s: a signal given at a place may change this long after the operator is seen to leave."""
+WITHIN_S = 1.0
+"""Tolerance, s: a signal given at a place may change this long after the operator is seen to leave, as the clock of a
+PLC may be late."""
 GIVEN = 0.9
 """Minimum share of a signal's changes during visits to one place, if the agent gives the signal there."""
 MOST = 1.5

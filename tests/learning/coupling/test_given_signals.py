@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cyclekit.learning.coupling.departures import Condition, Departures, Gate
 from cyclekit.learning.coupling.given_signals import since_given
+from cyclekit.learning.coupling.givers import with_givers
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 
 BUTTON = Event("operator", "fixture", "leaves", "button set")
@@ -36,3 +39,15 @@ def test_a_visit_without_a_press_does_not_shift_the_ones_after_it() -> None:
 def test_a_press_in_no_visit_or_in_one_that_the_log_cuts_off_tells_nothing() -> None:
     visits = [PlaceVisit("fixture", 0.0, 4.0), PlaceVisit("bench", 5.0, 9.0), PlaceVisit("fixture", 10.0, np.nan)]
     assert _since(visits, [3.9, 7.0, 14.8], [4.3, 7.4, 15.2]) == pytest.approx([0.3, np.nan, np.nan], nan_ok=True)
+
+
+@pytest.mark.parametrize(("late_s", "his"), [(0.0, True), (0.7, True), (1.5, False)])
+def test_a_press_that_a_plc_logs_late_is_still_his(late_s: float, his: bool) -> None:
+    rng, courses = np.random.default_rng(2), []
+    for _ in range(20):
+        begins_s = np.cumsum(rng.uniform(8.0, 15.0, 4))
+        visits = [PlaceVisit("fixture", float(at), float(at) + 4.0) for at in begins_s]
+        courses.append(_course(visits, (begins_s + 3.9 + late_s).tolist(), []))
+    signal = Event("signal", "button", "set")
+    courses = [replace(one, events={signal: one.events[BUTTON]}) for one in courses]
+    assert any(event.agent == "operator" for event in with_givers(courses, ())[0].events) is his

@@ -203,7 +203,8 @@ class SessionPeople:
 
 def _standstills(t_s: Vector, human_m: Points, goals: Sequence[str | None]) -> OperatorStandstills:
     spans = find_operator_standstills(t_s, human_m)
-    at_m = np.array([np.median(human_m[a : b + 1], axis=0) for a, b in spans]).reshape(-1, 3)
+    seen = np.isfinite(human_m[:, :2]).all(axis=1)  # he may be lost for a while in between
+    at_m = np.array([np.median(human_m[a : b + 1][seen[a : b + 1]], axis=0) for a, b in spans]).reshape(-1, 3)
     # The middle sample decides, because at the end the next button is pressed before the operator is seen to walk.
     middles = [goals[(a + b) // 2] for a, b in spans] if goals else []
     times_s = np.array([(t_s[a], t_s[b]) for a, b in spans]).reshape(-1, 2)

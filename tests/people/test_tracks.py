@@ -12,7 +12,7 @@ from examples import at_most
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from cyclekit.config import Cell, Source
+from cyclekit.config import Cell, Executions, NamedPlace, Source
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.people.tracks import (
@@ -284,6 +284,27 @@ def test_ids_that_change_every_frame_still_make_one_operator_in_the_samples(tmp_
     seen = dataset.samples().filter(pl.col("human_x_m").is_not_null())
     assert seen.height > 100
     assert seen["human_x_m"].to_numpy() == pytest.approx(1.0, abs=1e-6)  # the nearer one, never a mix of both
+
+
+def test_an_operator_lost_for_seconds_at_his_place_has_not_left_it(tmp_path: Path, robot_log: Any):
+    doing = [("move", 0.5), ("stand", 0.6), ("move", 0.0), ("stand", 0.6)] * 4
+    robot_log(tmp_path / "logs" / "robot.csv", [("stand", 1.0), *doing, ("stand", 1.0)])
+    t = np.arange(0.0, 18.0, 0.1)
+    x = np.interp(t, [0.0, 3.0, 4.5, 11.0, 12.5, 18.0], [2.5, 2.5, 1.0, 1.0, 2.5, 2.5])
+    seen = (t < 6.0) | (t > 8.0)  # then under another id
+    lines = [
+        "frame,id,x,y",
+        *(f"{s:.3f},{1 + (s > 7.0)},{x_m:.4f},0.9" for s, x_m in zip(t[seen], x[seen], strict=True)),
+    ]
+    (tmp_path / "logs" / "people.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    columns = {"time": "frame", "time_unit": "s", "person": "id", "x": "x", "y": "y", "length_unit": "m"}
+    people = Source("people.csv", adapter="csv", role="people", clock_offset_s=10.0, map=columns)
+    whole = Executions("file")
+    places = {"bench": NamedPlace((2.5, 0.9, 0.0)), "fixture": NamedPlace((1.0, 0.9, 0.0))}
+    ingest([tmp_path / "logs"], tmp_path / "d", cell=Cell(sources=(people,), executions=whole, human_places=places))
+    his = Dataset.open(tmp_path / "d").every_task().filter(pl.col("agent") == "operator")
+    assert his["goal_place"].to_list()[:2] == ["bench", "fixture"]
+    assert his["end_s"][1] - his["arrival_s"][1] == pytest.approx(6.5, abs=0.5)
 
 
 @pytest.fixture

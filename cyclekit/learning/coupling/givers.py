@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 WITHIN_S = 1.0
 """Tolerance, s: a signal given at a place may change this long after the operator is seen to leave, as the clock of a
 PLC may be late."""
-GIVEN = 0.9
-"""Minimum share of a signal's changes during visits to one place, if the agent gives the signal there."""
+GIVEN, OTHER = 0.8, 0.6
+"""Minimum share of a signal's changes to one state during visits to one place, if the agent gives the signal there, as
+some presses are forgotten or logged late. The second value holds for the other state of the same signal."""
 MOST = 1.5
 """Maximum mean number of changes in a visit with any: more come from something that does not heed his visits."""
 
@@ -36,15 +37,15 @@ def with_givers(courses: Sequence[ExecutionVisits], doubtful: Collection[Event])
         courses: The executions.
         doubtful: Signals to drop if the operator does not give them.
     """
-    given: dict[Event, Event] = {}
     whole = with_errands(courses, errand_places(courses))
-    for kind in sorted({key for course in courses for key in course.events if key.agent == "signal"}):
-        places = sorted({visit.place for course in whole for visit in course.visits["operator"]})
-        shares = {place: _shares(whole, kind, place) for place in places}
-        place = max(shares, key=lambda name: sum(shares[name]), default=None)
-        if place is not None and sum(shares[place]) >= GIVEN:
-            event = "arrives" if shares[place][0] > shares[place][1] else "leaves"
-            given[kind] = Event("operator", place, event, f"{kind.place} {kind.event}")
+    kinds = sorted({key for course in courses for key in course.events if key.agent == "signal"})
+    best = {kind: found for kind in kinds if (found := _best_place(whole, kind)) is not None}
+    sure = {(kind.place, event.place) for kind, (share, event) in best.items() if share >= GIVEN}
+    given = {
+        kind: event
+        for kind, (share, event) in best.items()
+        if share >= (OTHER if (kind.place, event.place) in sure else GIVEN)
+    }
     ends = _task_ends(courses, given)
     found = []
     for one in courses:
@@ -57,6 +58,17 @@ def with_givers(courses: Sequence[ExecutionVisits], doubtful: Collection[Event])
             events |= events_of({"operator": visits})
         found.append(replace(one, visits={**one.visits, "operator": visits}, events=events))
     return found
+
+
+def _best_place(courses: Sequence[ExecutionVisits], kind: Event) -> tuple[float, Event] | None:
+    """Return the place whose visits explain most changes of a signal, as the event of the operator, and their share."""
+    places = sorted({visit.place for course in courses for visit in course.visits["operator"]})
+    shares = {place: _shares(courses, kind, place) for place in places}
+    place = max(shares, key=lambda name: sum(shares[name]), default=None)
+    if place is None:
+        return None
+    event = "arrives" if shares[place][0] > shares[place][1] else "leaves"
+    return sum(shares[place]), Event("operator", place, event, f"{kind.place} {kind.event}")
 
 
 def _task_ends(courses: Sequence[ExecutionVisits], given: Mapping[Event, Event]) -> set[Event]:

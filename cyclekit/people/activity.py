@@ -16,6 +16,7 @@ from cyclekit import schema
 from cyclekit.alignment.frames import to_base
 from cyclekit.dataset.cards import Note, OperatorCard, RecordingCard, note
 from cyclekit.dataset.dataset import Place
+from cyclekit.people.lost_edges import standstill_times
 from cyclekit.people.silence import Silence
 from cyclekit.people.tracks import (
     REASONS,
@@ -203,11 +204,11 @@ class SessionPeople:
 
 def _standstills(t_s: Vector, human_m: Points, goals: Sequence[str | None]) -> OperatorStandstills:
     spans = find_operator_standstills(t_s, human_m)
-    seen = np.isfinite(human_m[:, :2]).all(axis=1)  # he may be lost for a while in between
+    seen = np.asarray(np.isfinite(human_m[:, :2]).all(axis=1))  # he may be lost for a while in between
     at_m = np.array([np.median(human_m[a : b + 1][seen[a : b + 1]], axis=0) for a, b in spans]).reshape(-1, 3)
     # The middle sample decides, because at the end the next button is pressed before the operator is seen to walk.
     middles = [goals[(a + b) // 2] for a, b in spans] if goals else []
-    times_s = np.array([(t_s[a], t_s[b]) for a, b in spans]).reshape(-1, 2)
+    times_s = standstill_times(t_s, human_m[:, :2], spans)
     known_s = (float(t_s[0]), float(t_s[-1])) if len(t_s) else (0.0, 0.0)
     return OperatorStandstills(len(t_s), known_s, spans, times_s, at_m, middles, told=bool(goals))
 

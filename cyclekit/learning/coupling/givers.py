@@ -39,7 +39,7 @@ def with_givers(courses: Sequence[ExecutionVisits], doubtful: Collection[Event])
     """
     whole = with_errands(courses, errand_places(courses))
     kinds = sorted({key for course in courses for key in course.events if key.agent == "signal"})
-    best = {kind: found for kind in kinds if (found := _best_place(whole, kind)) is not None}
+    best = {kind: where for kind in kinds if (where := _best_place(whole, kind)) is not None}
     sure = {(kind.place, event.place) for kind, (share, event) in best.items() if share >= GIVEN}
     given = {
         kind: event

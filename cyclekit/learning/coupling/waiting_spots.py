@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cyclekit.errors import UnknownName
+from cyclekit.learning.coupling.candidates import EARLY_S
 from cyclekit.learning.coupling.departures import USUAL
 from cyclekit.learning.coupling.trips import usual_walks_s
 from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit
@@ -31,7 +32,7 @@ DECIDED = 0.7
 """Minimum ratio of the departures that an event decides to the visits to a waiting spot, and minimum share of those."""
 MAX_WORK_S = 3.0
 """If no stay at a place is as short, s, it may be work: then he must react to the event nearly each time."""
-REACTS_S, REACTS = 2.5, 0.95
+REACTS_S, REACTS = 2.5, 0.9
 """A stay ends with an event if it ends within this time of it, s; minimum share of these, if all stays are long."""
 FROM, MIN_FROM = 0.1, 3
 """Minimum share and number of the ways from a place that lead over the spot; from other places he does not go there."""
@@ -102,7 +103,7 @@ def _reacts(courses: Sequence[ExecutionVisits], place: str, gate: GateCard) -> f
         at = np.sort(np.concatenate([np.empty(0), *(course.events[key] for key in keys if key in course.events)]))
         for visit in course.visits["operator"][:-1]:
             if visit.place == place:
-                last = np.searchsorted(at, visit.left_s, side="right") - 1
+                last = np.searchsorted(at, visit.left_s + EARLY_S, side="right") - 1
                 quick.append(last >= 0 and visit.left_s - max(at[last], visit.arrived_s) <= REACTS_S)
     return float(np.mean(quick))
 

@@ -23,7 +23,7 @@ NAMES, WORK_S = {"B": "bench", "P": "printer"}, {"B": (9.0, 2.0), "P": (4.0, 1.0
 
 
 def _executions(
-    seed: int, orders: tuple[str, ...] = ("BIIPI", "IPBII", "PIIBI"), count: int = 40
+    seed: int, orders: tuple[str, ...] = ("BIIPI", "IPBII", "PIIBI"), count: int = 40, reacts_s: float = 0.8
 ) -> list[ExecutionVisits]:
     """Return executions in which the robot shows parts, each until the operator has inspected it and stepped back.
 
@@ -43,7 +43,7 @@ def _executions(
                 now, here = done, NAMES[place]
                 operator.append(PlaceVisit(here, came, done))
                 continue
-            goes_s = max(now, shown_s + float(rng.normal(0.8, 0.15)))
+            goes_s = max(now, shown_s + float(rng.normal(reacts_s, 0.15)))
             if here == "aside":
                 operator.append(PlaceVisit(here, now, goes_s))
             elif not operator:
@@ -77,6 +77,11 @@ def test_a_spot_to_which_he_steps_back_is_no_place_of_his_order(seed: int) -> No
     assert (one.agent, one.place, one.event, one.needed) == ("robot", "show", "arrives", 1.0)
     assert np.median(one.lag_s) == pytest.approx(0.8, abs=0.15)
     assert not any(gate.place == "aside" for gate in card.gates)
+
+
+def test_who_seems_to_go_just_before_what_he_waits_for_still_waits_there() -> None:
+    card = learn_courses(_executions(3, reacts_s=0.05))  # the tracker sees him go a little early
+    assert {gate.wait_at for gate in card.gates if gate.agent == "operator" and gate.conditions} == {"aside"}
 
 
 def _pressed(pulse_s: float, seed: int = 0) -> list[ExecutionVisits]:

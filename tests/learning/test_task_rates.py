@@ -102,7 +102,7 @@ def test_few_executions_of_tasks_that_depend_on_nothing_show_no_effects() -> Non
     pairs = [*(("arm", name) for name in "abc"), *(("worker", name) for name in "uvw")]
     found = [each for seed in (1, 2, 3) for each in fit_rates(runs_without_effects(seed), pairs).values()]
     every = np.concatenate([[*each.rates.values(), *each.after.values(), *each.turns] for each in found])
-    assert np.abs(np.log(every)).mean() < 0.019  # 0.023 if spreads hardly fall below those before the logs are seen
+    assert np.abs(np.log(every)).mean() < 0.013  # 0.016 with few rounds of the fit
 
 
 def test_a_plan_takes_longer_where_the_operator_waits_in_the_way() -> None:

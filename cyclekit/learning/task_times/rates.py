@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from cyclekit.learning.task_times.runs import Run
     from cyclekit.schema import Ints, Vector
 
-ROUNDS = 5
-"""Number of times that rates and spreads are estimated in turn."""
-STEPS = 40
+ROUNDS = 20
+"""Number of times that rates and spreads are estimated in turn: with few, effects that do not exist remain."""
+STEPS = 10
 """Number of updates of the spreads each time."""
 SPREADS_COUNT = 0.01
 """Weight of these in the estimated spreads, as a number of effects."""

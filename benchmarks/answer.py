@@ -41,16 +41,16 @@ from rich.console import Console
 from rich.table import Table
 
 from cyclekit.dataset.cards import DynamicsCard, TrainingCard
-from cyclekit.estimate.check import check_rollout
-from cyclekit.estimate.logged import logged_durations, logged_sequences, with_own_tracks
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.cycle.transit import transit_table
+from cyclekit.estimate.cycle.walk import roll_out
+from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.plan.search import every_order, random_order, tasks_of
-from cyclekit.estimate.program import lay_out
+from cyclekit.estimate.robot.nominal import nominal_tasks
+from cyclekit.estimate.robot.program import lay_out
 from cyclekit.estimate.rollout import estimate
-from cyclekit.estimate.tracks import operator_tracks
-from cyclekit.estimate.transit import transit_table
-from cyclekit.estimate.walk import roll_out
+from cyclekit.estimate.validation.check import check_rollout
+from cyclekit.estimate.validation.logged import logged_durations, logged_sequences, with_own_tracks
 from cyclekit.estimate.whatif import Change, what_if
 from cyclekit.learning.evaluation.drift import drift
 from cyclekit.learning.safety_function import read_zones

@@ -32,11 +32,11 @@ from rich.table import Table
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, RectangleCard, RegionCard, RuleCard
-from cyclekit.estimate.check import check_rollout
-from cyclekit.estimate.history import Combined
 from cyclekit.estimate.rollout import estimate
-from cyclekit.learning.rules.distances import TO_TCP
+from cyclekit.estimate.validation.check import check_rollout
+from cyclekit.estimate.validation.history import Combined
 from cyclekit.learning.rules.safety import RuleSafety, predictor_of
+from cyclekit.learning.rules.samples.distances import TO_TCP
 from cyclekit_sim import SimulationOptions, random_sequence
 
 if TYPE_CHECKING:

@@ -23,8 +23,8 @@ from cells import JUDGED_SEED, logged, unseen_sequences
 from rich.console import Console
 from rich.table import Table
 
-from cyclekit.estimate.check import check_rollout
-from cyclekit.estimate.tracks import operator_tracks
+from cyclekit.estimate.operator.tracks import operator_tracks
+from cyclekit.estimate.validation.check import check_rollout
 from cyclekit.estimate.whatif import Change, what_if
 from cyclekit.estimate.whatif.change import Zone
 from cyclekit.learning.rules.safety import predictor_of
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.safety import SafetyModel
-    from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.estimate.operator.tracks import OperatorTracks
+    from cyclekit.estimate.robot.safety import SafetyModel
     from cyclekit.estimate.whatif import WhatIf
     from cyclekit_sim import SimulationOptions
     from cyclekit_sim.scenes import Scene

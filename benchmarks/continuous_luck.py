@@ -28,11 +28,11 @@ from rich.table import Table
 from signal_luck import STEP_S, TRUTH, TRUTH_SEED, TrueFields
 
 from cyclekit.config.sequences import TaskSequence
-from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.safety import Dynamics
-from cyclekit.estimate.tracks import LoggedTrack, OperatorTracks, _continued, _instants
-from cyclekit.estimate.walk import roll_all, simulate
+from cyclekit.estimate.cycle.walk import roll_all, simulate
+from cyclekit.estimate.operator.tracks import LoggedTrack, OperatorTracks, _continued, _instants
+from cyclekit.estimate.robot.nominal import nominal_tasks
+from cyclekit.estimate.robot.program import lay_out
+from cyclekit.estimate.robot.safety import Dynamics
 from cyclekit_sim.choices import FRESH, LOGGED, OPERATOR, draw_places, operator_legs, stream
 from cyclekit_sim.fields import on_of
 from cyclekit_sim.scenes import BUILT_IN
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.nominal import NominalTask
-    from cyclekit.estimate.program import Program
+    from cyclekit.estimate.robot.nominal import NominalTask
+    from cyclekit.estimate.robot.program import Program
 
 SCENE, PER_SESSION, SPAN, ORDERS = "pick-and-package", 60, 3200, 3
 SESSION = PER_SESSION * 1900

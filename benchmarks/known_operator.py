@@ -37,12 +37,12 @@ from cells import PLAIN, dataset_of
 from rich.table import Table
 
 from cyclekit.config.sequences import TaskSequence
-from cyclekit.estimate.circles import start_tracks
-from cyclekit.estimate.continuation import Stretch
-from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.resample import interval_of_mean, resampled
-from cyclekit.estimate.tracks import PHASES, entries_of
+from cyclekit.estimate.operator.circles import start_tracks
+from cyclekit.estimate.operator.continuation import Stretch
+from cyclekit.estimate.operator.tracks import PHASES, entries_of
+from cyclekit.estimate.robot.nominal import nominal_tasks
+from cyclekit.estimate.robot.program import lay_out
+from cyclekit.estimate.statistics.resample import interval_of_mean, resampled
 from cyclekit_sim import random_sequence
 from cyclekit_sim.choices import FRESH, OPERATOR, operator_legs, stream
 from cyclekit_sim.fields import on_of
@@ -52,8 +52,8 @@ from cyclekit_sim.walking import Leg, WalkedTrack
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from cyclekit.estimate.program import Program
-    from cyclekit.estimate.walk import Rolled
+    from cyclekit.estimate.cycle.walk import Rolled
+    from cyclekit.estimate.robot.program import Program
 
 STEP_S, SPAN, LOGGED_ORDERS, PARTS, SEED, FIRST_ORDER = 0.1, 1700, 24, 6, 900, 10
 ONWARDS = (2 / 3, 1 / 2)

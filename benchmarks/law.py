@@ -19,8 +19,8 @@ from rich.table import Table
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.rules.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
 from cyclekit.learning.rules.of_dataset import law_of, rule_of
+from cyclekit.learning.rules.samples.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
 from cyclekit_sim import SimulationOptions, simulate
 from cyclekit_sim.rules import IsoLaw, Rule
 

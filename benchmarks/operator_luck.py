@@ -22,14 +22,14 @@ from any_length import HARD, OUT, SCENE, orders, true_function
 from cells import FRESH_SEED, dataset_of
 from rich.table import Table
 
-from cyclekit.estimate.circles import start_tracks
-from cyclekit.estimate.continuation import Continuation, Stretch
-from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.resample import interval_of_mean, resampled
-from cyclekit.estimate.safety import Dynamics
-from cyclekit.estimate.tracks import OperatorTracks, entries_of
-from cyclekit.estimate.walk import Rolled, roll_all
+from cyclekit.estimate.cycle.walk import Rolled, roll_all
+from cyclekit.estimate.operator.circles import start_tracks
+from cyclekit.estimate.operator.continuation import Continuation, Stretch
+from cyclekit.estimate.operator.tracks import OperatorTracks, entries_of
+from cyclekit.estimate.robot.nominal import nominal_tasks
+from cyclekit.estimate.robot.program import lay_out
+from cyclekit.estimate.robot.safety import Dynamics
+from cyclekit.estimate.statistics.resample import interval_of_mean, resampled
 from cyclekit_sim.choices import FRESH, OPERATOR, operator_legs, stream
 from cyclekit_sim.scenes import BUILT_IN
 from cyclekit_sim.walking import WalkedTrack
@@ -37,7 +37,7 @@ from cyclekit_sim.walking import WalkedTrack
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.estimate.program import Program
+    from cyclekit.estimate.robot.program import Program
 
 STEP_S, LENGTH, SPAN, LATER, TURNS = 0.1, 2200, 1600, (0, 200, 400, 600), 8
 MEAN_OF_SIZE = (2 / np.pi) ** 0.5

@@ -19,11 +19,11 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.cycle.transit import transit_table
+from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.plan import Jobs
 from cyclekit.estimate.plan.search import every_order, tasks_of
-from cyclekit.estimate.tracks import operator_tracks
-from cyclekit.estimate.transit import transit_table
+from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit_sim.scenes import BUILT_IN
 
 OUT = Console(width=120)

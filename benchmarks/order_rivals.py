@@ -16,19 +16,19 @@ import numpy as np
 import polars as pl
 
 from cyclekit.config.sequences import TaskSequence
-from cyclekit.estimate.estimators import by_average
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.cycle.estimators import by_average
+from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.plan.search import tasks_of
-from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.tracks import operator_tracks
+from cyclekit.estimate.robot.nominal import nominal_tasks
+from cyclekit.estimate.robot.program import lay_out
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.operator.tracks import OperatorTracks
     from cyclekit.estimate.plan import Jobs
-    from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.estimate.robot.nominal import NominalTask
     from cyclekit.learning.networks.saved import TrainedModel
 
 STATES = 4

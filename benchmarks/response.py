@@ -44,7 +44,7 @@ from cyclekit_sim import SimulationOptions, simulate
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import DynamicsCard
-    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.robot.safety import SafetyModel
 
 BRAKING = 1.0
 GAP_S = 1.0

@@ -24,8 +24,8 @@ from rich.console import Console
 from rich.table import Table
 
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.history import TaskTimes
 from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.validation.history import TaskTimes
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.unseen.fit import learn_unseen
 from cyclekit_sim import SimulationOptions, simulate

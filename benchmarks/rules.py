@@ -30,9 +30,9 @@ from rich.table import Table
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, PolygonCard, RegionCard, RuleCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.rules.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
 from cyclekit.learning.rules.of_dataset import rule_of
-from cyclekit.learning.rules.regions import corners, polygon_corners
+from cyclekit.learning.rules.samples.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
+from cyclekit.learning.rules.samples.regions import corners, polygon_corners
 from cyclekit.learning.rules.words import kind_of
 from cyclekit_sim import SimulationOptions, simulate
 from cyclekit_sim.rules import Limit, Rectangle, Rule

@@ -24,13 +24,13 @@ from rich.table import Table
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard
-from cyclekit.estimate.continuation import Stretch
-from cyclekit.estimate.courses import continue_courses
-from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.safety import Dynamics
-from cyclekit.estimate.tracks import PHASES, OperatorTracks, _instants
-from cyclekit.estimate.walk import Rolled, roll_all
+from cyclekit.estimate.cycle.walk import Rolled, roll_all
+from cyclekit.estimate.operator.continuation import Stretch
+from cyclekit.estimate.operator.courses import continue_courses
+from cyclekit.estimate.operator.tracks import PHASES, OperatorTracks, _instants
+from cyclekit.estimate.robot.nominal import nominal_tasks
+from cyclekit.estimate.robot.program import lay_out
+from cyclekit.estimate.robot.safety import Dynamics
 from cyclekit_sim import random_sequence
 from cyclekit_sim.choices import FRESH, OPERATOR, operator_legs, stream
 from cyclekit_sim.fields import on_of
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.program import Program
+    from cyclekit.estimate.robot.program import Program
 
 STEP_S, LENGTH, TRUTH, TRUTH_SEED, LOGGED_ORDERS = 0.1, 2200, 2000, 777, 24
 MEAN_OF_SIZE = (2 / np.pi) ** 0.5

@@ -13,11 +13,11 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import Kind, check_output
 from cyclekit.errors import CyclekitError, EstimateError, ModelError
 from cyclekit.estimate.answers import CycleEstimates, Refusal, refusing, together
-from cyclekit.estimate.check import Check
 from cyclekit.estimate.gantt import write_gantt
+from cyclekit.estimate.robot.safety import SafetyModel
 from cyclekit.estimate.rollout import estimate
-from cyclekit.estimate.safety import SafetyModel
 from cyclekit.estimate.task_times import estimate_plans
+from cyclekit.estimate.validation.check import Check
 from cyclekit.estimate.what_to_log import what_to_log
 from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.parallel.engine import LOCAL, Engine

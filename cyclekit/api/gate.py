@@ -11,7 +11,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.answers import CycleEstimates
 from cyclekit.estimate.result import CycleEstimate
-from cyclekit.estimate.safety import SafetyModel
+from cyclekit.estimate.robot.safety import SafetyModel
 from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.text.results import Result
 

@@ -11,7 +11,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.estimate.plan.jobs import Jobs, load_jobs
 from cyclekit.estimate.plan.task_orders import TaskJobs, load_task_jobs
-from cyclekit.estimate.safety import SafetyModel
+from cyclekit.estimate.robot.safety import SafetyModel
 from cyclekit.estimate.whatif.change import Change, load_changes
 from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.rules.safety import predictor_of

@@ -31,9 +31,9 @@ from cyclekit.learning.unseen.model import UnseenOperator
 from cyclekit.report import Tried
 
 if TYPE_CHECKING:
-    from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan.answer import OrderPlan
     from cyclekit.estimate.plan.task_orders import TaskOrderPlan
+    from cyclekit.estimate.validation.check import Check
     from cyclekit.estimate.whatif.answer import WhatIf
     from cyclekit.estimate.whatif.answers import WhatIfAnswers
 

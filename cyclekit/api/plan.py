@@ -9,11 +9,11 @@ from cyclekit.config.write import sequence_to_toml
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import ConfigError
-from cyclekit.estimate.check import Check
 from cyclekit.estimate.plan.answer import OrderPlan, plan
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.plan.task_orders import TaskJobs, TaskOrderPlan, plan_tasks
-from cyclekit.estimate.safety import SafetyModel
+from cyclekit.estimate.robot.safety import SafetyModel
+from cyclekit.estimate.validation.check import Check
 from cyclekit.learning.task_times.runs import logged_runs
 from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.storage.atomic import write_text

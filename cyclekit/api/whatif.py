@@ -12,8 +12,8 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.estimate.answers import Refusal, refusing, together
-from cyclekit.estimate.check import Check
-from cyclekit.estimate.safety import SafetyModel
+from cyclekit.estimate.robot.safety import SafetyModel
+from cyclekit.estimate.validation.check import Check
 from cyclekit.estimate.whatif.answer import what_if as compare
 from cyclekit.estimate.whatif.answers import WhatIfAnswers
 from cyclekit.estimate.whatif.both import what_if_tasks

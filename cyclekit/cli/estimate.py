@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.estimate.answers import Refusal
-    from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.validation.check import Check
 
 EXAMPLE = "cyclekit estimate model sequences.toml --dataset dataset"
 CAPTION = "seconds: motion at full speed + slow-down for safety + dwell + wait = expected"
@@ -162,7 +162,7 @@ def doubt_legend(found: Sequence[CycleEstimate], *, width: int = 80) -> str:
 def estimates_table(found: Sequence[CycleEstimate]) -> str:
     """Return one table per kind of work, fastest first: expected time, range of cycles, and its parts."""
     from cyclekit.estimate.result import SPLIT
-    from cyclekit.estimate.same_work import by_work
+    from cyclekit.estimate.statistics.same_work import by_work
 
     low, high = _range(found)
     parts = ["usual", "beside", "dwell", "wait"] if _of_lists(found) else SPLIT_HEADS
@@ -198,7 +198,7 @@ def _caption(found: Sequence[CycleEstimate]) -> str:
 
 def ranking(found: Sequence[CycleEstimate]) -> str:
     """Return the probabilities that the first sequence of each kind of work is faster than each of the others."""
-    from cyclekit.estimate.same_work import by_work
+    from cyclekit.estimate.statistics.same_work import by_work
 
     works = by_work(found)
     rows = [

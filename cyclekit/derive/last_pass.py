@@ -9,8 +9,8 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.derive.cause_samples import TwoStateSignal, rows_of
-from cyclekit.derive.causes import Evidence, lost_shares
+from cyclekit.derive.causes.cause_samples import TwoStateSignal, rows_of
+from cyclekit.derive.causes.causes import Evidence, lost_shares
 from cyclekit.derive.sample_file import AT_ONCE, write_samples
 from cyclekit.people.activity import OperatorStandstills, with_goals
 from cyclekit.people.tracks import goals_from_standstills

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards import Note, OperatorSignalCard
     from cyclekit.dataset.cards.notes import Value
-    from cyclekit.derive.causes import Evidence
+    from cyclekit.derive.causes.causes import Evidence
     from cyclekit.derive.last_pass import LastPassResult
-    from cyclekit.derive.operator_signals import FoundSignals
     from cyclekit.derive.second_pass import SecondPassResult
+    from cyclekit.derive.signals.operator_signals import FoundSignals
     from cyclekit.people.silence import Absence
 
 

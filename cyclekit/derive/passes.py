@@ -18,8 +18,9 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.dataset.signals import switches
 from cyclekit.dataset.time_grid import stretches
-from cyclekit.derive.cause_samples import TwoStateSignal, joined, rows_of
-from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
+from cyclekit.derive.causes.cause_samples import TwoStateSignal, joined, rows_of
+from cyclekit.derive.causes.causes import NOTHING, Evidence, find_evidence
+from cyclekit.derive.causes.stops_at_places import StopAtPlace, stops_at_places
 from cyclekit.derive.first_pass import first_pass
 from cyclekit.derive.found_slider import sliders_of, without_slider_loss
 from cyclekit.derive.interruptions import interruption_notes, with_interruptions
@@ -31,7 +32,7 @@ from cyclekit.derive.reaction_time import reaction_time
 from cyclekit.derive.robot import numbered, robot_of, with_standstills
 from cyclekit.derive.sample_file import in_order, shared_files
 from cyclekit.derive.second_pass import SecondPassResult, second_pass
-from cyclekit.derive.session_signals import (
+from cyclekit.derive.signals.session_signals import (
     find_presence_signals,
     is_tracked,
     mixed_sources,
@@ -39,7 +40,6 @@ from cyclekit.derive.session_signals import (
     some_executions,
 )
 from cyclekit.derive.slow_down_clocks import with_slow_down_clocks
-from cyclekit.derive.stops_at_places import StopAtPlace, stops_at_places
 from cyclekit.derive.tracker_frame import frame_notes
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.derive.robot import RobotInSessions
     from cyclekit.derive.second_pass import SessionToSample
-    from cyclekit.derive.session_signals import PresenceSignals
+    from cyclekit.derive.signals.session_signals import PresenceSignals
     from cyclekit.people.silence import Absence
     from cyclekit.schema import Floats, Progress
     from cyclekit.segmentation.dwell import Dwell

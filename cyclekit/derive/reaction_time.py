@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.derive.causes.usual_levels import usual_levels
 from cyclekit.derive.concatenated import APART_S, commanded_samples, shifts_apart
-from cyclekit.derive.session_signals import some_executions
-from cyclekit.derive.usual_levels import usual_levels
+from cyclekit.derive.signals.session_signals import some_executions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

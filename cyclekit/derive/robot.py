@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import Note
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import Session
+    from cyclekit.derive.causes.stops_at_places import StopAtPlace
     from cyclekit.derive.first_pass import FirstPassResult
     from cyclekit.derive.over_sessions import Passes
-    from cyclekit.derive.stops_at_places import StopAtPlace
     from cyclekit.parallel.engine import Engine
     from cyclekit.schema import Ints, Progress
     from cyclekit.segmentation.standstills import Standstill

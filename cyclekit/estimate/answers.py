@@ -16,7 +16,7 @@ from cyclekit.text.results import Result
 if TYPE_CHECKING:
     import polars as pl
 
-    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.validation.check import Check
     from cyclekit.estimate.whatif.change import Change
     from cyclekit.plots.drawing import Drawing
 

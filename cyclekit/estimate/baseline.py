@@ -10,12 +10,12 @@ import numpy as np
 import polars as pl
 
 from cyclekit.config.sequences import PLAN
-from cyclekit.estimate.bias import half_width_95
-from cyclekit.estimate.latest_pace import at_latest_pace, logged_pace, share_of_pace
 from cyclekit.estimate.logged_both import logged_of_both, logged_plan
-from cyclekit.estimate.resample import TOGETHER, Z95, resampled, wilson
+from cyclekit.estimate.operator.latest_pace import at_latest_pace, logged_pace, share_of_pace
 from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, SPLIT, CycleEstimate, PlannedShare, TaskShare
-from cyclekit.estimate.same_work import plan_goals, work_of
+from cyclekit.estimate.statistics.bias import half_width_95
+from cyclekit.estimate.statistics.resample import TOGETHER, Z95, resampled, wilson
+from cyclekit.estimate.statistics.same_work import plan_goals, work_of
 from cyclekit.learning.task_times.runs import logged_runs
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import OperatorPaceCard
     from cyclekit.dataset.cards.task_model import PaceCard
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.same_work import Work
+    from cyclekit.estimate.statistics.same_work import Work
     from cyclekit.learning.task_times.runs import Run
     from cyclekit.schema import Floats, Vector
 

@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.estimate.estimators import ESTIMATORS
-from cyclekit.estimate.safety import Dynamics, Logged, OnStates, holds_everywhere
-from cyclekit.estimate.spread import RolloutInputs, logged_support, roll_spread
-from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
-from cyclekit.estimate.transit import transit_table
-from cyclekit.estimate.walk import Rolled, roll_all
+from cyclekit.estimate.cycle.estimators import ESTIMATORS
+from cyclekit.estimate.cycle.spread import RolloutInputs, logged_support, roll_spread
+from cyclekit.estimate.cycle.transit import transit_table
+from cyclekit.estimate.cycle.walk import Rolled, roll_all
+from cyclekit.estimate.operator.tracks import OperatorTracks, operator_tracks
+from cyclekit.estimate.robot.safety import Dynamics, Logged, OnStates, holds_everywhere
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from cyclekit.config.sequences import TaskSequence
-    from cyclekit.estimate.program import Program
-    from cyclekit.estimate.question import Question
+    from cyclekit.estimate.robot.program import Program
+    from cyclekit.estimate.validation.question import Question
     from cyclekit.schema import Progress
 
 MANY = 50

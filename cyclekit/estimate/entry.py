@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.estimate.estimators import ESTIMATORS
-from cyclekit.estimate.resample import least_wide, share_within
+from cyclekit.estimate.cycle.estimators import ESTIMATORS
 from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, CycleEstimate, TaskShare
-from cyclekit.estimate.safety import OnStates
+from cyclekit.estimate.robot.safety import OnStates
+from cyclekit.estimate.statistics.resample import least_wide, share_within
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from cyclekit.config.sequences import TaskSequence
-    from cyclekit.estimate.history import Combined
-    from cyclekit.estimate.means import Means
-    from cyclekit.estimate.program import Program
-    from cyclekit.estimate.question import Question
-    from cyclekit.estimate.tracks import OperatorTracks
-    from cyclekit.estimate.walk import Rolled
+    from cyclekit.estimate.cycle.walk import Rolled
+    from cyclekit.estimate.operator.tracks import OperatorTracks
+    from cyclekit.estimate.robot.program import Program
+    from cyclekit.estimate.validation.history import Combined
+    from cyclekit.estimate.validation.means import Means
+    from cyclekit.estimate.validation.question import Question
     from cyclekit.schema import Floats, Vector
 
 MIN_SUPPORT = 0.5

@@ -15,11 +15,11 @@ import polars as pl
 from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import EstimateError, ModelError
-from cyclekit.estimate.check import Check, check_rollout
 from cyclekit.estimate.entry import MIN_SUPPORT
-from cyclekit.estimate.nominal import slider_losses
-from cyclekit.estimate.safety import OnStates
-from cyclekit.estimate.work_dwells import MIN_EXECUTIONS, either_kind, said_of_places
+from cyclekit.estimate.robot.nominal import slider_losses
+from cyclekit.estimate.robot.safety import OnStates
+from cyclekit.estimate.robot.work_dwells import MIN_EXECUTIONS, either_kind, said_of_places
+from cyclekit.estimate.validation.check import Check, check_rollout
 from cyclekit.learning.signal_inputs import left_out
 from cyclekit.learning.windows import nobody_there
 
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.cycle.walk import Rolled
     from cyclekit.estimate.joint.roll import RolledBoth
-    from cyclekit.estimate.nominal import NominalTask
-    from cyclekit.estimate.question import Question
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.estimate.safety import SafetyModel
-    from cyclekit.estimate.walk import Rolled
-    from cyclekit.estimate.work_dwells import Group
+    from cyclekit.estimate.robot.nominal import NominalTask
+    from cyclekit.estimate.robot.safety import SafetyModel
+    from cyclekit.estimate.robot.work_dwells import Group
+    from cyclekit.estimate.validation.question import Question
 
 
 CONTINUED = 0.5

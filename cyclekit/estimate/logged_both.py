@@ -11,7 +11,7 @@ import polars as pl
 
 from cyclekit.config.sequences import PLAN
 from cyclekit.estimate.result import OWN_TASK, PlannedShare
-from cyclekit.estimate.same_work import plan_goals
+from cyclekit.estimate.statistics.same_work import plan_goals
 from cyclekit.learning.coupling.waits import condition_text
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from cyclekit.estimate.cycles import MANY
-from cyclekit.estimate.resample import means_below
-from cyclekit.estimate.same_work import by_work
+from cyclekit.estimate.statistics.resample import means_below
+from cyclekit.estimate.statistics.same_work import by_work
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import PlannedTask
     from cyclekit.dataset.cards import OperatorPaceCard
     from cyclekit.dataset.cards.task_model import PaceCard
-    from cyclekit.estimate.check import Check
-    from cyclekit.estimate.history import Combined
+    from cyclekit.estimate.validation.check import Check
+    from cyclekit.estimate.validation.history import Combined
     from cyclekit.plots.drawing import Drawing
 
 SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
@@ -127,7 +127,7 @@ class CycleEstimate(Result):
         takt_probability: Share of the cycles within the takt time, and its 95 % interval from resampled executions, no
             narrower than Wilson's interval for that number of executions.
         beats: Probability that its mean is below that of another sequence of the same work
-            (`cyclekit.estimate.same_work`), by name, over common resampled executions.
+            (`cyclekit.estimate.statistics.same_work`), by name, over common resampled executions.
         extrapolated: Whether most of the cycle runs through positions that were never logged.
         operator: Requested order of the operator's tasks; None if left open.
         check: The validation on logged executions that corrected the estimate; None without one.

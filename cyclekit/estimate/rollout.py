@@ -14,9 +14,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import EstimateError, ModelError, UnknownName
+from cyclekit.estimate.cycle.estimators import ESTIMATORS
+from cyclekit.estimate.cycle.walk import Rolled, roll_out
 from cyclekit.estimate.cycles import cycles_of
 from cyclekit.estimate.entry import entry_of
-from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.joint.answer import estimate_both, waits_are_known
 from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.limits import (
@@ -28,16 +29,22 @@ from cyclekit.estimate.limits import (
     validated,
     with_work,
 )
-from cyclekit.estimate.means import BesideRollout, history_of, level_of, means_of, order_effect_for, visit_effect_for
-from cyclekit.estimate.nominal import NominalTask, nominal_tasks
-from cyclekit.estimate.program import Program, lay_out
-from cyclekit.estimate.question import Altered, Question
+from cyclekit.estimate.operator.tracks import OperatorTracks
 from cyclekit.estimate.ranked import ranked
-from cyclekit.estimate.resample import TOGETHER, resampled
-from cyclekit.estimate.safety import OnStates
-from cyclekit.estimate.signal_states import on_states_of
-from cyclekit.estimate.tracks import OperatorTracks
-from cyclekit.estimate.walk import Rolled, roll_out
+from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.robot.program import Program, lay_out
+from cyclekit.estimate.robot.safety import OnStates
+from cyclekit.estimate.robot.signal_states import on_states_of
+from cyclekit.estimate.statistics.resample import TOGETHER, resampled
+from cyclekit.estimate.validation.means import (
+    BesideRollout,
+    history_of,
+    level_of,
+    means_of,
+    order_effect_for,
+    visit_effect_for,
+)
+from cyclekit.estimate.validation.question import Altered, Question
 from cyclekit.learning.networks.cell import refuse_other_cell, trained_on
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.parallel.engine import LOCAL, Engine
@@ -46,9 +53,9 @@ from cyclekit.parallel.one_thread import one_thread
 if TYPE_CHECKING:
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.robot.safety import SafetyModel
+    from cyclekit.estimate.validation.check import Check
     from cyclekit.schema import Floats, Progress, Vector
 
     _Refuse = Callable[[TaskSequence, EstimateError], None]

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from cyclekit.errors import CyclekitError, EstimateError
-from cyclekit.estimate.conformal import conformal
-from cyclekit.estimate.resample import Z95, least_wide
 from cyclekit.estimate.result import OWN_TASK, CycleEstimate, PlannedShare, TaskShare
-from cyclekit.estimate.same_work import by_work
+from cyclekit.estimate.statistics.conformal import conformal
+from cyclekit.estimate.statistics.resample import Z95, least_wide
+from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.estimate.task_doubts import doubts_of_plan, never_in_a_row
 from cyclekit.learning.task_times.roll import SimulatedPlan, agent_of, roll_plan
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.errors import DatasetError
-from cyclekit.estimate.resample import Z95
+from cyclekit.estimate.statistics.resample import Z95
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:

@@ -47,8 +47,8 @@ from cyclekit.ingest.read.reuse import gather_quarantine
 from cyclekit.ingest.report import IngestReport, report_of
 from cyclekit.ingest.restarts import divide_restarted
 from cyclekit.ingest.shared_logs import may_be_shared, split_shared
+from cyclekit.learning.coupling.events.logged_visits import courses_of
 from cyclekit.learning.coupling.learn import learn_executions
-from cyclekit.learning.coupling.logged_visits import courses_of
 from cyclekit.learning.coupling.waits import with_waits_named
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.parallel.one_thread import one_thread

@@ -18,7 +18,7 @@ from cyclekit.dataset import lost_time
 from cyclekit.dataset.cards import plain, texts
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import LogError
-from cyclekit.estimate.work_dwells import either_kind, said_of_places, standstills_by_work
+from cyclekit.estimate.robot.work_dwells import either_kind, said_of_places, standstills_by_work
 from cyclekit.ingest.discover import cell_for, find_all, options_of
 from cyclekit.ingest.read.tool_point import with_tool_point
 from cyclekit.ingest.registry import adapter_named

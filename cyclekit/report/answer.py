@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.estimate.result import MAJORITY
-from cyclekit.estimate.same_work import by_work
+from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.report import verdict
 from cyclekit.report.figures import charts_of
 from cyclekit.report.numbers import UNKNOWN, decimals_for, fixed, given, percent, seconds, with_uncertainty
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.estimate.same_work import Work
+    from cyclekit.estimate.statistics.same_work import Work
     from cyclekit.report.findings import Overview
     from cyclekit.report.inputs import PageInputs
     from cyclekit.report.texts import ReportTexts

@@ -13,8 +13,8 @@ from cyclekit.report.tables import ReportTable
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.validation.check import Check
     from cyclekit.report.inputs import PageInputs
     from cyclekit.report.texts import ReportTexts
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.estimate.same_work import work_of
+from cyclekit.estimate.statistics.same_work import work_of
 from cyclekit.report.figures import Chart
 from cyclekit.report.findings import losses, safety_function, task_shares
 from cyclekit.report.provenance import provenance

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.estimate.same_work import by_work
+from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.report.answer import not_answered
 from cyclekit.report.figures import charts_of
 from cyclekit.report.findings import losses

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.answers import Refusal
-    from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.validation.check import Check
     from cyclekit.estimate.what_to_log import RecordingPlan
     from cyclekit.learning.coupling.words import WaitRow
     from cyclekit.report.findings import Judged, LoggedResponse, Overview, Predicts

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version as installed
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.estimate.same_work import by_work
+from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.learning.unseen.model import UnseenOperator
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.report import answer, helps, trust, where, why
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.answers import Refusal
-    from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.validation.check import Check
     from cyclekit.report.findings import Judged, Predicts
     from cyclekit.report.tried import Tried
 

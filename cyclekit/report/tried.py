@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from cyclekit.errors import CyclekitError
-from cyclekit.estimate.resample import wilson
 from cyclekit.estimate.result import CycleEstimate
+from cyclekit.estimate.statistics.resample import wilson
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.errors import UnknownName
 from cyclekit.estimate.baseline import baseline_of
-from cyclekit.estimate.same_work import by_work, work_of
+from cyclekit.estimate.statistics.same_work import by_work, work_of
 from cyclekit.report.numbers import count, fixed, given, percent, signed_percent, with_uncertainty
 from cyclekit.report.tried import share_of
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.baseline import Baseline
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.estimate.same_work import Work
+    from cyclekit.estimate.statistics.same_work import Work
     from cyclekit.report.texts import ReportTexts
     from cyclekit.report.tried import Tried
 

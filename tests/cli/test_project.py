@@ -15,8 +15,8 @@ from cyclekit.api.gate import GateVerdict
 from cyclekit.config.project import Project, load_project, project_to_toml
 from cyclekit.config.sequences import load_sequences
 from cyclekit.estimate.answers import CycleEstimates
-from cyclekit.estimate.resample import least_wide
 from cyclekit.estimate.result import CycleEstimate
+from cyclekit.estimate.statistics.resample import least_wide
 from cyclekit.learning.unseen.saved import holds_unseen
 from cyclekit.text.durations import seconds_in
 from cyclekit_sim import simulate

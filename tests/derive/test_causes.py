@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from cyclekit import schema
 from cyclekit.cli import run
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.derive.cause_samples import Rows, TwoStateSignal, joined
-from cyclekit.derive.causes import Evidence, Input, find_evidence, lost_shares
-from cyclekit.derive.path_limits import Limit
-from cyclekit.derive.path_limits import find_limits as limits_of
-from cyclekit.derive.usual_levels import usual_levels
+from cyclekit.derive.causes.cause_samples import Rows, TwoStateSignal, joined
+from cyclekit.derive.causes.causes import Evidence, Input, find_evidence, lost_shares
+from cyclekit.derive.causes.path_limits import Limit
+from cyclekit.derive.causes.path_limits import find_limits as limits_of
+from cyclekit.derive.causes.usual_levels import usual_levels
 from cyclekit.ingest.ingest import ingest
 from cyclekit.schema import LOST_CAUSES, SCALING_CAUSES
 from cyclekit_sim import MixedCauses, SimulationOptions, simulate

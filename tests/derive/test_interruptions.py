@@ -13,7 +13,7 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import ExecutionCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.derive.interruptions import interruption_notes, with_interruptions
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.rollout import estimate
 from cyclekit.ingest.ingest import ingest
 from cyclekit_sim import simulate

@@ -14,9 +14,9 @@ from cyclekit.config.read import load_cell
 from cyclekit.config.write import cell_to_toml
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.signals import SignalChanges
-from cyclekit.derive.latched_signals import latched
-from cyclekit.derive.operator_signals import find_signals
-from cyclekit.derive.signal_evidence import SignalEvidence
+from cyclekit.derive.signals.latched_signals import latched
+from cyclekit.derive.signals.operator_signals import find_signals
+from cyclekit.derive.signals.signal_evidence import SignalEvidence
 from cyclekit.errors import UnknownName
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.rules.of_dataset import rule_of

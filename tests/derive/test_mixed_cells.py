@@ -11,7 +11,7 @@ from cyclekit.config import load_cell
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard, texts
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.derive.cause_samples import TwoStateSignal
+from cyclekit.derive.causes.cause_samples import TwoStateSignal
 from cyclekit.derive.last_pass import _with_unseen
 from cyclekit.errors import DatasetError
 from cyclekit.ingest.ingest import ingest

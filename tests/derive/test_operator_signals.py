@@ -17,9 +17,9 @@ from cyclekit.config.read import load_cell
 from cyclekit.config.write import cell_to_toml
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.signals import SignalChanges
-from cyclekit.derive.operator_signals import find_signals
-from cyclekit.derive.session_signals import _held_events
-from cyclekit.derive.signal_evidence import SignalEvidence
+from cyclekit.derive.signals.operator_signals import find_signals
+from cyclekit.derive.signals.session_signals import _held_events
+from cyclekit.derive.signals.signal_evidence import SignalEvidence
 from cyclekit.errors import UnknownName
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.evaluation.evaluate import evaluate

@@ -9,9 +9,9 @@ import pytest
 
 from cyclekit.config.cells import OperatorSignal
 from cyclekit.dataset.signals import SignalChanges
-from cyclekit.derive.cause_samples import TwoStateSignal
-from cyclekit.derive.operator_signals import find_signals
-from cyclekit.derive.signal_evidence import SignalEvidence
+from cyclekit.derive.causes.cause_samples import TwoStateSignal
+from cyclekit.derive.signals.operator_signals import find_signals
+from cyclekit.derive.signals.signal_evidence import SignalEvidence
 
 DELAY_S, WARNING_S, PROTECTIVE_S = 0.1, 0.5, 2.0
 END_S, STEP_S = 1200.0, 0.1

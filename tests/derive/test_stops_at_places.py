@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cyclekit.derive.cause_samples import Rows
-from cyclekit.derive.causes import Evidence
-from cyclekit.derive.stops_at_places import StopAtPlace, stops_at_places
-from cyclekit.derive.usual_levels import usual_levels
+from cyclekit.derive.causes.cause_samples import Rows
+from cyclekit.derive.causes.causes import Evidence
+from cyclekit.derive.causes.stops_at_places import StopAtPlace, stops_at_places
+from cyclekit.derive.causes.usual_levels import usual_levels
 from cyclekit.segmentation.arrivals import PlaceStandstill
 from cyclekit.segmentation.dwell import Dwell, EndSignal
 from cyclekit.segmentation.executions import Execution, Visit

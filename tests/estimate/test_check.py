@@ -14,12 +14,12 @@ from scipy import stats
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import SplitCard, TrainingCard
-from cyclekit.estimate import walk as walking
-from cyclekit.estimate.bias import bias_of, half_width_95
-from cyclekit.estimate.check import Check, check_rollout, compare, unseen_people
-from cyclekit.estimate.conformal import conformal
-from cyclekit.estimate.resample import interval_of_mean, resampled
+from cyclekit.estimate.cycle import walk as walking
 from cyclekit.estimate.rollout import estimate as estimate_validated
+from cyclekit.estimate.statistics.bias import bias_of, half_width_95
+from cyclekit.estimate.statistics.conformal import conformal
+from cyclekit.estimate.statistics.resample import interval_of_mean, resampled
+from cyclekit.estimate.validation.check import Check, check_rollout, compare, unseen_people
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset

@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cyclekit.estimate import circles
-from cyclekit.estimate.circles import start_tracks
-from cyclekit.estimate.continuation import Stretch
+from cyclekit.estimate.operator import circles
+from cyclekit.estimate.operator.circles import start_tracks
+from cyclekit.estimate.operator.continuation import Stretch
 
 STEP_S = 0.1
 NOWHERE = (np.nan,) * 3

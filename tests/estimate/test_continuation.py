@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cyclekit.estimate.continuation import Continuation, Stretch
+from cyclekit.estimate.operator.continuation import Continuation, Stretch
 
 STEP_S = 0.1
 HERE, THERE = (2.0, 0.0, 0.2), (4.0, 1.0, 0.2)

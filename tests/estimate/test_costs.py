@@ -14,13 +14,13 @@ from ruled import box, near, ruled
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import DynamicsCard
 from cyclekit.errors import ConfigError, EstimateError
-from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.robot.safety import Dynamics
 from cyclekit.estimate.whatif import Change, LimitChange, load_changes, what_if
 from cyclekit.estimate.whatif.alter import altered_safety
 from cyclekit.estimate.whatif.costs import SafetyCosts, costs_of, parameter_label, step_label
 from cyclekit.estimate.whatif.separation import Separation, margins_of, refuse_other_thresholds
-from cyclekit.learning.rules.distances import TO_BASE, TO_TCP
-from cyclekit.learning.rules.quantities import quantities
+from cyclekit.learning.rules.samples.distances import TO_BASE, TO_TCP
+from cyclekit.learning.rules.samples.quantities import quantities
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.dataset.cards import DynamicsCard
-from cyclekit.estimate import tracks
-from cyclekit.estimate.continuation import Stretch
-from cyclekit.estimate.courses import continue_courses
-from cyclekit.estimate.safety import OnStates
+from cyclekit.estimate.operator import tracks
+from cyclekit.estimate.operator.continuation import Stretch
+from cyclekit.estimate.operator.courses import continue_courses
+from cyclekit.estimate.robot.safety import OnStates
 
 CARD = SimpleNamespace(executions=(), dynamics=DynamicsCard())
 

@@ -10,13 +10,13 @@ from msgspec import structs
 
 from cyclekit.dataset.cards import DynamicsCard, TrainingCard
 from cyclekit.dataset.cards.rule import LawCard, MetresCard, RuleCard
-from cyclekit.estimate.check import check_rollout
-from cyclekit.estimate.logged import beginnings, logged_sequences, with_other_tracks
-from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.safety import Dynamics, Follower
-from cyclekit.estimate.tracks import operator_tracks
-from cyclekit.estimate.walk import roll_out
+from cyclekit.estimate.cycle.walk import roll_out
+from cyclekit.estimate.operator.tracks import operator_tracks
+from cyclekit.estimate.robot.nominal import nominal_tasks
+from cyclekit.estimate.robot.program import lay_out
+from cyclekit.estimate.robot.safety import Dynamics, Follower
+from cyclekit.estimate.validation.check import check_rollout
+from cyclekit.estimate.validation.logged import beginnings, logged_sequences, with_other_tracks
 from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:

@@ -14,15 +14,15 @@ from report_pages import estimate as made
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import UnknownName
+from cyclekit.estimate.cycle.transit import transit_table
+from cyclekit.estimate.cycle.walk import Rolled, roll_all, roll_out
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles
-from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.program import lay_out
+from cyclekit.estimate.operator.tracks import ENTRIES, operator_tracks
 from cyclekit.estimate.ranked import ranked
-from cyclekit.estimate.resample import wilson
+from cyclekit.estimate.robot.nominal import nominal_tasks
+from cyclekit.estimate.robot.program import lay_out
 from cyclekit.estimate.rollout import estimate as estimate_validated
-from cyclekit.estimate.tracks import ENTRIES, operator_tracks
-from cyclekit.estimate.transit import transit_table
-from cyclekit.estimate.walk import Rolled, roll_all, roll_out
+from cyclekit.estimate.statistics.resample import wilson
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset

@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 
 from cyclekit.cli.estimate import basis_and_limits
 from cyclekit.config.sequences import TaskSequence
-from cyclekit.estimate.history import TaskTimes, chance_of_logs, history_share, order_error
-from cyclekit.estimate.logged import logged_sequences
-from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.resample import resampled, resampled_alike
+from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.statistics.resample import resampled, resampled_alike
+from cyclekit.estimate.validation.history import TaskTimes, chance_of_logs, history_share, order_error
+from cyclekit.estimate.validation.logged import logged_sequences
 from cyclekit.estimate.whatif import Change, what_if
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.validation.check import Check
 
 
 @pytest.fixture(scope="module")

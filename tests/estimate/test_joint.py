@@ -22,8 +22,8 @@ from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, Plan, RolledBoth, longest_s
 from cyclekit.estimate.joint.shares import planned_shares
-from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.whatif.change import Change
 

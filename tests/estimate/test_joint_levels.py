@@ -17,7 +17,7 @@ from cyclekit.estimate.joint.answer import resample_counts, session_shifts, with
 from cyclekit.estimate.joint.levels import WALK, WORK, Levels
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, RolledBoth
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.robot.nominal import nominal_tasks
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset

@@ -18,7 +18,7 @@ from cyclekit.estimate.joint.check import judge_joint
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, RolledBoth
 from cyclekit.estimate.joint.visits import Segments
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.rollout import estimate
 
 if TYPE_CHECKING:

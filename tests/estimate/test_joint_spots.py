@@ -16,7 +16,7 @@ from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, RolledBoth
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.robot.nominal import nominal_tasks
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset

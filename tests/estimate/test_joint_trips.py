@@ -18,7 +18,7 @@ from cyclekit.estimate.joint.legs import Gates, operator_agenda
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, RolledBoth
 from cyclekit.estimate.joint.shares import planned_shares
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.estimate.whatif.coupled import altered_coupling
 

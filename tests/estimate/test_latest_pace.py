@@ -13,8 +13,8 @@ from cyclekit.dataset.cards import OperatorPaceCard
 from cyclekit.dataset.cards.coupling import TrendCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.baseline import baseline_of
-from cyclekit.estimate.latest_pace import LoggedPace, at_latest_pace, logged_pace, share_of_pace
-from cyclekit.estimate.same_work import work_of
+from cyclekit.estimate.operator.latest_pace import LoggedPace, at_latest_pace, logged_pace, share_of_pace
+from cyclekit.estimate.statistics.same_work import work_of
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.task_times.learn import learn_task_times

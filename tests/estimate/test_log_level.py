@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cyclekit.estimate.check import Check
-from cyclekit.estimate.log_level import LogLevel, log_level
-from cyclekit.estimate.tracks import OperatorTracks
+from cyclekit.estimate.operator.tracks import OperatorTracks
+from cyclekit.estimate.validation.check import Check
+from cyclekit.estimate.validation.log_level import LogLevel, log_level
 
 if TYPE_CHECKING:
     from cyclekit.schema import Floats, Vector

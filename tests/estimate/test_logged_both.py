@@ -13,7 +13,7 @@ from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
 from cyclekit.estimate.baseline import baseline_of
 from cyclekit.estimate.logged_both import logged_of_both, logged_plan
-from cyclekit.estimate.same_work import work_of
+from cyclekit.estimate.statistics.same_work import work_of
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset

@@ -15,9 +15,9 @@ from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.limits import limits_of_logs
-from cyclekit.estimate.nominal import STEP_S, nominal_tasks, slider_losses
-from cyclekit.estimate.support import Support
-from cyclekit.estimate.tracks import operator_tracks
+from cyclekit.estimate.operator.tracks import operator_tracks
+from cyclekit.estimate.robot.nominal import STEP_S, nominal_tasks, slider_losses
+from cyclekit.estimate.robot.support import Support
 
 
 def test_nominal_durations_are_those_that_the_program_asks_for(logged: Dataset, truth: pl.DataFrame):

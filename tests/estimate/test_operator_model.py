@@ -9,10 +9,10 @@ import numpy as np
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.check import check_rollout
+from cyclekit.estimate.operator.tracks import ENTRIES, LoggedTrack, operator_tracks, phase_is_free
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.rollout import estimate
-from cyclekit.estimate.tracks import ENTRIES, LoggedTrack, operator_tracks, phase_is_free
+from cyclekit.estimate.validation.check import check_rollout
 from cyclekit.estimate.whatif import Change, what_if
 
 AND_BACK = TaskSequence("and back", ("place_1", "place_2", "place_1"))

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cyclekit.estimate.nominal import NominalTask
-from cyclekit.estimate.order_effect import order_effect_of
-from cyclekit.estimate.resample import RESAMPLES
+from cyclekit.estimate.robot.nominal import NominalTask
+from cyclekit.estimate.statistics.resample import RESAMPLES
+from cyclekit.estimate.validation.order_effect import order_effect_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

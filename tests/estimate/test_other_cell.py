@@ -13,10 +13,10 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import BadCard, CellCard, TrainingCard, checked, dataset_card, plain
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ModelError
-from cyclekit.estimate.check import Check
 from cyclekit.estimate.limits import refuse_biased
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.validation.check import Check
 from cyclekit.estimate.whatif import Change, what_if
 from cyclekit.learning.networks.cell import cell_of, fingerprint, other_cell_of, refuse_other_cell, trained_on
 

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from cyclekit.estimate.pauses import MIN_PAUSES, starting_scaling
+from cyclekit.estimate.operator.pauses import MIN_PAUSES, starting_scaling
 
 UP_PER_S, PAUSE_S = 0.05, 4.0
 

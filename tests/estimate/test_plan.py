@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
-from cyclekit.estimate.check import Check
-from cyclekit.estimate.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.cycle.transit import TransitTable
 from cyclekit.estimate.plan import Jobs, load_jobs, plan, search
 from cyclekit.estimate.plan.jobs import tasks_of
 from cyclekit.estimate.plan.search import Scorer, best_order, every_order, greedy_order, random_order
-from cyclekit.estimate.transit import TransitTable
+from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.validation.check import Check
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset

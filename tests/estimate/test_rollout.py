@@ -19,16 +19,16 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError, ModelError, UnknownName
-from cyclekit.estimate import walk as walking
+from cyclekit.estimate.cycle import walk as walking
+from cyclekit.estimate.cycle.walk import FINE_STEP_S, TIME_STEP_S, Rolled
 from cyclekit.estimate.entry import _shares
-from cyclekit.estimate.nominal import NominalTask, nominal_tasks
-from cyclekit.estimate.program import Program, draw_standstills
+from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.result import PARTS
+from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.robot.program import Program, draw_standstills
+from cyclekit.estimate.robot.support import Support
 from cyclekit.estimate.rollout import estimate as estimate_validated
 from cyclekit.estimate.rollout import lay_out, roll_out
-from cyclekit.estimate.support import Support
-from cyclekit.estimate.tracks import operator_tracks
-from cyclekit.estimate.walk import FINE_STEP_S, TIME_STEP_S, Rolled
 from cyclekit_sim import random_sequence, simulate_sequence
 
 if TYPE_CHECKING:

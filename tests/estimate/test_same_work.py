@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from report_pages import estimate
 
 from cyclekit.config.sequences import PlannedTask, TaskSequence
-from cyclekit.estimate.same_work import by_work, work_of
+from cyclekit.estimate.statistics.same_work import by_work, work_of
 
 PLACES = st.lists(st.sampled_from("abcd"), min_size=2, max_size=8).filter(
     lambda places: all(a != b for a, b in pairwise(places))

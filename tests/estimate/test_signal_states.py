@@ -9,9 +9,9 @@ from cyclekit.dataset.cards import OperatorSignalCard, TrainingCard
 from cyclekit.dataset.cards.rule import LimitCard, RegionCard, RuleCard, SignalCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError, ModelError
-from cyclekit.estimate.safety import Dynamics, OnStates, at_once
-from cyclekit.estimate.signal_states import NOBODY, SignalStates, on_states_of
-from cyclekit.estimate.support import Support
+from cyclekit.estimate.robot.safety import Dynamics, OnStates, at_once
+from cyclekit.estimate.robot.signal_states import NOBODY, SignalStates, on_states_of
+from cyclekit.estimate.robot.support import Support
 from cyclekit.estimate.whatif.alter import altered_safety
 from cyclekit.estimate.whatif.change import Change, SignalChange
 from cyclekit.learning.rules.safety import RuleSafety

@@ -14,9 +14,9 @@ from cyclekit.api.train import train_model
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ModelError
+from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.rollout import estimate
-from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.learning.networks.saved import load_model
 from cyclekit.learning.unseen.model import NOBODY_SEEN, UnseenOperator
 
@@ -118,7 +118,7 @@ def test_an_effect_of_the_places_before_has_half_of_the_weight(
         def uncertain(self, _tasks: tuple[str, ...]) -> Any:
             return 1.0 + 0.1 * np.random.default_rng(1).standard_normal(1000)
 
-    monkeypatch.setattr("cyclekit.estimate.means.order_effect", lambda _: Longer())
+    monkeypatch.setattr("cyclekit.estimate.validation.means.order_effect", lambda _: Longer())
     found, other = sorted(estimate(unseen[0], robot_alone, orders), key=lambda one: one.name)
     assert other.expected_s == pytest.approx(before["1"].expected_s)
     assert found.expected_s == pytest.approx(1.1 * before["0"].expected_s)

@@ -17,9 +17,9 @@ from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, Source
 from cyclekit.errors import EstimateError, UnknownName
 from cyclekit.estimate.joint.people import BINS, LoggedMotions
 from cyclekit.estimate.joint.roll import JointCell
-from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.plan.answer import plan
 from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.whatif.answer import what_if
 from cyclekit.estimate.whatif.change import Change

@@ -10,18 +10,18 @@ import pytest
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard
-from cyclekit.estimate import walk as walking
-from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.program import draw_standstills, lay_out
-from cyclekit.estimate.safety import Dynamics, scaling_of
-from cyclekit.estimate.spread import logged_support
-from cyclekit.estimate.support import HUMAN_M, ROBOT_M
-from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
-from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S, SimulatedCycles, roll_out, simulate
+from cyclekit.estimate.cycle import walk as walking
+from cyclekit.estimate.cycle.spread import logged_support
+from cyclekit.estimate.cycle.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S, SimulatedCycles, roll_out, simulate
+from cyclekit.estimate.operator.tracks import OperatorTracks, operator_tracks
+from cyclekit.estimate.robot.nominal import nominal_tasks
+from cyclekit.estimate.robot.program import draw_standstills, lay_out
+from cyclekit.estimate.robot.safety import Dynamics, scaling_of
+from cyclekit.estimate.robot.support import HUMAN_M, ROBOT_M
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.program import Program
+    from cyclekit.estimate.robot.program import Program
 
 TRACKS = 5
 

@@ -16,16 +16,16 @@ from cyclekit.cli import run
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import DynamicsCard, TrainingCard
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
-from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.safety import Dynamics, Follower
-from cyclekit.estimate.tracks import OperatorTracks
+from cyclekit.estimate.operator.tracks import OperatorTracks
+from cyclekit.estimate.robot.nominal import nominal_tasks
+from cyclekit.estimate.robot.safety import Dynamics, Follower
 from cyclekit.estimate.whatif import NO_PROOF, Change, load_changes, what_if
 from cyclekit.estimate.whatif.alter import DefinedSafety, altered_safety, altered_tasks, altered_tracks
 from cyclekit.estimate.whatif.change import Zone
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.validation.check import Check
 
 
 def test_a_written_staircase_is_that_staircase(staircase: Any):

@@ -16,11 +16,11 @@ from scipy.stats import kruskal
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.plan import Jobs, plan
+from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.robot.work_dwells import either_kind, said_of_places, standstills_by_work
 from cyclekit.estimate.rollout import estimate, lay_out
-from cyclekit.estimate.same_work import work_of
-from cyclekit.estimate.work_dwells import either_kind, said_of_places, standstills_by_work
+from cyclekit.estimate.statistics.same_work import work_of
 from cyclekit.ingest.ingest import ingest
 from cyclekit.inspect.describe import describe
 from cyclekit.segmentation.rank_test import by_chance

@@ -11,7 +11,7 @@ import pytest
 from staircases import LEVELS, commanded, followed
 
 from cyclekit.dataset.cards import DynamicsCard
-from cyclekit.estimate.safety import Dynamics, Follower
+from cyclekit.estimate.robot.safety import Dynamics, Follower
 from cyclekit.learning.labelling import commanded_in_time, with_commands
 
 RATE_HZ = 10.0

@@ -18,9 +18,9 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.dataset.unknown_height import in_plane, inputs_in_plane
+from cyclekit.estimate.robot.safety import scaling_of
+from cyclekit.estimate.robot.support import Support
 from cyclekit.estimate.rollout import estimate
-from cyclekit.estimate.safety import scaling_of
-from cyclekit.estimate.support import Support
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.evaluation.evaluate import evaluate
 from cyclekit.learning.networks.spec import ModelSpec

@@ -17,7 +17,7 @@ from cyclekit.cli.facts import page
 from cyclekit.dataset.cards import TrainingCard, plain
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, ModelError
-from cyclekit.estimate.transit import transit_table
+from cyclekit.estimate.cycle.transit import transit_table
 from cyclekit.inspect.describe import describe
 from cyclekit.learning.divided_rows import _enough
 from cyclekit.learning.evaluation.evaluate import evaluate

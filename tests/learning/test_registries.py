@@ -11,7 +11,7 @@ from fabricated import fabricate_dataset
 from cyclekit import find_levels
 from cyclekit.cli import run
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.estimators import ESTIMATORS, Estimator, by_nominal
+from cyclekit.estimate.cycle.estimators import ESTIMATORS, Estimator, by_nominal
 from cyclekit.learning.networks.kinds import NETWORKS, Inputs, Network
 from cyclekit.learning.networks.saved import load_model, save_model
 from cyclekit.learning.networks.spec import ModelSpec
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from torch import nn
 
-    from cyclekit.estimate.program import Program
-    from cyclekit.estimate.walk import Rolled
+    from cyclekit.estimate.cycle.walk import Rolled
+    from cyclekit.estimate.robot.program import Program
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from ruled import box, near, ruled
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError
-from cyclekit.learning.rules.distances import TO_BASE
+from cyclekit.learning.rules.samples.distances import TO_BASE
 from cyclekit.learning.rules.shapes import RuleShape, around, shapes_of
 from cyclekit.learning.safety_function import read_zones
 from cyclekit.learning.safety_function.fit import (

@@ -20,11 +20,11 @@ from ruled import box, ruled
 
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, PolygonCard, RegionCard, SideCard
-from cyclekit.estimate.nominal import NominalTask, nominal_tasks
-from cyclekit.estimate.program import Program, lay_out
+from cyclekit.estimate.cycle.walk import roll_all
+from cyclekit.estimate.operator.tracks import OperatorTracks
+from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.robot.program import Program, lay_out
 from cyclekit.estimate.rollout import estimate
-from cyclekit.estimate.tracks import OperatorTracks
-from cyclekit.estimate.walk import roll_all
 from cyclekit.report import compose_report
 from cyclekit.report.inputs import PageInputs
 from cyclekit.report.play import PlayPart, part, play_part, scaling_grid

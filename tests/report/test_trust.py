@@ -13,9 +13,9 @@ from cyclekit.cli.estimate import validation
 from cyclekit.config.sequences import PLAN
 from cyclekit.dataset.cards.notes import note
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.check import compare
 from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.result import TaskShare
+from cyclekit.estimate.validation.check import compare
 from cyclekit.estimate.what_to_log import RecordingPlan
 from cyclekit.report import compose_report
 

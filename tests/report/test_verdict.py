@@ -18,7 +18,7 @@ from cyclekit.errors import UnknownName
 from cyclekit.estimate.baseline import baseline_of
 from cyclekit.estimate.plan import OrderPlan
 from cyclekit.estimate.result import TaskShare
-from cyclekit.estimate.same_work import work_of
+from cyclekit.estimate.statistics.same_work import work_of
 from cyclekit.report import Tried, compose_report
 from cyclekit.report.verdict import verdict
 

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from cyclekit.estimate.check import Check, check_rollout
+from cyclekit.estimate.validation.check import Check, check_rollout
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.robot.safety import SafetyModel
 
 _KNOWN: dict[bytes, Check] = {}
 

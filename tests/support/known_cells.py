@@ -13,7 +13,7 @@ from made_once import made_once, simulated
 from cyclekit.config import Cell, Source
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.check import Check, check_rollout
+from cyclekit.estimate.validation.check import Check, check_rollout
 from cyclekit.ingest.ingest import ingest
 
 LEVELS, THRESHOLDS_M = (0.0, 0.25, 0.5, 0.75, 1.0), (1.2, 1.5, 1.9, 2.4)

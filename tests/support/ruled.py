@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, RectangleCard, RegionCard, RuleCard
-from cyclekit.learning.rules.distances import TO_TCP
 from cyclekit.learning.rules.safety import RuleSafety
+from cyclekit.learning.rules.samples.distances import TO_TCP
 
 
 def near(metres: float, distance: str = TO_TCP) -> RegionCard:

@@ -15,9 +15,9 @@ from threadpoolctl import threadpool_limits
 from cyclekit import find_levels
 from cyclekit.config.sequences import load_sequences
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.plan import load_jobs, plan
 from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.validation.check import check_rollout
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.evaluation.evaluate import evaluate
 from cyclekit.learning.networks.saved import load_model

@@ -16,7 +16,7 @@ from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction, M
 
 _TO = "distance (TCP to operator( on the floor)?|robot base to operator on the floor|nearest link to operator)"
 DistanceName = Annotated[str, Meta(pattern=f"^{_TO}$")]
-"""Names of distances to the operator; `cyclekit.learning.rules.distances` computes them."""
+"""Names of distances to the operator; `cyclekit.learning.rules.samples.distances` computes them."""
 Angle = Annotated[float, Meta(ge=-7.0, le=7.0)]
 """An angle, rad."""
 Rate = Annotated[float, Meta(gt=0.0, le=1e6)]

@@ -26,12 +26,12 @@ from cyclekit.estimate.limits import (
     refuse_biased,
     with_work,
 )
-from cyclekit.estimate.nominal import NominalTask, nominal_tasks
-from cyclekit.estimate.question import Altered, Question
 from cyclekit.estimate.ranked import ranked
-from cyclekit.estimate.resample import interval_of_mean, least_wide, share_within
 from cyclekit.estimate.result import SPLIT, CycleEstimate, TaskShare
-from cyclekit.estimate.safety import OnStates
+from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.robot.safety import OnStates
+from cyclekit.estimate.statistics.resample import interval_of_mean, least_wide, share_within
+from cyclekit.estimate.validation.question import Altered, Question
 from cyclekit.learning.networks.cell import trained_on
 from cyclekit.learning.out_of_core import in_memory
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.cards.coupling import CommonPaceCard
     from cyclekit.estimate.joint.roll import Plan, RolledBoth
-    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.robot.safety import SafetyModel
     from cyclekit.schema import Floats, Ints, Progress, Vector
 
     _Refuse = Callable[[TaskSequence, EstimateError], None]

@@ -10,15 +10,15 @@ import polars as pl
 from scipy.special import bdtrc, stdtrit
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.bias import bias_of
-from cyclekit.estimate.check import FEW_EXECUTIONS, MAX_EXECUTIONS, MIN_EXECUTIONS, OWN_BIAS, Check, compare
-from cyclekit.estimate.conformal import conformal
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.repetitions import repetitions
 from cyclekit.estimate.joint.roll import longest_s
 from cyclekit.estimate.joint.unexplained import unexplained_waits
-from cyclekit.estimate.logged import logged_durations, logged_sequences
-from cyclekit.estimate.safety import OnStates
+from cyclekit.estimate.robot.safety import OnStates
+from cyclekit.estimate.statistics.bias import bias_of
+from cyclekit.estimate.statistics.conformal import conformal
+from cyclekit.estimate.validation.check import FEW_EXECUTIONS, MAX_EXECUTIONS, MIN_EXECUTIONS, OWN_BIAS, Check, compare
+from cyclekit.estimate.validation.logged import logged_durations, logged_sequences
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.estimate.joint.levels import WALK, WORK, Levels
-from cyclekit.learning.coupling.trips import soonest_s
+from cyclekit.learning.coupling.events.trips import soonest_s
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

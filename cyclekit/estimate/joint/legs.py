@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config.sequences import PlannedTask
     from cyclekit.dataset.cards import ConditionCard, GateCard, TripCard
-    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.robot.nominal import NominalTask
     from cyclekit.schema import Floats, Vector
 
 Event = tuple[str, str, str, int]

@@ -12,8 +12,8 @@ from zlib import crc32
 import numpy as np
 from scipy.special import ndtri
 
-from cyclekit.learning.coupling.common_pace import MAX_SHARE
-from cyclekit.learning.coupling.pace import OUTLIER
+from cyclekit.learning.coupling.pace.common_pace import MAX_SHARE
+from cyclekit.learning.coupling.pace.pace import OUTLIER
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards.coupling import CommonPaceCard

@@ -10,15 +10,15 @@ import polars as pl
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.draws import chosen
-from cyclekit.estimate.safety import OnStates
-from cyclekit.estimate.tracks import logged_courses
+from cyclekit.estimate.operator.tracks import logged_courses
+from cyclekit.estimate.robot.safety import OnStates
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.joint.draws import CycleDraws
     from cyclekit.estimate.joint.visits import Segments
     from cyclekit.estimate.joint.walk import RobotLine, UnslowedAgent
-    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.robot.safety import SafetyModel
     from cyclekit.schema import Floats, Ints, Vector
 
 BINS = 16

@@ -11,7 +11,7 @@ from cyclekit.errors import EstimateError, UnknownName
 from cyclekit.estimate.joint.composed import composed_orders, continued, coupled_places, pairs_of
 from cyclekit.estimate.joint.legs import Agenda, operator_agenda, precedence_needs, robot_agenda
 from cyclekit.estimate.joint.roll import Plan
-from cyclekit.estimate.program import lay_out
+from cyclekit.estimate.robot.program import lay_out
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import PlannedTask
     from cyclekit.estimate.joint.legs import Need
     from cyclekit.estimate.joint.roll import JointCell
-    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.robot.nominal import NominalTask
 
 AGENTS = ("robot", "operator")
 

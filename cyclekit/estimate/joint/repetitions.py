@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 from scipy.special import stdtrit
 
-from cyclekit.estimate.resample import Z95
+from cyclekit.estimate.statistics.resample import Z95
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

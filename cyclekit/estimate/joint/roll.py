@@ -11,6 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.cycle.spread import logged_support
 from cyclekit.estimate.joint.draws import CycleDraws, EventColumns
 from cyclekit.estimate.joint.in_turn import in_turn_agendas
 from cyclekit.estimate.joint.legs import Agenda, AgendaLeg, Gates, Need, needs_of
@@ -18,9 +19,8 @@ from cyclekit.estimate.joint.people import LoggedMotions, LoggedPeople, Operator
 from cyclekit.estimate.joint.unended import deadlock
 from cyclekit.estimate.joint.visits import Segments
 from cyclekit.estimate.joint.walk import JointCycles, LegTimes, simulate_both
-from cyclekit.estimate.safety import Dynamics, OnStates, SafetyModel, holds_everywhere
-from cyclekit.estimate.signal_states import on_states_of
-from cyclekit.estimate.spread import logged_support
+from cyclekit.estimate.robot.safety import Dynamics, OnStates, SafetyModel, holds_everywhere
+from cyclekit.estimate.robot.signal_states import on_states_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.joint.legs import Event
     from cyclekit.estimate.joint.visits import OperatorVisit
     from cyclekit.estimate.joint.walk import Presence, UnslowedAgent
-    from cyclekit.estimate.safety import Logged
+    from cyclekit.estimate.robot.safety import Logged
     from cyclekit.schema import Ints, Vector
 
 ROWS = 8192

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.estimate.tracks import logged_tracks
-from cyclekit.learning.coupling.errands import joined
-from cyclekit.learning.coupling.own_work import AT_START_S
-from cyclekit.learning.coupling.trips import LONG, LONG_S, part_trips, usual_walks_s
-from cyclekit.learning.coupling.visits import PlaceVisit
+from cyclekit.estimate.operator.tracks import logged_tracks
+from cyclekit.learning.coupling.events.errands import joined
+from cyclekit.learning.coupling.events.trips import LONG, LONG_S, part_trips, usual_walks_s
+from cyclekit.learning.coupling.events.visits import PlaceVisit
+from cyclekit.learning.coupling.pace.own_work import AT_START_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.dataset.cards import CouplingCard
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.tracks import LoggedTrack
+    from cyclekit.estimate.operator.tracks import LoggedTrack
     from cyclekit.schema import Floats, Ints, Vector
 
 WALK_M_S = 1.2

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from cyclekit.estimate.cycle.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
 from cyclekit.estimate.joint.draws import NEVER
-from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, at_once, is_fast, scaling_in_step
-from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
+from cyclekit.estimate.robot.safety import Dynamics, Follower, SafetyModel, at_once, is_fast, scaling_in_step
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from cyclekit.estimate.joint.draws import CycleDraws
-    from cyclekit.estimate.safety import Logged
+    from cyclekit.estimate.robot.safety import Logged
     from cyclekit.schema import Bools, Floats, Ints, Vector
 
 OWN, PLANNED = -1, -2

@@ -13,17 +13,17 @@ import numpy as np
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
+from cyclekit.estimate.cycle.transit import TransitTable, transit_table
 from cyclekit.estimate.joint.answer import waits_are_known
 from cyclekit.estimate.limits import ENDLESS, validated
-from cyclekit.estimate.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.plan.both import best_of_both
 from cyclekit.estimate.plan.jobs import ROW
 from cyclekit.estimate.plan.search import Scorer, best_order, first_order, random_order
-from cyclekit.estimate.resample import resampled
+from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.robot.signal_states import on_states_of
 from cyclekit.estimate.rollout import estimate
-from cyclekit.estimate.signal_states import on_states_of
-from cyclekit.estimate.tracks import operator_tracks
-from cyclekit.estimate.transit import TransitTable, transit_table
+from cyclekit.estimate.statistics.resample import resampled
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.results import Result
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan.jobs import Jobs
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.robot.safety import SafetyModel
+    from cyclekit.estimate.validation.check import Check
     from cyclekit.plots.drawing import Drawing
     from cyclekit.schema import Floats, Progress
 

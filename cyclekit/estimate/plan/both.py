@@ -13,19 +13,19 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell
 from cyclekit.estimate.joint.search import Pair, best_pairs, mean_times, orders_to_try, rolled_cycles
-from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.plan.jobs import ROW, Jobs
-from cyclekit.estimate.resample import RESAMPLES
+from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.statistics.resample import RESAMPLES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.check import Check
     from cyclekit.estimate.joint.legs import Agenda
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.robot.safety import SafetyModel
+    from cyclekit.estimate.validation.check import Check
     from cyclekit.schema import Floats, Ints, Progress, Vector
 
 ALL_PAIRS = 60_000

@@ -19,7 +19,7 @@ from cyclekit.estimate.plan.jobs import Jobs, tasks_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from cyclekit.estimate.transit import TransitTable
+    from cyclekit.estimate.cycle.transit import TransitTable
     from cyclekit.schema import Floats, Ints, Progress
 
     Order = tuple[str, ...]

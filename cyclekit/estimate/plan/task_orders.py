@@ -27,7 +27,7 @@ from cyclekit.config.toml_file import read_toml, to_dataclass
 from cyclekit.config.write import sequence_to_toml
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.gantt import gantt_figure
-from cyclekit.estimate.resample import Z95
+from cyclekit.estimate.statistics.resample import Z95
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times.learn import plan_of
 from cyclekit.learning.task_times.roll import agent_of, roll_plan

@@ -16,7 +16,8 @@ import numpy as np
 
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.safety import (
+from cyclekit.estimate.cycle.transit import cells_of
+from cyclekit.estimate.robot.safety import (
     Classifier,
     Dynamics,
     OnStates,
@@ -26,18 +27,17 @@ from cyclekit.estimate.safety import (
     likeliest_of,
     scaling_of,
 )
-from cyclekit.estimate.transit import cells_of
 from cyclekit.estimate.whatif.signals import SAME_LEVEL, with_other_signals
 from cyclekit.learning.networks.kinds import is_classifier
-from cyclekit.learning.rules.quantities import RulePlace, quantities, shifted
 from cyclekit.learning.rules.safety import RuleSafety
+from cyclekit.learning.rules.samples.quantities import RulePlace, quantities, shifted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.nominal import NominalTask
-    from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.estimate.operator.tracks import OperatorTracks
+    from cyclekit.estimate.robot.nominal import NominalTask
     from cyclekit.estimate.whatif.change import Change, LimitChange
     from cyclekit.schema import Vector
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.bias import half_width_95
-from cyclekit.estimate.question import Altered
-from cyclekit.estimate.resample import resampled
+from cyclekit.estimate.robot.safety import Dynamics
+from cyclekit.estimate.robot.signal_states import on_states_of
 from cyclekit.estimate.rollout import estimate
-from cyclekit.estimate.safety import Dynamics
-from cyclekit.estimate.signal_states import on_states_of
+from cyclekit.estimate.statistics.bias import half_width_95
+from cyclekit.estimate.statistics.resample import resampled
+from cyclekit.estimate.validation.question import Altered
 from cyclekit.estimate.whatif.alter import altered_safety, altered_tasks, altered_tracks
 from cyclekit.estimate.whatif.coupled import altered_coupling
 from cyclekit.parallel.one_thread import one_thread
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.check import Check
-    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.operator.tracks import OperatorTracks
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.estimate.safety import SafetyModel
-    from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.estimate.robot.nominal import NominalTask
+    from cyclekit.estimate.robot.safety import SafetyModel
+    from cyclekit.estimate.validation.check import Check
     from cyclekit.estimate.whatif.change import Change
     from cyclekit.schema import Vector
 

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import structs
 
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.resample import Z95
+from cyclekit.estimate.statistics.resample import Z95
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.estimate.whatif.answer import WhatIf
 

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.estimate.question import Altered
+from cyclekit.estimate.cycle.walk import FINE_STEP_S
+from cyclekit.estimate.robot.safety import Dynamics
 from cyclekit.estimate.rollout import estimate
-from cyclekit.estimate.safety import Dynamics
-from cyclekit.estimate.walk import FINE_STEP_S
+from cyclekit.estimate.validation.question import Altered
 from cyclekit.estimate.whatif.answer import NO_PROOF, paired_savings
 from cyclekit.estimate.whatif.separation import margins_of, refuse_other_thresholds
-from cyclekit.learning.rules.quantities import outwards, quantities, released, shifted
+from cyclekit.learning.rules.samples.quantities import outwards, quantities, released, shifted
 from cyclekit.text.numbers import exact_percent
 from cyclekit.text.results import Result
 
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.whatif.separation import Margins, Separation
-    from cyclekit.learning.rules.quantities import RulePlace
     from cyclekit.learning.rules.safety import RuleSafety
+    from cyclekit.learning.rules.samples.quantities import RulePlace
     from cyclekit.schema import Progress
 
 BY_M = 0.05

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import ConfigError
-from cyclekit.learning.rules.distances import TO_BASE
+from cyclekit.learning.rules.samples.distances import TO_BASE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -13,7 +13,7 @@ from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards.rule import SignalCard
-    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.robot.safety import SafetyModel
     from cyclekit.estimate.whatif.change import Change, SignalChange
 
 SAME_LEVEL = 0.005

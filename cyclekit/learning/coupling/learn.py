@@ -11,28 +11,28 @@ from msgspec.structs import replace
 
 from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard, OwnWorkCard, SourceCard
 from cyclekit.errors import ConfigError, DatasetError
-from cyclekit.learning.coupling.alike import Kinds, find_with_alike, kinds_by_waits
-from cyclekit.learning.coupling.answers import is_own_tool
-from cyclekit.learning.coupling.begins import with_work_in_lag
-from cyclekit.learning.coupling.candidates import HELD, early_s
-from cyclekit.learning.coupling.circles import in_circles
-from cyclekit.learning.coupling.common_pace import with_common_pace
-from cyclekit.learning.coupling.conditions import FEW_DECIDED, KEPT, MIN_DECIDED, decided_by
-from cyclekit.learning.coupling.departures import Condition, Departures, Gate
-from cyclekit.learning.coupling.errands import errand_places, with_errands
-from cyclekit.learning.coupling.given_signals import since_given
-from cyclekit.learning.coupling.in_turn import find_in_turn
-from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
-from cyclekit.learning.coupling.logged_visits import courses_of
-from cyclekit.learning.coupling.own_work import own_work_by_place, rest_at_start
-from cyclekit.learning.coupling.pace import at_latest_pace, operator_pace, paces_beside
+from cyclekit.learning.coupling.conditions.alike import Kinds, find_with_alike, kinds_by_waits
+from cyclekit.learning.coupling.conditions.answers import is_own_tool
+from cyclekit.learning.coupling.conditions.begins import with_work_in_lag
+from cyclekit.learning.coupling.conditions.candidates import HELD, early_s
+from cyclekit.learning.coupling.conditions.circles import in_circles
+from cyclekit.learning.coupling.conditions.conditions import FEW_DECIDED, KEPT, MIN_DECIDED, decided_by
+from cyclekit.learning.coupling.conditions.departures import Condition, Departures, Gate
+from cyclekit.learning.coupling.conditions.given_signals import since_given
+from cyclekit.learning.coupling.conditions.in_turn import find_in_turn
+from cyclekit.learning.coupling.conditions.lags import quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.conditions.together import NeededTogether, needed_together
+from cyclekit.learning.coupling.conditions.waiting_spots import is_spot, possible_spots, spots_of, with_spots
+from cyclekit.learning.coupling.events.errands import errand_places, with_errands
+from cyclekit.learning.coupling.events.logged_visits import courses_of
+from cyclekit.learning.coupling.events.trips import MIN_TRIPS, parted_courses, trip_places, waits_before_s, with_trips
+from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits
+from cyclekit.learning.coupling.pace.common_pace import with_common_pace
+from cyclekit.learning.coupling.pace.own_work import own_work_by_place, rest_at_start
+from cyclekit.learning.coupling.pace.pace import at_latest_pace, operator_pace, paces_beside
+from cyclekit.learning.coupling.parts.unseen_parts import find_unseen_parts, with_parts
 from cyclekit.learning.coupling.phases import with_phases
 from cyclekit.learning.coupling.sources import find_sources
-from cyclekit.learning.coupling.together import NeededTogether, needed_together
-from cyclekit.learning.coupling.trips import MIN_TRIPS, parted_courses, trip_places, waits_before_s, with_trips
-from cyclekit.learning.coupling.unseen_parts import find_unseen_parts, with_parts
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits
-from cyclekit.learning.coupling.waiting_spots import is_spot, possible_spots, spots_of, with_spots
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence

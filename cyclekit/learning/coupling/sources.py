@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.cards.coupling import GateCard, SourceCard
-from cyclekit.learning.coupling.answers import find_answers
-from cyclekit.learning.coupling.lags import deciding_causes, quantiles, reverse_kaplan_meier
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits
+from cyclekit.learning.coupling.conditions.answers import find_answers
+from cyclekit.learning.coupling.conditions.lags import deciding_causes, quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

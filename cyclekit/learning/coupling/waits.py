@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import polars as pl
 
-from cyclekit.learning.coupling.errands import with_errands
-from cyclekit.learning.coupling.unseen_parts import with_parts
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits
-from cyclekit.learning.coupling.waiting_spots import spots_of, with_spots
+from cyclekit.learning.coupling.conditions.waiting_spots import spots_of, with_spots
+from cyclekit.learning.coupling.events.errands import with_errands
+from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits
+from cyclekit.learning.coupling.parts.unseen_parts import with_parts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

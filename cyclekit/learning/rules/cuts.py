@@ -13,8 +13,8 @@ import numpy as np
 from msgspec import structs
 
 from cyclekit.dataset.cards.rule import MetresCard, RectangleCard, RegionCard, SignalCard
-from cyclekit.learning.rules.positions import Positions
-from cyclekit.learning.rules.regions import NOWHERE, inside, turned
+from cyclekit.learning.rules.samples.positions import Positions
+from cyclekit.learning.rules.samples.regions import NOWHERE, inside, turned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -19,9 +19,9 @@ from cyclekit.learning.rules.cuts import best_box, without_idle_edges
 from cyclekit.learning.rules.families.family import Family
 from cyclekit.learning.rules.fitting import fit_limits
 from cyclekit.learning.rules.ladder import NOISY_EXPLAINS, RuleSearch, held_out_sample
-from cyclekit.learning.rules.regions import followed, inside, turned
-from cyclekit.learning.rules.rows import RuleRows
 from cyclekit.learning.rules.safety import values_of_bits
+from cyclekit.learning.rules.samples.regions import followed, inside, turned
+from cyclekit.learning.rules.samples.rows import RuleRows
 from cyclekit.learning.signal_inputs import as_inputs
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import numpy as np
 
 from cyclekit.dataset.cards.rule import LimitCard, RegionCard
 from cyclekit.learning.rules.cuts import LimitRows
-from cyclekit.learning.rules.quantities import grown, quantities
-from cyclekit.learning.rules.regions import inside
+from cyclekit.learning.rules.samples.quantities import grown, quantities
+from cyclekit.learning.rules.samples.regions import inside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.learning.rules.families.family import Family
-    from cyclekit.learning.rules.rows import RuleRows
+    from cyclekit.learning.rules.samples.rows import RuleRows
 
     Limits = tuple[LimitCard, ...]
 

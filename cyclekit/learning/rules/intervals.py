@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import structs
 
+from cyclekit.learning.rules.edges.hysteresis import Z95
 from cyclekit.learning.rules.fitting import fit_limits, near_edges
-from cyclekit.learning.rules.hysteresis import Z95
-from cyclekit.learning.rules.quantities import changed, quantities
+from cyclekit.learning.rules.samples.quantities import changed, quantities
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
     from cyclekit.dataset.cards.rule import LimitCard, MetresCard
     from cyclekit.learning.rules.families.family import Family
-    from cyclekit.learning.rules.quantities import RulePlace
-    from cyclekit.learning.rules.rows import RuleRows
+    from cyclekit.learning.rules.samples.quantities import RulePlace
+    from cyclekit.learning.rules.samples.rows import RuleRows
 
 RESAMPLES = 40
 BOUNDS = (0.025, 0.975)

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.cards.rule import RuleCard
-from cyclekit.learning.rules.brackets import CLEAR_M, bracketed
-from cyclekit.learning.rules.crossing_fit import by_crossings, enough_changes
-from cyclekit.learning.rules.crossings import LAG_M, lags
+from cyclekit.learning.rules.edges.brackets import CLEAR_M, bracketed
+from cyclekit.learning.rules.edges.crossing_fit import by_crossings, enough_changes
+from cyclekit.learning.rules.edges.crossings import LAG_M, lags
+from cyclekit.learning.rules.edges.hysteresis import with_edges_to_leave, with_even_margins, with_one_hysteresis
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.families.signal import SIGNALS
 from cyclekit.learning.rules.fitting import few_of, fit_limits, refined
-from cyclekit.learning.rules.hysteresis import with_edges_to_leave, with_even_margins, with_one_hysteresis
 from cyclekit.learning.rules.intervals import with_intervals
-from cyclekit.learning.rules.polygon_mean import mean_polygons
-from cyclekit.learning.rules.quantities import quantities, with_bounds, without_doubtful
-from cyclekit.learning.rules.regions import followed
+from cyclekit.learning.rules.polygons.polygon_mean import mean_polygons
+from cyclekit.learning.rules.samples.quantities import quantities, with_bounds, without_doubtful
+from cyclekit.learning.rules.samples.regions import followed
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.learning.rules.fitting import Limits
-    from cyclekit.learning.rules.quantities import RulePlace
-    from cyclekit.learning.rules.rows import RuleRows
+    from cyclekit.learning.rules.samples.quantities import RulePlace
+    from cyclekit.learning.rules.samples.rows import RuleRows
 
 EXPLAINS = 0.999
 """Without noise: minimum share of held-out samples whose level a rule must predict."""

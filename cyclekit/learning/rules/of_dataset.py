@@ -11,15 +11,15 @@ from msgspec import structs
 
 from cyclekit.learning.out_of_core import rows_of as count_rows
 from cyclekit.learning.out_of_core import some_executions
-from cyclekit.learning.rules.distances import TO_LINK
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.fields import find_fields, rows_by_signals
 from cyclekit.learning.rules.ladder import RuleSearch, find_rule, held_out_sample
-from cyclekit.learning.rules.law_evidence import find_law
-from cyclekit.learning.rules.law_rows import law_rows
-from cyclekit.learning.rules.links import poses_of
-from cyclekit.learning.rules.rows import rows_of
+from cyclekit.learning.rules.law.law_evidence import find_law
+from cyclekit.learning.rules.law.law_rows import law_rows
 from cyclekit.learning.rules.safety import distances_of
+from cyclekit.learning.rules.samples.distances import TO_LINK
+from cyclekit.learning.rules.samples.links import poses_of
+from cyclekit.learning.rules.samples.rows import rows_of
 from cyclekit.learning.signal_inputs import by_signals
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards import TrainingCard
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.learning.rules.rows import RuleRows
+    from cyclekit.learning.rules.samples.rows import RuleRows
     from cyclekit.schema import Vector
 
 MAX_ROWS = 60_000

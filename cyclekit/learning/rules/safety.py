@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from msgspec import structs
 
-from cyclekit.learning.rules.distances import DISTANCES, TO_LINK, to_links
-from cyclekit.learning.rules.law import shape_of
-from cyclekit.learning.rules.links import ArmPoses
-from cyclekit.learning.rules.positions import Positions
-from cyclekit.learning.rules.quantities import grown, quantities
-from cyclekit.learning.rules.regions import allowed, asks_operator
+from cyclekit.learning.rules.law.law import shape_of
+from cyclekit.learning.rules.samples.distances import DISTANCES, TO_LINK, to_links
+from cyclekit.learning.rules.samples.links import ArmPoses
+from cyclekit.learning.rules.samples.positions import Positions
+from cyclekit.learning.rules.samples.quantities import grown, quantities
+from cyclekit.learning.rules.samples.regions import allowed, asks_operator
 from cyclekit.learning.signal_inputs import from_inputs
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import numpy as np
 from msgspec import structs
 
 from cyclekit.dataset.cards.rule import MetresCard
-from cyclekit.learning.rules.distances import TO_BASE
-from cyclekit.learning.rules.regions import corners, polygon_corners
+from cyclekit.learning.rules.samples.distances import TO_BASE
+from cyclekit.learning.rules.samples.regions import corners, polygon_corners
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.learning.rules.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
-from cyclekit.learning.rules.law import SAME, shape_of
-from cyclekit.learning.rules.regions import asks_operator, corners, polygon_corners
+from cyclekit.learning.rules.law.law import SAME, shape_of
+from cyclekit.learning.rules.samples.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
+from cyclekit.learning.rules.samples.regions import asks_operator, corners, polygon_corners
 from cyclekit.text.numbers import exact_percent
 
 if TYPE_CHECKING:

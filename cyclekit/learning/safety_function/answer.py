@@ -12,10 +12,10 @@ from cyclekit.dataset.cards import plain
 from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE, height_notes
 from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.learning.networks.cell import refuse_other_cell
-from cyclekit.learning.rules.distances import DISTANCES
 from cyclekit.learning.rules.ladder import RuleSearch
 from cyclekit.learning.rules.of_dataset import rule_of
 from cyclekit.learning.rules.safety import RuleSafety
+from cyclekit.learning.rules.samples.distances import DISTANCES
 from cyclekit.learning.rules.shapes import RuleShape, shapes_of
 from cyclekit.learning.rules.words import sentences, verdict
 from cyclekit.learning.safety_function.fit import (

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.learning.networks.comparison import fit_thresholds
-from cyclekit.learning.rules.distances import DISTANCES
+from cyclekit.learning.rules.samples.distances import DISTANCES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

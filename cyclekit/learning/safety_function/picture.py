@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.learning.rules.law import shape_of
+from cyclekit.learning.rules.law.law import shape_of
 from cyclekit.learning.rules.words import FIELD_COLUMNS, field_rows
 from cyclekit.learning.safety_function.fit import FLOOR_M, Threshold
 from cyclekit.learning.safety_function.path import PATH_M

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.cards.task_model import NeedCard
-from cyclekit.learning.coupling.alike import number_of
+from cyclekit.learning.coupling.conditions.alike import number_of
 from cyclekit.learning.task_times.starts import HELD, MAX_CONDITIONS, gain, least_gain
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import structs
 
-from cyclekit.learning.coupling.together import MIN_GAIN, gain_together
+from cyclekit.learning.coupling.conditions.together import MIN_GAIN, gain_together
 from cyclekit.learning.task_times.starts import DECIDED_S, MAX_CONDITIONS, MIN_DECIDED, deviation, least_gain
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.cards.task_model import PartsCard
-from cyclekit.learning.coupling.part_chains import succession
-from cyclekit.learning.coupling.part_visits import PartVisits
-from cyclekit.learning.coupling.unseen_parts import part_arrivals
+from cyclekit.learning.coupling.events.part_visits import PartVisits
+from cyclekit.learning.coupling.parts.part_chains import succession
+from cyclekit.learning.coupling.parts.unseen_parts import part_arrivals
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

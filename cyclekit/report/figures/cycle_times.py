@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cyclekit.estimate.same_work import by_work
+from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.report.figures.figure import Chart, Figure
 from cyclekit.report.numbers import given, with_uncertainty
 from cyclekit.report.pictures import Picture

@@ -22,12 +22,12 @@ from cyclekit.estimate.joint.levels import WALK, WORK, Levels
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.repetitions import cycles_per_resample
 from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, STUCK_PART, TIMES, JointCell
-from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.tracks import OperatorTracks
+from cyclekit.estimate.operator.tracks import OperatorTracks
+from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.whatif.coupled import shown as wait_name
-from cyclekit.learning.coupling.common_pace import MAX_SHARE
-from cyclekit.learning.coupling.pace import OUTLIER
-from cyclekit.learning.coupling.trips import soonest_s
+from cyclekit.learning.coupling.events.trips import soonest_s
+from cyclekit.learning.coupling.pace.common_pace import MAX_SHARE
+from cyclekit.learning.coupling.pace.pace import OUTLIER
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.report.play.tables import SEED, scaling_source, settings_of
 
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import PlannedTask
     from cyclekit.dataset.cards import SourceCard
     from cyclekit.dataset.cards.coupling import CommonPaceCard
-    from cyclekit.estimate.check import Check
     from cyclekit.estimate.joint.visits import Segments
-    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.robot.nominal import NominalTask
+    from cyclekit.estimate.robot.safety import SafetyModel
+    from cyclekit.estimate.validation.check import Check
     from cyclekit.report.inputs import PageInputs
     from cyclekit.report.play.tables import Arrays, Tables
     from cyclekit.schema import Floats

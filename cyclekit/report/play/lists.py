@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.estimate.resample import Z95
+from cyclekit.estimate.statistics.resample import Z95
 from cyclekit.estimate.task_times import CYCLES, LEVELS, widening
 from cyclekit.learning.task_times.roll import agent_of
 from cyclekit.report.play.tables import SEED

@@ -12,7 +12,7 @@ import numpy as np
 
 from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.safety import SURE, scaling_of
+from cyclekit.estimate.robot.safety import SURE, scaling_of
 from cyclekit.learning.networks.kinds import is_classifier
 from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.learning.networks.weights import Weights
@@ -20,8 +20,8 @@ from cyclekit.learning.networks.weights import Weights
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cyclekit.estimate.nominal import NominalTask
-    from cyclekit.estimate.safety import Dynamics, SafetyModel
+    from cyclekit.estimate.robot.nominal import NominalTask
+    from cyclekit.estimate.robot.safety import Dynamics, SafetyModel
     from cyclekit.schema import Floats, Ints
 
 FEW_ENTRIES = 2_500_000

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.transit import cells_of
+from cyclekit.estimate.cycle.transit import cells_of
 from cyclekit.report.play.packed import numbers_in_steps
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cyclekit.estimate.safety import OnStates
-    from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.estimate.operator.tracks import OperatorTracks
+    from cyclekit.estimate.robot.safety import OnStates
     from cyclekit.schema import Floats, Ints, Singles
 
 MAX_ENTRIES = 5_000_000

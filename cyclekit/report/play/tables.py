@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from cyclekit.estimate.history import TaskTimes
-from cyclekit.estimate.nominal import STEP_S, nominal_tasks
-from cyclekit.estimate.program import standstills_of
-from cyclekit.estimate.resample import RESAMPLES, TOGETHER, resampled_alike
-from cyclekit.estimate.safety import Dynamics, OnStates, SafetyModel, at_once, is_fast
-from cyclekit.estimate.same_work import Work
-from cyclekit.estimate.signal_states import on_states_of
-from cyclekit.estimate.spread import logged_support
-from cyclekit.estimate.support import HUMAN_M, ROBOT_M
-from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
-from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
+from cyclekit.estimate.cycle.spread import logged_support
+from cyclekit.estimate.cycle.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
+from cyclekit.estimate.operator.tracks import OperatorTracks, operator_tracks
+from cyclekit.estimate.robot.nominal import STEP_S, nominal_tasks
+from cyclekit.estimate.robot.program import standstills_of
+from cyclekit.estimate.robot.safety import Dynamics, OnStates, SafetyModel, at_once, is_fast
+from cyclekit.estimate.robot.signal_states import on_states_of
+from cyclekit.estimate.robot.support import HUMAN_M, ROBOT_M
+from cyclekit.estimate.robot.work_dwells import MIN_EXECUTIONS, StandstillKind
+from cyclekit.estimate.statistics.resample import RESAMPLES, TOGETHER, resampled_alike
+from cyclekit.estimate.statistics.same_work import Work
+from cyclekit.estimate.validation.history import TaskTimes
 from cyclekit.estimate.whatif.alter import AWAY, LOOKED_AT, grid_positions
-from cyclekit.estimate.work_dwells import MIN_EXECUTIONS, StandstillKind
 from cyclekit.learning.out_of_core import in_memory
-from cyclekit.learning.rules.distances import TO_LINK
-from cyclekit.learning.rules.quantities import RulePlace, quantities
 from cyclekit.learning.rules.safety import RuleSafety, distances_of
+from cyclekit.learning.rules.samples.distances import TO_LINK
+from cyclekit.learning.rules.samples.quantities import RulePlace, quantities
 from cyclekit.report.play.packed import each_once, in_steps, in_units, numbers_in_steps, units_per_metre
 from cyclekit.report.play.scaling_grid import scaling_grid, thinned
 from cyclekit.report.play.scaling_table import scaling_table
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.check import Check
-    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.estimate.work_dwells import Group
+    from cyclekit.estimate.robot.nominal import NominalTask
+    from cyclekit.estimate.robot.work_dwells import Group
+    from cyclekit.estimate.validation.check import Check
     from cyclekit.report.inputs import PageInputs
     from cyclekit.schema import Floats
 

@@ -7,9 +7,9 @@ import pytest
 
 from cyclekit.config import Wait
 from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard
-from cyclekit.learning.coupling.alike import number_of
+from cyclekit.learning.coupling.conditions.alike import number_of
+from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
 
 FIXTURES = (1, 2, 3, 4)
 PARTS = 4

@@ -14,9 +14,9 @@ from cyclekit.cli.lists import coupling_table
 from cyclekit.dataset.cards.coupling import Agent
 from cyclekit.dataset.cards.dataset import ExecutionCard
 from cyclekit.dataset.signals import SignalChanges
+from cyclekit.learning.coupling.events.logged_visits import courses_of
+from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses, learn_executions
-from cyclekit.learning.coupling.logged_visits import courses_of
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 
 if TYPE_CHECKING:
     from simulated_cells import Cells

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
-from cyclekit.learning.coupling.common_pace import with_common_pace
-from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
+from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit, events_of
+from cyclekit.learning.coupling.pace.common_pace import with_common_pace
 
 if TYPE_CHECKING:
     from collections.abc import Callable

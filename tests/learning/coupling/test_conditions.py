@@ -10,8 +10,8 @@ from cyclekit import schema
 from cyclekit.config import Wait
 from cyclekit.dataset.cards.coupling import Agent
 from cyclekit.errors import UnknownName
+from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.waits import with_waits_named
 
 ROBOT, OPERATOR = ("feeder", "fixture", "tray", "rack"), ("bench", "fixture", "shelf")

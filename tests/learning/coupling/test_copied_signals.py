@@ -11,9 +11,9 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.dataset.cards.dataset import ExecutionCard
 from cyclekit.dataset.signals import SignalChanges
+from cyclekit.learning.coupling.events.logged_visits import courses_of
+from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.logged_visits import courses_of
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits
 
 EXECUTIONS, LONG_S = 24, 60.0
 RNG = np.random.default_rng(5)

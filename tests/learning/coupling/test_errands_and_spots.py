@@ -12,11 +12,11 @@ import pytest
 from cyclekit import schema
 from cyclekit.config import Wait
 from cyclekit.errors import UnknownName
-from cyclekit.learning.coupling.errands import errand_places, joined
-from cyclekit.learning.coupling.givers import with_givers
+from cyclekit.learning.coupling.events.errands import errand_places, joined
+from cyclekit.learning.coupling.events.givers import with_givers
+from cyclekit.learning.coupling.events.trips import trip_places
+from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses, learn_executions
-from cyclekit.learning.coupling.trips import trip_places
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.waits import with_waits_named
 from cyclekit.learning.coupling.words import habit_lines, wait_rows
 

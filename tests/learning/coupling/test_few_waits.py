@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from cyclekit.learning.coupling.events.trips import part_trips, trip_places
+from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.trips import part_trips, trip_places
-from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.words import habit_lines
 
 if TYPE_CHECKING:

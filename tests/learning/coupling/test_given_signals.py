@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cyclekit.learning.coupling.departures import Condition, Departures, Gate
-from cyclekit.learning.coupling.given_signals import since_given
-from cyclekit.learning.coupling.givers import with_givers
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
+from cyclekit.learning.coupling.conditions.departures import Condition, Departures, Gate
+from cyclekit.learning.coupling.conditions.given_signals import since_given
+from cyclekit.learning.coupling.events.givers import with_givers
+from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits, PlaceVisit, events_of
 
 BUTTON = Event("operator", "fixture", "leaves", "button set")
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cyclekit.cli.lists import coupling_table
+from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards.coupling import Agent

@@ -14,8 +14,8 @@ from cyclekit.dataset.cards.dataset import ExecutionCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.signals import SignalChanges
 from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.coupling.logged_visits import courses_of
-from cyclekit.learning.coupling.visits import Event
+from cyclekit.learning.coupling.events.logged_visits import courses_of
+from cyclekit.learning.coupling.events.visits import Event
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit.learning.coupling import lags
-from cyclekit.learning.coupling.lags import FEW, deciding_causes, quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.conditions import lags
+from cyclekit.learning.coupling.conditions.lags import FEW, deciding_causes, quantiles, reverse_kaplan_meier
 
 
 @settings(max_examples=20, deadline=None)

@@ -7,8 +7,8 @@ import pytest
 
 from cyclekit.config import Wait
 from cyclekit.dataset.cards.coupling import Agent, ConditionCard, GateCard
+from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
 
 PROCESS_S, LOADS_S = (12.6, 13.4), 2.0
 

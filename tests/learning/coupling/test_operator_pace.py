@@ -10,9 +10,9 @@ import pytest
 
 from cyclekit import schema
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
+from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_executions
-from cyclekit.learning.coupling.pace import operator_pace, paces_beside
-from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
+from cyclekit.learning.coupling.pace.pace import operator_pace, paces_beside
 from cyclekit.learning.coupling.words import habit_lines
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cyclekit.config import Wait
+from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.words import wait_rows
 
 if TYPE_CHECKING:

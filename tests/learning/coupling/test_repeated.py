@@ -9,7 +9,7 @@ import polars as pl
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.coupling.repeated import without_repeats
+from cyclekit.learning.coupling.events.repeated import without_repeats
 from cyclekit_sim import simulate
 from cyclekit_sim.options import SimulationOptions
 

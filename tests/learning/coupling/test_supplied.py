@@ -9,8 +9,8 @@ import polars as pl
 import pytest
 
 from cyclekit import schema
+from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.waits import with_waits_named
 
 if TYPE_CHECKING:

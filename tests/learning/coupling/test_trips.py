@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cyclekit.learning.coupling.departures import Condition, Departures, Gate
-from cyclekit.learning.coupling.given_signals import since_given
+from cyclekit.learning.coupling.conditions.departures import Condition, Departures, Gate
+from cyclekit.learning.coupling.conditions.given_signals import since_given
+from cyclekit.learning.coupling.events.trips import part_trips, trip_places
+from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.trips import part_trips, trip_places
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.words import habit_lines
 
 if TYPE_CHECKING:

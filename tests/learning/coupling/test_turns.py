@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.words import wait_rows
 
 if TYPE_CHECKING:

@@ -10,12 +10,12 @@ import pytest
 
 from cyclekit import schema
 from cyclekit.dataset.cards.coupling import Agent
+from cyclekit.learning.coupling.events.part_visits import PartVisits, Times
+from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.part_chains import succession
-from cyclekit.learning.coupling.part_gaps import part_gaps
-from cyclekit.learning.coupling.part_visits import PartVisits, Times
-from cyclekit.learning.coupling.unseen_parts import part_arrivals
-from cyclekit.learning.coupling.visits import ExecutionVisits, PlaceVisit, events_of
+from cyclekit.learning.coupling.parts.part_chains import succession
+from cyclekit.learning.coupling.parts.part_gaps import part_gaps
+from cyclekit.learning.coupling.parts.unseen_parts import part_arrivals
 from cyclekit.learning.coupling.waits import with_waits_named
 
 GAP_S = 6.0, 4.0  # at least, and what comes on top on average

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cyclekit.learning.coupling.givers import with_givers
+from cyclekit.learning.coupling.events.givers import with_givers
+from cyclekit.learning.coupling.events.trips import trip_places
+from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
-from cyclekit.learning.coupling.trips import trip_places
-from cyclekit.learning.coupling.visits import Event, ExecutionVisits, PlaceVisit, events_of
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards.coupling import Agent

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, RectangleCard, RegionCard
-from cyclekit.learning.rules.brackets import bracketed
-from cyclekit.learning.rules.quantities import RulePlace, quantities
-from cyclekit.learning.rules.rows import RuleRows
+from cyclekit.learning.rules.edges.brackets import bracketed
+from cyclekit.learning.rules.samples.quantities import RulePlace, quantities
+from cyclekit.learning.rules.samples.rows import RuleRows
 
 STEPS = {0.3: 0, 1.0: 1}
 LEFT_M, RIGHT_M = 1.15, 2.0

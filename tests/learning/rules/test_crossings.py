@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, RegionCard
-from cyclekit.learning.rules.crossing_fit import by_crossings, located, with_one_margin
-from cyclekit.learning.rules.crossings import LevelChanges, crossings_of
-from cyclekit.learning.rules.distances import TO_TCP
+from cyclekit.learning.rules.edges.crossing_fit import by_crossings, located, with_one_margin
+from cyclekit.learning.rules.edges.crossings import LevelChanges, crossings_of
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.intervals import with_intervals
-from cyclekit.learning.rules.quantities import RulePlace, quantities
-from cyclekit.learning.rules.rows import RuleRows
+from cyclekit.learning.rules.samples.distances import TO_TCP
+from cyclekit.learning.rules.samples.quantities import RulePlace, quantities
+from cyclekit.learning.rules.samples.rows import RuleRows
 
 INNER, OUTER = (RulePlace(0.3, until, "nearer", 0) for until in (False, True))
 FARTHER, FARTHEST = (RulePlace(0.7, until, "nearer", 0) for until in (False, True))

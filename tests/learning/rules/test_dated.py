@@ -9,7 +9,7 @@ import pytest
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.rules.rows import rows_of
+from cyclekit.learning.rules.samples.rows import rows_of
 from cyclekit_sim import SimulationOptions, simulate
 from cyclekit_sim.rules import Limit, Rectangle, Rule
 

@@ -6,10 +6,10 @@ import numpy as np
 
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, RectangleCard, RegionCard
 from cyclekit.learning.rules.cuts import LimitRows
-from cyclekit.learning.rules.distances import TO_TCP
 from cyclekit.learning.rules.families import FAMILIES
-from cyclekit.learning.rules.positions import Positions
-from cyclekit.learning.rules.quantities import without_doubtful
+from cyclekit.learning.rules.samples.distances import TO_TCP
+from cyclekit.learning.rules.samples.positions import Positions
+from cyclekit.learning.rules.samples.quantities import without_doubtful
 
 
 def edges(from_m: tuple[float, float, float], to_m: tuple[float, float, float]) -> tuple[MetresCard, MetresCard]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cyclekit.learning.rules.earlier import earlier
+from cyclekit.learning.rules.samples.earlier import earlier
 
 T_S = np.array([0.0, 0.1, 0.2, 0.2, 0.3, 0.4])
 RUN = np.array([0, 0, 0, 1, 1, 1])

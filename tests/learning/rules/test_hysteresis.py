@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, RectangleCard, RegionCard
-from cyclekit.learning.rules.distances import TO_TCP
-from cyclekit.learning.rules.hysteresis import with_edges_to_leave, with_even_margins, with_one_hysteresis
-from cyclekit.learning.rules.quantities import outwards, quantities
+from cyclekit.learning.rules.edges.hysteresis import with_edges_to_leave, with_even_margins, with_one_hysteresis
+from cyclekit.learning.rules.samples.distances import TO_TCP
+from cyclekit.learning.rules.samples.quantities import outwards, quantities
 
 
 def known(value: float, give_or_take_m: float) -> MetresCard:

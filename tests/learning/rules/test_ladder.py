@@ -11,15 +11,15 @@ import pytest
 
 from cyclekit.dataset.cards.rule import LimitCard, RegionCard, RuleCard
 from cyclekit.learning.rules.cuts import LimitRows
-from cyclekit.learning.rules.distances import TO_LINK, TO_TCP, to_links
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.families.robot import ROBOT
 from cyclekit.learning.rules.ladder import RuleSearch, find_rule
 from cyclekit.learning.rules.of_dataset import with_partial_latency
-from cyclekit.learning.rules.positions import Positions
-from cyclekit.learning.rules.quantities import quantities
-from cyclekit.learning.rules.regions import corners, polygon_corners
-from cyclekit.learning.rules.rows import RuleRows, hidden_for_long
+from cyclekit.learning.rules.samples.distances import TO_LINK, TO_TCP, to_links
+from cyclekit.learning.rules.samples.positions import Positions
+from cyclekit.learning.rules.samples.quantities import quantities
+from cyclekit.learning.rules.samples.regions import corners, polygon_corners
+from cyclekit.learning.rules.samples.rows import RuleRows, hidden_for_long
 from cyclekit.learning.rules.words import sentences, verdict
 
 LEVELS = (0.0, 0.5, 1.0)

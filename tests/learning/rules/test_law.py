@@ -19,17 +19,17 @@ from cyclekit.dataset.cards import BadCard, DynamicsCard, TrainingCard, checked,
 from cyclekit.dataset.cards.rule import LawCard, MetresCard, RuleCard
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError
-from cyclekit.estimate.check import check_rollout
-from cyclekit.estimate.safety import Dynamics, Follower
+from cyclekit.estimate.robot.safety import Dynamics, Follower
+from cyclekit.estimate.validation.check import check_rollout
 from cyclekit.estimate.whatif.alter import LearnedSafety, altered_safety
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.networks.spec import ModelSpec
-from cyclekit.learning.rules.distances import DISTANCES, TO_TCP
-from cyclekit.learning.rules.law import LawShape, fit_law, shape_of
-from cyclekit.learning.rules.law_evidence import LAW, find_law
-from cyclekit.learning.rules.law_rows import LawRows, is_continuous, resting_rates
+from cyclekit.learning.rules.law.law import LawShape, fit_law, shape_of
+from cyclekit.learning.rules.law.law_evidence import LAW, find_law
+from cyclekit.learning.rules.law.law_rows import LawRows, is_continuous, resting_rates
 from cyclekit.learning.rules.safety import RuleSafety, predictor_of
+from cyclekit.learning.rules.samples.distances import DISTANCES, TO_TCP
 from cyclekit.learning.rules.words import verdict
 from cyclekit.learning.safety_function.answer import read_zones
 from cyclekit.learning.training import train

@@ -7,11 +7,11 @@ import pytest
 
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, PolygonCard, RegionCard, SideCard
 from cyclekit.learning.rules.cuts import LimitRows
-from cyclekit.learning.rules.polygon_mean import mean_polygons, without_idle
-from cyclekit.learning.rules.polygons import best_polygon
-from cyclekit.learning.rules.quantities import quantities
-from cyclekit.learning.rules.regions import polygon_corners
-from cyclekit.learning.rules.rows import RuleRows
+from cyclekit.learning.rules.polygons.polygon_mean import mean_polygons, without_idle
+from cyclekit.learning.rules.polygons.polygons import best_polygon
+from cyclekit.learning.rules.samples.quantities import quantities
+from cyclekit.learning.rules.samples.regions import polygon_corners
+from cyclekit.learning.rules.samples.rows import RuleRows
 
 STEPS = {0.3: 0, 1.0: 1}
 CORNERS_M = np.array([(1.0, -0.5), (2.2, -0.6), (2.4, 0.7), (1.2, 0.8)])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cyclekit.learning.rules.polygon_fit import PolygonSamples, PolygonState, normals
-from cyclekit.learning.rules.polygon_sides import needed
+from cyclekit.learning.rules.polygons.polygon_fit import PolygonSamples, PolygonState, normals
+from cyclekit.learning.rules.polygons.polygon_sides import needed
 
 CORNERS_M = np.array([(1.0, -0.5), (2.2, -0.6), (2.4, 0.7), (1.2, 0.8)])
 

@@ -22,15 +22,15 @@ from cyclekit.dataset.cards.rule import (
     SignalCard,
 )
 from cyclekit.errors import ModelError
-from cyclekit.estimate.safety import Dynamics, Follower, at_once, scaling_of
+from cyclekit.estimate.robot.safety import Dynamics, Follower, at_once, scaling_of
 from cyclekit.estimate.whatif.alter import altered_safety
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.learning.networks.saved import TrainedModel, load_model, save_model
 from cyclekit.learning.networks.weights import Weights
-from cyclekit.learning.rules.distances import TO_LINK, TO_TCP, to_links
-from cyclekit.learning.rules.links import ArmPoses, poses_of, to_nearest_link
-from cyclekit.learning.rules.quantities import quantities
 from cyclekit.learning.rules.safety import RuleSafety, predictor_of
+from cyclekit.learning.rules.samples.distances import TO_LINK, TO_TCP, to_links
+from cyclekit.learning.rules.samples.links import ArmPoses, poses_of, to_nearest_link
+from cyclekit.learning.rules.samples.quantities import quantities
 from cyclekit.learning.training import with_rule
 
 if TYPE_CHECKING:

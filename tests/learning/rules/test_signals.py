@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cyclekit.learning.rules.ladder import find_rule
-from cyclekit.learning.rules.rows import RuleRows
-from cyclekit.learning.rules.signals import SignalChanges, fixed_delay, lags_after
+from cyclekit.learning.rules.samples.rows import RuleRows
+from cyclekit.learning.rules.samples.signals import SignalChanges, fixed_delay, lags_after
 from cyclekit.learning.rules.words import sentences
 
 SEEN_S = np.arange(0.0, 600.0, 0.1)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from cyclekit.dataset.cards.rule import NearerCard, RegionCard
 from cyclekit.learning.rules.cuts import best_cut
-from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.families.family import Family
+from cyclekit.learning.rules.samples.distances import DISTANCES, TO_LINK
 
 if TYPE_CHECKING:
     from cyclekit.learning.rules.cuts import LimitRows

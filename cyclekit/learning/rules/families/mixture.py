@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.cards.rule import MetresCard, NearerCard, RegionCard
-from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.families.distance import nearer
 from cyclekit.learning.rules.families.family import Family
 from cyclekit.learning.rules.families.rectangle import at_any_angle, straight
-from cyclekit.learning.rules.regions import inside
+from cyclekit.learning.rules.samples.distances import DISTANCES, TO_LINK
+from cyclekit.learning.rules.samples.regions import inside
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.dataset.cards.rule import RegionCard
 from cyclekit.learning.rules.families.family import Family
-from cyclekit.learning.rules.polygons import best_polygon
+from cyclekit.learning.rules.polygons.polygons import best_polygon
 
 if TYPE_CHECKING:
     from cyclekit.learning.rules.cuts import LimitRows

@@ -10,7 +10,7 @@ import numpy as np
 from cyclekit.dataset.cards.rule import RectangleCard, RegionCard
 from cyclekit.learning.rules.cuts import best_box, has_edges, without_idle_edges
 from cyclekit.learning.rules.families.family import Family
-from cyclekit.learning.rules.regions import turned
+from cyclekit.learning.rules.samples.regions import turned
 
 if TYPE_CHECKING:
     from cyclekit.learning.rules.cuts import Edges, LimitRows

@@ -1,0 +1,1 @@
+"""Causes of lost time: people, inputs, limits of the path, slow recoveries, protective stops."""

@@ -1,0 +1,396 @@
+"""Operator tracks from the logs, as long as the longest cycle that is rolled out with them.
+
+A track begins where its execution began. If the operator's behaviour does not depend on the phase of the cycle, all
+logs are joined to `circles`, and tracks start at even steps along them: a cycle may begin at any instant.
+
+If a cycle takes longer than the logged one, the track continues: with what the operator really did next, if the log
+runs on; else with the next log of its circle or, if the operator starts with the cycle, with a stretch of another track
+that begins in the same state (`continuation`), repeatedly, to any length.
+
+While the operator was briefly hidden he was still present: positions are interpolated linearly between the last sight
+and the next. Only while he was away is there no operator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+from scipy.special import chdtri, ndtr
+
+from cyclekit.errors import DatasetError, EstimateError
+from cyclekit.estimate.operator.circles import TrackStarts, start_tracks
+from cyclekit.estimate.operator.continuation import Continuation, Stretch
+from cyclekit.estimate.operator.courses import continue_courses
+from cyclekit.estimate.operator.pauses import RUN_ON_S, runs_on, starting_scaling
+from cyclekit.estimate.robot.safety import Dynamics, OnStates
+from cyclekit.people.tracks import OCCLUDED_S
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.robot.safety import SafetyModel
+
+ENTRIES, MIN_ENTRIES = 8, 4
+"""Number of tracks per execution along circles of logs: usual, and minimum."""
+MANY = 320
+"""Maximum number of tracks along circles, unless MIN_ENTRIES per execution are more."""
+PHASES = 4
+"""Number of instants per execution at which a course of states starts, if `phase_is_free`."""
+SHORTEST = 0.1
+"""Share of executions that may be shorter than the span over which these instants are spread."""
+SAME_SPREAD = 1.65
+"""Threshold of `phase_is_free`: ratio of the operator's spread at one instant of the cycle to that at all times."""
+SURE_Z = 3.5
+"""Threshold of `phase_is_free`, standard errors: difference of the mean position, and of the spread."""
+CHANCE = 8.0
+"""Threshold of `phase_is_free`: excess of chi squared over its mean, standard deviations, for absence and tasks."""
+MIN_FREE = 8
+"""Minimum number of tracks for `phase_is_free`."""
+
+
+@dataclass(frozen=True)
+class OperatorTracks:
+    """K tracks on one grid of time since the start of the cycle.
+
+    Attributes:
+        xyz_m: x_h, shape (K, T, 3), base frame; NaN = no operator.
+        activity: Index into `activities` of the operator's task, shape (K, T); -1 = unknown.
+        activities: Names of the operator's tasks.
+        logged: Samples of each track that its own operator really did, shape (K,).
+        executions: Name of the execution of each track; several tracks can be of one.
+        step_s: Time between samples.
+        goal_m: g_h, shape (K, T, 3); NaN = unknown; None if not requested.
+        phase_free: Result of `phase_is_free` for these logs.
+        runs_on: Whether most executions, with the operator, are followed by the next one without a pause.
+        state: Input of the safety function in place of x_h, shape (K, T, D), D not 3; None: its input is x_h.
+        scaling: Scaling at the start, shape (K,); NaN or None: as commanded.
+    """
+
+    xyz_m: NDArray[np.float64]
+    activity: NDArray[np.int64]
+    activities: tuple[str, ...]
+    logged: NDArray[np.int64]
+    executions: tuple[str, ...]
+    step_s: float
+    goal_m: NDArray[np.float64] | None = None
+    phase_free: bool = False
+    runs_on: bool = False
+    state: NDArray[np.float64] | None = None
+    scaling: NDArray[np.float64] | None = None
+
+    @property
+    def at_any_instant(self) -> bool:
+        """Whether tracks start at several instants of a log: then all their samples show how often he is away."""
+        return len(self.executions) > len(set(self.executions))
+
+
+@dataclass(frozen=True)
+class LoggedTrack:
+    """Log of one execution: x_h (and g_h if requested), shape (T, 3 or 6), activity (T,), begin and end, s.
+
+    For an operator known only by states, `where` holds a zero position followed by the state, shape (T, 3 + D).
+
+    `seen`: an operator was seen at some time. `away`: the tracker logged throughout that nobody was present.
+    `followed`: the track has no gap longer than OCCLUDED_S.
+    """
+
+    where: NDArray[np.float64]
+    activity: NDArray[np.int64]
+    begin_s: float
+    end_s: float
+    seen: bool
+    away: bool
+    followed: bool
+
+
+def operator_tracks(
+    dataset: Dataset,
+    *,
+    horizon_s: float,
+    operator: Sequence[str] | None = None,
+    phases: int | None = None,
+    beginnings: bool = False,
+    goals: bool = False,
+    model: SafetyModel | None = None,
+) -> OperatorTracks:
+    """Return the tracks of all complete executions, each at least `horizon_s` long.
+
+    Executions that the tracker's log covers only in part are left out, as the operator's position is unknown.
+    Executions without an operator from begin to end are included, unless recorded as reference runs without an
+    operator.
+
+    Args:
+        dataset: The logs.
+        horizon_s: Longest cycle that will be requested.
+        operator: Use only executions in which the operator's tasks begin in this order.
+        phases: 1: each execution from its beginning. None: the same, unless `phase_is_free` and no order is requested:
+            then tracks start along circles of logs, and courses of states at PHASES instants of each log.
+        beginnings: Also return each execution from its beginning, before the tracks along circles. Courses of states
+            always come first from their beginning, in the order of the executions.
+        goals: Also return g_h.
+        model: The model that will use the tracks; one of states gets states in place of positions.
+        EstimateError: No execution has an operator track, or none matches `operator`.
+    """
+    step = 1.0 / dataset.rate_hz
+    on_states = isinstance(model, OnStates)
+    names, tracks = (
+        logged_courses(dataset, model) if model is not None and on_states else _names_and_tracks(dataset, goals=goals)
+    )
+    complete = set(dataset.executions.filter("complete")["execution"].to_list())
+    seen_in = [name for name in tracks if name in complete and tracks[name].seen]
+    begins = [name for name in seen_in if tracks[name].followed]
+    if begins:
+        meant = {one.execution for one in dataset.card.executions if one.reference}
+        away = {name for name in complete - meant if name in tracks and tracks[name].away}
+        begins = [name for name in tracks if name in away or name in begins]
+    else:
+        partly = " of its full length" if seen_in else ""
+        seen = f"{dataset.path}: no complete execution has an operator track{partly}"
+        raise EstimateError(seen, cure="Ingest the tracker's log together with the robot's.")
+    if operator is not None:
+        begins = _matching(dataset, tracks, begins, names, tuple(operator))
+    free, length = phase_is_free(tracks), int(np.ceil(horizon_s / step)) + 2
+    after, mine = _after(dataset), {name: tracks[name] for name in begins}
+    anywhere = operator is None and free and phases is None
+    parts = [_on_circles(mine, after, step, length)] if anywhere and not on_states else []
+    if beginnings or not parts:
+        instants = _instants([len(track.where) for track in mine.values()]) if anywhere and on_states else [0]
+        parts.insert(0, _continued(tracks, begins, after, step, length, instants, states=on_states, free=free))
+    starts = parts[0] if len(parts) == 1 else TrackStarts(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    where, activity, owner, begin, logged = starts
+    executions = tuple(begins[k] for k in owner.tolist())
+    scaling = starting_scaling(dataset, executions, begin, Dynamics.of(dataset.card.dynamics, model).ramp_up_per_s)
+    goal_m, state = (where[..., 3:] if wanted else None for wanted in (goals, on_states))
+    rest = tuple(names), logged, executions, step, goal_m, free, runs_on(dataset), state, scaling
+    return OperatorTracks(where[..., :3], activity, *rest)
+
+
+def _on_circles(tracks: dict[str, LoggedTrack], after: dict[str, list[str]], step: float, length: int) -> TrackStarts:
+    """Return tracks that start at even steps along circles of these logs; logs that run on keep their order."""
+    number = {name: k for k, name in enumerate(tracks)}
+    logs, really = [], {}
+    for name, track in tracks.items():
+        log, following = Stretch(track.where, track.activity), next(iter(after[name]), "")
+        if following in tracks and tracks[following].begin_s - track.end_s <= RUN_ON_S:
+            really[number[name]] = number[following]
+            log = _until(log, track.end_s, tracks[following], step)
+        logs.append(log)
+    return start_tracks(logs, step, entries=entries_of(len(logs)), length=length, after=really)
+
+
+def entries_of(executions: int) -> int:
+    """Return the number of tracks that start along the circles of this number of logs."""
+    return max(MIN_ENTRIES * executions, min(ENTRIES * executions, MANY))
+
+
+def _continued(
+    tracks: dict[str, LoggedTrack],
+    begins: list[str],
+    after: dict[str, list[str]],
+    step: float,
+    length: int,
+    instants: Sequence[int],
+    *,
+    states: bool,
+    free: bool,
+) -> TrackStarts:
+    """Return executions from these samples on, continued with stretches of others."""
+    ran_on = [_run_on(tracks, [name, *after[name]], step, states=states) for name in begins]
+    entries = [(number, min(at, len(tracks[name].where) - 1)) for at in instants for number, name in enumerate(begins)]
+    streams = [Stretch(ran_on[k][0].where[at:], ran_on[k][0].activity[at:]) for k, at in entries]
+    followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
+    pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
+    if states and free:
+        where, activity = continue_courses(streams, pool, length)
+    else:
+        owners = [followed.get(ran_on[k][1], -1) for k, _ in entries]
+        where, activity = Continuation(pool, step, phase_free=free).extend(streams, owners, length)
+    owner, begin = (np.array(part) for part in zip(*entries, strict=True))
+    return TrackStarts(where, activity, owner, begin, np.array([len(stream.where) for stream in streams]))
+
+
+def _instants(lengths: Sequence[int]) -> list[int]:
+    """Return the samples at which courses of these lengths start, the same for all.
+
+    Instants at fixed shares of each length would start every course equally often. But executions are long because the
+    operator was in the way: such times would be started more rarely than they occur.
+    """
+    within = int(np.quantile(lengths, SHORTEST, method="lower"))
+    return [within * phase // PHASES for phase in range(PHASES)]
+
+
+def phase_is_free(tracks: Mapping[str, LoggedTrack]) -> bool:
+    """Return whether a cycle may begin at any instant of the operator's day.
+
+    This holds if at the beginning, at a third and at two thirds of the shortest execution he behaves as at any time
+    within it: the frequencies of absence and of each task are equal (CHANCE), the mean of his position is within SURE_Z
+    standard errors, and its spread within these or SAME_SPREAD.
+    """
+    usual = [track for track in tracks.values() if track.followed]
+    if len(usual) < MIN_FREE:
+        return False
+    shortest = min(len(track.where) for track in usual)  # later samples come only from slow executions
+    every = Stretch(
+        np.concatenate([track.where[:shortest] for track in usual]),
+        np.concatenate([track.activity[:shortest] for track in usual]),
+    )
+    return all(_is_alike(usual, every, at) for at in (0, shortest // 3, 2 * shortest // 3))
+
+
+def _is_alike(tracks: Sequence[LoggedTrack], every: Stretch, at: int) -> bool:
+    """Return whether the operators at sample `at` of these tracks are like those of all samples."""
+    where, doing = np.array([t.where[at, :2] for t in tracks]), np.array([t.activity[at] for t in tracks])
+    pairs = zip(_kinds(where, doing), _kinds(every.where, every.activity), strict=True)
+    if not all(_is_chance(here, usual) for here, usual in pairs):
+        return False
+    everywhere, here = (part[np.isfinite(part).all(axis=1)] for part in (every.where[:, :2], where))
+    if len(here) < MIN_FREE:
+        return False
+    spread, there = everywhere.std(axis=0), here.std(axis=0)
+    if not spread.any():  # known by states, which have no position
+        return True
+    off = np.abs(here.mean(axis=0) - everywhere.mean(axis=0)) / np.maximum(spread / np.sqrt(len(here)), 1e-9)
+    ratio = np.maximum(there / np.maximum(spread, 1e-9), 1e-9)
+    few = np.sqrt((len(here) - 1) / chdtri(len(here) - 1, ndtr(SURE_Z)))  # ratio of spreads by chance for few samples
+    return bool((off < SURE_Z).all() and (np.abs(np.log(ratio)) < np.log(max(SAME_SPREAD, few))).all())
+
+
+def _kinds(where: NDArray[np.float64], activity: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return whether each operator is away (N,), and the known tasks of those present (M,)."""
+    away = np.asarray(np.isnan(where[:, :2]).any(axis=1))
+    return np.asarray(away, dtype=np.int64), activity[~away & (activity >= 0)]
+
+
+def _is_chance(here: NDArray[np.int64], usual: NDArray[np.int64]) -> bool:
+    """Return whether kinds (N,) can be a draw from those of all samples (M,), by chi squared: see CHANCE."""
+    kinds, counts = np.unique(usual, return_counts=True)
+    wanted = counts / counts.sum() * len(here) if len(counts) else counts
+    if len(kinds) < 2 or not len(here):
+        return True
+    found = np.array([np.count_nonzero(here == kind) for kind in kinds])
+    free = len(kinds) - 1
+    return bool(((found - wanted) ** 2 / wanted).sum() <= free + CHANCE * np.sqrt(2.0 * free))
+
+
+def logged_tracks(dataset: Dataset) -> dict[str, LoggedTrack]:
+    """Return the operator's log in each execution, by name; short gaps are bridged."""
+    return _names_and_tracks(dataset, goals=False)[1]
+
+
+def logged_courses(dataset: Dataset, model: SafetyModel) -> tuple[list[str], dict[str, LoggedTrack]]:
+    """Return what people may be at, and what was logged of them in each execution: states for a model of states."""
+    return _in_states(dataset, model) if isinstance(model, OnStates) else _names_and_tracks(dataset, goals=False)
+
+
+def _names_and_tracks(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, LoggedTrack]]:
+    """Return the names of the operator's tasks, and his log in each execution that was not interrupted."""
+    columns = [f"human_{part}{axis}_m" for part in (("", "goal_") if goals else ("",)) for axis in "xyz"]
+    samples = dataset.samples(columns=["execution", "t_s", "human_task", "human_gap", *columns])
+    names = sorted(name for name in samples["human_task"].unique().to_list() if name is not None)
+    where = samples.select(pl.col(columns).cast(pl.Float64).fill_null(np.nan)).to_numpy()
+    code = pl.col("human_task").cast(pl.Enum(names)).to_physical().cast(pl.Int64).fill_null(-1)
+    activity, t_s = samples.select(code).to_series().to_numpy(), samples["t_s"].to_numpy()
+    outside, occluded, absent = (
+        (samples["human_gap"] == why).fill_null(value=False).to_numpy() for why in ("outside", "occluded", "absent")
+    )
+    hidden = outside | occluded
+    rows = samples.select("execution", row=pl.int_range(pl.len())).group_by("execution", maintain_order=True)
+    tracks: dict[str, LoggedTrack] = {}
+    stopped = {one.execution for one in dataset.card.executions if one.interrupted_s}
+    for execution, first, last, count in rows.agg(
+        first=pl.col("row").first(), last=pl.col("row").last(), count=pl.len()
+    ).iter_rows():
+        if count != last - first + 1:
+            msg = f"{dataset.path}: the samples of execution {execution} do not lie together"
+            raise DatasetError(msg, cure="Ingest the logs again into a new folder.")
+        if execution in stopped:
+            continue
+        mine = slice(first, last + 1)
+        if hidden[mine].any():
+            _bridge(t_s[mine], where[mine, :3], hidden[mine])
+        seen = np.isfinite(where[mine, 0])
+        followed = bool(seen.all()) or not (outside[mine] & ~seen).any()
+        ends = float(t_s[first]), float(t_s[last])
+        away = bool(absent[mine].all())
+        tracks[str(execution)] = LoggedTrack(where[mine], activity[mine], *ends, bool(seen.any()), away, followed)
+    return names, tracks
+
+
+def _in_states(dataset: Dataset, model: OnStates) -> tuple[list[str], dict[str, LoggedTrack]]:
+    """Return the names of the states, and the states in each execution but reference runs and interrupted ones."""
+    alone = {one.execution for one in dataset.card.executions if one.reference or one.interrupted_s}
+    tracks = {}
+    for name, (t_s, state) in model.logged_states(dataset).items():
+        if name not in alone:
+            where = np.hstack([np.zeros((len(state), 3)), state])
+            log = where, state[:, 0].astype(np.int64), float(t_s[0]), float(t_s[-1])
+            tracks[name] = LoggedTrack(*log, seen=True, away=False, followed=True)
+    return list(model.states), tracks
+
+
+def _bridge(t_s: NDArray[np.float64], xyz_m: NDArray[np.float64], hidden: NDArray[np.bool_]) -> None:
+    """Fill positions xyz_m (T, 3) while the operator was `hidden` (T,), in place.
+
+    He is assumed to move straight from the last sight to the next; before the first and after the last sight of an
+    execution, to stand still. Rows farther than OCCLUDED_S from any sight stay unknown.
+    """
+    known = np.flatnonzero(np.isfinite(xyz_m[:, 0]))
+    rows = np.flatnonzero(hidden & np.isnan(xyz_m[:, 0]))
+    if len(known) and len(rows):
+        after = np.clip(np.searchsorted(known, rows), 1, len(known) - 1) if len(known) > 1 else np.zeros_like(rows)
+        apart = np.abs(t_s[known[[np.maximum(after - 1, 0), after]]] - t_s[rows]).min(axis=0)
+        rows = rows[apart <= OCCLUDED_S]
+        for axis in range(3):
+            xyz_m[rows, axis] = np.interp(t_s[rows], t_s[known], xyz_m[known, axis])
+
+
+def _matching(
+    dataset: Dataset, tracks: dict[str, LoggedTrack], begins: list[str], names: list[str], wanted: tuple[str, ...]
+) -> list[str]:
+    orders = {name: _order(tracks[name].activity, names) for name in begins}
+    found = [name for name in begins if orders[name][: len(wanted)] == wanted]
+    if not found:
+        common = max(orders.values(), key=list(orders.values()).count)
+        seen = f"{dataset.path}: no execution has an operator who begins with {', '.join(wanted)}"
+        raise EstimateError(seen, nearest=", ".join(common[: len(wanted)]), cure=f"Known: {', '.join(names)}.")
+    return found
+
+
+def _order(activity: NDArray[np.int64], names: list[str]) -> tuple[str, ...]:
+    changes = np.flatnonzero(np.diff(activity, prepend=-2))
+    return tuple(names[i] for i in activity[changes].tolist() if i >= 0)
+
+
+def _after(dataset: Dataset) -> dict[str, list[str]]:
+    """Return the next two executions after each one in its session."""
+    sessions = dataset.executions.group_by("session", maintain_order=True).agg("execution")["execution"].to_list()
+    return {name: order[k + 1 : k + 3] for order in sessions for k, name in enumerate(order)}
+
+
+def _run_on(tracks: dict[str, LoggedTrack], names: list[str], step: float, *, states: bool) -> tuple[Stretch, str]:
+    """Return the track of the first execution and those that follow without a longer pause, and the last one's name."""
+    name, *others = names
+    end_s, parts = tracks[name].end_s, [Stretch(tracks[name].where, tracks[name].activity)]
+    for following in others:
+        if following not in tracks or tracks[following].begin_s - end_s > RUN_ON_S:
+            break
+        parts[-1] = _until(parts[-1], end_s, tracks[following], step, states=states)
+        parts.append(Stretch(tracks[following].where, tracks[following].activity))
+        end_s, name = tracks[following].end_s, following
+    return Stretch(*(np.concatenate([getattr(part, of) for part in parts]) for of in ("where", "activity"))), name
+
+
+def _until(log: Stretch, end_s: float, following: LoggedTrack, step: float, *, states: bool = False) -> Stretch:
+    """Return a log extended to the next one: straight to its start, at the last task; a state changes half-way."""
+    pause = max(0, round((following.begin_s - end_s) / step) - 1)
+    weight = np.arange(1, pause + 1)[:, None] / (pause + 1)
+    weight = np.round(weight) if states else weight
+    way = log.where[-1] * (1 - weight) + following.where[0] * weight
+    doing = np.where(states & (weight[:, 0] > 0), following.activity[0], log.activity[-1])
+    return Stretch(np.concatenate([log.where, way]), np.append(log.activity, doing))

@@ -1,0 +1,142 @@
+"""The nominal motion of every logged task, with the speed scaling undone.
+
+While a task runs, the nominal time on its path is the integral of the scaling. So the repetition of a task with the
+least safety loss, resampled over that integral, is the programmed motion. `rollout` adds the effect of an operator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.estimate.robot.work_dwells import Group, Standstills, either_kind, groups_of, key_of, standstills_by_work
+from cyclekit.segmentation.arrivals import fill_nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Floats, Vector
+
+
+STEP_S = 0.01
+"""Grid of the nominal time, s; a TCP at 1 m/s moves 1 cm per step."""
+
+
+@dataclass(frozen=True)
+class NominalTask:
+    """A task as programmed.
+
+    Attributes:
+        xyz_m: TCP along the motion at every STEP_S of nominal time, shape (K, 3), base frame.
+        nominal_s: Duration of the motion at scaling 1: the median over its repetitions.
+        dwell_s, wait_s: Mean process time and mean wait at the goal.
+        standstill_s: Logged standstill times at the goal (dwell + wait), ascending, shape (N,) of N repetitions; of all
+            tasks to the goal if its standstills are of several kinds (`work_dwells.StandstillKind`).
+        by_work: Standstills per group of executions, if they depend on the work; else empty.
+        group: The group whose standstills these are; None = all executions.
+    """
+
+    task: str
+    xyz_m: Floats
+    nominal_s: float
+    dwell_s: float
+    wait_s: float
+    standstill_s: Vector
+    by_work: Mapping[Group, Standstills] = field(default_factory=dict)
+    group: Group | None = None
+
+    @property
+    def key(self) -> str:
+        """Name of the task with these standstills: the task's own, unless they are of one group."""
+        return self.task if self.group is None else f"{self.task} {key_of(self.group)}"
+
+    def of_work(self, places: Sequence[str]) -> NominalTask:
+        """Return the task with the standstills of executions of the same work as a cycle through `places`, if known."""
+        return next((self.of_group(group) for group in groups_of(places) if group in self.by_work), self)
+
+    def of_group(self, group: Group) -> NominalTask:
+        """Return the task with the standstills of one of the groups in `by_work`."""
+        mine = self.by_work[group]
+        return replace(self, dwell_s=mine.dwell_s, wait_s=mine.wait_s, standstill_s=mine.standstill_s, group=group)
+
+
+def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> dict[str, NominalTask]:
+    """Return the nominal motion of every task that was logged with known scaling, by task name.
+
+    `wanted`: return only these tasks, if all of them were logged with known scaling.
+    """
+    tasks = dataset.uninterrupted_tasks().filter(pl.col("nominal_s").is_not_null())
+    if tasks.height == 0:
+        return {}
+    if wanted is not None and set(tasks["task"]).issuperset(wanted):
+        tasks = tasks.filter(pl.col("task").is_in(list(wanted)))
+    means = tasks.group_by("task").agg(
+        nominal_s=pl.col("nominal_s").median(),
+        dwell_s=pl.col("dwell_s").mean(),
+        wait_s=pl.col("wait_s").mean(),
+        standstill_s=(pl.col("dwell_s") + pl.col("wait_s")).sort(),
+    )
+    slowed = pl.col("safety_loss_s") + _slider_loss(tasks)
+    best = tasks.sort(slowed, "execution", "index").group_by("task", maintain_order=True).first()
+    found, by_work = {}, standstills_by_work(dataset)
+    chosen = best.join(means, on="task", suffix="_all").sort("execution", "start_s")
+    for (execution,), rows in chosen.group_by(["execution"], maintain_order=True):
+        track = _execution_track(dataset, str(execution))
+        for row in rows.iter_rows(named=True):
+            path = _undo_scaling(track, row["start_s"], row["arrival_s"], row["nominal_s_all"])
+            groups = by_work.get(row["task"], {})
+            own = Standstills(row["dwell_s_all"], row["wait_s_all"], np.array(row["standstill_s"]))
+            stands = either_kind(groups) or own
+            found[row["task"]] = NominalTask(
+                task=row["task"],
+                xyz_m=path,
+                nominal_s=row["nominal_s_all"],
+                dwell_s=stands.dwell_s,
+                wait_s=stands.wait_s,
+                standstill_s=stands.standstill_s,
+                by_work=groups,
+            )
+    return found
+
+
+def _execution_track(dataset: Dataset, execution: str) -> tuple[Vector, Floats, Vector]:
+    """Return times, TCP and program rate of one execution: logged rows if these have the scaling, else samples."""
+    tcp = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
+    native = dataset.native_robot(execution, ("t_s", *tcp, "scaling"))
+    if native is not None and native["scaling"].is_not_null().any():
+        xyz = native.select(tcp).to_numpy()
+        return native["t_s"].to_numpy(), xyz, native["scaling"].to_numpy()  # includes the speed slider
+    samples = dataset.samples([execution])
+    xyz = samples.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()
+    speed = samples.select(pl.col("scaling") * pl.col("slider").fill_null(1.0)).to_series()
+    return samples["t_s"].to_numpy(), xyz, speed.to_numpy()
+
+
+def _slider_loss(tasks: pl.DataFrame) -> pl.Expr:
+    """Return the time lost to the operator's speed slider, s; 0 if it is not separated from the scaling."""
+    return pl.col("lost_slider_s").fill_null(0.0)
+
+
+def slider_losses(dataset: Dataset) -> dict[str, float]:
+    """Return the share of each execution's time that was lost to the operator's speed slider, by name."""
+    tasks = dataset.tasks()
+    lost = tasks.group_by("execution").agg(_slider_loss(tasks).sum().alias("lost"))
+    durations = dict(dataset.executions.select("execution", "duration_s").iter_rows())
+    return {name: seconds / max(durations[name], 1e-9) for name, seconds in lost.iter_rows() if name in durations}
+
+
+def _undo_scaling(track: tuple[Vector, Floats, Vector], start_s: float, arrival_s: float, nominal_s: float) -> Floats:
+    """Return the TCP over nominal time, shape (K, 3), stretched to the median nominal duration."""
+    t, xyz, scaling = track
+    inside = (t >= start_s - 1e-9) & (t <= arrival_s + 1e-9)
+    t, xyz, s = t[inside], xyz[inside], scaling[inside]
+    known = np.flatnonzero(np.isfinite(s))
+    s = fill_nearest(s, known) if len(known) else np.ones(len(s))
+    elapsed = np.concatenate([[0.0], np.cumsum(s[:-1] * np.diff(t))])
+    elapsed *= nominal_s / max(float(elapsed[-1]), 1e-9)
+    grid = np.arange(max(2, round(nominal_s / STEP_S) + 1)) * (nominal_s / max(1, round(nominal_s / STEP_S)))
+    return np.column_stack([np.interp(grid, elapsed, xyz[:, axis]) for axis in range(3)])

@@ -1,0 +1,113 @@
+"""The program of a sequence: its motions and standstills along nominal time.
+
+`rollout` computes how fast that time advances with an operator in the cell.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from zlib import crc32
+
+import numpy as np
+
+from cyclekit.errors import EstimateError, UnknownName
+from cyclekit.estimate.robot.nominal import STEP_S, NominalTask
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Floats
+
+
+@dataclass(frozen=True)
+class Program:
+    """Motions and standstills of a sequence along nominal time.
+
+    Attributes:
+        tasks: The tasks, each a motion and a standstill.
+        edges_s: Nominal time at the end of each motion and each standstill, alternating, shape (2 * tasks,).
+    """
+
+    tasks: tuple[NominalTask, ...]
+    edges_s: Floats
+
+    @property
+    def length_s(self) -> float:
+        """Duration at scaling 1 including standstills: the exact sum over the tasks."""
+        return float(self.edges_s[-1])
+
+    def xyz_m(self) -> Floats:
+        """Return the TCP at the centres of K cells of about STEP_S, shape (K, 3); computed anew to save memory."""
+        cells = max(1, round(self.length_s / STEP_S))
+        middle = (np.arange(cells) + 0.5) * (self.length_s / cells)
+        xyz, first = np.empty((cells, 3)), 0
+        for task, arrival_s, end_s in zip(self.tasks, self.edges_s[::2], self.edges_s[1::2], strict=True):
+            last = int(np.searchsorted(middle, end_s))
+            phase = np.clip((middle[first:last] - arrival_s) / max(task.nominal_s, 1e-9) + 1.0, 0.0, 1.0)
+            at = np.linspace(0.0, 1.0, len(task.xyz_m))
+            for axis in range(3):
+                xyz[first:last, axis] = np.interp(phase, at, task.xyz_m[:, axis])
+            first = last
+        xyz[first:] = self.tasks[-1].xyz_m[-1]
+        return xyz
+
+
+def lay_out(sequence: TaskSequence, nominal: Mapping[str, NominalTask], dataset: Dataset) -> Program:
+    """Return the program of a sequence.
+
+    Raises:
+        UnknownName: A place does not exist.
+        EstimateError: A task was never logged.
+    """
+    if sequence.plan:
+        msg = f"{sequence.shown}: a plan for robot and operator, and this model knows positions, not task lists"
+        raise EstimateError(msg, cure="Name the robot's places, or train on task lists of both agents.")
+    places = dataset.places
+    for place in sequence.places:
+        if place not in places:
+            raise UnknownName(sequence.shown, "place", place, places)
+    if missing := [task for task in sequence.tasks if task not in nominal]:
+        seen = f"{sequence.shown}: task {missing[0]!r} was never logged with a known speed scaling"
+        cure = f"Use tasks that were: {_tasks_from(missing[0], nominal)}."
+        raise EstimateError(seen, cure=cure)
+    tasks = tuple(nominal[task].of_work(sequence.places) for task in sequence.tasks)
+    parts = [part for task in tasks for part in (task.nominal_s, task.dwell_s + task.wait_s)]
+    return Program(tasks, np.cumsum(parts))
+
+
+def _tasks_from(task: str, nominal: Mapping[str, NominalTask]) -> str:
+    start = task.partition("->")[0]
+    known = sorted(name for name in nominal if name.startswith(f"{start}->")) or sorted(nominal)
+    return ", ".join(known[:8]) + (" …" if len(known) > 8 else "")
+
+
+def draw_standstills(
+    program: Program, count: int, seed: int, known: dict[tuple[str, int], Floats] | None = None
+) -> Floats:
+    """Return a standstill time per cycle and task, shape (count, tasks), s: quantiles of logged ones, shuffled.
+
+    Rare long waits for parts make cycles differ; mean standstills would hide that. A task draws the same standstills in
+    every program, and others at its second occurrence in a program, so that programs are compared under the same
+    conditions. `known`: a cache of draws, shared between programs with the same tasks.
+    """
+    known = {} if known is None else known
+    drawn, times = [], Counter[str]()
+    for task in program.tasks:
+        key = task.key, times[task.task]
+        if key not in known:
+            known[key] = standstills_of(task, count, seed, key[1])
+        drawn.append(known[key])
+        times[task.task] += 1
+    return np.column_stack(drawn)
+
+
+def standstills_of(task: NominalTask, count: int, seed: int, occurrence: int) -> Floats:
+    """Return standstill times of a task at its n-th occurrence in a program, shape (count,), s: `draw_standstills`."""
+    rng = np.random.default_rng([seed, crc32(task.task.encode()), occurrence])
+    level = (np.arange(count) + 0.5) / count
+    standstills: Floats = np.maximum(rng.permutation(np.quantile(task.standstill_s, level)), 1e-3)
+    return standstills

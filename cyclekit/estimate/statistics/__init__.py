@@ -1,0 +1,1 @@
+"""Bootstrap over executions, conformal intervals, and which executions are comparable. Used by all of `estimate`."""

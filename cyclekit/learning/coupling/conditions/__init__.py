@@ -1,0 +1,1 @@
+"""What departures wait for: lags, candidates, tests, and conditions at places of one kind."""

@@ -1,0 +1,132 @@
+"""Which signals the operator gives: changes in his visits to one place, one for each task."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.learning.coupling.events.errands import errand_places, with_errands
+from cyclekit.learning.coupling.events.visits import Event, events_of
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit
+    from cyclekit.schema import Vector
+
+WITHIN_S = 1.0
+"""Tolerance, s: a signal given at a place may change this long after the operator is seen to leave, as the clock of a
+PLC may be late."""
+GIVEN, OTHER = 0.8, 0.6
+"""Minimum share of a signal's changes to one state during visits to one place, if the agent gives the signal there, as
+some presses are forgotten or logged late. The second value holds for the other state of the same signal."""
+MOST = 1.5
+"""Maximum mean number of changes in a visit with any: more come from something that does not heed his visits."""
+
+
+def with_givers(courses: Sequence[ExecutionVisits], doubtful: Collection[Event]) -> list[ExecutionVisits]:
+    """Return the courses; a signal that the operator gives at one place becomes his arrival or departure there.
+
+    On an errand in the middle of his work he gives none. Where he gives several in one stay, these are so many visits:
+    he has done several tasks there without a step aside.
+
+    Args:
+        courses: The executions.
+        doubtful: Signals to drop if the operator does not give them.
+    """
+    whole = with_errands(courses, errand_places(courses))
+    kinds = sorted({key for course in courses for key in course.events if key.agent == "signal"})
+    best = {kind: where for kind in kinds if (where := _best_place(whole, kind)) is not None}
+    sure = {(kind.place, event.place) for kind, (share, event) in best.items() if share >= GIVEN}
+    given = {
+        kind: event
+        for kind, (share, event) in best.items()
+        if share >= (OTHER if (kind.place, event.place) in sure else GIVEN)
+    }
+    ends = _task_ends(courses, given)
+    found = []
+    for one in courses:
+        events = {given.get(key, key): at for key, at in one.events.items() if key in given or key not in doubtful}
+        visits = list(one.visits["operator"])
+        for signal in events:
+            if signal in ends:
+                visits = _parted(visits, signal.place, events[signal])
+        if len(visits) > len(one.visits["operator"]):
+            events |= events_of({"operator": visits})
+        found.append(replace(one, visits={**one.visits, "operator": visits}, events=events))
+    return found
+
+
+def _best_place(courses: Sequence[ExecutionVisits], kind: Event) -> tuple[float, Event] | None:
+    """Return the place whose visits explain most changes of a signal, as the event of the operator, and their share."""
+    places = sorted({visit.place for course in courses for visit in course.visits["operator"]})
+    shares = {place: _shares(courses, kind, place) for place in places}
+    place = max(shares, key=lambda name: sum(shares[name]), default=None)
+    if place is None:
+        return None
+    event = "arrives" if shares[place][0] > shares[place][1] else "leaves"
+    return sum(shares[place]), Event("operator", place, event, f"{kind.place} {kind.event}")
+
+
+def _task_ends(courses: Sequence[ExecutionVisits], given: Mapping[Event, Event]) -> set[Event]:
+    """Return the events that end the operator's tasks: of a pulse, the change that usually comes first."""
+    ends = {kind: event for kind, event in given.items() if event.event == "leaves"}
+    first = Counter[Event]()
+    for course in courses:
+        begins: dict[str, tuple[float, Event]] = {}
+        for kind in ends:
+            at = course.events.get(kind, np.empty(0))
+            if len(at):
+                begins[kind.place] = min(begins.get(kind.place, (np.inf, kind)), (float(at[0]), kind))
+        first.update(kind for _, kind in begins.values())
+    return {
+        event
+        for kind, event in ends.items()
+        if first[kind] >= max(first[one] for one in ends if one.place == kind.place)
+    }
+
+
+def _parted(visits: Sequence[PlaceVisit], place: str, at: Vector) -> list[PlaceVisit]:
+    """Return visits with those to a place in which the operator gives a signal several times parted there."""
+    found = []
+    for visit in visits:
+        ends = _within(visit, at)[:-1].tolist() if visit.place == place else []
+        for end_s in ends:
+            found.append(visit._replace(left_s=end_s))
+            visit = visit._replace(arrived_s=end_s)
+        found.append(visit)
+    return found
+
+
+def _within(visit: PlaceVisit, at: Vector) -> Vector:
+    """Return the changes of a signal in a visit."""
+    end = np.inf if np.isnan(visit.left_s) else visit.left_s
+    return at[(at >= visit.arrived_s) & (at <= end + WITHIN_S)]
+
+
+def _shares(courses: Sequence[ExecutionVisits], kind: Event, place: str) -> tuple[float, float]:
+    """Return the shares of a signal's changes explained by the operator's visits to a place.
+
+    First value: changes nearer to his arrival; second value: changes nearer to his departure. Changes at no visit and
+    visits without a change count against it; so do changes beyond those of usual visits, MOST on average.
+    """
+    early, late, total, seen = 0, 0, 0, 0
+    for course in courses:
+        at = course.events.get(kind, np.empty(0))
+        mine = [_within(visit, at) for visit in course.visits["operator"] if visit.place == place]
+        visits = [visit for visit in course.visits["operator"] if visit.place == place]
+        for visit, within in zip(visits, mine, strict=True):
+            end = visit.left_s if np.isfinite(visit.left_s) else np.inf
+            first = within - visit.arrived_s < end - within if np.isfinite(end) else np.zeros(len(within), np.bool_)
+            early, late = early + int(first.sum()), late + int((~first).sum())
+            seen += len(within) > 0
+        ended = [np.isfinite(visit.left_s) for visit in visits]  # in the last visit of an execution it may come later
+        missed = sum(end and not len(within) for end, within in zip(ended, mine, strict=True))
+        total += max(len(at), sum(map(len, mine))) + missed
+    total = max(total, early + late)
+    if not total or early + late > MOST * seen:
+        return 0.0, 0.0
+    return early / total, late / total

@@ -1,0 +1,1 @@
+"""Parts that no signal reports: their gaps, and how many may wait."""

@@ -1,0 +1,1 @@
+"""Samples to which rules are fitted: positions, distances, signals, and where a region holds."""

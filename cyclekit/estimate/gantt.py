@@ -134,7 +134,7 @@ def _of_plan(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
         at, row = lane[task.agent], f"{task.agent}: {turn[task.agent]} {shown_task(task.task)}"
         if task.wait_s > SHOWN_S:
             bars.append(_wait(task, at, row))
-            if arrow := _arrow(task, each.plan, lane):
+            if arrow := _arrow(task, each, lane):
                 arrows.append(arrow)
             else:
                 labels.append(BarLabel(at, task.start_s - task.wait_s, task.start_s, _until(task, lane)))
@@ -184,7 +184,7 @@ def _until(task: PlannedShare, lane: Mapping[str, int]) -> tuple[str, ...]:
     return (f"until {name}",) if cause and agent not in lane else ()
 
 
-def _arrow(task: PlannedShare, plan: Sequence[PlannedShare], lane: Mapping[str, int]) -> Arrow | None:
+def _arrow(task: PlannedShare, each: CycleEstimate, lane: Mapping[str, int]) -> Arrow | None:
     """Return the arrow from what ended a wait; None if no lane shows it.
 
     If the tasks of the other agent have no times of their own, it comes from his lane, at the end of the wait.
@@ -193,7 +193,7 @@ def _arrow(task: PlannedShare, plan: Sequence[PlannedShare], lane: Mapping[str, 
     agent = cause.partition(": ")[0]
     if agent not in lane or agent == task.agent:
         return None
-    ended_s = _ended_s(task, plan)
+    ended_s = _ended_s(task, each.plan, leaves=not _of_lists(each))
     seldom = share < MAJORITY
     return Arrow(lane[agent], lane[task.agent], min(ended_s or task.start_s, task.start_s), task.start_s, seldom)
 
@@ -232,11 +232,12 @@ def _moving(share: TaskShare, part: float, dwell_s: float) -> TaskShare:
     return TaskShare(share.task, 0.0, part * share.nominal_s, part * share.safety_loss_s, dwell_s, 0.0)
 
 
-def _ended_s(task: PlannedShare, plan: Sequence[PlannedShare]) -> float | None:
+def _ended_s(task: PlannedShare, plan: Sequence[PlannedShare], *, leaves: bool) -> float | None:
     """Return when the other agent's task that ended a wait was done, or left, s; None if the plan has no such task.
 
-    It is the last of that name that had ended by then, else the last that had begun. An agent that has to wait after a
-    task may leave much later than it is done: what ended the wait is then that it left.
+    It is the last of that name that had ended by then, else the last that had begun. With `leaves` the agents wait at
+    places: one that has to wait after a task leaves much later than it is done, and that it left ended the wait. In
+    task lists the end of the task does.
     """
     cause, _ = task.ended_by or ("", 0.0)
     rests = _rests(plan)
@@ -246,6 +247,8 @@ def _ended_s(task: PlannedShare, plan: Sequence[PlannedShare]) -> float | None:
     last = max(ended, key=lambda n: plan[n].end_s, default=None)
     if last is None:
         return None
+    if not leaves:
+        return plan[last].end_s
     left_s = next((one.start_s for one in plan[last + 1 :] if one.agent == plan[last].agent), None)
     return plan[last].end_s if left_s is None or left_s > until_s else left_s
 

@@ -14,7 +14,7 @@ from cyclekit.estimate.statistics.conformal import conformal
 from cyclekit.estimate.statistics.resample import Z95, least_wide
 from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.estimate.task_doubts import doubts_of_plan, never_in_a_row
-from cyclekit.learning.task_times.roll import SimulatedPlan, agent_of, roll_plan
+from cyclekit.learning.task_times.roll import BY_PART, BY_PLAN, OWN, SimulatedPlan, agent_of, roll_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -249,7 +249,7 @@ def _shares(
 
 def _decided(rolled: SimulatedPlan, number: int) -> dict[str, float]:
     """Return the share of the cycles in which each cause decided the start of a task."""
-    names = {-3: "a part", -2: "planned start", -1: OWN_TASK}
+    names = {BY_PART: "a part", BY_PLAN: "planned start", OWN: OWN_TASK}
     which, count = np.unique(rolled.decides[:, number], return_counts=True)
     told = zip(which.tolist(), (count / len(rolled.decides)).tolist(), strict=True)
     return {names.get(key) or rolled.tasks[key].shown: part for key, part in told}

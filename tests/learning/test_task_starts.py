@@ -109,6 +109,23 @@ def test_an_agent_does_not_wait_for_its_own_later_task() -> None:
     assert roll_plan(model, [unload, load], cycles=1).duration_s == pytest.approx([2.0])
 
 
+def test_the_time_from_task_to_task_is_a_wait_only_where_something_else_decides() -> None:
+    usual: dict[str, Any] = {"usual_s": 1.0, "rates": {}, "after": {}, "lags_s": (0.2,)}
+    need = NeedCard(agent="arm", task="bring")
+    cards = (
+        TaskTimesCard(agent="arm", task="bring", work_s=(3.0,), **usual),
+        TaskTimesCard(agent="worker", task="pack", work_s=(1.0,), **usual),
+        TaskTimesCard(agent="worker", task="mount", work_s=(1.0,), needs=(need,), **usual),
+    )
+    model = TaskModelCard(agents={"arm": "robot", "worker": "operator"}, tasks=cards, executions=5)
+    plan = [PlannedTask("arm", "bring"), *(PlannedTask("worker", name) for name in ("pack", "mount", "pack"))]
+    rolled = roll_plan(model, plan, cycles=1)
+    assert rolled.start_s[0] == pytest.approx([0.2, 0.2, 3.4, 4.6])
+    assert rolled.wait_s[0] == pytest.approx([0.0, 0.0, 2.2, 0.0])
+    told = [*plan[:-1], PlannedTask("worker", "pack", not_before_s=6.0)]
+    assert roll_plan(model, told, cycles=1).wait_s[0] == pytest.approx([0.0, 0.0, 2.2, 1.8])
+
+
 def test_a_plan_that_seldom_decides_is_no_lag() -> None:
     runs = []
     for number in range(4):

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Floats, Ints, Vector
 
 
+OWN, BY_PLAN, BY_PART = -1, -2, -3
+"""What decided a start, if no other task did: the agent's previous task, the planned start, a part."""
+
+
 @dataclass(frozen=True)
 class SimulatedPlan:
     """Simulated cycles of one plan.
@@ -31,8 +35,8 @@ class SimulatedPlan:
         tasks: Tasks of all agents, in order for each agent.
         start_s, end_s: Start and end of each task, shape (cycles, tasks), s.
         mean_s: Mean logged duration of each task, shape (tasks,), s.
-        decides: Last cause of each start, shape (cycles, tasks): -1 = the agent's previous task, -2 = its planned
-            start, -3 = a part, otherwise the number of another task.
+        decides: Last cause of each start, shape (cycles, tasks): `OWN`, `BY_PLAN`, `BY_PART`, or the number of another
+            task.
     """
 
     tasks: tuple[PlannedTask, ...]
@@ -53,9 +57,12 @@ class SimulatedPlan:
 
     @property
     def wait_s(self) -> Floats:
-        """Time from the end of the agent's previous task, or from the first start of all, shape (cycles, tasks), s."""
+        """Wait before each task since the agent's previous task, or since the first start, shape (cycles, tasks), s.
+
+        It is 0 where the agent's previous task decided the start: the time it then takes between two tasks is no wait.
+        """
         ends = np.concatenate([self.end_s, self.start_s.min(axis=1)[:, None]], axis=1)
-        return np.asarray(self.start_s - ends[:, self.before])
+        return np.where(self.decides == OWN, 0.0, self.start_s - ends[:, self.before])
 
 
 class _Need(NamedTuple):
@@ -381,9 +388,9 @@ def _together(plan: _Plan, at_s: Floats) -> Floats:
 def _decides(plan: _Plan, end: Floats, since_s: _Since, parts_s: Floats) -> Floats:
     ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
     latest = ends[:, plan.before].copy()
-    found = np.full(end.shape, -1)
+    found = np.full(end.shape, OWN)
     later = plan.not_before_s > latest
-    found[later] = -2
+    found[later] = BY_PLAN
     latest = np.maximum(latest, plan.not_before_s)
     joined = {
         (number, plan.before[mate]): 0.0
@@ -394,5 +401,5 @@ def _decides(plan: _Plan, end: Floats, since_s: _Since, parts_s: Floats) -> Floa
         later_here = end[:, need] + after_s > latest[:, number]
         found[later_here, number] = need
         latest[later_here, number] = (end[:, need] + after_s)[later_here]
-    found[parts_s > latest] = -3
+    found[parts_s > latest] = BY_PART
     return found

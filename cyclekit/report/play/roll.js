@@ -248,7 +248,7 @@ const entryOfList = (tasks, rolled) => {
       return {
         agent: task.agent, asked: task.asked, name: task.name, logged: plan.cards[n].work,
         start_s: factor * mean(from(start[n])), end_s: factor * mean(from(end[n])),
-        wait_s: factor * mean(start[n].map((value, cycle) => value - ends[cycle])),
+        wait_s: factor * mean(start[n].map((value, cycle) => decides[n][cycle] === -1 ? 0 : value - ends[cycle])), // -1: its own task
         ends_s: [0.05, 0.95].map((level) => quantile(ordered_s, level)),
         after: cause < 0 ? null : `${tasks[cause].asked}: ${tasks[cause].name}`, part: times / decides[n].length,
       };

@@ -122,7 +122,7 @@ def test_estimates_are_the_same_to_the_last_bit(
     small_cell: Path, elsewhere: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in ("spread", "walk"):
-        monkeypatch.setattr(f"cyclekit.estimate.{module}.ROWS", 12)  # two sequences a task, as with hundreds of tracks
+        monkeypatch.setattr(f"cyclekit.estimate.cycle.{module}.ROWS", 12)  # two sequences a task, as with many tracks
     words = ["estimate", small_cell / "model", small_cell / "sequences.toml", "--dataset", small_cell / "dataset"]
     words.append("--no-check")
     here, there = answer(capsys, *words), answer(capsys, *words, *elsewhere)

@@ -22,6 +22,7 @@ from cyclekit.estimate.joint.levels import WALK, WORK, Levels
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.repetitions import cycles_per_resample
 from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, STUCK_PART, TIMES, JointCell
+from cyclekit.estimate.joint.shares import MIN_WAIT_S
 from cyclekit.estimate.operator.tracks import OperatorTracks
 from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.whatif.coupled import shown as wait_name
@@ -96,6 +97,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
         "times": TIMES,
         "endless": ENDLESS_PART,
         "stuck": STUCK_PART,
+        "midway_s": MIN_WAIT_S,
         "sequences": sequences,
         "gates": _gates(card),
         "sources": [_source(each) for each in card.sources],

@@ -81,7 +81,7 @@ const summedUp = (all, log, robot, operator, both) => {
 
 const spansOf = (cycles, log, who, tasks, tell, cut = false) => { // shares._spans: start, end and wait of each task
   const last = log.length - 1;
-  let before = 0;
+  let [before, task] = [0, -1];
   const found = [];
   log.forEach(({ leg, works_s, passes_s }, n) => {
     if (leg.task < 0 || leg.hold) return;
@@ -94,16 +94,21 @@ const spansOf = (cycles, log, who, tasks, tell, cut = false) => { // shares._spa
     let start_s = at((cycle, begin_s) => departs_s[cycle] - begin_s);
     let end_s = at((cycle, begin_s) => done_s[cycle] - begin_s);
     let wait_s = at((cycle, begin_s) => Math.max(departs_s[cycle] - Math.max(ready_s[cycle], begin_s), 0));
-    before = n;
+    const rest = leg.task === task; // of a task on whose way the robot may wait
+    [before, task] = [n, leg.task];
     if (cut) { // shares._in_cycle: at the ends of the cycles
       if (2 * start_s.filter((value, k) => value < cycles[k].duration_s).length < cycles.length) return;
       const till = (values) => values.map((value, k) => Math.min(value, cycles[k].duration_s));
       wait_s = till(start_s).map((value, k) => Math.max(value - (start_s[k] - wait_s[k]), 0));
       [start_s, end_s] = [till(start_s), till(end_s)];
     }
-    found.push({ agent: who, name: tasks[leg.task], task: leg.task, ...tell(start_s, end_s, wait_s) });
+    if (rest && found.length && mean(wait_s) < facts.midway_s) { // shares._joined
+      found[found.length - 1].end_s = end_s;
+    } else {
+      found.push({ task: leg.task, start_s, end_s, wait_s });
+    }
   });
-  return found;
+  return found.map((span) => ({ agent: who, name: tasks[span.task], task: span.task, ...tell(span.start_s, span.end_s, span.wait_s) }));
 };
 
 const sharesOf = (cycles, log, factor) => { // shares.task_shares, as `answer._slowed` corrects them

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cyclekit.learning.task_times.roll import agent_of
+from cyclekit.learning.task_times.prepared import agent_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

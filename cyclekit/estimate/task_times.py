@@ -14,7 +14,8 @@ from cyclekit.estimate.statistics.conformal import conformal
 from cyclekit.estimate.statistics.resample import Z95, least_wide
 from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.estimate.task_doubts import doubts_of_plan, never_in_a_row
-from cyclekit.learning.task_times.roll import BY_PART, BY_PLAN, OWN, SimulatedPlan, agent_of, roll_plan
+from cyclekit.learning.task_times.prepared import agent_of
+from cyclekit.learning.task_times.roll import BY_PART, BY_PLAN, OWN, SimulatedPlan, roll_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -1,6 +1,6 @@
 """Simulation of cycles of both agents step by step: an agent departs once its own work and its waits are over.
 
-The robot advances as in `estimate.walk`, at the scaling of the safety function for the operator's position. The
+The robot advances as in `estimate.cycle.walk`, at the scaling of the safety function for the operator's position. The
 operator and sources of parts are not slowed: their departure is computed as soon as the events they wait for are known.
 Event times are exact within a step: an agent that waited uses the rest of the step.
 """

@@ -30,7 +30,8 @@ from cyclekit.estimate.gantt import gantt_figure
 from cyclekit.estimate.statistics.resample import Z95
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times.learn import plan_of
-from cyclekit.learning.task_times.roll import agent_of, roll_plan
+from cyclekit.learning.task_times.prepared import agent_of
+from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import always_in_a_row
 from cyclekit.text.results import Result
 

@@ -9,6 +9,8 @@ fit      mean, scatter and effects of one task
 rates    the rate of a task during each task of the other agent
 starts   the conditions of a task's start; those that it does not show alone by `alike`, `partly`, `process`,
          `unseen_parts`
+prepared a plan with the learned times, rates and conditions of its tasks
+roll     many cycles of one plan
 learn    all of it, with errors on held-out orders
 saved    storage
 """

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.config.sequences import NOT_ITSELF
-from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.learning.task_times.parts import ALONE, beside
+from cyclekit.errors import EstimateError
+from cyclekit.learning.task_times.prepared import PreparedPlan, own_before, prepared
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -53,7 +52,7 @@ class SimulatedPlan:
     @property
     def before(self) -> list[int]:
         """Number of the agent's previous task for each task; -1 = it is the first."""
-        return _before(self.tasks)
+        return own_before(self.tasks)
 
     @property
     def wait_s(self) -> Floats:
@@ -63,52 +62,6 @@ class SimulatedPlan:
         """
         ends = np.concatenate([self.end_s, self.start_s.min(axis=1)[:, None]], axis=1)
         return np.where(self.decides == OWN, 0.0, self.start_s - ends[:, self.before])
-
-
-class _Need(NamedTuple):
-    """Number of a needed task, the process time since, s, the share of cycles in which it is, and `together`."""
-
-    other: int
-    after_s: float = 0.0
-    needed: float = 1.0
-    together: int = 0
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """A plan prepared for simulation.
-
-    Attributes:
-        cards: Learned times of each task.
-        before: Number of the agent's previous task; -1 = none.
-        next: Number of the agent's next task; -1 = none.
-        turn: Number of earlier occurrences of the same task.
-        needs: The tasks that must have ended.
-        parts: Of tasks that wait for a part, numbers of the one that took the part before it, and of the one whose
-            start makes room for it; -1 = none.
-        mate: Number of the task that it ends with; its own = none.
-        joined: Whether both also start together.
-        not_before_s: Earliest start, s.
-        log_rate: Log rate of a task during another, shape (tasks, tasks); `alone` without another.
-        log_later: Log ratio of that rate in the second and the first half of the other task.
-        log_waiting: Log factor of the rate alone while another agent, who has ended that task, waits for his next one.
-        log_at_start: Log factor of the work by another task that runs at the start.
-    """
-
-    cards: list[TaskTimesCard]
-    before: list[int]
-    next: list[int]
-    turn: list[int]
-    needs: list[list[_Need]]
-    parts: dict[int, tuple[int, int]]
-    mate: list[int]
-    joined: list[bool]
-    not_before_s: Vector
-    log_rate: Floats
-    log_later: Floats
-    log_waiting: Floats
-    log_at_start: Floats
-    alone: Vector
 
 
 def roll_plan(
@@ -134,7 +87,7 @@ def roll_plan(
         UnknownName: A task or an agent was never logged.
         EstimateError: Tasks wait for each other and none can start.
     """
-    plan = _laid_out(model, tasks, where)
+    plan = prepared(model, tasks, where)
     rng = np.random.default_rng(seed)
     work, lag, gap = _drawn(plan, cycles, rng)
     since_s = _since_s(plan, cycles, rng)
@@ -175,126 +128,7 @@ def roll_plan(
     return SimulatedPlan(tuple(tasks), start, end, usual, _decides(plan, end, since_s, _parts_s(plan, gap, start)))
 
 
-def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) -> _Plan:
-    known = {(card.agent, card.task): card for card in model.tasks}
-    names = [agent_of(model, task, where) for task in tasks]
-    for name, task in zip(names, tasks, strict=True):
-        if (name, task.name) not in known:
-            there = sorted(each for agent, each in known if agent == name)
-            raise UnknownName(where, f"task of {name}", task.name, there)
-    cards = [known[name, task.name] for name, task in zip(names, tasks, strict=True)]
-    pairs = list(zip(names, (task.name for task in tasks), strict=True))
-    turn = [pairs[:number].count(pair) for number, pair in enumerate(pairs)]
-    keys = [beside(card.agent, card.task) for card in cards]
-    rate, later, waiting, at_start = (
-        np.array([[_log(getattr(card, kind), key) for key in keys] for card in cards])
-        for kind in ("rates", "later", "waiting", "at_start")
-    )
-    rate += np.array([[_nth(card.nth, *at) for at in zip(keys, turn, strict=True)] for card in cards])
-    waiting += np.array([[_nth(card.nth_waiting, *at) for at in zip(keys, turn, strict=True)] for card in cards])
-    alone = np.array([_log(card.rates, ALONE) for card in cards])
-    not_before = np.array([task.not_before_s or 0.0 for task in tasks])
-    before = _before(tasks)
-    after = [before.index(number) if number in before else -1 for number in range(len(tasks))]
-    needs = _needs(cards, tasks, names, where)
-    parts = _parts(cards, pairs)
-    mate = _mates(cards, turn)
-    joint = [card.joint for card in cards]
-    joined = [
-        each is not None and each.starts and other != n for n, (each, other) in enumerate(zip(joint, mate, strict=True))
-    ]
-    told = (rate, later, waiting, at_start, alone)
-    return _Plan(cards, before, after, turn, needs, parts, mate, joined, not_before, *told)
-
-
-def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
-    """Return the name in the logs of a planned task's agent, given as that name, `robot` or `operator`.
-
-    Raises:
-        UnknownName: There is no such agent, or more than one.
-    """
-    if task.agent in model.agents:
-        return task.agent
-    able = [name for name, kind in model.agents.items() if kind == task.agent]
-    if len(able) != 1:
-        kinds = list(model.agents.values())
-        single = {kind for kind in kinds if kinds.count(kind) == 1}
-        raise UnknownName(where, "agent", task.agent, {*model.agents, *single})
-    return able[0]
-
-
-def _nth(factors: Mapping[str, Sequence[float]], name: str, turn: int) -> float:
-    """Return the log factor at an occurrence of a task; 0 if it was not logged."""
-    mine = factors.get(name, ())
-    return float(np.log(mine[turn])) if turn < len(mine) else 0.0
-
-
-def _log(rates: Mapping[str, float], name: str) -> float:
-    return float(np.log(rates.get(name, 1.0)))
-
-
-def _before(tasks: Sequence[PlannedTask]) -> list[int]:
-    last: dict[str, int] = {}
-    found = []
-    for number, task in enumerate(tasks):
-        found.append(last.get(task.agent, -1))
-        last[task.agent] = number
-    return found
-
-
-def _needs(
-    cards: Sequence[TaskTimesCard], tasks: Sequence[PlannedTask], names: Sequence[str], where: str
-) -> list[list[_Need]]:
-    """Return the tasks that each task waits for.
-
-    These are the learned ones, and those given in the plan. No agent waits for a later task of its own.
-    """
-    turns: dict[tuple[str, str], list[int]] = {}
-    for number, (name, task) in enumerate(zip(names, tasks, strict=True)):
-        turns.setdefault((name, task.name), []).append(number)
-    found = []
-    for number, (name, task, card) in enumerate(zip(names, tasks, cards, strict=True)):
-        nth = turns[name, task.name].index(number)
-        mine = [
-            _Need(turns[need.agent, need.task][nth - need.back], need.after_s, need.needed, need.together)
-            for need in card.needs
-            if 0 <= nth - need.back < len(turns.get((need.agent, need.task), ()))
-        ]
-        mine = [each for each in mine if names[each.other] != name or each.other < number]
-        for told in task.after:
-            able = [each for (_, other), some in turns.items() if other == told for each in some if each != number]
-            if not able and told == task.name:
-                raise EstimateError(f"{where}: {task.shown}: after names the task itself", cure=NOT_ITSELF)
-            if not able:
-                raise UnknownName(f"{where}: {task.shown}", "task", told, {each.name for each in tasks})
-            mine.append(_Need(able[min(nth, len(able) - 1)]))
-        found.append(mine)
-    return found
-
-
-def _parts(cards: Sequence[TaskTimesCard], pairs: Sequence[tuple[str, str]]) -> dict[int, tuple[int, int]]:
-    """Return for each task that waits for a part which tasks took the one before it, and make room for it."""
-    taken: dict[tuple[str, str], list[int]] = {}
-    found = {}
-    for number, (card, pair) in enumerate(zip(cards, pairs, strict=True)):
-        if card.parts:
-            mine = taken.setdefault(pair, [])
-            room = len(mine) - card.parts.buffer
-            found[number] = (mine[-1] if mine else -1, mine[room] if room >= 0 else -1)
-            mine.append(number)
-    return found
-
-
-def _mates(cards: Sequence[TaskTimesCard], turn: Sequence[int]) -> list[int]:
-    """Return for each task the number of the task that it ends with; its own number if there is none."""
-    at = {(card.agent, card.task, nth): number for number, (card, nth) in enumerate(zip(cards, turn, strict=True))}
-    return [
-        at.get((card.joint.agent, card.joint.task, nth), number) if card.joint else number
-        for number, (card, nth) in enumerate(zip(cards, turn, strict=True))
-    ]
-
-
-def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
+def _drawn(plan: PreparedPlan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
     """Return work at rate 1, lag, and gap before its part of each task, shape (cycles, tasks), s.
 
     The draws do not depend on the order.
@@ -322,7 +156,7 @@ _Since = dict[tuple[int, int], "Vector | float"]
 """By a task and one that it waits for, the process time since that one; minus infinity where it is not needed."""
 
 
-def _since_s(plan: _Plan, cycles: int, rng: np.random.Generator) -> _Since:
+def _since_s(plan: PreparedPlan, cycles: int, rng: np.random.Generator) -> _Since:
     names = [(card.agent, card.task, turn) for card, turn in zip(plan.cards, plan.turn, strict=True)]
     found: _Since = {}
     drawn: dict[tuple[int, int], Ints] = {}
@@ -342,7 +176,7 @@ def least_lag_s(card: TaskTimesCard) -> float:
     return -np.inf if any(need.after_s for need in card.needs) else 0.0
 
 
-def _rates(plan: _Plan, start: Floats, end: Floats, late: Bools) -> Floats:
+def _rates(plan: PreparedPlan, start: Floats, end: Floats, late: Bools) -> Floats:
     """Return the log rate of each task, shape (cycles, tasks), given starts, ends, and which are half over.
 
     Either side of a joint task is alone beside the other.
@@ -356,7 +190,7 @@ def _rates(plan: _Plan, start: Floats, end: Floats, late: Bools) -> Floats:
     return np.asarray(np.where(beside_any, others - own, plan.alone + waiting @ plan.log_waiting.T))
 
 
-def _ready(plan: _Plan, end: Floats, since_s: _Since) -> Floats:
+def _ready(plan: PreparedPlan, end: Floats, since_s: _Since) -> Floats:
     """Return when each task may start, shape (cycles, tasks), s; infinite while a required task has not ended."""
     ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
     ready = np.maximum(ends[:, plan.before], plan.not_before_s)
@@ -367,7 +201,7 @@ def _ready(plan: _Plan, end: Floats, since_s: _Since) -> Floats:
     return np.asarray(ready)
 
 
-def _parts_s(plan: _Plan, gap: Floats, start: Floats) -> Floats:
+def _parts_s(plan: PreparedPlan, gap: Floats, start: Floats) -> Floats:
     """Return when the part of each task comes, shape (cycles, tasks), s; 0 if it waits for none.
 
     It is infinite while there is no room for it.
@@ -380,12 +214,12 @@ def _parts_s(plan: _Plan, gap: Floats, start: Floats) -> Floats:
     return found
 
 
-def _together(plan: _Plan, at_s: Floats) -> Floats:
+def _together(plan: PreparedPlan, at_s: Floats) -> Floats:
     """Return the starts with joint tasks that start together put to the later one, shape (cycles, tasks), s."""
     return np.where(plan.joined, np.maximum(at_s, at_s[:, plan.mate]), at_s)
 
 
-def _decides(plan: _Plan, end: Floats, since_s: _Since, parts_s: Floats) -> Floats:
+def _decides(plan: PreparedPlan, end: Floats, since_s: _Since, parts_s: Floats) -> Floats:
     ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
     latest = ends[:, plan.before].copy()
     found = np.full(end.shape, OWN)

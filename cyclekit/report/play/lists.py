@@ -8,7 +8,7 @@ import numpy as np
 
 from cyclekit.estimate.statistics.resample import Z95
 from cyclekit.estimate.task_times import CYCLES, LEVELS, widening
-from cyclekit.learning.task_times.roll import agent_of
+from cyclekit.learning.task_times.prepared import agent_of
 from cyclekit.report.play.tables import SEED
 
 if TYPE_CHECKING:

@@ -52,7 +52,7 @@ const resampledMeans = (cycles) => { // Rolled.resampled_means, times LogLevel.r
 
 const modelError = () => Math.hypot(facts.check.network_error, facts.check.unseen_error);
 
-// ---- the tasks of an order: those of a cycle with other work may stand for longer (`estimate.work_dwells`)
+// ---- the tasks of an order: those of a cycle with other work may stand for longer (`estimate.robot.work_dwells`)
 
 const groupOf = (kind, start, places) => JSON.stringify([kind, start, ...(kind === "order" ? places : [...places].sort())]);
 const groupsOf = (places) => [ // the same, most alike first

@@ -37,7 +37,7 @@ const laidOut = (tasks, asked) => {
     }
     return mine;
   });
-  const taken = new Map(); // as `roll._parts`
+  const taken = new Map(); // as `prepared._parts`
   const parts = tasks.map((task, number) => {
     const card = cards[number];
     if (!card.parts || asked.without.includes(waitName(card, PART))) return null;

@@ -1,4 +1,4 @@
-// ---- the walk: `estimate.walk`, one track after the other
+// ---- the walk: `estimate.cycle.walk`, one track after the other
 
 const followerOf = (dynamics, step_s, start) => { // Follower: s of one cycle over time
   const { latency_s: latency, hold_s: holds, ramp_down_per_s: down, ramp_up_per_s: up } = dynamics;

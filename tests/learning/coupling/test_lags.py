@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import ndtr
 
 from cyclekit.learning.coupling.conditions import lags
 from cyclekit.learning.coupling.conditions.lags import FEW, deciding_causes, quantiles, reverse_kaplan_meier
@@ -57,3 +58,23 @@ def test_kernels_of_many_departures_are_not_kept() -> None:
     assert lags._remembered.cache_info() == before
     deciding_causes(since_s[:, :FEW])
     assert lags._remembered.cache_info().misses > before.misses
+
+
+def test_few_departures_that_were_answered_before_are_not_answered_again() -> None:
+    since_s = np.random.default_rng(1).uniform(0.1, 5.0, (2, 6))
+    first = deciding_causes(since_s)
+    assert deciding_causes(since_s.copy()) is first
+    assert deciding_causes(since_s.reshape(3, 4)).share.shape == (3, 4)
+    assert not first.share.flags.writeable
+    since_s[1, 0] = np.nan
+    assert deciding_causes(since_s).share[1, 0] == 0.0
+
+
+def test_a_time_counts_the_same_from_either_of_two_departures() -> None:
+    """Kernels are computed for one of each pair."""
+    times = np.array([1.0, 1.1, 3.0])
+    found = lags._kernels(times.tobytes(), 0.2, 0.0)
+    z = (times[:, None] - times[None, :]) / 0.2
+    density = np.exp(-0.5 * z * z) / (0.2 * np.sqrt(2.0 * np.pi))
+    assert found.density == pytest.approx(density - np.diag(np.diag(density)))
+    assert found.below == pytest.approx(ndtr(z))

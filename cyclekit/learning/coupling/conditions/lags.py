@@ -15,7 +15,9 @@ import numpy as np
 from scipy.special import ndtr
 
 if TYPE_CHECKING:
-    from cyclekit.schema import Bools, Floats, Vector
+    from collections.abc import Callable
+
+    from cyclekit.schema import Bools, Floats, Ints, Vector
 
 LEVELS = 51
 """Number of quantiles stored per distribution."""
@@ -28,9 +30,10 @@ ANY, ANY_S = 1e-3, 100.0
 """Share of outliers, and the range of their uniform density, s."""
 ROUNDS, SETTLED = 10, 2
 """Number of EM iterations, and the iteration from which the kernels stay fixed."""
-FEW, REMEMBERED = 128, 32
+FEW, REMEMBERED, ANSWERS = 128, 32, 1000
 """Kernels of at most FEW departures are kept for further calls, REMEMBERED of them (8 MB): own work and its width are
-often the same beside each condition that is tried."""
+often the same beside each condition that is tried. So are the last ANSWERS (15 MB): conditions are searched again when
+something else of the cell is known, and most departures and events are then as before."""
 _TINY = 1e-300
 
 
@@ -56,14 +59,29 @@ def deciding_causes(since_s: Floats) -> Causes:
         since_s: Time from each cause to the departure, shape (C, N), s; NaN = no such cause, -inf = it came after the
             departure, which did not need it.
     """
+    since_s = np.ascontiguousarray(since_s, dtype=np.float64)
+    if since_s.shape[1] > FEW:
+        return _deciding(since_s, lru_cache(maxsize=len(since_s))(_kernels))
+    return _answered(since_s.tobytes(), *since_s.shape)
+
+
+@lru_cache(maxsize=ANSWERS)
+def _answered(since_s: bytes, causes: int, departures: int) -> Causes:
+    """Return the causes of few departures, whose times are given as bytes; to be read, not changed."""
+    found = _deciding(np.frombuffer(since_s).reshape(causes, departures), _remembered)
+    for each in (found.share, found.mass, found.log_likelihood):
+        each.flags.writeable = False
+    return found
+
+
+def _deciding(since_s: Floats, kernels_of: Callable[[bytes, float, float], _Kernels]) -> Causes:
     known, there = np.isfinite(since_s), ~np.isnan(since_s)
-    since, ranked = np.where(known, since_s, 0.0), np.where(there, since_s, 0.0)
+    since, ranked = np.where(known, since_s, 0.0), _ranked(since_s, there)
     share = _first_guess(np.where(known, since_s, np.nan))
     kernels: list[_Kernels] = []
-    kernels_of = _remembered if since.shape[1] <= FEW else lru_cache(maxsize=len(since))(_kernels)
     others_of = ~np.eye(len(since), dtype=bool)
     for number in range(ROUNDS if len(since) > 1 else 1):
-        mass = np.array([reverse_kaplan_meier(*each) for each in zip(ranked, share, there, strict=True)])
+        mass = _mass(ranked, share, there)
         if number <= SETTLED:
             kernels = [
                 kernels_of(t[on].tobytes(), _width(t[on], m[on]), OF_LAG if c else OF_OWN)
@@ -85,13 +103,29 @@ def reverse_kaplan_meier(since_s: Vector, decided: Vector, known: Bools) -> Vect
         decided: Weight with which the cause decided, 0 to 1, shape (N,).
         known: Whether there is a time, shape (N,).
     """
-    order = np.argsort(np.where(known, since_s, np.inf), kind="stable")
-    weight = np.where(known, decided, 0.0)[order]
-    at_risk = np.cumsum(known[order])
-    kept = 1.0 - weight / np.maximum(at_risk, 1)
-    above = np.concatenate([np.cumprod(kept[::-1])[::-1][1:], [1.0]])  # probability of a longer time
-    mass = np.zeros(len(order))
-    mass[order] = above * (1.0 - kept)
+    return _mass(_ranked(since_s, known), decided, known)
+
+
+class _Ranked(NamedTuple):
+    """Times in ascending order, and how many are not longer than each of these, both (..., N)."""
+
+    order: Ints
+    at_risk: Ints
+
+
+def _ranked(since_s: Floats, known: Bools) -> _Ranked:
+    order = np.argsort(np.where(known, since_s, np.inf), axis=-1, kind="stable")
+    return _Ranked(order, np.maximum(np.cumsum(np.take_along_axis(known, order, axis=-1), axis=-1), 1))
+
+
+def _mass(ranked: _Ranked, decided: Floats, known: Bools) -> Floats:
+    """Return the mass of `reverse_kaplan_meier` at each time, shape (..., N)."""
+    weight = np.take_along_axis(np.where(known, decided, 0.0), ranked.order, axis=-1)
+    kept = 1.0 - weight / ranked.at_risk
+    above = np.ones_like(kept)  # probability of a longer time
+    above[..., :-1] = np.cumprod(kept[..., :0:-1], axis=-1)[..., ::-1]
+    mass = np.empty_like(kept)
+    np.put_along_axis(mass, ranked.order, above * (1.0 - kept), axis=-1)
     return mass
 
 
@@ -117,8 +151,12 @@ def quantiles(since_s: Vector, mass: Vector, *, shortest: bool = True) -> tuple[
 
 def _first_guess(since_s: Floats) -> Floats:
     """Return initial shares: the cause nearest to its shortest times most likely decided."""
-    low, some = np.zeros((len(since_s), 1)), np.isfinite(since_s).any(axis=1)
-    low[some] = np.nanquantile(np.where(np.isfinite(since_s), since_s, np.nan)[some], 0.05, axis=1, keepdims=True)
+    count = np.count_nonzero(np.isfinite(since_s), axis=1)[:, None]
+    at = np.maximum(0.05 * (count - 1), 0.0)  # the quantile of 5 % of the times there are; NaN are last
+    first = at.astype(np.int64)
+    pair = np.sort(since_s, axis=1)
+    low, above = (np.take_along_axis(pair, np.minimum(each, count.clip(1) - 1), axis=1) for each in (first, first + 1))
+    low = np.where(count, low + (above - low) * (at - first), 0.0)
     far = np.where(np.isfinite(since_s), np.abs(since_s - low), np.inf)
     guess = np.full(since_s.shape, 0.1 / len(since_s))
     guess[far.argmin(axis=0), np.arange(far.shape[1])] += 0.9
@@ -135,13 +173,22 @@ class _Kernels(NamedTuple):
 def _kernels(known: bytes, width: float, irregular: float) -> _Kernels:
     """Return the kernels of K known times, given as bytes, with a width; to be read, not changed."""
     times = np.frombuffer(known)
-    density, below = np.zeros((len(times), len(times))), np.zeros((len(times), len(times)))
+    rows = _above_diagonal(len(times))  # the rest mirrors it
+    apart = times[rows[0]] - times[rows[1]]
+    pdf, cdf = np.zeros(len(apart)), np.zeros(len(apart))
     for part, scale in ((1.0 - irregular, width), (irregular, WIDE * width)):
-        z = (times[:, None] - times[None, :]) / scale
-        density += part * np.exp(-0.5 * z * z) / (scale * np.sqrt(2.0 * np.pi))
-        below += part * ndtr(z)
-    np.fill_diagonal(density, 0.0)
+        z = apart / scale
+        pdf += part * np.exp(-0.5 * z * z) / (scale * np.sqrt(2.0 * np.pi))
+        cdf += part * ndtr(z)
+    density, below = np.zeros((len(times), len(times))), np.full((len(times), len(times)), 0.5)
+    density[rows], below[rows] = pdf, cdf
+    density.T[rows], below.T[rows] = pdf, 1.0 - cdf
     return _Kernels(density, below)
+
+
+@lru_cache(maxsize=REMEMBERED)
+def _above_diagonal(count: int) -> tuple[Ints, Ints]:
+    return np.triu_indices(count, 1)
 
 
 _remembered = lru_cache(maxsize=REMEMBERED)(_kernels)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace as dataclass_replace
+from functools import cache, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -35,11 +36,13 @@ from cyclekit.learning.coupling.phases import with_phases
 from cyclekit.learning.coupling.sources import find_sources
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from cyclekit.config import Wait
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Bools, Floats, Vector
+
+    UnseenParts = Callable[[str], SourceCard | None]
 
 MIN_EXECUTIONS, MAX_EXECUTIONS = 5, 400
 """Minimum and maximum number of executions to learn from; if there are more, an evenly spaced subset is used."""
@@ -136,39 +139,44 @@ def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()
         raise ConfigError(msg, cure='Name the place: before = "fixture" or leaving = "fixture"')
     works_at = [wait.spot for wait in given if wait.spot is not None]
     given = [wait for wait in given if wait.place("approach") or wait.place("leave")]
+    parts = cache(partial(find_unseen_parts, courses))  # slow; trips, errands and spots change no visit of the robot
     places, known = trip_places(courses), None
     if places:
-        known = _at_spots(courses, _without_trips(courses, given), given, works_at)
+        known = _at_spots(courses, _without_trips(courses, given, parts), given, parts, works_at)
         if (spots := spots_of(known)) and not trip_places(with_spots(courses, spots)):
             return known
         parted, trips = parted_courses(courses, places)
-        found = _without_trips(parted, given)
+        found = _without_trips(parted, given, parts)
         gates = {(gate.at, gate.place) for gate in found.gates if gate.agent == "operator" and gate.conditions}
         after_s = waits_before_s(found, parted, trips)
         parted, trips = parted_courses(courses, places, gates, after_s)
         if sum(map(len, trips)) >= MIN_TRIPS:
-            tried = with_trips(_without_trips(parted, given), parted, trips, places, after_s)
+            tried = with_trips(_without_trips(parted, given, parts), parted, trips, places, after_s)
             if tried is not None:
                 return tried
     errands = errand_places(courses)
     courses = with_errands(courses, errands) if errands else courses
     if known is None or errands:
-        known = _at_spots(courses, _without_trips(courses, given), given, works_at)
+        known = _at_spots(courses, _without_trips(courses, given, parts), given, parts, works_at)
     return replace(known, errands=errands)
 
 
 def _at_spots(
-    courses: Sequence[ExecutionVisits], found: CouplingCard, given: Sequence[Wait], works_at: Collection[str]
+    courses: Sequence[ExecutionVisits],
+    found: CouplingCard,
+    given: Sequence[Wait],
+    parts: UnseenParts,
+    works_at: Collection[str],
 ) -> CouplingCard:
     """Return the card learned with visits to places where the operator only waits as waits on the way."""
     spots = {}
     for place, spot in possible_spots(courses, found.gates, works_at).items():
-        tried = _without_trips(with_spots(courses, {place: spot}), given)
+        tried = _without_trips(with_spots(courses, {place: spot}), given, parts)
         if is_spot(courses, place, next((gate for gate in tried.gates if _goes_on(gate, spot.goal)), None)):
             spots[place] = spot
     if not spots:
         return found
-    found = _without_trips(with_spots(courses, spots), given)
+    found = _without_trips(with_spots(courses, spots), given, parts)
     gates = list(found.gates)
     for place, (goal, origins) in spots.items():
         changed = {"wait_at": place, "wait_from": origins}
@@ -180,7 +188,7 @@ def _goes_on(gate: GateCard, goal: str) -> bool:
     return (gate.agent, gate.at, gate.place) == ("operator", "approach", goal)
 
 
-def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait]) -> CouplingCard:
+def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait], parts: UnseenParts) -> CouplingCard:
     """Return the wait conditions learned from executions in which no visit is a trip."""
     barred: dict[Agent, set[Event]] = {agent: set() for agent in AGENTS}
     kinds: dict[Agent, Kinds] = {}
@@ -190,7 +198,7 @@ def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait]) ->
         known, kinds[who] = kinds.get(who, {}), kinds_by_waits(departures[other])
         if kinds[who] != known:
             departures[who] = find_with_alike(courses, who, given, (), kinds[who])
-    unseen = _unseen(courses, departures["robot"], given)
+    unseen = _unseen(departures["robot"], given, parts)
     if unseen:
         courses = with_parts(courses, unseen)
         departures["robot"] = find_with_alike(courses, "robot", given, (), kinds["robot"])
@@ -214,14 +222,12 @@ def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait]) ->
     return CouplingCard(gates=gates, sources=sources, in_turn=in_turn, executions=len(courses))
 
 
-def _unseen(
-    courses: Sequence[ExecutionVisits], gates: Sequence[Departures], given: Sequence[Wait]
-) -> tuple[SourceCard, ...]:
+def _unseen(gates: Sequence[Departures], given: Sequence[Wait], parts: UnseenParts) -> tuple[SourceCard, ...]:
     """Return sources of parts that no signal reports, where the robot waits for no signal and not always for people."""
     leaving = {each.gate.place: each for each in gates if each.gate.at == "leave"}
     known = {place for place, each in leaving.items() if any(_explains(each, one) for one in each.found)}
     by_file = {wait.leaving for wait in given if wait.agent == "robot"}
-    found = (find_unseen_parts(courses, place) for place in leaving if place not in known | by_file)
+    found = (parts(place) for place in leaving if place not in known | by_file)
     return tuple(source for source in found if source is not None)
 
 

@@ -12,6 +12,7 @@ import pytest
 from cyclekit import schema
 from cyclekit.config import Wait
 from cyclekit.errors import UnknownName
+from cyclekit.learning.coupling import learn
 from cyclekit.learning.coupling.events.errands import errand_places, joined
 from cyclekit.learning.coupling.events.givers import with_givers
 from cyclekit.learning.coupling.events.trips import trip_places
@@ -111,6 +112,15 @@ def test_an_errand_is_part_of_the_work_that_it_interrupts(errands: float, short:
     own_s = np.array(_gate(card, "operator", "leave", "fixture").own_s)
     longer = float(np.mean(own_s > 8.0))  # without an errand his work takes 4 to 7 s, with one 8.5 to 11.5 s
     assert longer == pytest.approx(errands, abs=0.15)
+
+
+def test_parts_without_a_signal_are_looked_for_once_at_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That takes long, and the courses with errands, or without waits aside, have the same visits of the robot."""
+    places: list[str] = []
+    monkeypatch.setattr(learn, "find_unseen_parts", lambda _, place: places.append(place))
+    learn_courses(_executions(1, errands=0.5, short=0.3))
+    assert places
+    assert sorted(places) == sorted(set(places))
 
 
 def test_without_errands_there_are_none() -> None:

@@ -14,7 +14,7 @@ from cyclekit.learning.coupling.events.part_visits import PartVisits, Times
 from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
 from cyclekit.learning.coupling.parts.part_chains import succession
-from cyclekit.learning.coupling.parts.part_gaps import part_gaps
+from cyclekit.learning.coupling.parts.part_gaps import _fast, part_gaps
 from cyclekit.learning.coupling.parts.unseen_parts import part_arrivals
 from cyclekit.learning.coupling.waits import with_waits_named
 
@@ -156,6 +156,19 @@ def test_gaps_after_parts_that_the_robot_did_not_wait_for_count() -> None:
     assert first[(at > 2.5) & (at < 3.5)].sum() == pytest.approx(1.0, abs=0.01)
     assert gaps[(at > 10.0) & (at < 12.0)].sum() == pytest.approx(0.5, abs=0.1)
     assert gaps[(at > 13.0) & (at < 15.0)].sum() == pytest.approx(0.5, abs=0.1)
+
+
+def test_the_density_of_many_times_is_that_of_each_alone() -> None:
+    rng = np.random.default_rng(0)
+    times = Times(rng.uniform(0.0, 20.0, 50), np.full(50, 0.02))
+    asked_s = rng.uniform(0.0, 30.0, (4, 7))
+    asked_s[2, 3] = times.at[5]
+    each = [[times.density(np.array([at_s]))[0] for at_s in row] for row in asked_s]
+    assert times.density(asked_s) == pytest.approx(np.array(each), rel=1e-12)
+
+
+def test_transforms_have_sizes_that_are_fast() -> None:
+    assert [_fast(size) for size in (2, 526, 1024, 2047)] == [2, 540, 1024, 2048]
 
 
 def test_a_wait_for_such_a_part_is_named() -> None:

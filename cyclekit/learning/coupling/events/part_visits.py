@@ -55,12 +55,15 @@ class Times(NamedTuple):
         times, mass = self.at[some], self.mass[some]
         low, high = np.quantile(times, (0.25, 0.75))
         width = max(0.05, 0.8 * (high - low) * len(times) ** -0.2)
-        off = np.abs(at[..., None] - times)
-        same = off < 1e-9
-        kernel = np.exp(-0.5 * np.square(off / width)) / (width * np.sqrt(2.0 * np.pi))
-        kernel[same] = 0.0
-        left = np.maximum(mass.sum() - same @ mass, 1e-9)
-        return np.asarray((1.0 - ANY) * mass.sum() * (kernel @ mass) / left + ANY / ANY_S)
+        found = np.empty(at.shape)
+        for row, some_at in zip(found.reshape(-1, at.shape[-1]), at.reshape(-1, at.shape[-1]), strict=True):
+            off = np.abs(some_at[:, None] - times)  # of all rows at once it would not fit into the cache
+            same = off < 1e-9
+            kernel = np.exp(-0.5 * np.square(off / width)) / (width * np.sqrt(2.0 * np.pi))
+            kernel[same] = 0.0
+            left = np.maximum(mass.sum() - same @ mass, 1e-9) if same.any() else mass.sum()
+            row[:] = (1.0 - ANY) * mass.sum() * (kernel @ mass) / left + ANY / ANY_S
+        return found
 
     def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
         """Return random times; mass below all observed times is spread evenly over these."""

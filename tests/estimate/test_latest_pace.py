@@ -17,7 +17,8 @@ from cyclekit.estimate.operator.latest_pace import LoggedPace, at_latest_pace, l
 from cyclekit.estimate.statistics.same_work import work_of
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.task_times.learn import learn_task_times
+from cyclekit.learning.task_times.learn import learn_runs
+from cyclekit.learning.task_times.runs import logged_runs
 from cyclekit_sim.task_lists import ListOptions, fresh_durations, simulate_task_lists
 
 if TYPE_CHECKING:
@@ -115,7 +116,7 @@ def test_in_task_lists_what_an_operator_learned_is_no_saving(tmp_path: Path) -> 
     orders = simulate_task_lists(tmp_path / "logs", executions=80, seed=3, options=options)
     ingest([tmp_path / "logs" / "tasks.csv"], tmp_path / "dataset")
     logged = Dataset.open(tmp_path / "dataset")
-    model = learn_task_times(logged)
+    model = learn_runs(*logged_runs(logged), folds=0)
     assert model.pace
     agents = list(model.agents)
     kinds = {kind: name for name, kind in model.agents.items()}

@@ -46,7 +46,7 @@ def test_the_interval_of_the_mean_holds_the_doubt_about_the_latest_pace() -> Non
         Run(str(n), {"worker": (DoneTask("mount", 0.0, float(6.0 * np.exp(-0.2 * n / 59 + 0.05 * rng.normal()))),)}, n)
         for n in range(60)
     ]
-    model = learn_runs(runs, {"worker": "operator"}, folds=2)
+    model = learn_runs(runs, {"worker": "operator"}, folds=0)
     plan = TaskSequence.of_plan("all", [PlannedTask("worker", "mount")])
 
     def half_s(error: float) -> float:

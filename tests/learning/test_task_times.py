@@ -54,7 +54,9 @@ def learned(folder: Path, seed: int, options: ListOptions) -> TaskTimesModel:
 @pytest.fixture(scope="module")
 def coupled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TaskTimesModel]:
     folder = tmp_path_factory.mktemp("coupled")
-    return folder, learned(folder, 1, ListOptions())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cyclekit.learning.task_times.learn.FOLDS", 2)
+        return folder, learned(folder, 1, ListOptions())
 
 
 def plan_of(order: Order, name: str = "plan") -> TaskSequence:

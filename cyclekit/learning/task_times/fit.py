@@ -35,6 +35,7 @@ nth, nth waiting
           the first, second ... time of the simultaneous task, or of the one after which its agent waits
 at start  the simultaneous task at the start, on the work
 """
+_NUMBER = {kind: number for number, kind in enumerate(SPREADS)}
 MOST = 4.0
 """Maximum absolute effect on the logarithm of a rate or of the work."""
 MOST_LOG_SPREAD = 3.0
@@ -47,8 +48,8 @@ _MIN_SPREAD = 1e-3
 
 def begin_at(parts: Parts) -> Vector:
     """Return median and log spread of the log durations, and no effects: where `best_at` begins."""
-    usual = np.log(np.maximum(np.bincount(parts.of, parts.dt_s), 1e-6))
-    return np.concatenate([[np.median(usual), np.log(usual.std() + 0.05)], np.zeros(len(parts.kinds))])
+    log_s = parts.log_duration
+    return np.concatenate([[np.median(log_s), np.log(log_s.std() + 0.05)], np.zeros(len(parts.kinds))])
 
 
 def best_at(parts: Parts, spreads: Mapping[str, float], begin: Vector, least: float) -> Vector:
@@ -60,7 +61,7 @@ def best_at(parts: Parts, spreads: Mapping[str, float], begin: Vector, least: fl
 
     prior = np.array([spreads[kind] for kind in parts.kinds])
     begin = np.concatenate([begin[:1], [max(begin[1], least)], begin[2:]])
-    steps = _steps(parts, spreads, begin)
+    steps = _steps(parts, prior, begin)
     free: tuple[float | None, float | None] = (None, None)
     low, high = ((end - begin[1]) / steps[1, 1] for end in (least, MOST_LOG_SPREAD))
     bounds = [free, (low, high), *[free] * len(prior)]
@@ -76,11 +77,11 @@ def best_at(parts: Parts, spreads: Mapping[str, float], begin: Vector, least: fl
     return np.asarray(minimize(_density, begin, args=(parts, prior), jac=True, method="L-BFGS-B", bounds=bounds).x)
 
 
-def _steps(parts: Parts, spreads: Mapping[str, float], at: Vector) -> Floats:
+def _steps(parts: Parts, prior: Vector, at: Vector) -> Floats:
     """Return directions along which the density curves alike, as columns: a tenth of the evaluations to its maximum."""
-    rest = np.array([0, *range(2, len(at))])
+    rest = np.linalg.cholesky(np.linalg.inv(Quadratic(parts, at).hessian(prior)))
     found = np.zeros((len(at), len(at)))
-    found[np.ix_(rest, rest)] = np.linalg.cholesky(np.linalg.inv(Quadratic(parts, at).hessian(spreads)))
+    found[0, 0], found[2:, 0], found[2:, 2:] = rest[0, 0], rest[1:, 0], rest[1:, 1:]
     found[1, 1] = 1.0 / np.sqrt(2.0 * len(parts.last))
     return found
 
@@ -109,7 +110,7 @@ class Quadratic:
     """The likelihood of one task around its best effects.
 
     Attributes:
-        kinds: Kind of each effect.
+        kinds: Kind of each effect, as its number in SPREADS.
         squares: Sum of the squared residuals of the log work.
         left: Number of repetitions that the effects have not used up.
         scatter: Variance of the log work.
@@ -117,7 +118,7 @@ class Quadratic:
     """
 
     def __init__(self, parts: Parts, at: Vector) -> None:
-        k, self.kinds = parts.beside.shape[1], parts.kinds
+        k, self.kinds = parts.beside.shape[1], np.array([_NUMBER[kind] for kind in parts.kinds], dtype=np.int64)
         done = parts.done(at[2 : 2 + k])
         work, first = np.bincount(parts.of, done), np.concatenate([[0], parts.last[:-1] + 1])
         of_rate = np.add.reduceat(parts.beside * (done / work[parts.of])[:, None], first)
@@ -125,12 +126,18 @@ class Quadratic:
         off = np.log(work) - at[0] - parts.factors @ at[2 + k :]
         self._squares, self._gram, self.squares = at[2:] ** 2, slope.T @ slope, float(off @ off)
         self.scatter, self.left = (np.exp(at[1]) + _MIN_SPREAD) ** 2, float(len(off))
-        self.most = float(np.exp(2.0 * begin_at(parts)[1]))
+        self.most = float(parts.log_duration.std() + 0.05) ** 2
 
-    def hessian(self, spreads: Mapping[str, float]) -> Floats:
-        """Return the Hessian of the negative log posterior density by the mean and the effects."""
+    def hessian(self, prior: Vector) -> Floats:
+        """Return the Hessian of the negative log posterior density by the mean and the effects.
+
+        Args:
+            prior: Prior standard deviation of each effect, shape (effects,).
+        """
         found = self._gram / self.scatter
-        found.flat[:: len(found) + 1] += [_FREE, *(spreads[kind] ** -2 for kind in self.kinds)]
+        diagonal = found.reshape(-1)[:: len(found) + 1]
+        diagonal[0] += _FREE
+        diagonal[1:] += prior**-2
         return np.asarray(found)
 
     def updated(self, usual: float) -> None:
@@ -138,12 +145,12 @@ class Quadratic:
         found = (self.squares + LIKE_OTHERS * usual) / (self.left + LIKE_OTHERS) + _MIN_SPREAD**2
         self.scatter = min(found, self.most)
 
-    def squared(self, spreads: Mapping[str, float]) -> Vector:
-        """Return the expected square of each effect, given the spreads; updates `left`."""
-        variance = np.linalg.inv(self.hessian(spreads))
-        determined = np.trace(self._gram @ variance) / self.scatter
+    def squared(self, prior: Vector) -> Vector:
+        """Return the expected square of each effect, given their prior standard deviations; updates `left`."""
+        variance = np.linalg.inv(self.hessian(prior))
+        determined = np.vdot(self._gram, variance) / self.scatter  # trace of the product: both are symmetric
         self.left = max(float(self._gram[0, 0] - determined), 0.0)
-        return np.asarray(self._squares + np.diag(variance)[1:])
+        return np.asarray(self._squares + variance.reshape(-1)[len(variance) + 1 :: len(variance) + 1])
 
 
 def evidence(parts: Parts, at: Vector, spreads: Mapping[str, float]) -> float:
@@ -156,4 +163,4 @@ def evidence(parts: Parts, at: Vector, spreads: Mapping[str, float]) -> float:
     """
     prior = np.array([spreads[kind] for kind in parts.kinds])
     value, _ = _density(at, parts, prior)
-    return float(-value - np.log(prior).sum() - 0.5 * np.linalg.slogdet(Quadratic(parts, at).hessian(spreads))[1])
+    return float(-value - np.log(prior).sum() - 0.5 * np.linalg.slogdet(Quadratic(parts, at).hessian(prior))[1])

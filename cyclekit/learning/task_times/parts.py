@@ -78,6 +78,11 @@ class Parts:
         )
 
     @cached_property
+    def log_duration(self) -> Vector:
+        """Log duration of each repetition, shape (N,)."""
+        return np.asarray(np.log(np.maximum(np.bincount(self.of, self.dt_s), 1e-6)))
+
+    @cached_property
     def at_end(self) -> Floats:
         """Effects on the rate in the last part of each repetition, shape (N, effects)."""
         return self.beside[self.last]

@@ -126,20 +126,18 @@ def _refitted(parts: Parts, plain: _Fit) -> _Fit:
     """Return the fit of one task with further effects; its spreads are near those of all tasks."""
     known = dict(zip(plain.parts.effects, plain.at[2:], strict=True))
     at = np.concatenate([plain.at[:2], [known.get(effect, 0.0) for effect in parts.effects]])
-    spreads, log_scatter = dict(plain.spreads), plain.log_scatter
+    usual, log_scatter = _of_kinds(plain.spreads), plain.log_scatter
+    now = usual
     for _ in range(ROUNDS):
-        at = best_at(parts, spreads, at, log_scatter)
+        at = best_at(parts, _by_kind(now), at, log_scatter)
         task = Quadratic(parts, at)
+        count = SPREADS_LIKE + np.bincount(task.kinds, minlength=len(now))
         for _ in range(STEPS):
-            total = {kind: SPREADS_LIKE * spread**2 for kind, spread in plain.spreads.items()}
-            count = dict.fromkeys(total, SPREADS_LIKE)
-            for kind, each in zip(task.kinds, task.squared(spreads), strict=True):
-                total[kind] += float(each)
-                count[kind] += 1.0
-            spreads = {kind: float(np.sqrt(total[kind] / count[kind])) for kind in total}
+            total = np.bincount(task.kinds, task.squared(now[task.kinds]), len(now))
+            now = np.sqrt((SPREADS_LIKE * usual**2 + total) / count)
             task.updated(float(np.exp(2.0 * plain.log_scatter)))
         log_scatter = 0.5 * float(np.log(task.scatter))
-    return _Fit(parts, at, spreads, log_scatter)
+    return _Fit(parts, at, _by_kind(now), log_scatter)
 
 
 def _spreads(
@@ -150,19 +148,27 @@ def _spreads(
     The effects were fitted to the same repetitions, so the scatter is that of the residuals by the repetitions that are
     left; with few of them, close to that of the other tasks.
     """
-    now, tasks = dict(spreads), [Quadratic(parts, at) for parts, at in fits]
+    now, tasks = _of_kinds(spreads), [Quadratic(parts, at) for parts, at in fits]
+    prior = _of_kinds(SPREADS)
+    count = SPREADS_COUNT + sum(np.bincount(task.kinds, minlength=len(now)) for task in tasks)
     for _ in range(STEPS):
-        total = {kind: SPREADS_COUNT * spread**2 for kind, spread in SPREADS.items()}
-        count = dict.fromkeys(SPREADS, SPREADS_COUNT)
+        total = SPREADS_COUNT * prior**2
         for task in tasks:
-            for kind, each in zip(task.kinds, task.squared(now), strict=True):
-                total[kind] += float(each)
-                count[kind] += 1.0
-        now = {kind: min(float(np.sqrt(total[kind] / count[kind])), MOST_SPREAD * SPREADS[kind]) for kind in SPREADS}
+            total += np.bincount(task.kinds, task.squared(now[task.kinds]), len(now))
+        now = np.minimum(np.sqrt(total / count), MOST_SPREAD * prior)
         usual = float(np.median([task.squares / max(task.left, 1.0) for task in tasks]))
         for task in tasks:
             task.updated(usual)
-    return now, [0.5 * float(np.log(task.scatter)) for task in tasks]
+    return _by_kind(now), [0.5 * float(np.log(task.scatter)) for task in tasks]
+
+
+def _of_kinds(spreads: Mapping[str, float]) -> Vector:
+    """Return spreads in the order of SPREADS."""
+    return np.array([spreads[kind] for kind in SPREADS])
+
+
+def _by_kind(spreads: Vector) -> dict[str, float]:
+    return dict(zip(SPREADS, spreads.tolist(), strict=True))
 
 
 def _rates(parts: Parts, at: Vector) -> TaskRates:

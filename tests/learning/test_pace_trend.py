@@ -31,7 +31,7 @@ def _probabilities(change: float, sessions: int, levels: tuple[float, ...] = (0.
     return [one.probability for one in found if one is not None]
 
 
-@pytest.mark.parametrize("sessions", [1, 2, 3, 6, 12])
+@pytest.mark.parametrize("sessions", [1, 2, 3, 6, pytest.param(12, marks=pytest.mark.slow)])
 def test_few_sessions_suffice_where_the_change_within_them_and_between_them_agrees(sessions: int) -> None:
     assert float(np.median(_probabilities(-0.25, sessions))) > 0.9
     assert max(_probabilities(0.0, sessions)) < 0.5

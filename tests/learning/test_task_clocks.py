@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from cyclekit.config.sequences import PlannedTask, TaskSequence
-from cyclekit.dataset.cards.task_model import ClockErrorCard
+from cyclekit.dataset.cards.task_model import ClockErrorCard, TaskModelCard
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times.clocks import in_one_clock
 from cyclekit.learning.task_times.learn import learn_runs
@@ -33,7 +34,12 @@ def logged(ahead_s: np.ndarray, options: ListOptions | None = None, *, step_s: f
     return found
 
 
-@pytest.mark.parametrize("ahead_s", [-4.0, -0.5, 0.5, 2.0])
+@cache
+def learned_in_one_clock() -> TaskModelCard:
+    return learn_runs(logged(np.zeros(30)), KINDS, folds=0)
+
+
+@pytest.mark.parametrize("ahead_s", [-4.0, 0.5, *(pytest.param(s, marks=pytest.mark.slow) for s in (-0.5, 2.0))])
 def test_conditions_are_found_though_one_clock_is_off(ahead_s: float) -> None:
     runs = logged(np.full(30, ahead_s))
     model = learn_runs(runs, KINDS, folds=0)
@@ -43,8 +49,7 @@ def test_conditions_are_found_though_one_clock_is_off(ahead_s: float) -> None:
     assert clock.least_s == clock.most_s == pytest.approx(-ahead_s, abs=0.21)  # each lag is 0.2 s
     plan = [PlannedTask("arm", "bring"), PlannedTask("worker", "mount"), PlannedTask("arm", "weld")]
     (answer,) = estimate_plans(model, [TaskSequence.of_plan("plan", plan)], refused=lambda *_: None)
-    right = learn_runs(logged(np.zeros(30)), KINDS, folds=0)
-    (true,) = estimate_plans(right, [TaskSequence.of_plan("plan", plan)], refused=lambda *_: None)
+    (true,) = estimate_plans(learned_in_one_clock(), [TaskSequence.of_plan("plan", plan)], refused=lambda *_: None)
     assert answer.expected_s == pytest.approx(true.expected_s, rel=0.01)
     side = "ahead" if ahead_s > 0 else "behind"
     (said,) = (each for each in answer.warnings if "clock" in each)
@@ -61,7 +66,7 @@ def test_the_robots_times_stay_where_an_execution_then_begins_later_or_earlier()
     assert any(now.begin_s > before.begin_s for before, now in zip(runs, right, strict=True))
 
 
-@pytest.mark.parametrize("drift_s", [1.5, -1.0])
+@pytest.mark.parametrize("drift_s", [1.5, pytest.param(-1.0, marks=pytest.mark.slow)])
 def test_a_clock_that_drifts_is_followed(drift_s: float) -> None:
     model = learn_runs(logged(np.linspace(0.0, drift_s, 60)), KINDS, folds=0)
     assert {(task.task, need.task) for task in model.tasks for need in task.needs} == TRUE

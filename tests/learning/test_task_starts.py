@@ -93,7 +93,7 @@ def test_fixtures_of_one_kind_show_together_what_the_robot_waits_for(tmp_path: P
     assert needs_of(listed(tmp_path, "four-fixtures")) == true_needs("four-fixtures")
 
 
-@pytest.mark.parametrize("scene", ["machine-tending", "four-fixtures"])
+@pytest.mark.parametrize("scene", ["machine-tending", pytest.param("four-fixtures", marks=pytest.mark.slow)])
 def test_nothing_is_found_where_nobody_waits_for_anybody(tmp_path: Path, scene: str) -> None:
     assert not needs_of(listed(tmp_path, scene, coupling=0.0))
 

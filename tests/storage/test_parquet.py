@@ -30,7 +30,7 @@ def test_a_table_that_is_given_up_makes_no_noise_when_it_goes(tmp_path: Path, mo
     writer.write(pl.concat([schema.empty(schema.EVENTS), pl.DataFrame({"t_s": [1.0, 2.0, 3.0]})], how="diagonal"))
     writer.abandon()
     del writer
-    gc.collect()
+    gc.collect(1)
     assert complaints == []
 
 

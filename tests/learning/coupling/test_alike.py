@@ -82,7 +82,7 @@ def _renamed(course: ExecutionVisits) -> ExecutionVisits:
     return ExecutionVisits(course.name, visits, events_of(visits))
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_places_at_which_the_operator_waits_in_the_same_way_are_of_one_kind(seed: int) -> None:
     rng = np.random.default_rng(seed)
     courses = [_renamed(_mounted(rng, str(number))) for number in range(24)]

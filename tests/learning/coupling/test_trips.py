@@ -95,7 +95,7 @@ def test_trips_at_any_time_are_also_made_without_a_wait() -> None:
     assert np.mean(shares, axis=0) == pytest.approx([0.4, 0.4], abs=0.12)
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_who_goes_there_in_each_execution_makes_no_trips(seed: int) -> None:
     courses = _executions(seed, planned=True)
     assert trip_places(courses) == ()
@@ -118,7 +118,7 @@ def test_a_visit_goes_on_over_a_trip() -> None:
     assert part_trips(home, ["shelf"], walks_s, {("approach", "other")}).visits == home
 
 
-@pytest.mark.parametrize("seed", [5, 6])
+@pytest.mark.parametrize("seed", [5, pytest.param(6, marks=pytest.mark.slow)])
 def test_own_work_differs_by_the_next_place(seed: int) -> None:
     card = learn_courses(_executions(seed, by_fixture=True))
     (bench,) = (gate for gate in card.gates if (gate.agent, gate.at, gate.place) == ("operator", "leave", "bench"))
@@ -130,7 +130,7 @@ def test_own_work_differs_by_the_next_place(seed: int) -> None:
     assert any("own work" in line for line in habit_lines(card))
 
 
-@pytest.mark.parametrize("seed", [7, 8])
+@pytest.mark.parametrize("seed", [7, pytest.param(8, marks=pytest.mark.slow)])
 def test_own_work_that_does_not_differ_has_one_distribution(seed: int) -> None:
     assert all(not gate.own_by for gate in learn_courses(_executions(seed)).gates)
 

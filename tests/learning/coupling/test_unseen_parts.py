@@ -97,7 +97,9 @@ def _running_on(
     return found
 
 
-@pytest.mark.parametrize(("parts", "buffer", "gap_s"), [(3, 1, 12.0), (3, 2, 12.0), (1, 1, 16.0)])
+@pytest.mark.parametrize(
+    ("parts", "buffer", "gap_s"), [pytest.param(3, 1, 12.0, marks=pytest.mark.slow), (3, 2, 12.0), (1, 1, 16.0)]
+)
 def test_a_belt_that_runs_on_between_executions_is_found(parts: int, buffer: int, gap_s: float) -> None:
     courses = _running_on(np.random.default_rng(5), 180 // parts, parts, buffer, gap_s)
     (source,) = learn_courses(courses).sources
@@ -138,7 +140,7 @@ def test_parts_that_come_in_bursts_are_found() -> None:
     assert min(found.first_s) >= 0.0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_a_dwell_that_merely_varies_is_no_wait_for_parts(seed: int) -> None:
     rng = np.random.default_rng(seed)
     card = learn_courses([_fed(rng, str(number), None) for number in range(40)])

@@ -63,7 +63,7 @@ def _executions(
     return courses
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_spot_to_which_he_steps_back_is_no_place_of_his_order(seed: int) -> None:
     card = learn_courses(_executions(seed))
     (gate,) = (

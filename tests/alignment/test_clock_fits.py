@@ -261,7 +261,8 @@ def test_stamps_that_do_not_fit_together_are_refused(host: np.ndarray):
 def test_no_method_is_compared_with_a_name_that_no_fit_has():
     compared = set()
     for file in Path(cyclekit.__file__).parent.rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        text = file.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text)) if "method" in text else ():
             if not isinstance(node, ast.Compare) or "method" not in ast.unparse(node.left):
                 continue
             if "clock" in (left := ast.unparse(node.left)) or left.endswith(".method"):

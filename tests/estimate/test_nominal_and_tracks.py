@@ -46,11 +46,31 @@ def test_a_nominal_motion_leads_from_place_to_place_at_the_speed_of_the_program(
 def test_only_the_wanted_nominal_motions_are_looked_for_if_all_of_them_were_logged(logged: Dataset):
     every = nominal_tasks(logged)
     some = sorted(every)[:3]
-    found = nominal_tasks(logged, some)
-    assert sorted(found) == some
-    for name in some:
-        np.testing.assert_array_equal(found[name].xyz_m, every[name].xyz_m)
-    assert set(nominal_tasks(logged, [*some, "home->nowhere"])) == set(every)
+    for found in (nominal_tasks(logged, some), nominal_tasks(Dataset.open(logged.path), some)):
+        assert list(found) == [name for name in every if name in some]
+        for name in some:
+            np.testing.assert_array_equal(found[name].xyz_m, every[name].xyz_m)
+    for dataset in (logged, Dataset.open(logged.path)):
+        assert list(nominal_tasks(dataset, [*some, "home->nowhere"])) == list(every)
+
+
+def test_nominal_motions_are_read_once_from_a_dataset_that_stays_as_it_is(
+    logged: Dataset, monkeypatch: pytest.MonkeyPatch
+):
+    dataset, reads = Dataset.open(logged.path), list[str]()
+    native_robot = dataset.native_robot
+    monkeypatch.setattr(
+        dataset, "native_robot", lambda name, columns: reads.append(name) or native_robot(name, columns)
+    )
+    every = nominal_tasks(dataset)
+    once = len(reads)
+    assert once > 0
+    nominal_tasks(dataset).clear()
+    assert list(nominal_tasks(dataset)) == list(every)
+    assert len(reads) == once
+    dataset.card = replace(dataset.card, warnings=())
+    nominal_tasks(dataset)
+    assert len(reads) == 2 * once
 
 
 def test_tracks_hold_goals_where_these_are_asked_for(logged: Dataset):

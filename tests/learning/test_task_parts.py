@@ -159,7 +159,7 @@ def test_a_conveyor_that_runs_on_between_executions_has_parts_ready() -> None:
 
 def test_parts_of_a_conveyor_are_learned_from_a_task_list(tmp_path: Path) -> None:
     scene = "fed-line"
-    simulate(scene, tmp_path / "logs", executions=40, seed=3, options=SimulationOptions(task_list=True))
+    simulate(scene, tmp_path / "logs", executions=25, seed=3, options=SimulationOptions(task_list=True))
     ingest([tmp_path / "logs"], tmp_path / "dataset")
     model = learn_runs(*logged_runs(Dataset.open(tmp_path / "dataset")), folds=0)
     found = {(task.task, "part", 0) for task in model.tasks if task.parts}

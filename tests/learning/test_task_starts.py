@@ -24,6 +24,8 @@ from cyclekit_sim.coupled_list import listed_conditions, task_plan
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from simulated_cells import Cells
+
     from cyclekit.learning.task_times.starts import Starts
 
 OWN_S = {"tend": 3.0, "sort": 4.0, "stack": 6.0}
@@ -32,7 +34,7 @@ PROCESS_S = 12.0
 
 def listed(folder: Path, scene: str, coupling: float = 1.0) -> Dataset:
     options = SimulationOptions(task_list=True, coupling=coupling)
-    simulate(scene, folder / "logs", executions=30, seed=3, options=options)
+    simulate(scene, folder / "logs", executions=20, seed=3, options=options)
     ingest([folder / "logs"], folder / "dataset")
     return Dataset.open(folder / "dataset")
 
@@ -158,9 +160,8 @@ def test_the_cell_file_tells_what_a_task_does_not_wait_for(tmp_path: Path) -> No
         (Wait("robot", before="fixture", never=True), "tells of places"),
     ],
 )
-def test_waits_of_unknown_tasks_are_refused(tmp_path: Path, wait: Wait, seen: str) -> None:
+def test_waits_of_unknown_tasks_are_refused(cells: Cells, tmp_path: Path, wait: Wait, seen: str) -> None:
     cell = replace(Cell(), waits=(wait,))
-    simulate("shared-fixture", tmp_path / "logs", executions=6, seed=3, options=SimulationOptions(task_list=True))
-    ingest([tmp_path / "logs"], tmp_path / "dataset", cell=cell)
+    ingest([cells.logs("shared-fixture", 6, task_list=True)], tmp_path / "dataset", cell=cell)
     with pytest.raises(ConfigError, match=seen):
         learn_task_times(Dataset.open(tmp_path / "dataset"))

@@ -356,6 +356,7 @@ def test_the_report_has_a_time_chart_and_who_waits_for_what_and_what_is_not_know
     assert "| faster | plan 3 |" in words
 
 
+@pytest.mark.usefixtures("words_only")
 def test_the_report_of_task_lists_holds_today_and_plans_against_the_takt(coupled, tmp_path) -> None:
     folder, _ = coupled
     logged = Dataset.of(folder / "dataset")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import polars as pl
@@ -18,6 +19,7 @@ from cyclekit.segmentation.arrivals import fill_nearest
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
+    from cyclekit.dataset.cards import DatasetCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Floats, Vector
 
@@ -64,11 +66,31 @@ class NominalTask:
         return replace(self, dwell_s=mine.dwell_s, wait_s=mine.wait_s, standstill_s=mine.standstill_s, group=group)
 
 
+_KNOWN: WeakKeyDictionary[Dataset, tuple[DatasetCard, dict[frozenset[str] | None, dict[str, NominalTask]]]]
+_KNOWN = WeakKeyDictionary()
+"""Of datasets in use, with their cards: the tasks by what was wanted. A report asks for them five times and more."""
+
+
 def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> dict[str, NominalTask]:
     """Return the nominal motion of every task that was logged with known scaling, by task name.
 
     `wanted`: return only these tasks, if all of them were logged with known scaling.
     """
+    card, known = _KNOWN.get(dataset, (None, {}))
+    if card is not dataset.card:
+        known = {}
+        _KNOWN[dataset] = dataset.card, known
+    some = None if wanted is None else frozenset(wanted)
+    if some not in known:
+        known[some] = _some_of(known[None], some) if some is not None and None in known else _read(dataset, some)
+    return dict(known[some])
+
+
+def _some_of(every: Mapping[str, NominalTask], wanted: frozenset[str]) -> dict[str, NominalTask]:
+    return {name: task for name, task in every.items() if name in wanted or not every.keys() >= wanted}
+
+
+def _read(dataset: Dataset, wanted: Collection[str] | None) -> dict[str, NominalTask]:
     tasks = dataset.uninterrupted_tasks().filter(pl.col("nominal_s").is_not_null())
     if tasks.height == 0:
         return {}

@@ -50,10 +50,12 @@ def rows_by(step: Any, *, margin_m: float = 0.0, noise_m: float = 0.0, away: boo
     """Rows of which `step(robot, human, margin)` is the commanded level, with a hysteresis of `margin_m`."""
     robot, human, execution = walks(away=away)
     level = step(robot, human, 0.0)
-    outer = step(robot, human, margin_m)
-    for row in range(1, len(level)):
-        if execution[row] == execution[row - 1]:
-            level[row] = np.clip(level[row - 1], outer[row], level[row])
+    for part in np.split(np.arange(len(level)), np.flatnonzero(np.diff(execution)) + 1) if margin_m else ():
+        last, held = int(level[part[0]]), []
+        for inner, outer in zip(level[part].tolist(), step(robot[part], human[part], margin_m).tolist(), strict=True):
+            last = min(max(last, outer), inner)
+            held.append(last)
+        level[part] = held
     noise = np.random.default_rng(1).normal(0.0, noise_m, human.shape)
     return RuleRows.made(robot, human + noise, level, execution)
 

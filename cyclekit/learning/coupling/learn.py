@@ -234,9 +234,9 @@ def _unseen(gates: Sequence[Departures], given: Sequence[Wait], parts: UnseenPar
 def _explains(leaving: Departures, condition: Condition) -> bool:
     """Return whether a condition of the robot leaves no waits for parts that no signal reports.
 
-    One of the operator does if the robot reacts to it far more evenly than it stands.
+    One of the operator does, or a process time of a machine, if the robot reacts to it far more evenly than it stands.
     """
-    if condition.event.agent != "operator" or condition.partly:
+    if condition.event.agent == "signal" or condition.partly:
         return condition.event.agent == "signal"
     since_s = leaving.since_s[leaving.gate, condition]
     decided = _lag(leaving, condition, since_s).decided

@@ -51,6 +51,16 @@ def test_quantiles_ascend_within_what_was_seen(times: list[float]) -> None:
     assert at.min() - 1e-3 <= found[0] <= found[-1] <= at.max() + 1e-3
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_one_unusual_time_of_many_is_drawn_as_seldom_as_it_was_seen(sign: float) -> None:
+    """Drawn between the last two quantiles as they are, one of 600 would lengthen one in fifty."""
+    at = sign * np.append(np.random.default_rng(0).uniform(5.0, 7.0, 599), 18.0)
+    found = np.array(quantiles(at, np.full(600, 1.0 / 600)))
+    drawn = np.interp(np.linspace(0.0, 1.0, 10_001), np.linspace(0.0, 1.0, len(found)), found)
+    assert drawn.mean() == pytest.approx(at.mean(), abs=0.01)
+    assert np.abs(drawn).max() < 9.0
+
+
 def test_kernels_of_many_departures_are_not_kept() -> None:
     since_s = np.random.default_rng(0).uniform(0.1, 5.0, (2, FEW + 1))
     before = lags._remembered.cache_info()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cyclekit.config import Wait
-from cyclekit.dataset.cards.coupling import Agent, ConditionCard, GateCard
+from cyclekit.dataset.cards.coupling import Agent, ConditionCard, GateCard, SourceCard
+from cyclekit.learning.coupling import learn
 from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
 
@@ -49,6 +50,15 @@ def test_the_robot_waits_for_the_machine_that_it_has_loaded(executions: int) -> 
     assert PROCESS_S[0] + LOADS_S - 0.05 < one.lag_s[0] < one.lag_s[-1] < PROCESS_S[1] + LOADS_S + 0.05
     assert np.mean(gate.own_s) == pytest.approx(LOADS_S, abs=0.01)
     assert one.decided >= 5
+
+
+def test_waits_that_a_machine_explains_are_not_for_parts_that_would_explain_them_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    parts = SourceCard(signal="part at machine", gap_s=(15.0,), first_s=(0.0,), taken_by="machine", inferred=True)
+    monkeypatch.setattr(learn, "find_unseen_parts", lambda _, place: parts if place == "machine" else None)
+    ((_, one),) = _learned(1, "machine", 15)
+    assert (one.agent, one.place, one.event, one.back) == ("robot", "machine", "leaves", 1)
 
 
 def test_a_machine_that_is_loaded_and_unloaded_in_turn_is_waited_for_at_every_second_visit() -> None:

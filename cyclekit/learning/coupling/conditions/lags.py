@@ -145,8 +145,29 @@ def quantiles(since_s: Vector, mass: Vector, *, shortest: bool = True) -> tuple[
     parts[0] += max(0.0, 1.0 - parts.sum()) if shortest else 0.0
     middle = (np.cumsum(parts) - 0.5 * parts) / parts.sum()
     values = np.interp(np.linspace(0.0, 1.0, LEVELS), middle, times)
+    values[0], values[-1] = (
+        _outer_end(middle, times, values[0], values[1]),
+        _outer_end(1.0 - middle[::-1], times[::-1], values[-1], values[-2]),
+    )
     rounded = tuple(round(float(value), 4) for value in values)
     return rounded if rounded[-1] - rounded[0] > 1e-3 else rounded[LEVELS // 2 : LEVELS // 2 + 1]
+
+
+def _outer_end(level: Vector, times: Vector, outermost: float, following: float) -> float:
+    """Return the value at level 0 with which interpolation to the next of LEVELS keeps the mean up to that level.
+
+    One unusual time of several hundred would otherwise be drawn, or nearly, in one cycle of a hundred.
+
+    Args:
+        level: Level of each time, ascending, shape (N,).
+        times: The times, shape (N,), s.
+        outermost: The first of them, s.
+        following: Value at the next of LEVELS, s.
+    """
+    width = 1.0 / (LEVELS - 1)
+    at = np.concatenate([[0.0], level[level < width], [width]])
+    mean = float(np.trapezoid(np.interp(at, level, times), at)) / width
+    return float(np.clip(2.0 * mean - following, min(outermost, following), max(outermost, following)))
 
 
 def _first_guess(since_s: Floats) -> Floats:

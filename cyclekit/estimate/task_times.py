@@ -16,6 +16,7 @@ from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.estimate.task_doubts import doubts_of_plan, never_in_a_row
 from cyclekit.learning.task_times.prepared import agent_of
 from cyclekit.learning.task_times.roll import BY_PART, BY_PLAN, OWN, SimulatedPlan, roll_plan
+from cyclekit.learning.task_times.runs import FAILED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -108,7 +109,7 @@ def _estimated(
             NOT_KNOWN,
             *(() if judged else (NOT_JUDGED,)),
             *model.notices,
-            *_failed(model),
+            *_left_out(model),
             *never_in_a_row(model, sequence),
         ),
         tasks=shares,
@@ -127,10 +128,17 @@ def _estimated(
     )
 
 
-def _failed(model: TaskModelCard) -> list[str]:
-    many = f"{model.failed} logged executions with a failed task are left out: "
-    many += "times are those of cycles without failures"
-    return [many] if model.failed else []
+def _left_out(model: TaskModelCard) -> list[str]:
+    without = "times are those of cycles without failures"
+    found = []
+    if model.failed:
+        found.append(f"{model.failed} logged executions with a failed task are left out: {without}")
+    if any(card.task.endswith(FAILED) for card in model.tasks):
+        found.append(f"most logged executions have a failed task; failed attempts are tasks of their own: {without}")
+    if model.at_once:
+        many = f"{model.at_once} logged executions in which an agent does two tasks at once are left out"
+        found.append(f"{many}: two executions may have one name")
+    return found
 
 
 def _last_robot(model: TaskModelCard, rolled: SimulatedPlan, sequence: TaskSequence) -> str | None:

@@ -48,6 +48,22 @@ def test_a_task_done_before_its_turn_makes_no_second_execution(tmp_path: Path) -
     assert log.warnings == ()
 
 
+SHORT = PLAN[:2]
+
+
+def test_executions_of_the_same_name_and_other_tasks_are_numbered_if_others_ran(tmp_path: Path) -> None:
+    runs = [("a", 0.0, PLAN), ("b", 50.0, PLAN), ("a", 100.0, SHORT), ("b", 150.0, SHORT), ("c", 200.0, PLAN)]
+    log = _read(tmp_path / "a.csv", runs)
+    assert log.task_list["execution"].unique(maintain_order=True).to_list() == ["a", "b", "a #2", "b #2", "c"]
+    assert any("with other tasks" in text for text in log.warnings)
+
+
+def test_an_execution_that_goes_on_after_others_ran_stays_one_and_is_told(tmp_path: Path) -> None:
+    log = _read(tmp_path / "a.csv", [("a", 0.0, PLAN[:2]), ("b", 50.0, PLAN), ("a", 100.0, PLAN[2:])])
+    assert set(log.task_list["execution"]) == {"a", "b"}
+    assert any("rest while others run: 1, such as 'a'" in text for text in log.warnings)
+
+
 def _without_plan(path: Path, runs: list[tuple[str, float, int]]) -> Recording:
     lines = ["recipe,agent,name,t_start,t_end"]
     for name, at, count in runs:
@@ -74,4 +90,5 @@ def test_without_a_plan_others_between_them_tell_executions_apart(tmp_path: Path
 def test_other_tasks_in_a_rest_do_not_part_an_execution(tmp_path: Path) -> None:
     log = _without_plan(tmp_path / "a.csv", [("a", 0.0, 1), ("b", 30.0, 4), ("a", 60.0, 4)])
     assert set(log.task_list["execution"]) == {"a", "b"}
-    assert log.warnings == ()
+    (warning,) = log.warnings
+    assert "rest while others run: 1, such as 'a'" in warning

@@ -150,7 +150,8 @@ def test_of_a_cut_export_the_whole_records_are_read(tmp_path):
     log = read(path)
     assert log.task_list.height == 4
     ((row, reason),) = log.set_aside.rows()
-    assert (row, reason[:34]) == (4, "the document is cut or garbled her")
+    assert (row, reason[:33]) == (4, "the document is cut or garbled at")
+    assert any("only the tasks before it are read" in text for text in log.warnings)
 
 
 def test_json_of_something_else_is_no_task_list(tmp_path):
@@ -184,6 +185,7 @@ def test_impossible_rows_are_set_aside_with_their_line_and_reason(tmp_path):
         (8, "its end is not a time in the format of the others"),
         (9, "it repeats another task"),
     ]
+    assert any("7 of 9 tasks are set aside: no start (2); " in text for text in log.warnings)
 
 
 def test_a_list_of_which_no_row_can_be_used_is_refused_with_the_reason(tmp_path):

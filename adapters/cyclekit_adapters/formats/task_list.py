@@ -122,9 +122,14 @@ def _of_json(path: Path, settings: Settings) -> _Cells:
     frame = table.select("source_row", *(pl.col(name).alias(key) for key, name in columns.items()))
     aside: list[tuple[int | None, str]] = []
     if records.broken is not None:
-        aside = [(frame.height, f"the document is cut or garbled here ({records.broken})")]
-    passed = (f"{records.others} elements are not objects and are skipped",) if records.others else ()
-    return _Cells(frame, columns, frame.height, "row", "JSON", aside, passed)
+        aside = [(frame.height, str(records.broken))]
+    passed = [f"{records.others} elements are not objects and are skipped"] if records.others else []
+    passed += [_cut(str(records.broken))] if records.broken is not None else []
+    return _Cells(frame, columns, frame.height, "row", "JSON", aside, tuple(passed))
+
+
+def _cut(where: str) -> str:
+    return f"{where}: only the tasks before it are read. Export it again"
 
 
 def _of_xes(path: Path, settings: Settings) -> _Cells:
@@ -143,6 +148,7 @@ def _of_xes(path: Path, settings: Settings) -> _Cells:
     warnings = [f"{count} events {name!r} are skipped" for name, count in records.passed_over.items()]
     if records.broken is not None:
         aside.append((None, records.broken))
+        warnings.append(_cut(records.broken))
     return _Cells(table.select("source_row", *columns), columns, records.events, "row", "XES", aside, tuple(warnings))
 
 

@@ -6,6 +6,8 @@ import polars as pl
 
 TOUCH_S = 1e-3
 """Tolerance of planned starts, s."""
+BEGIN_S = 1.0
+"""Tolerance of the first planned start, s: plans of one name may begin with another task."""
 WHOLE = 0.75
 """Minimum share of executions of one name with the same tasks."""
 RESTS = 0.5
@@ -30,8 +32,60 @@ def named_apart(cells: pl.DataFrame) -> tuple[pl.DataFrame, list[str]]:
     several = work.group_by("execution").agg(alike=pl.col("agent").n_unique() == 1, count=pl.len())
     several = several.filter(pl.col("alike") & (pl.col("count") > 1), pl.col("execution").is_not_null())
     if several.is_empty():
+        return _apart_by_plan_and_others(cells)
+    found, warnings = _numbered(cells, several, turns["turn"], "whose plan begins again")
+    more, others = _apart_by_plan_and_others(found)
+    return more, [*warnings, *others]
+
+
+def _apart_by_plan_and_others(cells: pl.DataFrame) -> tuple[pl.DataFrame, list[str]]:
+    """Return the cells with executions of the same name and different tasks numbered, and a warning.
+
+    Between two of them, executions of other names begin while none of this name runs, and its plan then begins again
+    at its first planned start. A name whose plan goes on after such a rest stays one execution.
+    """
+    rows = _in_turns(cells)
+    parts = rows.group_by("execution", "turn").agg(pl.col("planned_start_s").min())
+    again = (pl.col("planned_start_s") <= pl.col("planned_start_s").min() + BEGIN_S).fill_null(value=False)
+    several = parts.group_by("execution").agg(again=again.all(), count=pl.len())
+    several = several.filter(pl.col("again") & (pl.col("count") > 1), pl.col("execution").is_not_null())
+    if several.is_empty():
         return cells, []
-    return _numbered(cells, several, turns["turn"], "whose plan begins again")
+    turn = rows.sort("_row")["turn"]
+    return _numbered(cells, several, turn, "whose plan begins again, with other tasks, after others ran")
+
+
+def _in_turns(cells: pl.DataFrame) -> pl.DataFrame:
+    """Return the cells in order of start with `_row`, their place before, and `turn`, which grows after a rest.
+
+    In such a rest of a name none of its tasks is done, others are, and it is no shorter than the median task. Names
+    during whose tasks others run, such as those of lists that each count from zero, stay in turn 0.
+    """
+    rows = cells.with_row_index("_row").sort("start_s", maintain_order=True, nulls_last=True).with_row_index("_at")
+    rows = rows.with_columns(pl.col("_at").cast(pl.Int64))
+    until = pl.max_horizontal("start_s", "end_s").cum_max().forward_fill().shift(1).over("execution")
+    task_s = (pl.col("end_s") - pl.col("start_s")).median()
+    others = pl.col("_at").diff().over("execution") > 1
+    apart = (others & (pl.col("start_s") - until >= task_s)).fill_null(value=False)
+    rows = rows.with_columns(turn=apart.cast(pl.Int64).cum_sum().over("execution"))
+    alone = (pl.col("_at").max() - pl.col("_at").min() + 1).over("execution", "turn") == pl.len().over(
+        "execution", "turn"
+    )
+    return rows.with_columns(turn=pl.when(alone.all().over("execution")).then("turn").otherwise(0))
+
+
+def paused(cells: pl.DataFrame) -> list[str]:
+    """Return a warning on executions that rest while others run, none if there are none.
+
+    Args:
+        cells: Columns `execution`, `start_s` and `end_s`, s in one clock.
+    """
+    rests = _in_turns(cells.drop_nulls("execution")).group_by("execution").agg(pl.col("turn").max())
+    names = rests.filter(pl.col("turn") > 0).sort("execution")["execution"].to_list()
+    if not names:
+        return []
+    several = f"executions that rest while others run: {len(names)}, such as {names[0]!r}; the rest counts in their "
+    return [several + "cycle time. If such a name stands for several executions, give each its own name"]
 
 
 def named_apart_by_others(cells: pl.DataFrame) -> tuple[pl.DataFrame, list[str]]:

@@ -29,6 +29,11 @@ DONE = {"1", "1.0", "true", "yes", "done", "ok", "success", "successful", "succe
 FAILED = {"0", "0.0", "-1", "-1.0", "false", "no", "failed", "fail", "failure", "error", "aborted", "abort",
           "canceled", "cancelled", "timeout", "ate_abort", "pi_abort"}  # fmt: skip
 
+MANY_FAILED = 0.25
+"""Maximum share of failed tasks; above it, the outcome means something else."""
+SHOWN_REASONS = 3
+"""Maximum number of reasons in a warning."""
+
 
 @dataclass(frozen=True)
 class TaskTable:
@@ -87,7 +92,12 @@ def task_table(
         TASK_LIST,
     ).sort("t_s", maintain_order=True)
     people = [name for name, kind in kinds.items() if kind == "operator"]
-    warnings = [*_warnings(rows, columns, people), *_plan_warnings(good), *clocks.warnings]
+    warnings = [
+        *_aside_warnings(aside, cells.height),
+        *_warnings(rows, columns, people),
+        *_plan_warnings(good),
+        *clocks.warnings,
+    ]
     return TaskTable(rows, aside, clocks.clock, tuple(warnings), clocks.facts)
 
 
@@ -145,12 +155,21 @@ def _warnings(rows: pl.DataFrame, columns: Mapping[str, str], people: Sequence[s
         )
     elif unnamed := rows["execution"].null_count():
         messages.append(f"{unnamed} of {rows.height} tasks name no execution: they are in no execution")
+    if (failed := int((rows["outcome"] == "failed").sum())) > MANY_FAILED * rows.height:
+        messages.append(f"{failed} of {rows.height} tasks failed: too many for failures, so the outcome is not used")
     words = rows["outcome"].drop_nulls().unique(maintain_order=True)
     if unknown := [word for word in words if word not in ("done", "failed")]:
         messages.append(
             f"unknown outcomes, neither done nor failed, are kept as written: {', '.join(map(repr, unknown[:6]))}"
         )
     return messages
+
+
+def _aside_warnings(aside: pl.DataFrame, tasks: int) -> list[str]:
+    """Return a warning with the most frequent reasons for which tasks are set aside; none if none is."""
+    often = aside.group_by("reason").len().sort("len", "reason", descending=[True, False])
+    reasons = "; ".join(f"{reason} ({count})" for reason, count in often.head(SHOWN_REASONS).iter_rows())
+    return [f"{aside.height} of {tasks} tasks are set aside: {reasons}"] if reasons else []
 
 
 def _plan_warnings(cells: pl.DataFrame) -> list[str]:

@@ -14,7 +14,7 @@ import polars as pl
 
 from cyclekit.errors import LogError
 from cyclekit_adapters.tasks.event_table import UNITS, TimeColumn, counted_in, times_of
-from cyclekit_adapters.tasks.repeated_names import named_apart, named_apart_by_others
+from cyclekit_adapters.tasks.repeated_names import named_apart, named_apart_by_others, paused
 from cyclekit_adapters.tasks.task_columns import TIMES, unit_of
 from cyclekit_adapters.text.written_time import written_seconds
 
@@ -99,6 +99,8 @@ def with_seconds(
             begin -= pl.col("planned_start_s").min().fill_null(0.0)
         begin = begin.over("execution") if "execution" in cells.columns else begin
         cells = cells.with_columns(pl.col(f"{key}_s") + begin for key in _PLAN if key in read)
+    if "execution" in cells.columns:
+        repeated += paused(cells)
     lacks = "have no time zone: give time_zone to align them" if _dated(start) else "have no date and cannot be aligned"
     warnings = repeated if zoned or not start.pattern else [*repeated, f"its times {lacks} with other logs"]
     facts = {key.replace("_", " "): f"{columns[key]}: {times.why}" for key, times in read.items()}

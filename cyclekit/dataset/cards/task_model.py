@@ -250,6 +250,7 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
         clocks: Agents whose clock is off, by name.
         executions: Number of training executions.
         failed: Number of other executions, left out as a task failed.
+        at_once: Number of other executions, left out as an agent did two tasks at once.
         held_out: Errors on held-out orders; None if too few orders were logged.
     """
 
@@ -262,6 +263,7 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
     clocks: dict[str, ClockErrorCard] = field(default_factory=dict)
     executions: Count
     failed: Count = 0
+    at_once: Count = 0
     held_out: HeldOutCard | None = None
     warnings: tuple[Note, ...] = ()
 

@@ -18,7 +18,7 @@ from cyclekit.learning.task_times.pace import pace_drift
 from cyclekit.learning.task_times.partly import needed_together
 from cyclekit.learning.task_times.rates import TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
-from cyclekit.learning.task_times.runs import Run, logged_runs, without_failures
+from cyclekit.learning.task_times.runs import Run, logged_runs, one_at_a_time, without_failures
 from cyclekit.learning.task_times.starts import Starts, learn_starts
 from cyclekit.parallel.one_thread import one_thread
 
@@ -60,9 +60,11 @@ def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | No
         raise DatasetError(msg, cure=f"Ingest more logs. What is known: {command_line('inspect', dataset.place)}")
     given = dataset.card.settings.waits
     _check_waits(runs, agents, given)
-    clean = without_failures(runs, MIN_EXECUTIONS)
+    single = one_at_a_time(runs, MIN_EXECUTIONS)
+    clean = without_failures(single, MIN_EXECUTIONS)
     model = learn_runs(clean, agents, given=given, seed=seed, folds=FOLDS, progress=progress)
-    return structs.replace(model, dataset=dataset.path.name, failed=len(runs) - len(clean))
+    left_out = {"failed": len(single) - len(clean), "at_once": len(runs) - len(single)}
+    return structs.replace(model, dataset=dataset.path.name, **left_out)
 
 
 def _check_waits(runs: Sequence[Run], agents: Mapping[str, str], given: Sequence[Wait]) -> None:

@@ -15,6 +15,12 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.dataset import Dataset
 
+FAILED = " (failed)"
+"""Added to the name of a failed attempt, which is a task of its own."""
+MOST_FAILED = 0.25
+"""Maximum share of failed tasks; above it, the outcome means something else."""
+AT_ONCE = 0.5
+"""Minimum overlap of two tasks of one agent, as a share of the shorter one, that are done at once."""
 MIN_IN_A_ROW = 5
 """Minimum number of different orders of an agent in which two of its tasks follow each other."""
 
@@ -79,28 +85,31 @@ class Run:
 def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
     """Return the executions in which all tasks end, ordered by time, and `robot` or `operator` by agent name.
 
-    Names of an agent's tasks that differ only in case, spaces or underscores are those of one task.
+    Names of an agent's tasks that differ only in case, spaces or underscores are those of one task. A failed attempt
+    is a task of its own, as it tells no time of the task.
     """
     rows = dataset.every_task().with_columns(agent_name=pl.coalesce("agent_name", "agent")).sort("start_s")
     named = rows.select("agent_name", "agent").unique().sort("agent_name")
     agents = {str(name): str(agent) for name, agent in named.iter_rows()}
     spelling = _spelling(rows)
+    fails = rows["outcome"] == "failed"
+    told = bool(fails.sum() <= MOST_FAILED * rows.height)
+    rows = rows.with_columns(failed=fails.fill_null(value=False) if told else pl.lit(value=False))
     found: list[Run] = []
     for (name,), mine in rows.group_by(["execution"], maintain_order=True):
         if mine["end_s"].null_count():
             continue
         begin = float(mine["start_s"].min())  # type: ignore[arg-type]  # a number
         times = mine.select(
-            "agent_name", "task", *(pl.col(at) - begin for at in ("start_s", "end_s", "planned_start_s"))
+            "agent_name", "task", "failed", *(pl.col(at) - begin for at in ("start_s", "end_s", "planned_start_s"))
         )
         tasks: dict[str, list[DoneTask]] = {}
-        for agent, task, start_s, end_s, planned_s in times.iter_rows():
+        for agent, task, failed, start_s, end_s, planned_s in times.iter_rows():
             planned = np.nan if planned_s is None else planned_s
-            task = spelling[agent, _plain(task)]
+            task = spelling[agent, _plain(task)] + (FAILED if failed else "")
             tasks.setdefault(agent, []).append(DoneTask(task, start_s, end_s, planned))
-        failed = bool((mine["outcome"] == "failed").any())
         done = {agent: tuple(some) for agent, some in tasks.items()}
-        found.append(Run(str(name), done, failed=failed, begin_s=begin))
+        found.append(Run(str(name), done, failed=bool(mine["failed"].any()), begin_s=begin))
     at = {one.execution: number for number, one in enumerate(dataset.card.executions)}
     session = {one.execution: one.session for one in dataset.card.executions}
     found.sort(key=lambda run: at[run.name])
@@ -123,20 +132,43 @@ def _plain(task: str) -> str:
 def without_failures(runs: Sequence[Run], least: int) -> list[Run]:
     """Return the executions without a failed task; all, if these are too few, or lack a task.
 
-    A failed attempt tells no task's time, and its repetition shifts the occurrences that other tasks wait for. If most
-    executions have one, the outcome probably means something else.
+    The repetition of a failed attempt comes later than the plan says, and what waits for it too.
 
     Args:
         runs: Executions.
         least: Minimum number to keep.
     """
-    clean = [run for run in runs if not run.failed]
-    enough = len(clean) >= max(least, len(runs) / 2) and _tasks(clean) == _tasks(runs)
-    return clean if enough else list(runs)
+    return _if_enough([run for run in runs if not run.failed], runs, least)
+
+
+def one_at_a_time(runs: Sequence[Run], least: int) -> list[Run]:
+    """Return the executions in which no agent does two tasks at once; all, if these are too few, or lack a task.
+
+    Two executions under one name look so. If most executions are so, the agents can do it, such as with two arms.
+
+    Args:
+        runs: Executions.
+        least: Minimum number to keep.
+    """
+    return _if_enough([run for run in runs if not _at_once(run)], runs, least)
+
+
+def _at_once(run: Run) -> bool:
+    return any(
+        one.end_s - other.start_s > AT_ONCE * min(one.took_s, other.took_s) > 0.0
+        for some in run.tasks.values()
+        for one, other in pairwise(some)
+    )
+
+
+def _if_enough(some: list[Run], runs: Sequence[Run], least: int) -> list[Run]:
+    enough = len(some) >= max(least, len(runs) / 2) and _tasks(some) == _tasks(runs)
+    return some if enough else list(runs)
 
 
 def _tasks(runs: Sequence[Run]) -> set[tuple[str, str]]:
-    return {(agent, done.task) for run in runs for agent, some in run.tasks.items() for done in some}
+    every = {(agent, done.task) for run in runs for agent, some in run.tasks.items() for done in some}
+    return {(agent, task) for agent, task in every if not task.endswith(FAILED)}
 
 
 def always_in_a_row(runs: Sequence[Run]) -> dict[tuple[str, str], str]:

@@ -141,6 +141,8 @@ class CycleEstimate(Result):
             `expected_s`; empty if he is unknown, or if `plan` has his tasks.
         asked: The requested tasks of both agents of a plan.
         pace: Accepted changes of the operator's pace; the estimate is for the pace at their end.
+        mean_pace_s: Mean cycle time at the operator's mean pace over the logged executions of task lists, to compare
+            it with past cycles; None if the pace does not change.
     """
 
     name: str
@@ -176,6 +178,7 @@ class CycleEstimate(Result):
     operator_at: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     asked: tuple[PlannedTask, ...] = field(default=(), repr=False)
     pace: tuple[OperatorPaceCard | PaceCard, ...] = field(default=(), repr=False)
+    mean_pace_s: float | None = None
 
     @property
     def per_visit_s(self) -> float:

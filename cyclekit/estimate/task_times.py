@@ -29,6 +29,7 @@ CYCLES, FEW_CYCLES = 2000, 500
 """Number of cycles rolled out per plan, and at a slower pace to see what that changes."""
 WHY = "tasks of both agents rolled out side by side from logged task lists"
 NOT_KNOWN = "task lists hold no positions: nothing is known of zones, distances or what the safety system did"
+AT_MEAN_PACE = "at the mean pace of the logged executions {s:.1f} s: compare past executions with that"
 LOG_IT = "Log executions with it and train again, or leave it out."
 NOT_JUDGED = "too few executions to validate on held-out orders: the intervals are those of the rollout alone"
 
@@ -78,11 +79,12 @@ def _estimated(
     rolled = roll_plan(model, sequence.plan, cycles=CYCLES, seed=seed, where=sequence.shown)
     judged = model.held_out
     durations = rolled.duration_s
-    expected, low, high = _mean(durations, judged, model.executions, _pace_error(model, sequence, seed))
+    of_pace, at_mean_pace = _paces(model, sequence, seed)
+    expected, low, high = _mean(durations, judged, model.executions, of_pace)
     corrected = expected / float(durations.mean())
     durations = durations * corrected
-    single = _single(durations, judged)
-    shares, planned = _shares(model, rolled, sequence, corrected, quantiles)
+    single = _single(durations, judged, of_pace)
+    shares, planned = _shares(model, rolled, sequence, corrected, quantiles, of_pace)
     robot = _last_robot(model, rolled, sequence)
     mine = [share for share, task in zip(shares, planned, strict=True) if task.agent == robot]
     parts = ("nominal_s", "safety_loss_s", "wait_s")
@@ -109,6 +111,7 @@ def _estimated(
             NOT_KNOWN,
             *(() if judged else (NOT_JUDGED,)),
             *model.notices,
+            *([AT_MEAN_PACE.format(s=at_mean_pace * expected)] if model.pace else []),
             *_left_out(model),
             *never_in_a_row(model, sequence),
         ),
@@ -124,6 +127,7 @@ def _estimated(
         plan=planned,
         asked=sequence.plan,
         pace=tuple(model.pace.values()),
+        mean_pace_s=at_mean_pace * expected if model.pace else None,
         idle_s=max(expected - nominal - beside - waited, 0.0),
     )
 
@@ -152,15 +156,22 @@ def _is_robot(model: TaskModelCard, task: PlannedTask, sequence: TaskSequence) -
     return model.agents[agent_of(model, task, sequence.shown)] == "robot"
 
 
-def _pace_error(model: TaskModelCard, sequence: TaskSequence, seed: int) -> float:
-    """Return the standard error of a plan's duration because the latest pace is uncertain, as a share."""
+def _paces(model: TaskModelCard, sequence: TaskSequence, seed: int) -> tuple[float, float]:
+    """Return the standard error of a plan's duration because the latest pace is uncertain, as a share.
+
+    Also return its duration at the mean pace of the logged executions, relative to that at the latest pace.
+    """
     if not model.pace:
-        return 0.0
-    usual, slower = (
+        return 0.0, 1.0
+    uncertain = {agent: float(np.exp(pace.error)) for agent, pace in model.pace.items()}
+    logged = {
+        agent: float(pace.factor(np.arange(pace.first, pace.last + 1)).mean()) for agent, pace in model.pace.items()
+    }
+    usual, slower, mean = (
         roll_plan(model, sequence.plan, cycles=FEW_CYCLES, seed=seed, where=sequence.shown, pace=pace).duration_s.mean()
-        for pace in ({}, {agent: float(np.exp(pace.error)) for agent, pace in model.pace.items()})
+        for pace in ({}, uncertain, logged)
     )
-    return abs(float(slower / usual) - 1.0)
+    return abs(float(slower / usual) - 1.0), float(mean / usual)
 
 
 def _mean(
@@ -187,18 +198,22 @@ def _bias(judged: HeldOutCard) -> float:
     return judged.bias if abs(judged.bias) > Z95 * judged.within else 0.0
 
 
-def _single(durations: Vector, judged: HeldOutCard | None) -> Vector:
+def _single(durations: Vector, judged: HeldOutCard | None, pace_error: float) -> Vector:
     """Return single cycles with quantiles calibrated on held-out executions, shape (cycles,), s.
 
-    The bias is corrected in `durations`, and was not in the deviations of held-out executions.
+    Their mean is that of `durations`: a bias on held-out orders is corrected there, or is not significant. Held-out
+    executions were estimated at the pace of their time, so the error of the latest pace is added to their deviations.
     """
     mean, sd = float(durations.mean()), float(durations.std(ddof=1))
     if judged is None or len(judged.deviations) < len(LEVELS):
-        return np.asarray(mean + widening(judged) * (durations - mean))
-    deviations = np.array(judged.deviations)
-    spread = np.array([conformal(deviations, level) for level in LEVELS])
-    middle = mean * (1.0 + _bias(judged))
-    return np.asarray(middle + sd * np.interp(np.linspace(0.0, 1.0, len(durations)), LEVELS, spread))
+        off = widening(judged) * (durations - mean)
+    else:
+        deviations = np.array(judged.deviations)
+        spread = np.array([conformal(deviations, level) for level in LEVELS])
+        off = sd * np.interp(np.linspace(0.0, 1.0, len(durations)), LEVELS, spread)
+        off = off - off.mean()
+    own = float(off.std())
+    return np.asarray(mean + off * (float(np.hypot(1.0, pace_error * mean / own)) if own else 1.0))
 
 
 def widening(judged: HeldOutCard | None) -> float:
@@ -225,7 +240,12 @@ def _within(single: Vector, takt_s: float, error_s: float) -> tuple[float, float
 
 
 def _shares(
-    model: TaskModelCard, rolled: SimulatedPlan, sequence: TaskSequence, corrected: float, quantiles: Sequence[float]
+    model: TaskModelCard,
+    rolled: SimulatedPlan,
+    sequence: TaskSequence,
+    corrected: float,
+    quantiles: Sequence[float],
+    pace_error: float,
 ) -> tuple[tuple[TaskShare, ...], tuple[PlannedShare, ...]]:
     """Return for each task the split of its time, and its start, its end and what decided its start.
 
@@ -250,7 +270,7 @@ def _shares(
         kind = "robot" if _is_robot(model, task, sequence) else "operator"
         decided = _decided(rolled, number)
         at = float(start[number]), float(end[number]), float(wait[number])
-        single = _single(corrected * (rolled.end_s[:, number] - began[:, 0]), model.held_out)
+        single = _single(corrected * (rolled.end_s[:, number] - began[:, 0]), model.held_out, pace_error)
         band = np.quantile(single, (min(quantiles), max(quantiles))).tolist() if len(quantiles) > 1 else ()
         planned.append(PlannedShare(task.agent, kind, task.name, *at, decided, *band))
     return tuple(shares), tuple(planned)

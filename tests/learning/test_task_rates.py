@@ -10,7 +10,7 @@ import pytest
 from msgspec import structs
 
 from cyclekit.config.sequences import PlannedTask, TaskSequence
-from cyclekit.dataset.cards.task_model import HeldOutCard, TaskModelCard
+from cyclekit.dataset.cards.task_model import HeldOutCard, PaceCard, TaskModelCard
 from cyclekit.errors import UnknownName
 from cyclekit.estimate.result import CycleEstimate
 from cyclekit.estimate.task_times import estimate_plans
@@ -160,9 +160,10 @@ def test_of_two_robots_a_plan_says_which() -> None:
         roll_plan(model, [PlannedTask("robot", "weld")])
 
 
-def _weld_alone(orders: int, bias: float, deviations: np.ndarray) -> CycleEstimate:
+def _weld_alone(orders: int, bias: float, deviations: np.ndarray, pace_error: float = 0.0) -> CycleEstimate:
     """The estimate of a weld, about 5.0 +- 0.15 s, by a model with these errors on held-out orders."""
-    model = learned_of(60)
+    pace = {"arm": PaceCard(law="linear", change=-0.2, first=0, last=59, error=pace_error)} if pace_error else {}
+    model = structs.replace(learned_of(60), pace=pace)
     judged = HeldOutCard(
         orders=orders, bias=bias, within=0.001, order_error=abs(bias), learning_error=0.0, deviations=tuple(deviations)
     )
@@ -181,6 +182,18 @@ def test_a_bias_on_held_out_orders_is_corrected_once() -> None:
     assert biased.expected_s == pytest.approx(plain.expected_s / 1.1)
     assert plain.quantiles_s[0.5] == pytest.approx(plain.expected_s, rel=0.01)
     assert biased.quantiles_s[0.5] == pytest.approx(biased.expected_s, rel=0.015)
+
+
+def test_a_bias_that_is_not_significant_does_not_shift_single_cycles() -> None:
+    scatter = np.random.default_rng(1).standard_normal(100)
+    found = _weld_alone(50, 0.0, scatter + 0.5)
+    assert np.mean(found.durations_s) == pytest.approx(found.expected_s)
+
+
+def test_the_error_of_the_latest_pace_widens_single_cycles() -> None:
+    scatter = np.random.default_rng(1).standard_normal(100)
+    sure, unsure = (np.array(_weld_alone(50, 0.0, scatter, error).durations_s) for error in (1e-6, 0.05))
+    assert unsure.std() == pytest.approx(np.hypot(sure.std(), 0.05 * sure.mean()), rel=0.05)
 
 
 def test_few_held_out_executions_that_scatter_more_than_the_rollout_widen_single_cycles() -> None:

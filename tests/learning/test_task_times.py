@@ -277,6 +277,11 @@ def test_where_the_operator_becomes_quicker_a_plan_takes_what_it_takes_now(tmp_p
     true_s = np.mean(fresh_durations(order, cycles=200, seed=1, options=options))
     assert found[0].expected_s == pytest.approx(true_s, rel=0.04)
     assert any("worker becomes" in text and "quicker over 40 executions" in text for text in found[0].warnings)
+    past = [
+        fresh_durations(order, cycles=100, seed=1, options=ListOptions(drift=drift)) for drift in (0.0, 0.1, 0.2, 0.3)
+    ]
+    assert found[0].mean_pace_s == pytest.approx(np.mean(past), rel=0.04)
+    assert any(f"mean pace of the logged executions {found[0].mean_pace_s:.1f} s" in each for each in found[0].warnings)
 
 
 KINDS = {"bring": "robot", "weld": "robot", "polish": "robot", "mount": "operator", "pack": "operator"}

@@ -137,6 +137,18 @@ def test_a_plan_that_seldom_decides_is_no_lag() -> None:
     assert learn_starts(runs, "arm")["weld"].lags_s.max() < 0.2
 
 
+@pytest.mark.parametrize("missing", [False, True])
+def test_a_plan_that_is_always_alike_or_is_missing_in_part_is_no_lag(missing: bool) -> None:
+    rng, runs = np.random.default_rng(3), []
+    for number in range(12):
+        late_s = 5.0 + 0.05 * (number % 3) + rng.uniform(0.0, 0.8)
+        planned_s = np.nan if missing and number % 3 == 0 else 5.0 + 0.05 * (number % 3)
+        runs.append(Run(str(number), {"arm": (DoneTask("weld", late_s, late_s + 6.0, planned_s),)}, number))
+    found = learn_starts(runs, "arm")["weld"]
+    assert found.planned
+    assert found.lags_s.max() < 0.9
+
+
 def test_the_cell_file_tells_what_a_task_does_not_wait_for(tmp_path: Path) -> None:
     dataset, there = listed(tmp_path, "shared-fixture"), true_needs("shared-fixture")
     runs, agents = logged_runs(dataset)

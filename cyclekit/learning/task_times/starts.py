@@ -40,6 +40,10 @@ REGULAR_S = 0.05
 """Resolution of lags, s."""
 GAIN_PER_START, GAIN = 0.1, 6.0
 """Minimum gain in regularity (`_gain`): the first value per start, plus the second."""
+MAJORITY = 0.5
+"""Minimum share of most starts."""
+MOSTLY_PLANNED = 0.1
+"""Maximum loss in regularity per start by a planned start that decides most starts."""
 MAX_CONDITIONS = 3
 """Maximum number of conditions per task."""
 
@@ -61,7 +65,7 @@ class Starts:
     Attributes:
         needs: Tasks that must have ended.
         planned: Whether it waits for its planned start.
-        lags_s: Lag of each logged start after its conditions, shape (N,), s.
+        lags_s: Lag of each logged start after its conditions, where all are known, s.
         parts: Parts that it waits for.
         needed: For each of `needs` that only some starts need, whether a start needed it, by the number of the
             execution and the occurrence of the task, where that is seen.
@@ -165,7 +169,9 @@ def find_alone(one: Waiting, others: Sequence[NeedCard]) -> None:
 
     A planned start needs little evidence: a plan that is estimated is kept, so waits for it must not count as lags too.
     """
-    if gain([(one.start_s, one.ready_s(), one.planned_s)], EARLY_PLAN_S, decided=1) > 0.0:
+    known = np.isfinite(one.planned_s)
+    times = one.start_s[known], one.ready_s()[known], one.planned_s[known]
+    if known.any() and gain([times], EARLY_PLAN_S, decided=1) > _least_of_plan(times):
         one.found.append(None)
     open_to: dict[NeedCard | None, Vector] = {need: one.ends_s(need) for need in others if need.task not in one.barred}
     while len(one.found) < MAX_CONDITIONS:
@@ -179,6 +185,16 @@ def find_alone(one: Waiting, others: Sequence[NeedCard]) -> None:
         if not tried or tried[best] < least_gain(len(open_to), len(one.seen)):
             break
         one.found.append(best)
+
+
+def _least_of_plan(times: Times) -> float:
+    """Return the minimum gain in regularity of the planned start.
+
+    Where it decides most starts, the lags may even be a little less regular: an agent's first task may always be
+    planned at the same time.
+    """
+    _, ready, planned = times
+    return -MOSTLY_PLANNED * len(planned) if (planned > ready + DECIDED_S).mean() > MAJORITY else 0.0
 
 
 def _barred(given: Sequence[Wait], task: str, known: Collection[str]) -> frozenset[str]:
@@ -274,6 +290,8 @@ def _told(one: Waiting, *, free: bool) -> Starts:
             needs.append(structs.replace(need, held=held, decided=int(decided.sum())))
             flags.append(_needed(one, need))
     parts, lags_s = find_unseen_parts(one) if free else (None, one.start_s - ready)
+    if parts is None and None in one.found:  # where the plan is not logged, a wait for it looks like a lag
+        lags_s = lags_s[np.isfinite(one.planned_s)]
     return Starts(tuple(needs), None in one.found, lags_s, parts, tuple(flags))
 
 

@@ -18,7 +18,7 @@ from cyclekit.learning.coupling.conditions.begins import with_work_in_lag
 from cyclekit.learning.coupling.conditions.candidates import HELD, early_s
 from cyclekit.learning.coupling.conditions.circles import in_circles
 from cyclekit.learning.coupling.conditions.conditions import FEW_DECIDED, KEPT, MIN_DECIDED, decided_by
-from cyclekit.learning.coupling.conditions.departures import Condition, Departures, Gate
+from cyclekit.learning.coupling.conditions.departures import USUAL, Condition, Departures, Gate
 from cyclekit.learning.coupling.conditions.given_signals import since_given
 from cyclekit.learning.coupling.conditions.in_turn import find_in_turn
 from cyclekit.learning.coupling.conditions.lags import quantiles, reverse_kaplan_meier
@@ -26,6 +26,7 @@ from cyclekit.learning.coupling.conditions.together import NeededTogether, neede
 from cyclekit.learning.coupling.conditions.waiting_spots import is_spot, possible_spots, spots_of, with_spots
 from cyclekit.learning.coupling.events.errands import errand_places, with_errands
 from cyclekit.learning.coupling.events.logged_visits import courses_of
+from cyclekit.learning.coupling.events.part_visits import WAITED_S
 from cyclekit.learning.coupling.events.trips import MIN_TRIPS, parted_courses, trip_places, waits_before_s, with_trips
 from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits
 from cyclekit.learning.coupling.pace.common_pace import with_common_pace
@@ -49,8 +50,13 @@ MIN_EXECUTIONS, MAX_EXECUTIONS = 5, 400
 TIE_S = 0.05
 """Tolerance, s: if the 10 % and 30 % quantiles of dwell are this close, the shortest dwells are own work without a
 wait."""
+SELDOM = 0.1
+"""Own work that decides at most this share of the stays must have decided the shortest ones."""
 EVEN = 0.2
 """Maximum ratio of the ranges of lag and standstill, 10 to 90 %, if the event explains the standstills."""
+NEARLY_ALL = 0.9
+"""Minimum share of the long standstills at a place that need a condition of the way to another place, if that explains
+them."""
 AGENTS: tuple[Agent, ...] = ("robot", "operator")
 
 
@@ -225,24 +231,29 @@ def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait], pa
 def _unseen(gates: Sequence[Departures], given: Sequence[Wait], parts: UnseenParts) -> tuple[SourceCard, ...]:
     """Return sources of parts that no signal reports, where the robot waits for no signal and not always for people."""
     leaving = {each.gate.place: each for each in gates if each.gate.at == "leave"}
-    known = {place for place, each in leaving.items() if any(_explains(each, one) for one in each.found)}
+    known = {place for place, each in leaving.items() if any(_explains(each, *one) for one in each.since_s)}
     by_file = {wait.leaving for wait in given if wait.agent == "robot"}
     found = (parts(place) for place in leaving if place not in known | by_file)
     return tuple(source for source in found if source is not None)
 
 
-def _explains(leaving: Departures, condition: Condition) -> bool:
+def _explains(leaving: Departures, gate: Gate, condition: Condition) -> bool:
     """Return whether a condition of the robot leaves no waits for parts that no signal reports.
 
     One of the operator does, or a process time of a machine, if the robot reacts to it far more evenly than it stands.
+    One of the way to the next place does, too, if nearly all long standstills need it.
     """
+    since_s, stood_s = leaving.since_s[gate, condition], leaving.left_s - leaving.own_s
+    if gate != leaving.gate:
+        waited = stood_s > np.quantile(stood_s, USUAL) + WAITED_S
+        if not waited.any() or np.isfinite(since_s[waited]).mean() < NEARLY_ALL:
+            return False
     if condition.event.agent == "signal" or condition.partly:
         return condition.event.agent == "signal"
-    since_s = leaving.since_s[leaving.gate, condition]
-    decided = _lag(leaving, condition, since_s).decided
+    decided = _lag(leaving, condition, since_s, gate).decided
     if decided.sum() < MIN_DECIDED:
         return False
-    lag, stood = (np.ptp(np.quantile(x[decided], (0.1, 0.9))) for x in (since_s, leaving.left_s - leaving.own_s))
+    lag, stood = (np.ptp(np.quantile(x[decided], (0.1, 0.9))) for x in (since_s, stood_s))
     return bool(lag < EVEN * stood)
 
 
@@ -315,7 +326,7 @@ def _parts(
     step = -(-len(found.left_s) // KEPT)
     since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
     decided, stays_s = decided_by(since), (found.left_s - found.own_s + found.more_s)[::step]
-    if (decided == 0).mean() > 1.0 - HELD:  # fewer are the exceptions that the conditions allow
+    if _own_work_decides(stays_s, decided == 0):
         own_s = _distribution(stays_s, decided == 0)
     else:
         shortest_s, low, middle = np.quantile(stays_s, (0.0, 0.1, 0.3)).tolist()
@@ -350,6 +361,20 @@ def _parts(
     return own_s, cards
 
 
+def _own_work_decides(stays_s: Vector, own: Bools) -> bool:
+    """Return whether own work ends some stays, and not only those whose event was not logged.
+
+    Own work that seldom decides does so in the shortest stays: in the others the event came later.
+
+    Args:
+        stays_s: Durations of the stays, shape (N,), s.
+        own: Whether no event ended them, as far as that was logged, shape (N,).
+    """
+    if own.mean() <= 1.0 - HELD:  # the exceptions that the conditions allow
+        return False
+    return own.mean() > SELDOM or bool(np.median(stays_s[own]) <= np.quantile(stays_s[~own], 0.1) + TIE_S)
+
+
 class _Lag(NamedTuple):
     """The lag of a condition by its quantiles, s, the share of departures that need it, and which it decided (N,)."""
 
@@ -358,11 +383,14 @@ class _Lag(NamedTuple):
     decided: Bools
 
 
-def _lag(found: Departures, condition: Condition, seen_s: Vector) -> _Lag:
-    """Return the lag of one condition of a gate, from the time since the event as a plan knows it."""
+def _lag(found: Departures, condition: Condition, seen_s: Vector, gate: Gate | None = None) -> _Lag:
+    """Return the lag of one condition of a gate, from the time since the event as a plan knows it.
+
+    `gate`: the gate of the condition, if it is another one that shares departures.
+    """
     step = -(-len(found.left_s) // KEPT)
     since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
-    row = 1 + list(found.since_s).index((found.gate, condition))
+    row = 1 + list(found.since_s).index((gate or found.gate, condition))
     decided = decided_by(since) == row
     seen = np.where(np.isneginf(since[row]), -np.inf, seen_s[::step])
     mass = reverse_kaplan_meier(seen, decided * 1.0, ~np.isnan(seen))

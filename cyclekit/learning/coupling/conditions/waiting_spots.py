@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards import CouplingCard
     from cyclekit.dataset.cards.coupling import GateCard
+    from cyclekit.schema import Vector
 
 NEXT = 0.9
 """Minimum share of the visits to a waiting spot after which he goes to the same place."""
@@ -36,6 +37,9 @@ REACTS_S, REACTS = 2.5, 0.9
 """A stay ends with an event if it ends within this time of it, s; minimum share of these, if all stays are long."""
 FROM, MIN_FROM = 0.1, 3
 """Minimum share and number of the ways from a place that lead over the spot; from other places he does not go there."""
+
+ON_THE_WAY_S, MIN_TURNED = 0.5, 2
+"""The event came while he was on his way if it came so long after he left, s; minimum number of such ways."""
 
 
 class Spot(NamedTuple):
@@ -83,24 +87,40 @@ def possible_spots(
             and direct >= MIN_DIRECT
             and _reacts(courses, place, gate) >= (DECIDED if min(stood for _, stood in after) <= MAX_WORK_S else REACTS)
         ):
-            found[place] = Spot(goal, _origins(pairs, place, goal))
+            found[place] = Spot(goal, _origins(courses, place, goal, gate))
     return {place: spot for place, spot in found.items() if spot.goal not in found}
 
 
-def _origins(pairs: Sequence[tuple[PlaceVisit, PlaceVisit]], place: str, goal: str) -> tuple[str, ...]:
-    """Return the places from which he goes to a spot on the way to the goal."""
-    over = Counter(before.place for before, after in pairs if after.place == place)
-    direct = Counter(before.place for before, after in pairs if after.place == goal)
-    enough = {name: max(FROM * (count + direct[name]), MIN_FROM) for name, count in over.items()}
-    return tuple(sorted(name for name, count in over.items() if count >= enough[name] and name != place))
+def _origins(courses: Sequence[ExecutionVisits], place: str, goal: str, gate: GateCard) -> tuple[str, ...]:
+    """Return the places from which he goes to a spot on the way to the goal.
+
+    Where the event came while he was on his way to the goal, he did not wait for it at the place that he came from: he
+    turned off before he reached the spot.
+    """
+    over, direct, turned = Counter[str](), Counter[str](), Counter[str]()
+    for course in courses:
+        at = _times_of(course, gate)
+        for before, after in pairwise(course.visits["operator"]):
+            over[before.place] += after.place == place
+            direct[before.place] += after.place == goal
+            on_the_way = (at > before.left_s + ON_THE_WAY_S) & (at < after.arrived_s)
+            turned[before.place] += before.place != goal == after.place and bool(on_the_way.any())
+    enough = {name: max(FROM * (over[name] + direct[name]), MIN_FROM) for name in (*over, *direct)}
+    found = {name for name in enough if over[name] >= enough[name] or turned[name] >= MIN_TURNED}
+    return tuple(sorted(found - {place}))
+
+
+def _times_of(course: ExecutionVisits, gate: GateCard) -> Vector:
+    """Return when events that a gate needs came in an execution, ascending, s."""
+    keys = [Event(one.agent, one.place, one.event, one.signal) for one in gate.conditions]
+    return np.sort(np.concatenate([np.empty(0), *(course.events[key] for key in keys if key in course.events)]))
 
 
 def _reacts(courses: Sequence[ExecutionVisits], place: str, gate: GateCard) -> float:
     """Return the share of the stays at a place that end just after an event that the gate needs, or after arrival."""
-    keys = [Event(one.agent, one.place, one.event, one.signal) for one in gate.conditions]
     quick = []
     for course in courses:
-        at = np.sort(np.concatenate([np.empty(0), *(course.events[key] for key in keys if key in course.events)]))
+        at = _times_of(course, gate)
         for visit in course.visits["operator"][:-1]:
             if visit.place == place:
                 last = np.searchsorted(at, visit.left_s + EARLY_S, side="right") - 1

@@ -74,13 +74,15 @@ def with_slow_down_clocks(
         robot: Runs of the robot, with logged or inferred scaling.
         sources: Section of the cell file for each recording, by id.
         read: Returns a native table of a recording (id, table).
-        asked: Use every lag that was found; else only those with which a common start is wrong for certain.
+        asked: Use every lag that was found, and of clocks said to be synchronised those with which that is wrong for
+            certain; else only those with which a common start is.
     """
+    methods = (ASSUMED, "epoch") if asked else (ASSUMED,)
     left = [
         _Unaligned(log, [robot.runs[number] for number in session.runs])
         for session in sessions
         for log in session.recordings
-        if "people" in log.tables and log.clock.method == ASSUMED and log.clock.same_as is None and session.runs
+        if "people" in log.tables and log.clock.method in methods and log.clock.same_as is None and session.runs
     ]
     if not left:
         return list(sessions)
@@ -167,7 +169,7 @@ def _fit(log: RecordingCard, evidence: LagEvidence, lag: Lag | None, *, asked: b
     clock, rough = ClockFit.of(log.clock), evidence.rough
     if lag is None or rough is None:
         return replace(clock, warnings=(note("clock-not-coarse", reach_s=REACH_S), *clock.warnings)) if asked else None
-    if not (asked or lag.certain):
+    if not (lag.certain or (asked and log.clock.method == ASSUMED)):
         return None
     warnings = [note("clock-coarse")]
     doubt = None if rough.second is None else rough.second / rough.peak

@@ -274,6 +274,35 @@ def test_coarse_alignment_touches_no_clock_that_is_known(few: Path, tmp_path: Pa
     assert ingested(few, tmp_path / "d", cell, align_clocks="coarse")[1].clock.method == "cell-file"
 
 
+@pytest.mark.parametrize(("late_s", "method"), [(5.0, "coarse"), pytest.param(0.0, "epoch", marks=pytest.mark.slow)])
+def test_coarse_alignment_on_request_corrects_a_computer_whose_clock_is_off(
+    logs: Path, tmp_path: Path, late_s: float, method: str
+):
+    """Both logs have time since 1970, but the tracker's computer is not synchronised."""
+    folder, since_s = tmp_path / "logs", 1_700_000_000.0
+    shutil.copytree(logs, folder, ignore=shutil.ignore_patterns("flange.csv", "gripper.csv", "events.csv"))
+    session = folder / "session_000"
+    robot = pl.read_csv(session / "robot.csv", separator=" ")
+    robot.with_columns(pl.col("timestamp") + since_s).write_csv(session / "robot.csv", separator=" ")
+    lines = (session / "operator.csv").read_text(encoding="utf-8").splitlines()[7:]
+    frames = np.array([[float(cell or "nan") for cell in line.split(",")] for line in lines])
+    at = (frames[:, 1] + OFFSET_S) / (1 + DRIFT) - LEAD_S + ROBOT_START_S + since_s + late_s
+    x, up, z = frames[:, -3:].T
+    rows = pl.DataFrame({"time": at, "x": x, "y": -z, "z": up}).drop_nans()
+    rows.write_csv(session / "people.csv", float_precision=4)
+    (session / "operator.csv").unlink()
+    cell = cell_with(logs, {}, only=False)
+    columns = {name: name for name in ("time", "x", "y", "z")}
+    layout = {"delimiter": ",", "clock": "epoch", "time_unit": "s", "length_unit": "m", **columns}
+    tracker = Source("session_*/people.csv", adapter="csv", role="people", frame=cell.sources[1].frame, map=layout)
+    cell = replace(cell, sources=(cell.sources[0], tracker))
+    ingest([folder], tmp_path / "d", cell=cell, align_clocks="coarse")
+    dataset = Dataset.open(tmp_path / "d")
+    clocks = {name: one.clock for one in dataset.recordings for name in one.tables}
+    assert clocks["people"].method == method
+    assert clocks["people"].offset_s + late_s + since_s + ROBOT_START_S == pytest.approx(0.0, abs=0.1)
+
+
 def test_start_texts_place_a_log_to_a_second_or_so(few: Path, tmp_path: Path):
     cell = cell_with(few, {"start": "2026-03-02T14:03:05+01:00"})
     with pytest.raises(ConfigError, match="no time of day"):

@@ -202,7 +202,8 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     # frames
     "frame-assumed": (
         "the tracker's pose is not given, so its axes are taken as those of the robot base; the slow-downs do not "
-        "confirm that: give frame in cell.toml (`cyclekit calibrate points.csv` computes it)"
+        "confirm that: give frame in cell.toml (`cyclekit calibrate points.csv` computes it); if the tracker's clock "
+        "may be off by seconds, ingest with --align-clocks coarse"
     ),
     "frame-doubtful": (
         "the tracker's frame is probably wrong: the robot slows at distances that differ by {spread_m:.2f} m (median), "

@@ -4,24 +4,31 @@ from __future__ import annotations
 
 from dataclasses import replace as dataclass_replace
 from functools import cache, partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 from msgspec.structs import replace
 
-from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard, OwnWorkCard, SourceCard
+from cyclekit.dataset.cards.coupling import (
+    Agent,
+    ConditionCard,
+    CouplingCard,
+    GateCard,
+    OwnWorkCard,
+    SourceCard,
+)
 from cyclekit.errors import ConfigError, DatasetError
 from cyclekit.learning.coupling.conditions.alike import Kinds, find_with_alike, kinds_by_waits
 from cyclekit.learning.coupling.conditions.answers import is_own_tool
 from cyclekit.learning.coupling.conditions.begins import with_work_in_lag
-from cyclekit.learning.coupling.conditions.candidates import HELD, early_s
+from cyclekit.learning.coupling.conditions.candidates import early_s
 from cyclekit.learning.coupling.conditions.circles import in_circles
 from cyclekit.learning.coupling.conditions.conditions import FEW_DECIDED, KEPT, MIN_DECIDED, decided_by
 from cyclekit.learning.coupling.conditions.departures import USUAL, Condition, Departures, Gate
 from cyclekit.learning.coupling.conditions.given_signals import since_given
 from cyclekit.learning.coupling.conditions.in_turn import find_in_turn
-from cyclekit.learning.coupling.conditions.lags import quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.conditions.observed import TIE_S, distribution, lag_of, own_work_decides
 from cyclekit.learning.coupling.conditions.together import NeededTogether, needed_together
 from cyclekit.learning.coupling.conditions.waiting_spots import is_spot, possible_spots, spots_of, with_spots
 from cyclekit.learning.coupling.events.errands import errand_places, with_errands
@@ -41,17 +48,12 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Wait
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.schema import Bools, Floats, Vector
+    from cyclekit.schema import Vector
 
     UnseenParts = Callable[[str], SourceCard | None]
 
 MIN_EXECUTIONS, MAX_EXECUTIONS = 5, 400
 """Minimum and maximum number of executions to learn from; if there are more, an evenly spaced subset is used."""
-TIE_S = 0.05
-"""Tolerance, s: if the 10 % and 30 % quantiles of dwell are this close, the shortest dwells are own work without a
-wait."""
-SELDOM = 0.1
-"""Own work that decides at most this share of the stays must have decided the shortest ones."""
 EVEN = 0.2
 """Maximum ratio of the ranges of lag and standstill, 10 to 90 %, if the event explains the standstills."""
 NEARLY_ALL = 0.9
@@ -250,7 +252,7 @@ def _explains(leaving: Departures, gate: Gate, condition: Condition) -> bool:
             return False
     if condition.event.agent == "signal" or condition.partly:
         return condition.event.agent == "signal"
-    decided = _lag(leaving, condition, since_s, gate).decided
+    decided = lag_of(leaving, condition, since_s, gate).decided
     if decided.sum() < MIN_DECIDED:
         return False
     lag, stood = (np.ptp(np.quantile(x[decided], (0.1, 0.9))) for x in (since_s, stood_s))
@@ -326,8 +328,8 @@ def _parts(
     step = -(-len(found.left_s) // KEPT)
     since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
     decided, stays_s = decided_by(since), (found.left_s - found.own_s + found.more_s)[::step]
-    if _own_work_decides(stays_s, decided == 0):
-        own_s = _distribution(stays_s, decided == 0)
+    if own_work_decides(found.gate, stays_s, decided == 0):
+        own_s = distribution(stays_s, decided == 0)
     else:
         shortest_s, low, middle = np.quantile(stays_s, (0.0, 0.1, 0.3)).tolist()
         other_s = min(usual_s, shortest_s) if np.isfinite(usual_s) else 0.5 * shortest_s
@@ -338,7 +340,7 @@ def _parts(
             continue
         every, alike = found.since_s[gate, condition], found.alike.get(condition)
         seen_s = every if condition.event.signal is None else since_given(courses, found, condition)
-        lag = _lag(alike.joined, alike.condition, alike.seen_s) if alike else _lag(found, condition, seen_s)
+        lag = lag_of(alike.joined, alike.condition, alike.seen_s) if alike else lag_of(found, condition, seen_s)
         mine = lag.decided[alike.mine] if alike else lag.decided
         there, event = ~np.isnan(every), condition.event
         shared = together.get((gate, condition))
@@ -359,47 +361,3 @@ def _parts(
             )
         )
     return own_s, cards
-
-
-def _own_work_decides(stays_s: Vector, own: Bools) -> bool:
-    """Return whether own work ends some stays, and not only those whose event was not logged.
-
-    Own work that seldom decides does so in the shortest stays: in the others the event came later.
-
-    Args:
-        stays_s: Durations of the stays, shape (N,), s.
-        own: Whether no event ended them, as far as that was logged, shape (N,).
-    """
-    if own.mean() <= 1.0 - HELD:  # the exceptions that the conditions allow
-        return False
-    return own.mean() > SELDOM or bool(np.median(stays_s[own]) <= np.quantile(stays_s[~own], 0.1) + TIE_S)
-
-
-class _Lag(NamedTuple):
-    """The lag of a condition by its quantiles, s, the share of departures that need it, and which it decided (N,)."""
-
-    quantiles_s: tuple[float, ...]
-    needed: float
-    decided: Bools
-
-
-def _lag(found: Departures, condition: Condition, seen_s: Vector, gate: Gate | None = None) -> _Lag:
-    """Return the lag of one condition of a gate, from the time since the event as a plan knows it.
-
-    `gate`: the gate of the condition, if it is another one that shares departures.
-    """
-    step = -(-len(found.left_s) // KEPT)
-    since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
-    row = 1 + list(found.since_s).index((gate or found.gate, condition))
-    decided = decided_by(since) == row
-    seen = np.where(np.isneginf(since[row]), -np.inf, seen_s[::step])
-    mass = reverse_kaplan_meier(seen, decided * 1.0, ~np.isnan(seen))
-    values = quantiles(seen, mass, shortest=not condition.partly)
-    every = np.repeat(decided, step)[: len(found.left_s)]
-    return _Lag(values, min(1.0, round(float(mass.sum()), 4)), every)
-
-
-def _distribution(since_s: Vector, decided: Floats) -> tuple[float, ...]:
-    known = np.isfinite(since_s)
-    some = np.where(known, since_s, 0.0)
-    return quantiles(some, reverse_kaplan_meier(some, decided * 1.0, known))

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.coupling import Agent
 
 BUTTON = Event("signal", "button", "set")
-MISSED = 0.05
+MISSED = 0.04
 """Share of the presses that are in no log."""
 
 

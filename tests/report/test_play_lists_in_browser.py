@@ -127,3 +127,15 @@ def test_plans_that_wait_some_times_have_the_numbers_of_the_library(tab, tmp_pat
         for name, arm in orders.items()
     ]
     plans_are_the_same(tab, tmp_path, model, sequences)
+
+
+def test_plans_of_an_operator_who_becomes_quicker_have_the_numbers_of_the_library(tab, tmp_path):
+    rng = np.random.default_rng(4)
+    rows: list[Row] = []
+    for run in range(60):
+        pack = rng.uniform(9.5, 10.5) * (1.0 - 0.3 * run / 59)
+        rows += [(run, "human", "pack", 0.0, pack), (run, "arm", "weld", 0.0, rng.uniform(3.9, 4.1))]
+    model = model_of(rows, tmp_path)
+    assert model.card.pace["human"].error > 0.003
+    tasks = [PlannedTask("arm", "weld"), PlannedTask("human", "pack")]
+    plans_are_the_same(tab, tmp_path, model, [TaskSequence.of_plan("both", tasks)], within=2e-4)

@@ -166,7 +166,9 @@ def ask(tab: Tab, played: object, changes: dict[str, object], takt_s: object = "
     return found
 
 
-def plans_are_the_same(tab: Tab, folder: Path, model: TaskTimesModel, sequences: Sequence[TaskSequence]) -> None:
+def plans_are_the_same(
+    tab: Tab, folder: Path, model: TaskTimesModel, sequences: Sequence[TaskSequence], *, within: float = 1e-5
+) -> None:
     """Check the page's numbers of plans against the library's; `folder` holds the dataset of the task lists."""
     write_report(folder / "dataset", folder / "page.html", model=model, sequences=sequences[:1], takt_s=20.0)
     tab.events.clear()
@@ -178,7 +180,7 @@ def plans_are_the_same(tab: Tab, folder: Path, model: TaskTimesModel, sequences:
             {"agent": task.agent, "asked": task.agent, "name": task.name, "after": task.after}
             for task in plans[wanted.name]
         ]
-        same(ask(tab, played, {}, 20.0), wanted, within=1e-5)
+        same(ask(tab, played, {}, 20.0), wanted, within=within)
     assert tab.said() == []
 
 

@@ -51,6 +51,7 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
         "cycles": CYCLES,
         "levels": LEVELS.tolist(),
         "widening": widening(judged),
+        "pace_errors": {agent: pace.error for agent, pace in card.pace.items()},
         "sure": Z95,
         "takt_s": takt_s,
         "labels": {},

@@ -207,20 +207,35 @@ const rolledPlan = (tasks, asked) => {
 
 const biasOf = (check) => (Math.abs(check.bias) > facts.sure * check.within ? check.bias : 0);
 
-const singleOf = (values) => { // task_times._single: ascending where it is corrected by held-out executions
+const singleOf = (values, paceError) => { // task_times._single: ascending where it is corrected by held-out executions
   const deviations = tables.deviations;
   const [usual, spread] = [mean(values), spreadOf(values)];
-  if (!deviations || deviations.length < facts.levels.length) return values.map((value) => usual + facts.widening * (value - usual));
-  const middle = usual * (1 + biasOf(facts.check));
-  const ordered = sorted(deviations);
-  const off = facts.levels.map((level) => quantile(ordered, level, true));
-  return values.map((_, n) => middle + spread * drawnFrom(off, [n / (values.length - 1)], 0));
+  let off = values.map((value) => facts.widening * (value - usual));
+  if (deviations && deviations.length >= facts.levels.length) {
+    const ordered = sorted(deviations);
+    const levels = facts.levels.map((level) => quantile(ordered, level, true));
+    off = values.map((_, n) => spread * drawnFrom(levels, [n / (values.length - 1)], 0));
+    const middle = mean(off);
+    off = off.map((value) => value - middle);
+  }
+  const own = Math.sqrt(mean(off.map((value) => value ** 2)));
+  const wider = own > 0 ? Math.hypot(1, paceError * usual / own) : 1;
+  return off.map((value) => usual + wider * value);
 };
 
-const entryOfList = (tasks, rolled) => {
+const cycleTimes = ({ start, end }) => start[0].map((_, cycle) => Math.max(...end.map((times) => times[cycle])) - Math.min(...start.map((times) => times[cycle])));
+
+const paceErrorOf = (tasks, asked, usual_s) => { // task_times._paces: the cycle with every changing agent slower by its error
+  const changing = Object.entries(facts.pace_errors);
+  if (!changing.length) return 0;
+  const paces = Object.fromEntries(changing.map(([agent, error]) => [agent, (asked.paces[agent] || 1) * Math.exp(-error)]));
+  return Math.abs(mean(cycleTimes(rolledPlan(tasks, { ...asked, paces: { ...asked.paces, ...paces } }))) / usual_s - 1);
+};
+
+const entryOfList = (tasks, rolled, asked) => {
   const { plan, start, end, decides } = rolled;
   const began = start[0].map((_, cycle) => Math.min(...start.map((times) => times[cycle])));
-  const durations = began.map((begin_s, cycle) => Math.max(...end.map((times) => times[cycle])) - begin_s);
+  const durations = cycleTimes(rolled);
   const { check, sure } = facts;
   const usual = mean(durations);
   let [expected, error] = [usual, spreadOf(durations) / usual / Math.sqrt(facts.executions)];
@@ -230,7 +245,9 @@ const entryOfList = (tasks, rolled) => {
     error = Math.hypot(Math.sqrt(Math.max(check.order_error ** 2 - bias ** 2, 0)), check.learning_error);
   }
   const factor = expected / usual;
-  const single = singleOf(durations.map((value) => value * factor));
+  const paceError = paceErrorOf(tasks, asked, usual);
+  error = Math.hypot(error, paceError);
+  const single = singleOf(durations.map((value) => value * factor), paceError);
   const ordered = sorted(single);
   return {
     expected_s: expected,
@@ -241,7 +258,7 @@ const entryOfList = (tasks, rolled) => {
     tasks: tasks.map((task, n) => {
       const from = (values) => values.map((value, cycle) => value - began[cycle]);
       const ends = plan.before[n] < 0 ? began : end[plan.before[n]];
-      const ordered_s = sorted(singleOf(from(end[n]).map((value) => value * factor)));
+      const ordered_s = sorted(singleOf(from(end[n]).map((value) => value * factor), paceError));
       const counts = new Map();
       for (const who of decides[n]) counts.set(who, (counts.get(who) || 0) + 1);
       const [cause, times] = [...counts].sort((a, b) => b[1] - a[1])[0];
@@ -260,7 +277,7 @@ const answerList = (tasks, asked, takt_s) => {
   if (!tasks.length) return { unknown: say("no_visit") };
   const entry = remembered(JSON.stringify(["list", tasks, asked]), () => {
     const rolled = rolledPlan(tasks, asked);
-    return rolled.unknown ? rolled : entryOfList(tasks, rolled);
+    return rolled.unknown ? rolled : entryOfList(tasks, rolled, asked);
   });
   if (entry.unknown) return entry;
   const within = (by) => mean(entry.durations_s.map((value) => Number(value + by <= takt_s)));

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -86,11 +87,7 @@ class Departures:
     @property
     def seen(self) -> Ints:
         """Numbers of the departures by which conditions are compared: evenly spread, but of all occurrences."""
-        count = len(self.left_s)
-        if count <= SEEN:
-            return np.arange(count)
-        within = np.random.default_rng(0).random(SEEN)
-        return np.asarray((np.arange(SEEN) + within) * count / SEEN, dtype=np.int64)
+        return _spread_over(len(self.left_s))
 
     @property
     def weight(self) -> float:
@@ -108,6 +105,15 @@ class Departures:
     def _since(self, more: Vector | None) -> Floats:
         columns = [self.left_s - self.own_s, *self.since_s.values(), *([] if more is None else [more])]
         return np.array([column[self.seen] for column in columns])
+
+
+@cache
+def _spread_over(count: int) -> Ints:
+    """Return at most SEEN of so many numbers; to be read, not changed."""
+    if count <= SEEN:
+        return np.arange(count)
+    within = np.random.default_rng(0).random(SEEN)
+    return np.asarray((np.arange(SEEN) + within) * count / SEEN, dtype=np.int64)
 
 
 class Alike(NamedTuple):

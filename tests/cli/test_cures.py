@@ -35,7 +35,9 @@ COMMAND = re.compile(rf"\bcyclekit (?:{'|'.join(ORDER)})\b[^`\n,;()]*")
 
 @cache
 def trees() -> list[ast.Module]:
-    return [ast.parse(file.read_text(encoding="utf-8")) for file in SOURCES]
+    """Return the sources that may advise something, parsed."""
+    texts = (file.read_text(encoding="utf-8") for file in SOURCES)
+    return [ast.parse(text) for text in texts if any(word in text for word in ("cyclekit ", "command_line", "cure"))]
 
 
 def text_of(node: ast.AST) -> str:

@@ -34,7 +34,7 @@ def notes_of(dataset: Dataset) -> dict[str, dict[str, object]]:
 
 @pytest.fixture(scope="module")
 def forgotten(cells: Cells, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return without_frame(cells.logs("box-picking", 8), tmp_path_factory.mktemp("forgotten"))
+    return without_frame(cells.logs("box-picking", 6), tmp_path_factory.mktemp("forgotten"))
 
 
 def test_a_forgotten_frame_is_proposed_from_the_slow_downs(forgotten: Dataset):

@@ -26,7 +26,7 @@ from cyclekit_sim.coupled_list import listed_conditions, task_plan
 if TYPE_CHECKING:
     from pathlib import Path
 
-EXECUTIONS = 3
+EXECUTIONS = 2
 
 
 @pytest.fixture(scope="module", params=COUPLED)

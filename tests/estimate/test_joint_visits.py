@@ -115,6 +115,17 @@ def test_a_walk_that_ended_after_its_execution_counts(
     assert {visit.place for visit in found.orders["1"]} <= {"inbound", "out_left_1"}
 
 
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_seldom_way_on_which_a_stay_was_missed_takes_as_long_as_others(
+    logged: Dataset, monkeypatch: pytest.MonkeyPatch, lost: bool
+) -> None:
+    """The tracker lost him at the fixture once, so he seemed to walk from bench to shelf for eight seconds."""
+    stays = [("inbound", 2.0), ("out_left_1", 6.0), ("rest", 2.0)] * 6
+    found = one_track(logged, monkeypatch, stays, None, missed=[7], lost=lost)
+    assert 0.5 < np.median(found.durations_s(found.walk("inbound", "rest"))) < 2.0
+    assert len(found.walk("inbound", "out_left_1")) == 5
+
+
 def test_who_idles_after_an_execution_is_on_no_walk(logged: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     stays = (("inbound", 3.0), ("out_left_1", 2.0))
     found = one_track(logged, monkeypatch, stays, None, walks_s=60.0, until_s=5.0)

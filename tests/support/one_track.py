@@ -12,7 +12,7 @@ import polars as pl
 from cyclekit.estimate.joint.visits import Segments
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     import pytest
 
@@ -30,6 +30,8 @@ def one_track(
     *,
     walks_s: float = 1.0,
     until_s: float = np.inf,
+    missed: Collection[int] = (),
+    lost: bool = False,
 ) -> Segments:
     """Return the segments of execution "1": stays at places of a dataset for some seconds each, walks between.
 
@@ -40,11 +42,15 @@ def one_track(
         coupling: Who waits for whom.
         walks_s: Duration of each walk, s.
         until_s: When the execution ends, s; its tasks go on.
+        missed: Numbers of the stays that are not known as such.
+        lost: Whether the tracker loses him at each arrival.
     """
     at_s, rows, where = 0.0, list[tuple[object, ...]](), list[np.ndarray]()
-    for name, stays_s in stays:
-        rows.append(("operator", None, "1", len(rows), name, at_s, at_s + stays_s))
-        where += [np.array(logged.human_places[name].xyz_m)] * round((stays_s + walks_s) * logged.rate_hz)
+    for number, (name, stays_s) in enumerate(stays):
+        if number not in missed:
+            rows.append(("operator", None, "1", len(rows), name, at_s, at_s + stays_s))
+        there = [np.array(logged.human_places[name].xyz_m)] * round((stays_s + walks_s) * logged.rate_hz)
+        where += [np.full(3, np.nan), *there[1:]] if lost else there
         at_s += stays_s + walks_s
     visits = pl.DataFrame(rows, COLUMNS, orient="row")
     execution = msgspec.structs.replace(logged.card.executions[0], execution="1", complete=True, reference=False)

@@ -34,6 +34,8 @@ STANDS_M = 0.15
 """Maximum distance, m, from his last position at which the operator stands there."""
 MIN_FIRST = 3
 """Minimum number of executions that begin with a place; with fewer, those with it as second place count as well."""
+MIN_OFTEN = 5
+"""Minimum number of walks on a way, below which those that took too long do not count."""
 STRAIGHT = 16
 """Number of straight walks of different duration generated for a way that was never logged."""
 
@@ -105,6 +107,7 @@ class Segments:
         self.orders = self._tasks()
         self._pace = self._paces()
         self._add_cut_off(cut_off, tracks)
+        self._drop_longer()
 
     def walk(self, start: str, goal: str) -> Ints:
         """Return the numbers of walks between two places; `start` is empty at the start of an execution.
@@ -322,9 +325,8 @@ class Segments:
 
     def _paces(self) -> tuple[float, float, Vector]:
         """Return the duration of walks, s: constant part, time per metre, and quantiles of the residuals."""
-        walks = self._logged_walks()
-        parts = [self._parts[number] for number in walks]
-        far = np.array([float(np.linalg.norm(part[-1, :2] - part[0, :2])) for part in parts])
+        ways = [(way, number) for way, numbers in self._ways.items() if self._leads_on(way) for number in numbers]
+        walks, far = [number for _, number in ways], np.array([self._far_m(*each) for each in ways])
         took = self.durations_s(np.array(walks, dtype=np.int64))
         if len(walks) < MIN_WALKS or far.std() < MIN_M:
             return 0.0, 1.0 / WALK_M_S, np.zeros(1)
@@ -332,10 +334,28 @@ class Segments:
         least = float(took.mean() - per_m * far.mean())
         return least, per_m, np.sort(took - least - per_m * far)
 
-    def _logged_walks(self) -> list[int]:
-        return [
-            number for (start, goal), numbers in self._ways.items() if start and start != goal for number in numbers
-        ]
+    def _leads_on(self, way: tuple[str, str]) -> bool:
+        return bool(way[0]) and way[0] != way[1]
+
+    def _far_m(self, way: tuple[str, str], number: int) -> float:
+        """Return how far a walk led, m; by its places where the operator was not seen at both ends."""
+        far_m = float(np.linalg.norm(self._parts[number][-1, :2] - self._parts[number][0, :2]))
+        begin, end = (np.array(self._places[place].xyz_m[:2]) for place in way)
+        return far_m if np.isfinite(far_m) else float(np.linalg.norm(end - begin))
+
+    def _drop_longer(self) -> None:
+        """Drop the walks of seldom ways that took much longer than usual: he was somewhere on them, and not seen."""
+        least_s, per_m, beside_s = self._pace
+        seldom = [way for way, numbers in self._ways.items() if self._leads_on(way) and len(numbers) < MIN_OFTEN]
+        for way in seldom if len(beside_s) >= MIN_WALKS else ():
+            numbers = self._ways[way]
+            longest_s = [LONG * (least_s + per_m * self._far_m(way, number)) + LONG_S for number in numbers]
+            took_s = self.durations_s(np.array(numbers, dtype=np.int64)).tolist()
+            kept = [n for n, took, most in zip(numbers, took_s, longest_s, strict=True) if took <= most]
+            if kept:
+                self._ways[way] = kept
+            else:
+                del self._ways[way]
 
     def _straight(self, start: str, goal: str) -> list[int]:
         end, level = np.array(self._places[goal].xyz_m), (np.arange(STRAIGHT) + 0.5) / STRAIGHT

@@ -17,7 +17,7 @@ from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times import fit
 from cyclekit.learning.task_times.learn import learn_runs
 from cyclekit.learning.task_times.parts import task_parts
-from cyclekit.learning.task_times.rates import TaskRates, fit_rates
+from cyclekit.learning.task_times.rates import MORE, TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import DoneTask, Run
 
@@ -268,11 +268,70 @@ def test_tasks_that_show_no_such_effect_get_none(count: int) -> None:
     for seed in range(4):
         found = weld_of(pairs_of(count, law="nothing", seed=seed))
         assert (found.nth, found.nth_waiting, found.at_start) == ({}, {}, {})
+        assert (found.position, found.position_waiting, found.own_position) == ({}, {}, ())
+
+
+SLOTS_S = (3.0, 5.0, 4.0)
+"""Time of a place at the first, second and third position in its agent's order."""
+
+
+def placed_in(count: int, *, slow_at: int | None, slots: bool, seed: int = 1) -> list[Run]:
+    """The worker mounts once and packs twice, and waits after each; the arm places once and moves twice.
+
+    Args:
+        count: Number of executions.
+        slow_at: Position at which the mount, and the wait after it, slow the arm to a fifth; None = none.
+        slots: The place takes `SLOTS_S`; otherwise 4 s.
+        seed: Seed of the draws.
+    """
+    rng, found = np.random.default_rng(seed), []
+    for number in range(count):
+        mine = rng.permutation(["mount", "pack", "pack"]).tolist()
+        worker = tuple(DoneTask(task, 7.0 * at, 7.0 * at + 5.0, 7.0 * at) for at, task in enumerate(mine))
+        at = mine.index("mount")
+        slow = 0.2 if at == slow_at else 1.0
+        edges = [(7.0 * at, 1.0), (7.0 * at + 7.0, slow), (np.inf, 1.0)]
+        arm, t = [], float(rng.uniform(0.0, 6.0))
+        for position, task in enumerate(rng.permutation(["place", "move", "move"]).tolist()):
+            work = (SLOTS_S[position] if slots and task == "place" else 4.0) * np.exp(0.03 * rng.standard_normal())
+            begins = t
+            t = _end(t, work, edges)
+            arm.append(DoneTask(task, begins, t))
+        found.append(Run(str(number), {"arm": tuple(arm), "worker": worker}, number))
+    return found
+
+
+def took_s(model: TaskModelCard, arm: list[str], worker: list[str], begins_s: float) -> list[float]:
+    """Return the mean time of each task of the arm; its first begins at `begins_s`, the worker's every 7 s."""
+    plan = [PlannedTask("arm", task, not_before_s=None if at else begins_s) for at, task in enumerate(arm)]
+    plan += [PlannedTask("worker", task, not_before_s=7.0 * at) for at, task in enumerate(worker)]
+    rolled = roll_plan(model, plan, cycles=200)
+    return (rolled.end_s - rolled.start_s).mean(axis=0)[: len(arm)].tolist()
+
+
+def test_where_another_is_in_his_order_may_slow_a_task_also_while_he_waits() -> None:
+    model = learn_runs(placed_in(60, slow_at=0, slots=False), AGENTS, folds=0)
+    move = next(task for task in model.tasks if task.task == "move")
+    assert move.position
+    assert move.position_waiting
+    first, _ = took_s(model, ["move", "move"], ["mount", "pack", "pack"], 0.0)
+    assert first == pytest.approx(7.0 + 4.0 - 7.0 * 0.2, rel=0.1)  # slow until the next pack
+    later, _ = took_s(model, ["move", "move"], ["pack", "mount", "pack"], 7.5)
+    assert later == pytest.approx(4.0, rel=0.1)
+
+
+def test_a_task_may_take_longer_at_its_own_position() -> None:
+    model = learn_runs(placed_in(40, slow_at=None, slots=True), AGENTS, folds=0)
+    for at, slot_s in enumerate(SLOTS_S):
+        arm = ["move", "move"]
+        arm.insert(at, "place")
+        assert took_s(model, arm, ["pack", "mount", "pack"], 1.0)[at] == pytest.approx(slot_s, rel=0.05)
+    assert next(task for task in model.tasks if task.task == "move").own_position == ()
 
 
 def test_the_maximum_is_found_in_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Effects whose spreads differ by a factor of a thousand need no hundreds of steps."""
-    parts = task_parts(runs_of(60, second=0.4, waiting=0.5), *WELD).without(("nth", "nth waiting", "at start"))
+    parts = task_parts(runs_of(60, second=0.4, waiting=0.5), *WELD).without({kind for kinds in MORE for kind in kinds})
     spreads = fit.SPREADS | {"later": 1e-3, "previous": 1e-4, "turn": 1e-4}
     prior = np.array([spreads[kind] for kind in parts.kinds])
     steps, density = [], fit._density

@@ -68,6 +68,37 @@ def test_plans_have_the_numbers_of_the_library(tab, tmp_path):
     plans_are_the_same(tab, tmp_path, model, sequences)
 
 
+def placed_rows() -> list[Row]:
+    """Return 60 executions: a mount at the first position, and the wait after it, slow the arm; places have slots."""
+    rng = np.random.default_rng(4)
+    rows: list[Row] = []
+    for run in range(60):
+        human = rng.permutation(OPERATOR).tolist()
+        rows += [(run, "human", task, 7.0 * at, 7.0 * at + rng.uniform(4.5, 5.5)) for at, task in enumerate(human)]
+        t = rng.uniform(0.0, 6.0)
+        for position, task in enumerate(rng.permutation(["place", "move", "move"]).tolist()):
+            work, begins = ((3.0, 5.0, 4.0)[position] if task == "place" else 4.0) * rng.uniform(0.97, 1.03), t
+            slow_s = min(max(7.0 - t, 0.0), work / 0.2) if human[0] == "mount" else 0.0
+            t = begins + slow_s + work - 0.2 * slow_s
+            rows.append((run, "arm", task, begins, t))
+    return rows
+
+
+def test_plans_whose_positions_matter_have_the_numbers_of_the_library(tab, tmp_path):
+    model = model_of(placed_rows(), tmp_path)
+    assert any(task.position and task.position_waiting for task in model.card.tasks)
+    assert any(task.own_position for task in model.card.tasks)
+    sequences = [
+        TaskSequence.of_plan(
+            f"{arm[0]} {human[0]}",
+            [*(PlannedTask("arm", t) for t in arm), *(PlannedTask("human", t, 7.0 * n) for n, t in enumerate(human))],
+        )
+        for arm in (["place", "move", "move"], ["move", "place", "move", "place"])
+        for human in (OPERATOR, ["pack", "mount", "mount"])
+    ]
+    plans_are_the_same(tab, tmp_path, model, sequences)
+
+
 def fed_rows() -> list[Row]:
     """Return 40 executions of a robot whose loads begin with a part of a conveyor."""
     rng = np.random.default_rng(2)

@@ -178,6 +178,7 @@ def plans_are_the_same(
     for wanted in estimate_cycles(model, Dataset.open(folder / "dataset"), sequences, takt_s=20.0):
         played = [
             {"agent": task.agent, "asked": task.agent, "name": task.name, "after": task.after}
+            | ({} if task.not_before_s is None else {"not_before_s": task.not_before_s})
             for task in plans[wanted.name]
         ]
         same(ask(tab, played, {}, 20.0), wanted, within=within)

@@ -97,6 +97,7 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         later: Rate in the second half of a concurrent task divided by the rate in its first half.
         waiting: Factor on the rate alone while the other agent, who has ended this task, waits for his next one.
         nth, nth_waiting: Factors on `rates` and `waiting` at the first, second ... occurrence of that task.
+        position, position_waiting: The same at that task's position in its agent's order: first, second ...
         at_start: Factor on the work by the concurrent task at the start.
         after: Factor on the work by the agent's previous task; "" = it is the first.
         needs: Tasks it waits for, in addition to the agent's previous task and its planned start.
@@ -105,6 +106,7 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         planned: Whether it waits for its planned start.
         parts: The parts that it waits for: the k-th start for the k-th part of the execution.
         turns: Factor on the work at the first, second ... occurrence in one execution.
+        own_position: Factor on the work at its own position in its agent's order: first, second ...
         lags_s: Time from when it might start to its start, in each repetition.
     """
 
@@ -117,9 +119,12 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
     waiting: dict[str, Rate] = field(default_factory=dict)
     nth: dict[str, tuple[Rate, ...]] = field(default_factory=dict)
     nth_waiting: dict[str, tuple[Rate, ...]] = field(default_factory=dict)
+    position: dict[str, tuple[Rate, ...]] = field(default_factory=dict)
+    position_waiting: dict[str, tuple[Rate, ...]] = field(default_factory=dict)
     at_start: dict[str, Rate] = field(default_factory=dict)
     after: dict[str, Rate]
     turns: tuple[Rate, ...] = ()
+    own_position: tuple[Rate, ...] = ()
     needs: Annotated[tuple[NeedCard, ...], Meta(max_length=4)] = ()
     joint: JointCard | None = None
     planned: bool = False

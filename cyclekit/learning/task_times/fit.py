@@ -22,6 +22,9 @@ SPREADS = {
     "nth": 0.2,
     "nth waiting": 0.2,
     "at start": 0.2,
+    "position": 0.2,
+    "position waiting": 0.2,
+    "own position": 0.1,
 }
 """Prior standard deviations of what changes the logarithm of a rate or of the work, before the logs are seen:
 
@@ -34,6 +37,10 @@ turn      the first, second ... time in an execution: the slot of a part
 nth, nth waiting
           the first, second ... time of the simultaneous task, or of the one after which its agent waits
 at start  the simultaneous task at the start, on the work
+position, position waiting
+          the position of the simultaneous task in its agent's order, or of the one after which its agent waits
+own position
+          the task's own position in its agent's order, on the work: the slot of a part
 """
 _NUMBER = {kind: number for number, kind in enumerate(SPREADS)}
 MOST = 4.0

@@ -19,7 +19,10 @@ ALONE = ""
 
 
 class Effect(NamedTuple):
-    """What changes a rate or the work: its kind, and the name and earlier occurrences of another task."""
+    """What changes a rate or the work: its kind, the name of another task, and a number of earlier tasks.
+
+    These are earlier occurrences of that task, or all earlier tasks of its agent, or of the task's own agent.
+    """
 
     kind: str
     name: str = ""
@@ -110,27 +113,32 @@ def task_parts(runs: Sequence[Run], agent: str, task: str) -> Parts:
     """Return the repetitions of one task, at least one, cut into parts."""
     done = [(run, *each) for run in runs for each in _done(run, agent, task)]
     told = [each for each in done if each[-1].counts] or [min(done, key=lambda each: each[-1].took_s)]
-    cut = [(run.number, previous, turn, _cut(run, agent, done)) for run, turn, previous, done in told]
-    every = [part for *_, some in cut for part in some]
+    cut = [_cut(run, agent, done) for run, *_, done in told]
+    every = [part for some in cut for part in some]
     on_rate = sorted({effect for _, group in every for effect in group})
     at = {effect: number for number, effect in enumerate(on_rate)}
     grid = np.zeros((len(every), len(on_rate)))
     for row, (_, group) in enumerate(every):
         grid[row, [at[effect] for effect in group]] = list(group.values())
     works = [
-        [Effect("previous", previous), Effect("turn", turn=turn), *_at_start(some[0])]
-        for _, previous, turn, some in cut
+        [
+            Effect("previous", previous),
+            Effect("turn", turn=turn),
+            Effect("own position", turn=run.tasks[agent].index(done)),
+            *_at_start(some[0]),
+        ]
+        for (run, turn, previous, done), some in zip(told, cut, strict=True)
     ]
     on_work = sorted({effect for some in works for effect in some})
     factors = np.array([[float(effect in some) for effect in on_work] for some in works])
     return Parts(
         on_rate,
         on_work,
-        np.array([number for number, *_ in cut], dtype=np.int64),
-        np.array([number for number, (*_, some) in enumerate(cut) for _ in some], dtype=np.int64),
+        np.array([run.number for run, *_ in told], dtype=np.int64),
+        np.array([number for number, some in enumerate(cut) for _ in some], dtype=np.int64),
         np.array([length_s for length_s, _ in every]),
         grid,
-        np.cumsum([len(some) for *_, some in cut]) - 1,
+        np.cumsum([len(some) for some in cut]) - 1,
         factors,
     )
 
@@ -150,10 +158,10 @@ def _done(run: Run, agent: str, task: str) -> list[tuple[int, str, DoneTask]]:
 def _cut(run: Run, agent: str, done: DoneTask) -> list[_Part]:
     """Return the parts of one repetition, ordered by time. A joint task ends as its other side does, and is alone."""
     others = [
-        (beside(name, other.task), turn, other)
+        (beside(name, other.task), turn, position, other)
         for name, some in run.tasks.items()
         if name != agent
-        for turn, other in _with_turns(some)
+        for position, (turn, other) in enumerate(_with_turns(some))
         if (name, other.task) != done.mate
     ]
     edges = (t for *_, other in others for t in (other.start_s, _half_s(other), other.end_s))
@@ -162,14 +170,16 @@ def _cut(run: Run, agent: str, done: DoneTask) -> list[_Part]:
     for start_s, end_s in pairwise(sorted({done.start_s, done.end_s, *at})):
         middle = 0.5 * (start_s + end_s)
         group: dict[Effect, float] = {}
-        for name, turn, other in others:
+        for name, turn, position, other in others:
             if other.start_s <= middle < other.end_s:
                 group |= {Effect("rates", name): 1.0, Effect("nth", name, turn): 1.0}
+                group[Effect("position", name, position)] = 1.0
                 group[Effect("later", name)] = 0.5 if middle >= _half_s(other) else -0.5
         if not group:
             group[Effect("alone", ALONE)] = 1.0
-            for name, turn in _waiting(run, agent, middle):
+            for name, turn, position in _waiting(run, agent, middle):
                 group |= {Effect("waiting", name): 1.0, Effect("nth waiting", name, turn): 1.0}
+                group[Effect("position waiting", name, position)] = 1.0
         found.append((end_s - start_s, group))
     return found
 
@@ -184,11 +194,15 @@ def _half_s(done: DoneTask) -> float:
     return 0.5 * (done.start_s + done.end_s)
 
 
-def _waiting(run: Run, agent: str, at_s: float) -> list[tuple[str, int]]:
-    """Return the last task, and its turn, of each other agent who waits at a time when none of them has a task."""
+def _waiting(run: Run, agent: str, at_s: float) -> list[tuple[str, int, int]]:
+    """Return the last task of each other agent who waits when none of them has a task, with its turn and position."""
     found = []
     for name, some in run.tasks.items():
-        past = [(beside(name, done.task), turn) for turn, done in _with_turns(some) if done.end_s <= at_s]
+        past = [
+            (beside(name, done.task), turn, position)
+            for position, (turn, done) in enumerate(_with_turns(some))
+            if done.end_s <= at_s
+        ]
         if any(done.start_s <= at_s < done.end_s for done in some):  # the other side of a joint task
             continue
         if name != agent and past and any(done.start_s > at_s for done in some):

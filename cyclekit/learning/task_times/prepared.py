@@ -37,6 +37,7 @@ class PreparedPlan:
         before: Number of the agent's previous task; -1 = none.
         next: Number of the agent's next task; -1 = none.
         turn: Number of earlier occurrences of the same task.
+        position: Number of earlier tasks of the same agent.
         needs: The tasks that must have ended.
         parts: Of tasks that wait for a part, numbers of the one that took the part before it, and of the one whose
             start makes room for it; -1 = none.
@@ -53,6 +54,7 @@ class PreparedPlan:
     before: list[int]
     next: list[int]
     turn: list[int]
+    position: list[int]
     needs: list[list[NeededTask]]
     parts: dict[int, tuple[int, int]]
     mate: list[int]
@@ -86,13 +88,17 @@ def prepared(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) -> 
     cards = [known[name, task.name] for name, task in zip(names, tasks, strict=True)]
     pairs = list(zip(names, (task.name for task in tasks), strict=True))
     turn = [pairs[:number].count(pair) for number, pair in enumerate(pairs)]
+    position = [names[:number].count(name) for number, name in enumerate(names)]
     keys = [beside(card.agent, card.task) for card in cards]
     rate, later, waiting, at_start = (
         np.array([[_log(getattr(card, kind), key) for key in keys] for card in cards])
         for kind in ("rates", "later", "waiting", "at_start")
     )
-    rate += np.array([[_nth(card.nth, *at) for at in zip(keys, turn, strict=True)] for card in cards])
-    waiting += np.array([[_nth(card.nth_waiting, *at) for at in zip(keys, turn, strict=True)] for card in cards])
+    for onto, kind, place in (
+        (rate, "nth", turn), (waiting, "nth_waiting", turn),
+        (rate, "position", position), (waiting, "position_waiting", position),
+    ):  # fmt: skip
+        onto += np.array([[_nth(getattr(card, kind), *at) for at in zip(keys, place, strict=True)] for card in cards])
     alone = np.array([_log(card.rates, ALONE) for card in cards])
     not_before = np.array([task.not_before_s or 0.0 for task in tasks])
     before = own_before(tasks)
@@ -105,7 +111,7 @@ def prepared(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) -> 
         each is not None and each.starts and other != n for n, (each, other) in enumerate(zip(joint, mate, strict=True))
     ]
     told = (rate, later, waiting, at_start, alone)
-    return PreparedPlan(cards, before, after, turn, needs, parts, mate, joined, not_before, *told)
+    return PreparedPlan(cards, before, after, turn, position, needs, parts, mate, joined, not_before, *told)
 
 
 def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
@@ -125,7 +131,7 @@ def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
 
 
 def _nth(factors: Mapping[str, Sequence[float]], name: str, turn: int) -> float:
-    """Return the log factor at an occurrence of a task; 0 if it was not logged."""
+    """Return the log factor at an occurrence or position of a task; 0 if it was not logged."""
     mine = factors.get(name, ())
     return float(np.log(mine[turn])) if turn < len(mine) else 0.0
 

@@ -5,8 +5,9 @@ another agent: work = integral of the rate over time. The work of a task's repet
 maximum-a-posteriori estimates with a prior of rates around 1, because few overlaps carry little information. How far
 rates spread around 1 is estimated from all tasks together (marginal likelihood in Laplace's approximation, updates of
 MacKay 1992, "Bayesian interpolation"), so that what changes nothing in a cell is shrunk to nothing. Which
-occurrence of another task it is, and which task runs at the start, matter to few tasks: such effects are added to a
-task only if they make its repetitions clearly more likely (marginal likelihood). The
+occurrence of another task it is, which task runs at the start, and at which position in its agent's order a task is
+(the slot of a part), matter to few tasks: such effects are added to a task one kind after the other, each only if it
+makes the task's repetitions clearly more likely (marginal likelihood). The
 density of the end time contains the rate at the end as a factor; without it, a task that overlaps more only because it
 lasted longer would seem slowed. Such coefficients are published for pairs of tasks (arXiv 2503.07238, one factor of the
 whole duration per pair); rates over time need no pair to overlap fully.
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 ROUNDS = 20
 """Number of times that rates and spreads are estimated in turn: with few, effects that do not exist remain."""
+MORE_ROUNDS = 6
+"""The same for the effects of a single task, whose spreads begin near their end."""
 STEPS = 10
 """Number of updates of the spreads each time."""
 SPREADS_COUNT = 0.01
@@ -38,10 +41,16 @@ MOST_SPREAD = 2.0
 """Maximum estimated spread, as a multiple of these: tasks that always run alike determine none."""
 SPREADS_LIKE = 4.0
 """Weight of all tasks' spread in that of a task with more effects, as a number of effects."""
-MORE = (("nth", "nth waiting"), ("at start",), ("nth", "nth waiting", "at start"))
-"""Kinds of effects that are added to single tasks."""
-MIN_GAIN = 3.0
-"""Minimum gain in log marginal likelihood by them."""
+MORE = {
+    ("nth", "nth waiting"): 3.0,
+    ("at start",): 3.0,
+    ("position", "position waiting"): 5.0,
+    ("own position",): 5.0,
+}
+"""Kinds of effects that are added to single tasks, with the minimum gain in log marginal likelihood.
+
+Positions are more than occurrences, so with few executions they more often seem to matter.
+"""
 
 
 @dataclass(frozen=True)
@@ -53,9 +62,11 @@ class TaskRates:
         later: Rate in the second half of a simultaneous task divided by the rate in its first half.
         waiting: Factor of the rate alone while another agent, who has ended this task, waits for his next one.
         nth, nth_waiting: Factors of `rates` and `waiting` at the first, second ... occurrence of that task.
+        position, position_waiting: The same at that task's position in its agent's order: first, second ...
         at_start: Factor of the work by the name of the simultaneous task at the start.
         after: Factor of the work by the agent's previous task; "" = it is the first.
         turns: Factor of the work at the first, second ... occurrence of the task in an execution.
+        own_position: Factor of the work at the task's own position in its agent's order: first, second ...
         usual_s: Mean logged duration, s.
         work: Work of each repetition divided by these factors, s at rate 1; shape (N,).
         number: Number of the execution of each repetition, shape (N,).
@@ -66,9 +77,12 @@ class TaskRates:
     waiting: Mapping[str, float]
     nth: Mapping[str, tuple[float, ...]]
     nth_waiting: Mapping[str, tuple[float, ...]]
+    position: Mapping[str, tuple[float, ...]]
+    position_waiting: Mapping[str, tuple[float, ...]]
     at_start: Mapping[str, float]
     after: Mapping[str, float]
     turns: tuple[float, ...]
+    own_position: tuple[float, ...]
     usual_s: float
     work: Vector
     number: Ints
@@ -91,7 +105,7 @@ def fit_rates(runs: Sequence[Run], pairs: Iterable[tuple[str, str]]) -> dict[tup
         pairs: Agent and task; at least one execution contains it.
     """
     every = {pair: task_parts(runs, *pair) for pair in pairs}
-    plain = {pair: parts.without(MORE[-1]) for pair, parts in every.items()}
+    plain = {pair: parts.without({kind for kinds in MORE for kind in kinds}) for pair, parts in every.items()}
     spreads, best = SPREADS, {pair: begin_at(parts) for pair, parts in plain.items()}
     least = dict.fromkeys(every, -8.0)
     for _ in range(ROUNDS):
@@ -108,18 +122,22 @@ def fit_rates(runs: Sequence[Run], pairs: Iterable[tuple[str, str]]) -> dict[tup
 
 def _with_more(parts: Parts, plain: _Fit) -> tuple[Parts, Vector]:
     """Return a fit with the further effects that the repetitions of a task show clearly, or the plain one."""
-    found = plain.parts, plain.at
-    most = evidence(plain.parts, plain.at, plain.spreads) + MIN_GAIN
-    tried = [plain.parts.effects]
-    for kinds in MORE:
-        more = parts.without(set(MORE[-1]) - set(kinds))
-        if more.effects in tried:
-            continue
-        tried.append(more.effects)
-        fit = _refitted(more, plain)
-        if (now := evidence(fit.parts, fit.at, fit.spreads)) > most:
-            found, most = (fit.parts, fit.at), now
-    return found
+    found, likely = plain, evidence(plain.parts, plain.at, plain.spreads)
+    left = {kind for kinds in MORE for kind in kinds}
+    for _ in MORE:
+        tried = []
+        for kinds, gain in MORE.items():
+            more = parts.without(left - set(kinds))
+            if len(more.effects) > len(found.parts.effects):
+                fit = _refitted(more, plain)
+                tried.append((evidence(fit.parts, fit.at, fit.spreads) - likely - gain, kinds, fit))
+        # the first of kinds that say the same, as where a task is always at the same position
+        best = max(tried, key=lambda each: round(each[0], 3), default=None)
+        if best is None or best[0] <= 0.0:
+            break
+        likely, found = likely + best[0] + MORE[best[1]], best[2]
+        left -= set(best[1])
+    return found.parts, found.at
 
 
 def _refitted(parts: Parts, plain: _Fit) -> _Fit:
@@ -128,7 +146,7 @@ def _refitted(parts: Parts, plain: _Fit) -> _Fit:
     at = np.concatenate([plain.at[:2], [known.get(effect, 0.0) for effect in parts.effects]])
     usual, log_scatter = _of_kinds(plain.spreads), plain.log_scatter
     now = usual
-    for _ in range(ROUNDS):
+    for _ in range(MORE_ROUNDS):
         at = best_at(parts, _by_kind(now), at, log_scatter)
         task = Quadratic(parts, at)
         count = SPREADS_LIKE + np.bincount(task.kinds, minlength=len(now))
@@ -180,9 +198,12 @@ def _rates(parts: Parts, at: Vector) -> TaskRates:
         waiting=_named(effects, "waiting"),
         nth=_by_turn(effects, "nth"),
         nth_waiting=_by_turn(effects, "nth waiting"),
+        position=_by_turn(effects, "position"),
+        position_waiting=_by_turn(effects, "position waiting"),
         at_start=_named(effects, "at start"),
         after=_named(effects, "previous"),
         turns=_by_turn(effects, "turn")[""],
+        own_position=_by_turn(effects, "own position").get("", ()),
         usual_s=float(parts.dt_s.sum() / len(parts.last)),
         work=parts.work(parts.done(at[2 : 2 + k])) / np.exp(parts.factors @ at[2 + k :]),
         number=parts.number,
@@ -194,7 +215,7 @@ def _named(effects: Mapping[Effect, float], *kinds: str) -> dict[str, float]:
 
 
 def _by_turn(effects: Mapping[Effect, float], kind: str) -> dict[str, tuple[float, ...]]:
-    """Return the effects of one kind by the name of a task, in the order of its occurrences; 1 = not logged."""
+    """Return the effects of one kind by the name of a task, in the order of occurrences; 1 = not logged."""
     turns: dict[str, int] = {}
     for each in effects:
         if each.kind == kind:

@@ -139,7 +139,8 @@ def _drawn(plan: PreparedPlan, cycles: int, rng: np.random.Generator) -> tuple[F
     for number in ordered:
         card, before, turn = plan.cards[number], plan.before[number], plan.turn[number]
         factor = card.after.get("" if before < 0 else plan.cards[before].task, 1.0)
-        factor *= card.turns[turn] if turn < len(card.turns) else 1.0
+        for factors, at in ((card.turns, turn), (card.own_position, plan.position[number])):
+            factor *= factors[at] if at < len(factors) else 1.0
         work[:, number] = factor * rng.choice(card.work_s, cycles)
         lag[:, number] = np.maximum(rng.choice(card.lags_s, cycles), least_lag_s(card))
         if plan.joined[number] and plan.mate[number] < number:

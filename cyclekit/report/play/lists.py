@@ -18,7 +18,10 @@ if TYPE_CHECKING:
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.play.tables import Arrays, Tables
 
-FIELDS = ("agent", "task", "usual_s", "rates", "later", "waiting", "nth", "nth_waiting", "at_start", "after", "turns")
+FIELDS = (
+    "agent", "task", "usual_s", "rates", "later", "waiting", "nth", "nth_waiting", "position", "position_waiting",
+    "at_start", "after", "turns", "own_position",
+)  # fmt: skip
 PACES = (0.8, 1.5)
 """Minimum and maximum factor on the speed of an agent."""
 

@@ -19,6 +19,7 @@ const laidOut = (tasks, asked) => {
     if (!turns.has(key)) turns.set(key, []);
     return turns.get(key).push(number) - 1;
   });
+  const position = tasks.map((task, number) => tasks.slice(0, number).filter((other) => other.agent === task.agent).length);
   const unknown = [];
   const needs = tasks.map((task, number) => {
     const nth = turn[number];
@@ -53,13 +54,14 @@ const laidOut = (tasks, asked) => {
     return turn[number] < theirs.length ? theirs[turn[number]] : number;
   });
   return {
-    cards, turn, needs, parts, unknown, mate, before: beforeEach(tasks),
+    cards, turn, position, needs, parts, unknown, mate, before: beforeEach(tasks),
     joined: cards.map(({ joint }, number) => mate[number] !== number && joint.starts),
     notBefore_s: tasks.map((task) => task.not_before_s || 0),
-    ...Object.fromEntries([["rates", "nth"], ["later"], ["waiting", "nth_waiting"], ["at_start"]].map(([kind, nth]) => [
+    ...Object.fromEntries([["rates", "nth", "position"], ["later"], ["waiting", "nth_waiting", "position_waiting"], ["at_start"]].map(([kind, nth, place]) => [
       kind, cards.map((card) => cards.map((other, m) => {
         const name = `${other.agent}: ${other.task}`;
-        return log(card[kind], name) + Math.log((nth && (card[nth][name] || [])[turn[m]]) || 1);
+        const at = (factors, number) => Math.log((factors && (card[factors][name] || [])[number]) || 1);
+        return log(card[kind], name) + at(nth, turn[m]) + at(place, position[m]);
       })),
     ])),
     alone: cards.map((card) => log(card.rates, "")),
@@ -115,7 +117,8 @@ const rolledPlan = (tasks, asked) => {
   const draws = drawsOf(plan, tasks);
   const factor = plan.cards.map((card, n) => {
     const previous = plan.before[n] < 0 ? "" : plan.cards[plan.before[n]].task;
-    return (previous in card.after ? card.after[previous] : 1) * (card.turns[plan.turn[n]] || 1) / (asked.paces[card.agent] || 1);
+    const own = (card.turns[plan.turn[n]] || 1) * (card.own_position[plan.position[n]] || 1);
+    return (previous in card.after ? card.after[previous] : 1) * own / (asked.paces[card.agent] || 1);
   });
   const start = tasks.map(() => new Float64Array(cycles));
   const end = tasks.map(() => new Float64Array(cycles));

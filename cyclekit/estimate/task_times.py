@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 CYCLES, FEW_CYCLES = 2000, 500
 """Number of cycles rolled out per plan, and at a slower pace to see what that changes."""
+SURE_BIAS = 3.0
+"""Minimum bias on held-out orders that is corrected, in standard errors: orders are few, and some errors large."""
 WHY = "tasks of both agents rolled out side by side from logged task lists"
 NOT_KNOWN = "task lists hold no positions: nothing is known of zones, distances or what the safety system did"
 AT_MEAN_PACE = "at the mean pace of the logged executions {s:.1f} s: compare past executions with that"
@@ -180,7 +182,7 @@ def _mean(
     """Return the expected duration and its 95 % interval, s.
 
     A significant bias on held-out orders is corrected. The interval covers the remaining error on held-out orders, the
-    error of finite logs, and that of the latest pace.
+    standard error of the bias, the error of finite logs, and that of the latest pace.
     """
     mean = float(durations.mean())
     if judged is None:
@@ -189,13 +191,13 @@ def _mean(
     bias = _bias(judged)
     mean /= 1.0 + bias
     rest = max(judged.order_error**2 - bias**2, 0.0)
-    error = float(np.sqrt(rest + judged.learning_error**2 + pace_error**2))
+    error = float(np.sqrt(rest + judged.within**2 + judged.learning_error**2 + pace_error**2))
     return mean, mean * (1 - Z95 * error), mean * (1 + Z95 * error)
 
 
 def _bias(judged: HeldOutCard) -> float:
     """Return the bias on held-out orders; 0 if it is not significant."""
-    return judged.bias if abs(judged.bias) > Z95 * judged.within else 0.0
+    return judged.bias if abs(judged.bias) > SURE_BIAS * judged.within else 0.0
 
 
 def _single(durations: Vector, judged: HeldOutCard | None, pace_error: float) -> Vector:

@@ -160,12 +160,14 @@ def test_of_two_robots_a_plan_says_which() -> None:
         roll_plan(model, [PlannedTask("robot", "weld")])
 
 
-def _weld_alone(orders: int, bias: float, deviations: np.ndarray, pace_error: float = 0.0) -> CycleEstimate:
+def _weld_alone(
+    orders: int, bias: float, deviations: np.ndarray, pace_error: float = 0.0, within: float = 0.001
+) -> CycleEstimate:
     """The estimate of a weld, about 5.0 +- 0.15 s, by a model with these errors on held-out orders."""
     pace = {"arm": PaceCard(law="linear", change=-0.2, first=0, last=59, error=pace_error)} if pace_error else {}
     model = structs.replace(learned_of(60), pace=pace)
     judged = HeldOutCard(
-        orders=orders, bias=bias, within=0.001, order_error=abs(bias), learning_error=0.0, deviations=tuple(deviations)
+        orders=orders, bias=bias, within=within, order_error=abs(bias), learning_error=0.0, deviations=tuple(deviations)
     )
     plan = TaskSequence.of_plan("weld", [PlannedTask("arm", "weld")])
     (found,) = estimate_plans(
@@ -182,6 +184,16 @@ def test_a_bias_on_held_out_orders_is_corrected_once() -> None:
     assert biased.expected_s == pytest.approx(plain.expected_s / 1.1)
     assert plain.quantiles_s[0.5] == pytest.approx(plain.expected_s, rel=0.01)
     assert biased.quantiles_s[0.5] == pytest.approx(biased.expected_s, rel=0.015)
+
+
+def test_a_bias_below_three_standard_errors_widens_the_interval_of_the_mean_instead() -> None:
+    scatter = np.random.default_rng(1).standard_normal(100)
+    plain, unsure, sure = (_weld_alone(50, 0.1, scatter, within=within) for within in (0.001, 0.04, 0.033))
+    assert unsure.expected_s == pytest.approx(1.1 * plain.expected_s)
+    assert sure.expected_s == pytest.approx(plain.expected_s)
+    error = (sure.expected_high_s / sure.expected_s - 1.0) / 1.96
+    assert error == pytest.approx(0.033, rel=0.01)
+    assert (unsure.expected_high_s / unsure.expected_s - 1.0) / 1.96 == pytest.approx(np.hypot(0.1, 0.04), rel=0.01)
 
 
 def test_a_bias_that_is_not_significant_does_not_shift_single_cycles() -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.estimate.statistics.resample import Z95
-from cyclekit.estimate.task_times import CYCLES, LEVELS, widening
+from cyclekit.estimate.task_times import CYCLES, LEVELS, SURE_BIAS, widening
 from cyclekit.learning.task_times.prepared import agent_of
 from cyclekit.report.play.tables import SEED
 
@@ -56,6 +56,7 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
         "widening": widening(judged),
         "pace_errors": {agent: pace.error for agent, pace in card.pace.items()},
         "sure": Z95,
+        "sure_bias": SURE_BIAS,
         "takt_s": takt_s,
         "labels": {},
         "agents": dict(card.agents),

@@ -208,7 +208,7 @@ const rolledPlan = (tasks, asked) => {
   return { plan, start, end, decides };
 };
 
-const biasOf = (check) => (Math.abs(check.bias) > facts.sure * check.within ? check.bias : 0);
+const biasOf = (check) => (Math.abs(check.bias) > facts.sure_bias * check.within ? check.bias : 0);
 
 const singleOf = (values, paceError) => { // task_times._single: ascending where it is corrected by held-out executions
   const deviations = tables.deviations;
@@ -245,7 +245,7 @@ const entryOfList = (tasks, rolled, asked) => {
   if (check) {
     const bias = biasOf(check);
     expected = usual / (1 + bias);
-    error = Math.hypot(Math.sqrt(Math.max(check.order_error ** 2 - bias ** 2, 0)), check.learning_error);
+    error = Math.hypot(Math.sqrt(Math.max(check.order_error ** 2 - bias ** 2, 0)), check.within, check.learning_error);
   }
   const factor = expected / usual;
   const paceError = paceErrorOf(tasks, asked, usual);

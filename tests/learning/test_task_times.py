@@ -262,8 +262,7 @@ def test_a_task_that_takes_longer_each_time_in_an_execution_is_learned_so(tmp_pa
     card = learn_runs(*logged_runs(listed(tmp_path, 4, options)), folds=0)
     rolled = roll_plan(card, [PlannedTask("worker", "pack")] * 3, cycles=500)
     took = (rolled.end_s - rolled.start_s).mean(axis=0)
-    assert took[1] / took[0] == pytest.approx(1.2, abs=0.05)
-    assert took[2] / took[0] == pytest.approx(1.4, abs=0.07)
+    assert took[1:] / took[0] == pytest.approx([1.2, 1.4], abs=0.06)
 
 
 @pytest.mark.slow
@@ -277,9 +276,8 @@ def test_where_the_operator_becomes_quicker_a_plan_takes_what_it_takes_now(tmp_p
     true_s = np.mean(fresh_durations(order, cycles=200, seed=1, options=options))
     assert found[0].expected_s == pytest.approx(true_s, rel=0.04)
     assert any("worker becomes" in text and "quicker over 40 executions" in text for text in found[0].warnings)
-    past = [
-        fresh_durations(order, cycles=100, seed=1, options=ListOptions(drift=drift)) for drift in (0.0, 0.1, 0.2, 0.3)
-    ]
+    drifts = [ListOptions(drift=drift) for drift in (0.0, 0.1, 0.2, 0.3)]
+    past = [fresh_durations(order, cycles=100, seed=1, options=each) for each in drifts]
     assert found[0].mean_pace_s == pytest.approx(np.mean(past), rel=0.04)
     assert any(f"mean pace of the logged executions {found[0].mean_pace_s:.1f} s" in each for each in found[0].warnings)
 
@@ -375,8 +373,7 @@ def test_the_report_of_task_lists_holds_today_and_plans_against_the_takt(coupled
     assert found["verdict"]["today"]["executions"] == 40  # all do the same work
     mean_s = logged.executions["duration_s"].mean()
     assert found["verdict"]["today"]["mean_s"] == pytest.approx(mean_s)
-    within = float((logged.executions["duration_s"] <= 60.0).mean())
-    assert found["verdict"]["today"]["within"][0] == pytest.approx(within)
+    assert found["verdict"]["today"]["within"][0] == pytest.approx((logged.executions["duration_s"] <= 60.0).mean())
     assert found["verdict"]["best"]["sequence"] == "same"
     assert found["verdict"]["best"]["within"][0] == pytest.approx(same["takt_probability"][0])
     assert found["verdict"]["best"]["saves_s"] == pytest.approx(mean_s - same["expected_s"])

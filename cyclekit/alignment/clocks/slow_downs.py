@@ -132,7 +132,8 @@ def rough_lag(people: Sequence[Points], tcp_m: Points, scaling: Vector, *, step_
     reach, count = round(REACH_S / step_s), max((len(track) for track in people), default=0)
     least = MIN_SHARE * min(1.0, count / max(len(tcp_m), 1)) * len(rows)
     lags = np.arange(-min(reach, count), min(reach, len(tcp_m)) + 1)
-    score = np.array([_agreement(people, tcp_m[rows], 1.0 - scaling[rows], rows - lag, least) for lag in lags])
+    tracks, at_m = [np.asfortranarray(track) for track in people], np.asfortranarray(tcp_m[rows])  # 3 times as fast
+    score = np.array([_agreement(tracks, at_m, 1.0 - scaling[rows], rows - lag, least) for lag in lags])
     if not np.isfinite(score).any() or float(np.nanmax(score)) < TOO_WEAK:
         return None
     best = int(np.nanargmax(score))
@@ -145,15 +146,16 @@ def rough_lag(people: Sequence[Points], tcp_m: Points, scaling: Vector, *, step_
 
 
 def _agreement(people: Sequence[Points], tcp_m: Points, slow: Vector, rows: Ints, least: float) -> float:
-    """Return Pearson's correlation of "near" with "slow", with the people at `rows` of their log."""
-    inside = (rows >= 0) & (rows < max((len(track) for track in people), default=0))
-    if inside.sum() < max(least, 20):
+    """Return Pearson's correlation of "near" with "slow", with the people at `rows`, which ascend, of their log."""
+    first, last = np.searchsorted(rows, (0, max((len(track) for track in people), default=0)))
+    if last - first < max(least, 20):
         return float("nan")
-    near = np.full(int(inside.sum()), FAR_M)
+    rows, tcp_m = rows[first:last], tcp_m[first:last]
+    near = np.full(len(rows), FAR_M)
     for track in people:
-        where = in_plane(tcp_m[inside], track[rows[inside]])
-        near = np.fmin(near, np.linalg.norm(where - tcp_m[inside], axis=1))
-    a, b = -near, slow[inside]
+        x, y, z = (in_plane(tcp_m, track.T.take(rows, axis=1).T) - tcp_m).T
+        near = np.fmin(near, np.sqrt(x * x + y * y + z * z))
+    a, b = -near, slow[first:last]
     a, b = a - a.mean(), b - b.mean()
     scale = float(np.sqrt((a @ a) * (b @ b)))
     return float(a @ b) / scale if scale > 1e-9 else float("nan")
@@ -276,7 +278,8 @@ class _Fit:
     def spread_m(self) -> float:
         """The mean deviation of the distances at the present lags, m."""
         weights = [len(one.kind) for one in self.sessions]
-        spreads = [self.spreads(one)[at] for one, at in zip(self.sessions, self.at, strict=True)]
+        there = [one._replace(apart_m=one.apart_m[[at]]) for one, at in zip(self.sessions, self.at, strict=True)]
+        spreads = [self.spreads(one)[0] for one in there]
         return float(np.average(np.nan_to_num(spreads, nan=CAP_M), weights=weights)) if sum(weights) else np.inf
 
     def improve(self, shift_s: float, reach_s: float) -> None:
@@ -307,8 +310,11 @@ class _Fit:
         self.at = at
         apart = np.concatenate([one.apart_m[k] for one, k in zip(self.sessions, at, strict=True)])
         kind = np.concatenate([one.kind for one in self.sessions])
-        known = np.isfinite(apart)
-        self.usual_m = {int(k): float(np.median(apart[known & (kind == k)])) for k in np.unique(kind[known])}
+        order = np.lexsort((apart, kind))
+        order = order[np.isfinite(apart[order])]
+        kinds, first, count = np.unique(kind[order], return_index=True, return_counts=True)
+        low, high = apart[order][first + (count - 1) // 2], apart[order][first + count // 2]
+        self.usual_m = dict(zip(kinds.tolist(), ((low + high) / 2.0).tolist(), strict=True))  # medians
 
     def spreads(self, session: _Session) -> Vector:
         """Return the mean deviation of the distances from the usual ones at each lag of a session, shape (L,), m."""

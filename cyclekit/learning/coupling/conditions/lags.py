@@ -194,22 +194,26 @@ class _Kernels(NamedTuple):
 def _kernels(known: bytes, width: float, irregular: float) -> _Kernels:
     """Return the kernels of K known times, given as bytes, with a width; to be read, not changed."""
     times = np.frombuffer(known)
-    rows = _above_diagonal(len(times))  # the rest mirrors it
-    apart = times[rows[0]] - times[rows[1]]
+    row, column, above, mirrored = _off_diagonal(len(times))
+    apart = times.take(row) - times.take(column)
     pdf, cdf = np.zeros(len(apart)), np.zeros(len(apart))
     for part, scale in ((1.0 - irregular, width), (irregular, WIDE * width)):
         z = apart / scale
         pdf += part * np.exp(-0.5 * z * z) / (scale * np.sqrt(2.0 * np.pi))
         cdf += part * ndtr(z)
     density, below = np.zeros((len(times), len(times))), np.full((len(times), len(times)), 0.5)
-    density[rows], below[rows] = pdf, cdf
-    density.T[rows], below.T[rows] = pdf, 1.0 - cdf
+    density.put(above, pdf)
+    density.put(mirrored, pdf)
+    below.put(above, cdf)
+    below.put(mirrored, 1.0 - cdf)
     return _Kernels(density, below)
 
 
 @lru_cache(maxsize=REMEMBERED)
-def _above_diagonal(count: int) -> tuple[Ints, Ints]:
-    return np.triu_indices(count, 1)
+def _off_diagonal(count: int) -> tuple[Ints, Ints, Ints, Ints]:
+    """Return rows and columns above the diagonal of a matrix (count, count), their places if flat, and the mirrored."""
+    row, column = np.triu_indices(count, 1)
+    return row, column, row * count + column, column * count + row
 
 
 _remembered = lru_cache(maxsize=REMEMBERED)(_kernels)

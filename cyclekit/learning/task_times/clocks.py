@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Wait
     from cyclekit.learning.task_times.runs import DoneTask, Run
-    from cyclekit.schema import Bools, Ints, Vector
+    from cyclekit.schema import Bools, Vector
 
 MOST_S, STEP_S = 6.0, 0.3
 """Maximum amount of a clock, s, and step of the amounts tried: below the range in which a condition is found."""
@@ -105,11 +105,15 @@ class _Tasks:
         for one in self.every:
             for need in self.others[one.agent]:
                 one.ends_s(need)
-        self._number = {run.name: number for number, run in enumerate(runs)}
+        self._count = len(runs)
+        number = {run.name: number for number, run in enumerate(runs)}
+        self._row = {
+            (one.agent, one.task): np.array([number[each.run.name] for each in one.seen]) for one in self.every
+        }
 
     def amount_s(self, agent: str) -> Vector:
         """Return what puts the clock of an agent right in each execution, shape (runs,), s."""
-        none = np.zeros(len(self._number))
+        none = np.zeros(self._count)
         best = self._constant(agent, none, EARLY_S)
         changing = self._followed(agent, self._constant(agent, none, EARLY_CHANGING_S))
         if changing.gain > best.gain + GAIN + GAIN_PER_EXECUTION * len(none):
@@ -145,14 +149,11 @@ class _Tasks:
 
     def _moved(self, one: Waiting, agent: str, amount_s: Vector, early_s: float) -> Waiting:
         """Return the starts of a task, without conditions, with amounts added to the times of an agent."""
-        by_s = amount_s[self._rows(one)]
+        by_s = amount_s[self._row[one.agent, one.task]]
         ends = {
             key: ends_s + by_s * (int(key[0] == agent) - int(one.agent == agent)) for key, ends_s in one.ends.items()
         }
         return replace(one, found=[], ends=ends, early_s=early_s)
-
-    def _rows(self, one: Waiting) -> Ints:
-        return np.array([self._number[each.run.name] for each in one.seen])
 
     def _followed(self, agent: str, found: _Searched) -> _Searched:
         """Return the conditions with the clock put right by what the lags of those found tell in each execution."""
@@ -160,7 +161,7 @@ class _Tasks:
             off: list[list[float]] = [[] for _ in found.amount_s]
             for one, lag_s, decided in _lags(agent, found):
                 late = (lag_s - np.median(lag_s)) * (1.0 if one.agent == agent else -1.0)
-                for row, by in zip(self._rows(one)[decided].tolist(), late.tolist(), strict=True):
+                for row, by in zip(self._row[one.agent, one.task][decided].tolist(), late.tolist(), strict=True):
                     off[row].append(by)
             seen = np.array([row for row, some in enumerate(off) if some])
             if len(seen) < NEAR:

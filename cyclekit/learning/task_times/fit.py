@@ -64,7 +64,7 @@ def best_at(parts: Parts, spreads: Mapping[str, float], begin: Vector, least: fl
 
     The log spread is at least `least`: effects fitted to few repetitions leave too little of it.
     """
-    from scipy.optimize import minimize  # slow to import, and only needed for task lists
+    from scipy.optimize import fmin_l_bfgs_b  # slow to import, and only needed for task lists
 
     prior = np.array([spreads[kind] for kind in parts.kinds])
     begin = np.concatenate([begin[:1], [max(begin[1], least)], begin[2:]])
@@ -77,11 +77,11 @@ def best_at(parts: Parts, spreads: Mapping[str, float], begin: Vector, least: fl
         value, slope = _density(begin + steps @ along, parts, prior)
         return value, steps.T @ slope
 
-    best = begin + steps @ minimize(density, np.zeros(len(begin)), jac=True, method="L-BFGS-B", bounds=bounds).x
+    best = begin + steps @ fmin_l_bfgs_b(density, np.zeros(len(begin)), bounds=bounds)[0]
     if np.abs(best[2:]).max() <= MOST:
         return np.asarray(best)
     bounds = [free, (least, MOST_LOG_SPREAD), *[(-MOST, MOST)] * len(prior)]
-    return np.asarray(minimize(_density, begin, args=(parts, prior), jac=True, method="L-BFGS-B", bounds=bounds).x)
+    return np.asarray(fmin_l_bfgs_b(_density, begin, args=(parts, prior), bounds=bounds)[0])
 
 
 def _steps(parts: Parts, prior: Vector, at: Vector) -> Floats:

@@ -41,22 +41,32 @@ def find_partly(one: Waiting, others: Sequence[NeedCard]) -> None:
     open_to = [need for need in others if need.task not in one.barred]
     while len(one.found) < MAX_CONDITIONS:
         known = {(each.agent, each.task) for each in one.found if each}
-        tried = [_tried(one, need) for need in open_to if (need.agent, need.task) not in known]
+        ready = one.ready_s()
+        tried = [_tried(one, need, ready) for need in open_to if (need.agent, need.task) not in known]
         best, found = max(tried, key=lambda each: each[0], default=(-np.inf, None))
         if found is None or best < SURE * least_gain(len(open_to), len(one.seen)):
             return
         one.found.append(found)
 
 
-def _tried(one: Waiting, need: NeedCard) -> tuple[float, NeedCard]:
-    """Return the gain in regularity by a condition, and the condition with the share of starts that need it."""
-    ready, ends = one.ready_s(), one.ends_s(need)
+def _tried(one: Waiting, need: NeedCard, ready: Vector) -> tuple[float, NeedCard]:
+    """Return the gain in regularity by a condition, and the condition with the share of starts that need it.
+
+    Args:
+        one: The starts of a task.
+        need: The condition.
+        ready: When the conditions found allow each start, shape (N,), s.
+    """
+    ends = one.ends_s(need)
     late = ends > ready + DECIDED_S
     needed = late & (one.start_s >= ends - one.early_s)
+    decided = np.count_nonzero(needed)
+    share = decided / max(np.count_nonzero(late), 1)
+    if decided < MIN_DECIDED or share < NEEDED:
+        return -np.inf, need
     lag_s = one.start_s - ready
     rest_s = np.where(needed, one.start_s - ends, lag_s)
-    share = needed.sum() / max(late.sum(), 1)
-    if needed.sum() < MIN_DECIDED or share < NEEDED or not _explains(lag_s, rest_s):
+    if not _explains(lag_s, rest_s):
         return -np.inf, need
     by = len(lag_s) * float(np.log(deviation([lag_s]) / deviation([rest_s])))
     return by, structs.replace(need, needed=round(float(share), 4))

@@ -91,49 +91,52 @@ def roll_plan(
     rng = np.random.default_rng(seed)
     work, lag, gap = _drawn(plan, cycles, rng)
     since_s = _since_s(plan, cycles, rng)
-    work *= [pace.get(card.agent, 1.0) for card in plan.cards]
+    work *= np.array([pace.get(card.agent, 1.0) for card in plan.cards])[:, None]
     start, end = np.full(work.shape, np.inf), np.full(work.shape, np.inf)
     t = np.zeros(cycles)
-    half, late = 0.5 * work, np.full(work.shape, not plan.log_later.any())  # halves are no events where none matters
+    halves, at_start = bool(plan.log_later.any()), bool(plan.log_at_start.any())
+    half, late = 0.5 * work, np.full(work.shape, not halves)  # halves are no events where none matters
     held = np.zeros(work.shape, dtype=bool)  # done, but its joint task is not
     for _ in range(3 * len(tasks) + 2):
-        running = np.isfinite(start) & (start <= t[:, None]) & np.isinf(end)
-        rate = np.exp(_rates(plan, start, end, late))
+        begun, ended = np.isfinite(start), np.isfinite(end)
+        running = begun & ~ended
+        rate = np.exp(_rates(plan, begun, ended, late))
         ready = np.maximum(_ready(plan, end, since_s), _parts_s(plan, gap, start))
-        due = np.where(np.isinf(start), _together(plan, ready + lag), start) - t[:, None]
-        left_s = np.maximum(work - np.where(late, 0.0, half), 0.0) / rate
-        due = np.where(running, left_s, np.where(np.isinf(end), np.maximum(due, 0.0), np.inf))
-        due[held] = np.inf
-        step = due.min(axis=1)
-        if np.isinf(step).all():
-            break
+        left_s = np.maximum(work - np.where(late, 0.0, half) if halves else work, 0.0) / rate
+        due = np.where(running, left_s, np.maximum(_together(plan, ready + lag) - t, 0.0))
+        due[held | ended] = np.inf
+        step = due.min(axis=0)
         live = np.isfinite(step)
-        t = np.where(live, t + np.where(live, step, 0.0), t)
-        now = live[:, None] & (due <= step[:, None] + 1e-9)
-        work = np.where(running & live[:, None], work - rate * np.where(live, step, 0.0)[:, None], work)
+        if not live.any():
+            break
+        now = live & (due <= step + 1e-9)
+        step = np.where(live, step, 0.0)
+        t = t + step
+        work = np.where(running, work - rate * step, work)
         held |= now & running & late
-        end = np.where(held & held[:, plan.mate] & running, t[:, None], end)
-        begins = now & ~running & np.isinf(start)
-        start = np.where(begins, t[:, None], start)
-        others = np.isfinite(start) & np.isinf(end) & ~begins
-        factor = np.where(begins, np.exp(others @ plan.log_at_start.T), 1.0)
-        work, half = work * factor, half * factor
+        end = np.where(held & held[plan.mate] & running, t, end)
+        begins = now & ~begun
+        start = np.where(begins, t, start)
+        if at_start:
+            factor = np.where(begins, np.exp(plan.log_at_start @ (begun & np.isinf(end))), 1.0)
+            work, half = work * factor, half * factor
         late |= now & running
     usual = np.array([card.usual_s for card in plan.cards])
     if np.isinf(end).any():
-        stuck = int(np.isinf(end).any(axis=0).argmax())
-        never = "starts" if np.isinf(start[:, stuck]).any() else "ends"
+        stuck = int(np.isinf(end).any(axis=1).argmax())
+        never = "starts" if np.isinf(start[stuck]).any() else "ends"
         msg = f"{where}: {tasks[stuck].shown} never {never}: it waits for a task that waits for it"
         raise EstimateError(msg, cure="Change the order or the 'after' entries.")
-    return SimulatedPlan(tuple(tasks), start, end, usual, _decides(plan, end, since_s, _parts_s(plan, gap, start)))
+    decides = _decides(plan, end, since_s, _parts_s(plan, gap, start))
+    return SimulatedPlan(tuple(tasks), *(np.ascontiguousarray(each.T) for each in (start, end)), usual, decides.T)
 
 
 def _drawn(plan: PreparedPlan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
-    """Return work at rate 1, lag, and gap before its part of each task, shape (cycles, tasks), s.
+    """Return work at rate 1, lag, and gap before its part of each task, shape (tasks, cycles), s.
 
     The draws do not depend on the order.
     """
-    work, lag, gap = np.zeros((3, cycles, len(plan.cards)))
+    work, lag, gap = np.zeros((3, len(plan.cards), cycles))
     names = [(card.agent, card.task, turn) for card, turn in zip(plan.cards, plan.turn, strict=True)]
     ordered = sorted(range(len(names)), key=lambda each: names[each])
     for number in ordered:
@@ -141,13 +144,13 @@ def _drawn(plan: PreparedPlan, cycles: int, rng: np.random.Generator) -> tuple[F
         factor = card.after.get("" if before < 0 else plan.cards[before].task, 1.0)
         for factors, at in ((card.turns, turn), (card.own_position, plan.position[number])):
             factor *= factors[at] if at < len(factors) else 1.0
-        work[:, number] = factor * rng.choice(card.work_s, cycles)
-        lag[:, number] = np.maximum(rng.choice(card.lags_s, cycles), least_lag_s(card))
+        work[number] = factor * rng.choice(card.work_s, cycles)
+        lag[number] = np.maximum(rng.choice(card.lags_s, cycles), least_lag_s(card))
         if plan.joined[number] and plan.mate[number] < number:
-            work[:, number] = 0.0  # one side tells the time of both
+            work[number] = 0.0  # one side tells the time of both
     for number in ordered:  # at last, so that a wait that is removed changes no other draw
         if parts := plan.cards[number].parts:
-            gap[:, number] = rng.choice(parts.gap_s if plan.turn[number] else parts.first_s, cycles)
+            gap[number] = rng.choice(parts.gap_s if plan.turn[number] else parts.first_s, cycles)
     return work, lag, gap
 
 
@@ -177,64 +180,71 @@ def least_lag_s(card: TaskTimesCard) -> float:
     return -np.inf if any(need.after_s for need in card.needs) else 0.0
 
 
-def _rates(plan: PreparedPlan, start: Floats, end: Floats, late: Bools) -> Floats:
-    """Return the log rate of each task, shape (cycles, tasks), given starts, ends, and which are half over.
+def _rates(plan: PreparedPlan, begun: Bools, ended: Bools, late: Bools) -> Floats:
+    """Return the log rate of each task, shape (tasks, cycles), given which have begun, ended, and are half over.
 
     Either side of a joint task is alone beside the other.
     """
-    running = np.isfinite(start) & np.isinf(end)
-    others = running @ plan.log_rate.T + (running * np.where(late, 0.5, -0.5)) @ plan.log_later.T
-    own = running * np.diag(plan.log_rate)
-    both = running & (np.array(plan.mate) != np.arange(len(plan.mate)))
-    beside_any = running.sum(axis=1, keepdims=True) - (both & running[:, plan.mate]) > running
-    waiting = np.isfinite(end) & (np.array(plan.next) >= 0) & np.isinf(start[:, plan.next])
-    return np.asarray(np.where(beside_any, others - own, plan.alone + waiting @ plan.log_waiting.T))
+    running = begun & ~ended
+    others = plan.log_rate @ running
+    if plan.log_later.any():
+        others = others + plan.log_later @ (running * np.where(late, 0.5, -0.5))
+    own = running * np.diag(plan.log_rate)[:, None]
+    beside = running.sum(axis=0) - running
+    if plan.mate != list(range(len(plan.mate))):
+        both = running & (np.array(plan.mate) != np.arange(len(plan.mate)))[:, None]
+        beside = beside - (both & running[plan.mate])
+    alone = plan.alone[:, None]
+    if plan.log_waiting.any():
+        waiting = ended & (np.array(plan.next) >= 0)[:, None] & ~begun[plan.next]
+        alone = alone + plan.log_waiting @ waiting
+    return np.asarray(np.where(beside > 0, others - own, alone))
 
 
 def _ready(plan: PreparedPlan, end: Floats, since_s: _Since) -> Floats:
-    """Return when each task may start, shape (cycles, tasks), s; infinite while a required task has not ended."""
-    ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
-    ready = np.maximum(ends[:, plan.before], plan.not_before_s)
+    """Return when each task may start, shape (tasks, cycles), s; infinite while a required task has not ended."""
+    ends = np.concatenate([end, np.zeros((1, end.shape[1]))])
+    ready = np.maximum(ends[plan.before], plan.not_before_s[:, None])
     for (number, need), after_s in since_s.items():
         with np.errstate(invalid="ignore"):  # not needed, and has not ended
-            at_s = end[:, need] + after_s
-        ready[:, number] = np.fmax(ready[:, number], at_s)
+            at_s = end[need] + after_s
+        ready[number] = np.fmax(ready[number], at_s)
     return np.asarray(ready)
 
 
 def _parts_s(plan: PreparedPlan, gap: Floats, start: Floats) -> Floats:
-    """Return when the part of each task comes, shape (cycles, tasks), s; 0 if it waits for none.
+    """Return when the part of each task comes, shape (tasks, cycles), s; 0 if it waits for none.
 
     It is infinite while there is no room for it.
     """
     found = np.zeros(gap.shape)
     for number, (last, room) in plan.parts.items():
-        found[:, number] = gap[:, number] + (found[:, last] if last >= 0 else 0.0)
+        found[number] = gap[number] + (found[last] if last >= 0 else 0.0)
         if room >= 0:
-            found[:, number] = np.maximum(found[:, number], start[:, room])
+            found[number] = np.maximum(found[number], start[room])
     return found
 
 
 def _together(plan: PreparedPlan, at_s: Floats) -> Floats:
-    """Return the starts with joint tasks that start together put to the later one, shape (cycles, tasks), s."""
-    return np.where(plan.joined, np.maximum(at_s, at_s[:, plan.mate]), at_s)
+    """Return the starts with joint tasks that start together put to the later one, shape (tasks, cycles), s."""
+    return np.where(np.array(plan.joined)[:, None], np.maximum(at_s, at_s[plan.mate]), at_s)
 
 
 def _decides(plan: PreparedPlan, end: Floats, since_s: _Since, parts_s: Floats) -> Floats:
-    ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
-    latest = ends[:, plan.before].copy()
+    ends = np.concatenate([end, np.zeros((1, end.shape[1]))])
+    latest = ends[plan.before]
     found = np.full(end.shape, OWN)
-    later = plan.not_before_s > latest
-    found[later] = BY_PLAN
-    latest = np.maximum(latest, plan.not_before_s)
+    not_before_s = plan.not_before_s[:, None]
+    found[not_before_s > latest] = BY_PLAN
+    latest = np.maximum(latest, not_before_s)
     joined = {
         (number, plan.before[mate]): 0.0
         for number, mate in enumerate(plan.mate)
         if plan.joined[number] and plan.before[mate] >= 0
     }
     for (number, need), after_s in (since_s | joined).items():
-        later_here = end[:, need] + after_s > latest[:, number]
-        found[later_here, number] = need
-        latest[later_here, number] = (end[:, need] + after_s)[later_here]
+        later_here = end[need] + after_s > latest[number]
+        found[number, later_here] = need
+        latest[number, later_here] = (end[need] + after_s)[later_here]
     found[parts_s > latest] = BY_PART
     return found

@@ -255,11 +255,11 @@ def gain(some: Sequence[Times], early_s: float, decided: int = MIN_DECIDED) -> f
 
     It does not hold if too many starts precede it, or if it decided too few.
     """
-    start, ready, ends = (np.concatenate(each) for each in zip(*some, strict=True))
-    known = np.isfinite(ends)
-    held = start >= ends - early_s
-    alone = known & held & (ends > ready + DECIDED_S)
-    if not known.any() or held[known].mean() < HELD or alone.sum() < decided:
+    start, ready, ends = (np.concatenate(each) for each in zip(*some, strict=True)) if len(some) > 1 else some[0]
+    known, held = np.count_nonzero(np.isfinite(ends)), start >= ends - early_s  # false where it is unknown
+    if not known or np.count_nonzero(held) / known < HELD:
+        return -np.inf
+    if np.count_nonzero(held & (ends > ready + DECIDED_S)) < decided:
         return -np.inf
     before = [start - ready for start, ready, _ in some]
     after = [start - np.where(start >= ends - early_s, np.fmax(ready, ends), ready) for start, ready, ends in some]

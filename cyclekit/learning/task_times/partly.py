@@ -60,8 +60,8 @@ def _tried(one: Waiting, need: NeedCard, ready: Vector) -> tuple[float, NeedCard
     ends = one.ends_s(need)
     late = ends > ready + DECIDED_S
     needed = late & (one.start_s >= ends - one.early_s)
-    decided = np.count_nonzero(needed)
-    share = decided / max(np.count_nonzero(late), 1)
+    decided = int(needed.sum())
+    share = decided / max(int(late.sum()), 1)
     if decided < MIN_DECIDED or share < NEEDED:
         return -np.inf, need
     lag_s = one.start_s - ready

@@ -128,7 +128,8 @@ def roll_plan(
         msg = f"{where}: {tasks[stuck].shown} never {never}: it waits for a task that waits for it"
         raise EstimateError(msg, cure="Change the order or the 'after' entries.")
     decides = _decides(plan, end, since_s, _parts_s(plan, gap, start))
-    return SimulatedPlan(tuple(tasks), *(np.ascontiguousarray(each.T) for each in (start, end)), usual, decides.T)
+    start, end = np.ascontiguousarray(start.T), np.ascontiguousarray(end.T)
+    return SimulatedPlan(tuple(tasks), start, end, usual, decides.T)
 
 
 def _drawn(plan: PreparedPlan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:

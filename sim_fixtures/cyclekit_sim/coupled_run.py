@@ -167,7 +167,7 @@ class _People:
     def at(self, row: Ints, nominal_s: Array, rows_per_s: Array) -> Array:
         """Return their positions (B, 3), m."""
         row, way = table_rows(row, nominal_s, rows_per_s)
-        return np.asarray(self._xyz_m[row] + way[:, None] * self._step[row])
+        return np.asarray(self._xyz_m.take(row, axis=0) + way[:, None] * self._step.take(row, axis=0))
 
 
 def run_cells(

@@ -96,7 +96,7 @@ class Arms:
 
     def seen(self, row: Ints, way: Array, person_m: Array) -> SafetyInputs:
         """Return the inputs for robots (B,) at these table rows and persons (B, 3), m."""
-        tcp_m = self._tcp[row] + way[:, None] * self._tcp_step[row]
+        tcp_m = self._tcp.take(row, axis=0) + way[:, None] * self._tcp_step.take(row, axis=0)
         return SafetyInputs(tcp_m, person_m, lambda: self._links_m(row, way))
 
     def _links_m(self, row: Ints, way: Array) -> Array:

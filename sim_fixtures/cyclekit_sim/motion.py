@@ -68,7 +68,7 @@ def plan_moves(places: Mapping[str, Place], pairs: Iterable[tuple[str, str]]) ->
     return MotionTable(q_rad, qd_rad_s, tcp_m, turned, twist, first_row, rows, duration_s)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _move(start: Place, goal: Place) -> tuple[Array, Array, Array, Array, Array, float]:
     """Return joints, joint speeds, TCP, orientation, twist and duration of one move.
 
@@ -80,7 +80,7 @@ def _move(start: Place, goal: Place) -> tuple[Array, Array, Array, Array, Array,
     return q, qd, tcp_m, quaternion(rotation), np.einsum("tij,tj->ti", jacobian(q), qd), duration
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _joints(place: Place) -> Array:
     return reach(place)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cyclekit_sim.arm import Array
 from cyclekit_sim.program import MOVE, Ints, Program
@@ -42,43 +41,35 @@ class ProgramState:
 
     def _look_up(self) -> None:
         """Look up the properties of the running segments, valid until one of them ends."""
-        flat = self.flat
+        self._flat = flat = self._base + self.segment
+        self.running = self.segment < self._last  # which programs are unfinished (N,)
         self.row, self.rows_per_s, self._length_s = self._rows[flat], self._all_rows_per_s[flat], self._lengths_s[flat]
         self._moving = self._movings[flat]
+        self._find_waiting()
 
-    @property
-    def flat(self) -> Ints:
-        """Flat indices of the running segments (N,)."""
-        return np.asarray(self._base + self.segment)
-
-    @property
-    def running(self) -> NDArray[np.bool_]:
-        """Mask of unfinished programs (N,)."""
-        return np.asarray(self.segment < self._last)
+    def _find_waiting(self) -> None:
+        """Find the numbers of the running programs whose segment has no end yet."""
+        self.waiting = np.flatnonzero(np.isinf(self._length_s) & self.running)
 
     @property
     def share_done(self) -> float:
         """Fraction of all segments done."""
         return float(np.mean(self.segment / self._last))
 
-    @property
-    def waiting(self) -> Ints:
-        """Numbers of the running programs whose segment has no end yet."""
-        return np.flatnonzero(np.isinf(self._length_s) & self.running)
-
     def release(self, which: Ints, at_s: Array) -> None:
         """Set the real end times of the running segments of these programs; a time in the past ends them at once."""
         begin_s = np.where(self.segment[which] > 0, self.ends_s[which, self.segment[which] - 1], 0.0)
         length_s = np.maximum(at_s - begin_s, 0.0)
-        self._lengths_s[self.flat[which]] = self._length_s[which] = length_s
+        self._lengths_s[self._flat[which]] = self._length_s[which] = length_s
+        self._find_waiting()
 
     def advance(self, t_s: float, pace: Array, standing: Array | float) -> None:
         """Advance by one cycle from `t_s`: moves at the rate `pace` (N,), other segments at the rate `standing`."""
         dt, segment = self._cycle_s, self.segment
         rate = np.where(self._moving, pace, standing)
-        left = self._length_s - self.nominal_s
-        self.nominal_s = self.nominal_s + rate * dt
-        ending = rate * dt >= left
+        left, step = self._length_s - self.nominal_s, rate * dt
+        self.nominal_s = self.nominal_s + step
+        ending = step >= left
         if ending.any():
             self.segment = segment + ending
             self._look_up()

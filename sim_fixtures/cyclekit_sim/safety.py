@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -56,7 +57,11 @@ class _Steps:
 
     def allowed(self, at: SafetyInputs, margin_m: float) -> Array:
         """Return the level of the step."""
-        return np.array(self.levels)[self.step(at.tcp_m, at.person_m, margin_m)]
+        return self._levels[self.step(at.tcp_m, at.person_m, margin_m)]
+
+    @cached_property
+    def _levels(self) -> Array:
+        return np.array(self.levels)
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,11 @@ class DistanceStaircase(_Steps):
         """Return the step for the distance."""
         squares = (tcp_m - person_m) ** 2
         gamma = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2])
-        return np.asarray(np.searchsorted(np.array(self.thresholds_m) + margin_m, gamma, side="left"))
+        return np.asarray((self._thresholds_m + margin_m).searchsorted(gamma, side="left"))
+
+    @cached_property
+    def _thresholds_m(self) -> Array:
+        return np.array(self.thresholds_m)
 
 
 @dataclass(frozen=True)

@@ -99,6 +99,33 @@ def test_plans_whose_positions_matter_have_the_numbers_of_the_library(tab, tmp_p
     plans_are_the_same(tab, tmp_path, model, sequences)
 
 
+def reacting_rows() -> list[Row]:
+    """Return 40 executions: who waits for a part mounts 1 s after it has come, who comes later mounts at once."""
+    rng = np.random.default_rng(5)
+    rows: list[Row] = []
+    for run in range(40):
+        brought = np.cumsum(rng.uniform(5.0, 7.0, 3)).tolist()
+        rows += [(run, "arm", "bring", end - 5.0, end) for end in brought]
+        t, parts = 0.0, iter(brought)
+        for task in rng.permutation(["mount"] * 3 + ["pack"] * 3).tolist():
+            begins = max(t, next(parts) + rng.uniform(0.8, 1.2)) if task == "mount" else t
+            t = begins + rng.uniform(2.5, 3.5)
+            rows.append((run, "human", task, begins, t))
+    return rows
+
+
+def test_plans_in_which_he_waits_for_parts_have_the_numbers_of_the_library(tab, tmp_path):
+    model = model_of(reacting_rows(), tmp_path)
+    assert any(task.need_lags_s for task in model.card.tasks)
+    sequences = [
+        TaskSequence.of_plan(
+            human[0], [*(PlannedTask("arm", "bring") for _ in range(3)), *(PlannedTask("human", t) for t in human)]
+        )
+        for human in (["mount"] * 3 + ["pack"] * 3, ["pack"] * 3 + ["mount"] * 3)
+    ]
+    plans_are_the_same(tab, tmp_path, model, sequences)
+
+
 def fed_rows() -> list[Row]:
     """Return 40 executions of a robot whose loads begin with a part of a conveyor."""
     rng = np.random.default_rng(2)

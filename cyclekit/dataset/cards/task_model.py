@@ -108,6 +108,7 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         turns: Factor on the work at the first, second ... occurrence in one execution.
         own_position: Factor on the work at its own position in its agent's order: first, second ...
         lags_s: Time from when it might start to its start, in each repetition.
+        need_lags_s: The same where a needed task ended last, if clearly different; then `lags_s` is of the others.
     """
 
     agent: Name
@@ -130,6 +131,7 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
     planned: bool = False
     parts: PartsCard | None = None
     lags_s: Annotated[tuple[Lag, ...], Meta(min_length=1, max_length=PAST)]
+    need_lags_s: Annotated[tuple[Lag, ...], Meta(max_length=PAST)] = ()
 
     @property
     def waits_for(self) -> list[str]:

@@ -188,12 +188,13 @@ def _task(
         planned=starts.planned,
         parts=starts.parts,
         lags_s=_kept(starts.lags_s),
+        need_lags_s=_kept(starts.need_lags_s),
     )
 
 
 def _kept(values: Vector) -> tuple[float, ...]:
     """Return at most PAST of the values, evenly spaced."""
-    step = -(-len(values) // PAST)
+    step = max(-(-len(values) // PAST), 1)
     return tuple(round(float(value), 6) for value in values[::step])
 
 

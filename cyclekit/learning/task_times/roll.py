@@ -89,7 +89,7 @@ def roll_plan(
     """
     plan = prepared(model, tasks, where)
     rng = np.random.default_rng(seed)
-    work, lag, gap = _drawn(plan, cycles, rng)
+    work, lag, need_lag, gap = _drawn(plan, cycles, rng)
     since_s = _since_s(plan, cycles, rng)
     work *= np.array([pace.get(card.agent, 1.0) for card in plan.cards])[:, None]
     start, end = np.full(work.shape, np.inf), np.full(work.shape, np.inf)
@@ -101,9 +101,10 @@ def roll_plan(
         begun, ended = np.isfinite(start), np.isfinite(end)
         running = begun & ~ended
         rate = np.exp(_rates(plan, begun, ended, late))
-        ready = np.maximum(_ready(plan, end, since_s), _parts_s(plan, gap, start))
+        own_s = np.maximum(_own_s(plan, end), _parts_s(plan, gap, start)) + lag
+        ready = np.maximum(own_s, _needed_s(end, since_s) + need_lag)
         left_s = np.maximum(work - np.where(late, 0.0, half) if halves else work, 0.0) / rate
-        due = np.where(running, left_s, np.maximum(_together(plan, ready + lag) - t, 0.0))
+        due = np.where(running, left_s, np.maximum(_together(plan, ready) - t, 0.0))
         due[held | ended] = np.inf
         step = due.min(axis=0)
         live = np.isfinite(step)
@@ -127,17 +128,17 @@ def roll_plan(
         never = "starts" if np.isinf(start[stuck]).any() else "ends"
         msg = f"{where}: {tasks[stuck].shown} never {never}: it waits for a task that waits for it"
         raise EstimateError(msg, cure="Change the order or the 'after' entries.")
-    decides = _decides(plan, end, since_s, _parts_s(plan, gap, start))
+    decides = _decides(plan, end, since_s, _parts_s(plan, gap, start), lag, need_lag)
     start, end = np.ascontiguousarray(start.T), np.ascontiguousarray(end.T)
     return SimulatedPlan(tuple(tasks), start, end, usual, decides.T)
 
 
-def _drawn(plan: PreparedPlan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
-    """Return work at rate 1, lag, and gap before its part of each task, shape (tasks, cycles), s.
+def _drawn(plan: PreparedPlan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return work at rate 1, lag, lag after needed tasks, and gap before its part of each task.
 
-    The draws do not depend on the order.
+    Each has the shape (tasks, cycles), s. The draws do not depend on the order.
     """
-    work, lag, gap = np.zeros((3, len(plan.cards), cycles))
+    work, lag, need_lag, gap = np.zeros((4, len(plan.cards), cycles))
     names = [(card.agent, card.task, turn) for card, turn in zip(plan.cards, plan.turn, strict=True)]
     ordered = sorted(range(len(names)), key=lambda each: names[each])
     for number in ordered:
@@ -152,7 +153,11 @@ def _drawn(plan: PreparedPlan, cycles: int, rng: np.random.Generator) -> tuple[F
     for number in ordered:  # at last, so that a wait that is removed changes no other draw
         if parts := plan.cards[number].parts:
             gap[number] = rng.choice(parts.gap_s if plan.turn[number] else parts.first_s, cycles)
-    return work, lag, gap
+    for number in ordered:
+        card, need_lag[number] = plan.cards[number], lag[number]
+        if card.need_lags_s:
+            need_lag[number] = np.maximum(rng.choice(card.need_lags_s, cycles), least_lag_s(card))
+    return work, lag, need_lag, gap
 
 
 SHARES = 1000
@@ -202,15 +207,20 @@ def _rates(plan: PreparedPlan, begun: Bools, ended: Bools, late: Bools) -> Float
     return np.asarray(np.where(beside > 0, others - own, alone))
 
 
-def _ready(plan: PreparedPlan, end: Floats, since_s: _Since) -> Floats:
-    """Return when each task may start, shape (tasks, cycles), s; infinite while a required task has not ended."""
+def _own_s(plan: PreparedPlan, end: Floats) -> Floats:
+    """Return when each task may start by its agent and the plan, shape (tasks, cycles), s; infinite = not yet known."""
     ends = np.concatenate([end, np.zeros((1, end.shape[1]))])
-    ready = np.maximum(ends[plan.before], plan.not_before_s[:, None])
+    return np.asarray(np.maximum(ends[plan.before], plan.not_before_s[:, None]))
+
+
+def _needed_s(end: Floats, since_s: _Since) -> Floats:
+    """Return when needed tasks allow each task, shape (tasks, cycles), s; infinite while one of them has not ended."""
+    ready = np.full(end.shape, -np.inf)
     for (number, need), after_s in since_s.items():
         with np.errstate(invalid="ignore"):  # not needed, and has not ended
             at_s = end[need] + after_s
         ready[number] = np.fmax(ready[number], at_s)
-    return np.asarray(ready)
+    return ready
 
 
 def _parts_s(plan: PreparedPlan, gap: Floats, start: Floats) -> Floats:
@@ -231,21 +241,20 @@ def _together(plan: PreparedPlan, at_s: Floats) -> Floats:
     return np.where(np.array(plan.joined)[:, None], np.maximum(at_s, at_s[plan.mate]), at_s)
 
 
-def _decides(plan: PreparedPlan, end: Floats, since_s: _Since, parts_s: Floats) -> Floats:
+def _decides(
+    plan: PreparedPlan, end: Floats, since_s: _Since, parts_s: Floats, lag: Floats, need_lag: Floats
+) -> Floats:
     ends = np.concatenate([end, np.zeros((1, end.shape[1]))])
     latest = ends[plan.before]
     found = np.full(end.shape, OWN)
     not_before_s = plan.not_before_s[:, None]
     found[not_before_s > latest] = BY_PLAN
-    latest = np.maximum(latest, not_before_s)
-    joined = {
-        (number, plan.before[mate]): 0.0
-        for number, mate in enumerate(plan.mate)
-        if plan.joined[number] and plan.before[mate] >= 0
-    }
-    for (number, need), after_s in (since_s | joined).items():
-        later_here = end[need] + after_s > latest[number]
+    latest = np.maximum(latest, not_before_s) + lag
+    joined = [(n, plan.before[mate]) for n, mate in enumerate(plan.mate) if plan.joined[n] and plan.before[mate] >= 0]
+    allowed = {pair: end[pair[1]] + after_s + need_lag[pair[0]] for pair, after_s in since_s.items()}
+    for (number, need), at_s in (allowed | {pair: end[pair[1]] + lag[pair[0]] for pair in joined}).items():
+        later_here = at_s > latest[number]
         found[number, later_here] = need
-        latest[number, later_here] = (end[need] + after_s)[later_here]
-    found[parts_s > latest] = BY_PART
+        latest[number, later_here] = at_s[later_here]
+    found[parts_s + lag > latest] = BY_PART
     return found

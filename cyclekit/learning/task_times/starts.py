@@ -66,6 +66,7 @@ class Starts:
         needs: Tasks that must have ended.
         planned: Whether it waits for its planned start.
         lags_s: Lag of each logged start after its conditions, where all are known, s.
+        need_lags_s: Those after needed tasks, if they are clearly different; then `lags_s` has the others.
         parts: Parts that it waits for.
         needed: For each of `needs` that only some starts need, whether a start needed it, by the number of the
             execution and the occurrence of the task, where that is seen.
@@ -74,6 +75,7 @@ class Starts:
     needs: tuple[NeedCard, ...]
     planned: bool
     lags_s: Vector
+    need_lags_s: Vector
     parts: PartsCard | None = None
     needed: tuple[Mapping[tuple[int, int], bool], ...] = ()
 
@@ -278,6 +280,7 @@ def _told(one: Waiting, *, free: bool) -> Starts:
         one: The starts of a task.
         free: Whether it may wait for parts.
     """
+    from cyclekit.learning.task_times.lags import by_cause
     from cyclekit.learning.task_times.unseen_parts import find_unseen_parts
 
     ready, needs, flags = one.ready_s(), [], []
@@ -291,8 +294,9 @@ def _told(one: Waiting, *, free: bool) -> Starts:
             flags.append(_needed(one, need))
     parts, lags_s = find_unseen_parts(one) if free else (None, one.start_s - ready)
     if parts is None and None in one.found:  # where the plan is not logged, a wait for it looks like a lag
-        lags_s = lags_s[np.isfinite(one.planned_s)]
-    return Starts(tuple(needs), None in one.found, lags_s, parts, tuple(flags))
+        lags_s = np.where(np.isfinite(one.planned_s), lags_s, np.nan)
+    lags_s, need_lags_s = by_cause(one, lags_s)
+    return Starts(tuple(needs), None in one.found, lags_s, need_lags_s, parts, tuple(flags))
 
 
 def _needed(one: Waiting, need: NeedCard) -> dict[tuple[int, int], bool]:

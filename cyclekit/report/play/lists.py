@@ -40,8 +40,9 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
         fields = {name: getattr(task, name) for name in FIELDS}
         fields["joint"] = task.joint and {name: getattr(task.joint, name) for name in ("agent", "task", "starts")}
         found = {**fields, "needs": [_need(need) for need in task.needs], "first": first, "work": len(task.work_s)}
-        tasks.append({**found, "lags": len(task.lags_s), "parts": task.parts and _parts(task.parts)})
-        values += [*task.work_s, *task.lags_s]
+        counts = {"lags": len(task.lags_s), "need_lags": len(task.need_lags_s)}
+        tasks.append({**found, **counts, "parts": task.parts and _parts(task.parts)})
+        values += [*task.work_s, *task.lags_s, *task.need_lags_s]
         values += [*task.parts.first_s, *task.parts.gap_s] if task.parts else []
         first = len(values)
     arrays: Arrays = {"values": np.array(values, np.float32)}

@@ -88,6 +88,10 @@ const drawsOf = (plan, tasks) => { // roll._drawn: which repetition each task dr
       const { parts } = plan.cards[names[n].number];
       if (parts) some.push(drawn(names[n].turn ? parts.gaps : parts.first));
     });
+    DRAWS.get(key).forEach((some, n) => {
+      const count = plan.cards[names[n].number].need_lags;
+      if (count) some.needLag = drawn(count);
+    });
     const levels = new Map(); // roll._since_s: in which cycles a condition is needed that only some need
     DRAWS.get(key).forEach((some, n) => {
       some.often = new Map(partly[n].map(([other, , needed, together]) => {
@@ -123,7 +127,7 @@ const rolledPlan = (tasks, asked) => {
   const start = tasks.map(() => new Float64Array(cycles));
   const end = tasks.map(() => new Float64Array(cycles));
   const decides = tasks.map(() => new Int16Array(cycles));
-  const [work, half, lag, gap, begins, ends, rate, due] = Array.from({ length: 8 }, () => new Float64Array(count));
+  const [work, half, lag, needLag, gap, begins, ends, rate, due] = Array.from({ length: 9 }, () => new Float64Array(count));
   const [running, late, held] = Array.from({ length: 3 }, () => new Uint8Array(count)); // held: done, but its joint task is not
   const halves = plan.later.some((row) => row.some((value) => value !== 0)); // else they are no events
   const next = tasks.map((_, number) => plan.before.indexOf(number));
@@ -135,13 +139,13 @@ const rolledPlan = (tasks, asked) => {
   let now = 0;
   const isNeeded = (n, need) => !draws[n].often.has(need) || draws[n].often.get(need)[now];
   const readyAt = (n) => {
-    let ready = Math.max(plan.before[n] < 0 ? 0 : ends[plan.before[n]], plan.notBefore_s[n]);
-    for (const [need, after_s] of plan.needs[n]) if (isNeeded(n, need)) ready = Math.max(ready, ends[need] + after_s);
-    return Math.max(ready, partAt(n));
+    let ready = Math.max(plan.before[n] < 0 ? 0 : ends[plan.before[n]], plan.notBefore_s[n], partAt(n)) + lag[n];
+    for (const [need, after_s] of plan.needs[n]) if (isNeeded(n, need)) ready = Math.max(ready, ends[need] + after_s + needLag[n]);
+    return ready;
   };
   const startsAt = (n) => { // joint tasks that start together start when both may
-    const at_s = readyAt(n) + lag[n];
-    return plan.joined[n] ? Math.max(at_s, readyAt(plan.mate[n]) + lag[plan.mate[n]]) : at_s;
+    const at_s = readyAt(n);
+    return plan.joined[n] ? Math.max(at_s, readyAt(plan.mate[n])) : at_s;
   };
   for (let cycle = 0; cycle < cycles; cycle += 1) {
     let [t, left] = [0, count];
@@ -149,8 +153,10 @@ const rolledPlan = (tasks, asked) => {
     for (let n = 0; n < count; n += 1) {
       const card = plan.cards[n];
       work[n] = plan.joined[n] && plan.mate[n] < n ? 0 : factor[n] * tables.values[card.first + draws[n][0][cycle]];
-      lag[n] = Math.max(tables.values[card.first + card.work + draws[n][1][cycle]], card.needs.some((need) => need.after_s) ? -Infinity : 0); // roll.least_lag_s
-      if (plan.parts[n]) gap[n] = tables.values[card.first + card.work + card.lags + (plan.turn[n] ? card.parts.first : 0) + draws[n][2][cycle]];
+      const least_s = card.needs.some((need) => need.after_s) ? -Infinity : 0; // roll.least_lag_s
+      lag[n] = Math.max(tables.values[card.first + card.work + draws[n][1][cycle]], least_s);
+      needLag[n] = card.need_lags ? Math.max(tables.values[card.first + card.work + card.lags + draws[n].needLag[cycle]], least_s) : lag[n];
+      if (plan.parts[n]) gap[n] = tables.values[card.first + card.work + card.lags + card.need_lags + (plan.turn[n] ? card.parts.first : 0) + draws[n][2][cycle]];
       half[n] = work[n] / 2;
       [begins[n], ends[n], running[n], late[n], held[n]] = [Infinity, Infinity, 0, Number(!halves), 0];
     }
@@ -198,11 +204,13 @@ const rolledPlan = (tasks, asked) => {
       [start[n][cycle], end[n][cycle]] = [begins[n], ends[n]];
       let [latest, who] = [plan.before[n] < 0 ? 0 : ends[plan.before[n]], -1];
       if (plan.notBefore_s[n] > latest) [latest, who] = [plan.notBefore_s[n], -2];
+      latest += lag[n];
       const other = plan.joined[n] ? plan.before[plan.mate[n]] : -1;
-      for (const [need, after_s] of other < 0 ? plan.needs[n] : [...plan.needs[n], [other, 0]]) {
+      const needs = plan.needs[n].map(([need, after_s]) => [need, after_s + needLag[n]]);
+      for (const [need, after_s] of other < 0 ? needs : [...needs, [other, lag[n]]]) {
         if (isNeeded(n, need) && ends[need] + after_s > latest) [latest, who] = [ends[need] + after_s, need];
       }
-      decides[n][cycle] = partAt(n) > latest ? -3 : who;
+      decides[n][cycle] = partAt(n) + lag[n] > latest ? -3 : who;
     }
   }
   return { plan, start, end, decides };

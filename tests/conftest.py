@@ -15,6 +15,7 @@ from cluster import bucket, cluster, small_cell  # noqa: F401 - fixtures for eve
 from hypothesis import settings
 from known_cells import check, constant, hand_made, logged, staircase, truth  # noqa: F401
 from made_once import changed, shared_folder
+from quick_task_times import quick_task_times  # noqa: F401
 from simulated_cells import boxes, cells, large, logs, motive_log, reads, robot_log, three_runs  # noqa: F401
 
 if TYPE_CHECKING:
@@ -54,12 +55,6 @@ def _what_is_shared_stays_as_it_was(tmp_path_factory: pytest.TempPathFactory) ->
 def no_boosting(monkeypatch: pytest.MonkeyPatch) -> None:
     """Evaluations of the test leave out the rival that takes most of their time; other files look at it."""
     monkeypatch.setattr("cyclekit.learning.evaluation.evaluate._boosted", lambda *_: [])
-
-
-@pytest.fixture
-def two_folds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Task times of the test are learned three times instead of six: other files look at their held-out orders."""
-    monkeypatch.setattr("cyclekit.learning.task_times.learn.FOLDS", 2)
 
 
 @pytest.fixture

@@ -126,7 +126,7 @@ def test_convert_writes_a_task_list(cyclekit, tasks: Path, tmp_path: Path) -> No
     assert rows[0].startswith("0.5,2.5,operator,Operator,pick")
 
 
-@pytest.mark.usefixtures("two_folds")
+@pytest.mark.usefixtures("quick_task_times")
 def test_task_lists_go_from_logs_to_the_cycle_time_of_a_plan(cyclekit, tmp_path: Path) -> None:
     simulate_task_lists(tmp_path / "logs", executions=20, seed=2)
     dataset, model, file = tmp_path / "dataset", tmp_path / "model", tmp_path / "s.toml"

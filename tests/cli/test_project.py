@@ -355,7 +355,7 @@ def test_inspect_and_a_refused_estimate_say_what_to_log_next(begun: Path, cyclek
     assert cyclekit("inspect", "--json", "--quiet").document["to_log"]["executions"] == 6
 
 
-@pytest.mark.usefixtures("two_folds")
+@pytest.mark.usefixtures("quick_task_times")
 def test_a_project_of_task_lists_reports_its_plans(tmp_path: Path, monkeypatch, cyclekit: Shell) -> None:
     simulate_task_lists(tmp_path / "all", executions=8, seed=4)
     (tmp_path / "logs").mkdir()

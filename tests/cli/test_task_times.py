@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from quick_task_times import learn_quickly
 
 from cyclekit import train_task_times
 from cyclekit.ingest.ingest import ingest
@@ -19,7 +20,7 @@ def listed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     simulate_task_lists(folder / "logs", executions=15, seed=1)
     ingest([folder / "logs" / "tasks.csv"], folder / "dataset")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cyclekit.learning.task_times.learn.FOLDS", 2)  # other files look at the held-out orders
+        learn_quickly(patch)  # other files look at rates and held-out orders
         train_task_times(folder / "dataset", out=folder / "model")
     return folder
 

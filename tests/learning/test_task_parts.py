@@ -157,6 +157,7 @@ def test_a_conveyor_that_runs_on_between_executions_has_parts_ready() -> None:
     assert learn_starts(elsewhere, "arm")["load"].parts is None
 
 
+@pytest.mark.usefixtures("quick_task_times")
 def test_parts_of_a_conveyor_are_learned_from_a_task_list(tmp_path: Path) -> None:
     scene = "fed-line"
     simulate(scene, tmp_path / "logs", executions=25, seed=3, options=SimulationOptions(task_list=True))

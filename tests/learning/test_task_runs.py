@@ -71,21 +71,21 @@ def _refuse(_sequence: TaskSequence, error: Exception) -> None:
     raise error
 
 
-@pytest.mark.usefixtures("two_folds")
+@pytest.mark.usefixtures("quick_task_times")
 def test_failed_attempts_are_tasks_of_their_own_where_most_executions_have_one(tmp_path: Path) -> None:
     found = answer(listed(tmp_path, fails=0.2))
     assert found.expected_s == pytest.approx(15.2, abs=0.2)
     assert any("failed attempts are tasks of their own" in text for text in found.warnings)
 
 
-@pytest.mark.usefixtures("two_folds")
+@pytest.mark.usefixtures("quick_task_times")
 def test_executions_in_which_an_agent_does_two_tasks_at_once_are_left_out(tmp_path: Path) -> None:
     found = answer(listed(tmp_path, fails=0.0, doubled=3))
     assert (found.executions, found.expected_s) == (9, pytest.approx(15.2, abs=0.2))
     assert any("3 logged executions in which an agent does two tasks at once" in text for text in found.warnings)
 
 
-@pytest.mark.usefixtures("two_folds")
+@pytest.mark.usefixtures("quick_task_times")
 def test_an_outcome_of_which_most_tasks_would_have_failed_is_not_used(tmp_path: Path) -> None:
     dataset = listed(tmp_path, fails=0.0)
     table = pl.read_csv(tmp_path / "t.csv").with_columns(outcome=1 - pl.col("outcome"))

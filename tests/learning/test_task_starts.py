@@ -78,6 +78,7 @@ def test_nothing_is_found_where_the_robot_waits_for_no_process(lag_s: float) -> 
     assert not any(each.needs for each in of_machine(np.random.default_rng(3), 0.0, lag_s).values())
 
 
+@pytest.mark.usefixtures("quick_task_times")
 @pytest.mark.parametrize("orders", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_wait_for_a_machine_is_the_shorter_the_more_is_done_in_between(orders: int, tmp_path: Path) -> None:
     dataset, scene = listed(tmp_path, "machine-tending"), "machine-tending"
@@ -149,6 +150,7 @@ def test_a_plan_that_is_always_alike_or_is_missing_in_part_is_no_lag(missing: bo
     assert found.lags_s.max() < 0.9
 
 
+@pytest.mark.usefixtures("quick_task_times")
 def test_the_cell_file_tells_what_a_task_does_not_wait_for(tmp_path: Path) -> None:
     dataset, there = listed(tmp_path, "shared-fixture"), true_needs("shared-fixture")
     runs, agents = logged_runs(dataset)

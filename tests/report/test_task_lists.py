@@ -115,7 +115,7 @@ def test_the_order_found_has_a_column_for_each_agent() -> None:
     assert "saves 3.0 s (95 % CI 2.0 to 4.0 s)" in part.sentences[0]
 
 
-@pytest.mark.usefixtures("two_folds")
+@pytest.mark.usefixtures("quick_task_times")
 def test_with_a_model_today_stands_above_the_plans_and_the_page_is_played_with(tmp_path: Path) -> None:
     logged = _lists(tmp_path, [_usual(0.3 * (turn % 7)) for turn in range(20)])
     train_task_times(logged, out=tmp_path / "model")

@@ -48,7 +48,8 @@ MAX_HALVES_APART_M = 0.1
 """Maximum median distance between positions by the frames of two halves of the changes, m."""
 MIN_SHIFT_M = 0.1
 """Minimum median shift of positions for a proposal, m."""
-_BATCH = 128
+_BATCH = 32
+"""Number of poses that are scored at once: their distances stay in the cache of the processor."""
 
 
 @dataclass(frozen=True)
@@ -137,8 +138,11 @@ def nearest_m(tcp_m: Floats, people_m: People, poses: Poses, *, in_space: bool =
     apart = np.full((len(poses), len(tcp_m)), np.inf)
     for x, y, z in people_m.transpose(1, 2, 0):
         if np.isfinite(x).any():
-            off = np.hypot(cos * x - sin * y + x0 - tcp_m[:, 0], sin * x + cos * y + y0 - tcp_m[:, 1])
-            apart = np.fmin(apart, np.hypot(off, z + z0 - tcp_m[:, 2]) if in_space else off)
+            off_x, off_y = cos * x - sin * y + x0 - tcp_m[:, 0], sin * x + cos * y + y0 - tcp_m[:, 1]
+            square = off_x * off_x + off_y * off_y
+            if in_space:
+                square += (z + z0 - tcp_m[:, 2]) ** 2
+            apart = np.fmin(apart, np.sqrt(square))
     return apart
 
 

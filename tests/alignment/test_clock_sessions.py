@@ -176,9 +176,9 @@ def test_a_body_on_the_flange_that_the_log_does_not_hold_is_refused(few: Path, t
         ingested(few, tmp_path / "d", cell_with(few, {"same_clock_as": FLANGE.path}, unknown))
 
 
-def test_a_person_is_no_body_on_the_flange(logs: Path, tmp_path: Path):
+def test_a_person_is_no_body_on_the_flange(few: Path, tmp_path: Path):
     with pytest.raises(ConfigError, match="never agree"):
-        ingested(logs, tmp_path / "d", cell_with(logs, {"sees": "tcp"}))
+        ingested(few, tmp_path / "d", cell_with(few, {"sees": "tcp"}))
 
 
 def test_pairs_of_the_cell_file_place_the_tracker(few: Path, tmp_path: Path):
@@ -276,11 +276,11 @@ def test_coarse_alignment_touches_no_clock_that_is_known(few: Path, tmp_path: Pa
 
 @pytest.mark.parametrize(("late_s", "method"), [(5.0, "coarse"), pytest.param(0.0, "epoch", marks=pytest.mark.slow)])
 def test_coarse_alignment_on_request_corrects_a_computer_whose_clock_is_off(
-    logs: Path, tmp_path: Path, late_s: float, method: str
+    few: Path, tmp_path: Path, late_s: float, method: str
 ):
     """Both logs have time since 1970, but the tracker's computer is not synchronised."""
     folder, since_s = tmp_path / "logs", 1_700_000_000.0
-    shutil.copytree(logs, folder, ignore=shutil.ignore_patterns("flange.csv", "gripper.csv", "events.csv"))
+    shutil.copytree(few, folder, ignore=shutil.ignore_patterns("flange.csv", "gripper.csv", "events.csv"))
     session = folder / "session_000"
     robot = pl.read_csv(session / "robot.csv", separator=" ")
     robot.with_columns(pl.col("timestamp") + since_s).write_csv(session / "robot.csv", separator=" ")
@@ -291,7 +291,7 @@ def test_coarse_alignment_on_request_corrects_a_computer_whose_clock_is_off(
     rows = pl.DataFrame({"time": at, "x": x, "y": -z, "z": up}).drop_nans()
     rows.write_csv(session / "people.csv", float_precision=4)
     (session / "operator.csv").unlink()
-    cell = cell_with(logs, {}, only=False)
+    cell = cell_with(few, {}, only=False)
     columns = {name: name for name in ("time", "x", "y", "z")}
     layout = {"delimiter": ",", "clock": "epoch", "time_unit": "s", "length_unit": "m", **columns}
     tracker = Source("session_*/people.csv", adapter="csv", role="people", frame=cell.sources[1].frame, map=layout)
@@ -321,10 +321,10 @@ def test_a_clock_found_once_is_kept_with_what_was_read_and_its_warnings_are_not_
     assert len([text for text in operator.said if "reaction delay" in text]) == 1
 
 
-def test_pseudonymised_clocks_tell_no_time_and_still_find_the_flange_that_is_named(logs: Path, tmp_path: Path):
+def test_pseudonymised_clocks_tell_no_time_and_still_find_the_flange_that_is_named(few: Path, tmp_path: Path):
     known = replace(FLANGE, sees_as="Flange")
-    cell = cell_with(logs, {"same_clock_as": known.path, "start": "2026-03-02T14:03:05+01:00"}, known)
-    dataset, operator = ingested(logs, tmp_path / "d", cell, pseudonymise=True)
+    cell = cell_with(few, {"same_clock_as": known.path, "start": "2026-03-02T14:03:05+01:00"}, known)
+    dataset, operator = ingested(few, tmp_path / "d", cell, pseudonymise=True)
     assert operator.clock.method == "motion"
     assert "2026-03-02" not in json.dumps(plain(dataset.card))
 

@@ -54,9 +54,9 @@ def with_override(logs: Path, folder: Path, value: float) -> Path:
 
 
 def test_the_scaling_is_inferred_where_the_motion_shows_slow_downs(cells: Cells, tmp_path: Path):
-    logs = with_override(cells.logs(SCENE), tmp_path / "logs", 1.0)
+    logs = with_override(cells.logs(SCENE, 4), tmp_path / "logs", 1.0)
     ingest([logs], tmp_path / "dataset")
-    found, true = Dataset.open(tmp_path / "dataset"), cells(SCENE, log_override=False).dataset
+    found, true = Dataset.open(tmp_path / "dataset"), cells(SCENE, 4, log_override=False).dataset
     assert "the logged speed scaling never changes" in texts(found.card.warnings)[0]
     assert found.card.scaling_origin == "inferred"
     assert [one.places for one in found.card.executions] == [one.places for one in true.card.executions]
@@ -66,7 +66,7 @@ def test_the_scaling_is_inferred_where_the_motion_shows_slow_downs(cells: Cells,
 
 
 def test_a_robot_that_nobody_slows_keeps_its_logged_scaling(cells: Cells, tmp_path: Path):
-    logs = with_override(cells.logs(SCENE, with_operator=False), tmp_path / "logs", SET)
+    logs = with_override(cells.logs(SCENE, 2, with_operator=False), tmp_path / "logs", SET)
     for file in logs.rglob("cell.toml"):
         file.unlink()  # it names the reference runs
     ingest([logs], tmp_path / "dataset")

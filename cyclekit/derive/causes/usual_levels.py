@@ -111,8 +111,10 @@ def _node(binned: Ints, label: Ints, classes: int, every: Ints, learn: Bools) ->
     whole = np.bincount(own, minlength=classes).astype(np.float64)[None, :, None]
     counts = [np.bincount(own * BINS + column[rows], minlength=classes * BINS) for column in binned]
     low = np.cumsum(np.reshape(counts, (-1, classes, BINS)), axis=2)[:, :, :-1].astype(np.float64)
-    gain = _purity(low) + _purity(whole - low) - _purity(whole)
-    gain[np.minimum(low.sum(axis=1), (whole - low).sum(axis=1)) < MIN_ROWS] = 0.0
+    below = low.sum(axis=1)
+    above = len(rows) - below
+    gain = _purity(low, below) + _purity(whole - low, above) - _purity(whole, np.float64(len(rows)))
+    gain[np.minimum(below, above) < MIN_ROWS] = 0.0
     best, at = gain.max(axis=1), gain.argmax(axis=1)
     found = sorted(np.flatnonzero(best > 0.0).tolist(), key=lambda feature: -best[feature])  # distances before places
     for feature in found:
@@ -139,6 +141,6 @@ def _shares(label: Ints, classes: int) -> Vector:
     return np.asarray(counts / counts.sum())
 
 
-def _purity(counts: Floats) -> Floats:
-    """Return the sum over P classes of squared counts divided by their sum, for counts of shape (F, P, K): (F, K)."""
-    return np.asarray((counts**2).sum(axis=1) / np.maximum(counts.sum(axis=1), 1e-9))
+def _purity(counts: Floats, total: Floats | np.float64) -> Floats:
+    """Return the sum over P classes of squared counts, shape (F, P, K), divided by their totals, (F, K): (F, K)."""
+    return np.asarray((counts**2).sum(axis=1) / np.maximum(total, 1e-9))

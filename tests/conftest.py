@@ -16,6 +16,7 @@ from hypothesis import settings
 from known_cells import check, constant, hand_made, logged, staircase, truth  # noqa: F401
 from made_once import changed, shared_folder
 from quick_task_times import quick_task_times  # noqa: F401
+from simple_rules import simple_rules  # noqa: F401
 from simulated_cells import boxes, cells, large, logs, motive_log, reads, robot_log, three_runs  # noqa: F401
 
 if TYPE_CHECKING:

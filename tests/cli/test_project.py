@@ -25,7 +25,7 @@ from cyclekit_sim.task_lists import simulate_task_lists
 if TYPE_CHECKING:
     from .conftest import Shell
 
-pytestmark = pytest.mark.usefixtures("words_only")
+pytestmark = pytest.mark.usefixtures("words_only", "simple_rules")
 
 
 @pytest.fixture

@@ -160,9 +160,7 @@ def test_a_stop_that_lasts_until_the_reset_is_the_rule_and_its_time_is_lost_to_p
 
 
 def test_signals_of_a_log_in_which_the_clock_was_restarted_count_in_both_parts(tmp_path: Path) -> None:
-    simulate(
-        "guard-door", tmp_path / "logs", executions=8, seed=3, options=SimulationOptions(executions_per_session=5)
-    )
+    simulate("guard-door", tmp_path / "logs", executions=8, seed=3, options=SimulationOptions(executions_per_session=5))
     (log,) = (tmp_path / "logs" / "session_001").glob("robot.csv")
     rows = pl.read_csv(log, separator=" ")
     half = rows.height // 2

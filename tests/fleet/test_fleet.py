@@ -30,7 +30,7 @@ from cyclekit.report.fleet_page import CellLine, fleet_page
 if TYPE_CHECKING:
     from cyclekit.fleet import Fleet, StageResult
 
-pytestmark = pytest.mark.usefixtures("words_only")
+pytestmark = pytest.mark.usefixtures("words_only", "simple_rules")
 
 TODAY = dt.date(2026, 11, 21)
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from made_once import made_once
+from simple_rules import search_simply
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -84,7 +85,9 @@ def small_cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (folder / f"day_{number}" / "session_000").rename(folder / "logs" / f"day_{number}")
         (folder / "day_0" / "cell.toml").rename(folder / "logs" / "cell.toml")
         dataset = ingest([folder / "logs"], folder / "dataset").dataset
-        train_at(Training(str(dataset), ModelSpec.of(epochs=2), str(folder / "model")))
+        with pytest.MonkeyPatch.context() as patch:
+            search_simply(patch)
+            train_at(Training(str(dataset), ModelSpec.of(epochs=2), str(folder / "model")))
         tasks = set(Dataset.open(dataset).tasks()["task"])
         slots = [f"{side}_{number}" for side in ("left", "right") for number in range(1, 6)]
         ways = [slot for slot in slots if {f"conveyor->{slot}", f"{slot}->conveyor"} <= tasks][:4]

@@ -86,7 +86,7 @@ def _execution(
     return ExecutionVisits(name, visits, events_of(visits) | {BUTTON: at, RESET: at + 0.3})
 
 
-def _executions(seed: int, count: int = 60, **habits: float | bool) -> list[ExecutionVisits]:
+def _executions(seed: int, count: int = 40, **habits: float | bool) -> list[ExecutionVisits]:
     rng = np.random.default_rng(seed)
     courses = [_execution(rng, str(number), **habits) for number in range(count)]  # type: ignore[arg-type]
     return with_givers(courses, ())
@@ -124,7 +124,7 @@ def test_parts_without_a_signal_are_looked_for_once_at_a_place(monkeypatch: pyte
 
 
 def test_without_errands_there_are_none() -> None:
-    courses = _executions(2)
+    courses = _executions(2, 60)
     assert errand_places(courses) == ()
     assert learn_courses(courses).errands == ()
 
@@ -219,7 +219,7 @@ def _handed_over(rng: np.random.Generator, name: str) -> ExecutionVisits:
 
 def test_who_waits_aside_between_two_parts_is_on_no_trip() -> None:
     rng = np.random.default_rng(8)
-    courses = [_handed_over(rng, str(number)) for number in range(60)]
+    courses = [_handed_over(rng, str(number)) for number in range(40)]
     assert trip_places(courses) == ("aside",), "by its counts alone it could be one"
     card = learn_courses(courses)
     gate = _gate(card, "operator", "approach", "take")

@@ -148,10 +148,12 @@ def test_a_dwell_that_merely_varies_is_no_wait_for_parts(seed: int) -> None:
     assert not card.coupled
 
 
-def test_gaps_after_parts_that_the_robot_did_not_wait_for_count() -> None:
+@pytest.mark.parametrize("latest_s", [16.1, pytest.param(46.3, id="transform of odd size")])
+def test_gaps_after_parts_that_the_robot_did_not_wait_for_count(latest_s: float) -> None:
     """After a wait the robot is away for too long to see the short gaps; else it comes back soon."""
     rng = np.random.default_rng(0)
     came_s = np.array([(1.0, 16.1) if number % 3 == 0 else (10.0, 12.6) for number in range(120)])
+    came_s[1, 1] = latest_s
     parts_s = np.cumsum(np.column_stack([rng.uniform(2.7, 3.3, 120), rng.choice([11.0, 14.0], 120)]), axis=1)
     visits = PartVisits(came_s, np.maximum(came_s, parts_s) + 0.6, 0.6)
     at, first, gaps = part_gaps(visits, Times(np.array([3.0]), np.ones(1)), Times(np.array([14.0]), np.ones(1)), 2)

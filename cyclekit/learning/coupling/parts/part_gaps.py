@@ -130,7 +130,9 @@ def _expected(chains: _Chains, laws: Floats) -> Floats:
     for part in range(chains.there.shape[1]):
         some = chains.there[:, part]
         mass = (
-            law if not part else np.fft.irfft(np.fft.rfft(before[-1][some[chains.there[:, part - 1]]], size) * of_gaps)
+            law
+            if not part
+            else np.fft.irfft(np.fft.rfft(before[-1][some[chains.there[:, part - 1]]], size) * of_gaps, size)
         )
         mass = np.maximum(mass[:, : len(bins)], 0.0)
         mass = _not_before(mass, chains.room[some, part]) * _seen(chains, part, bins)
@@ -151,8 +153,8 @@ def _expected(chains: _Chains, laws: Floats) -> Floats:
             break
         later = np.fft.rfft(ahead, size)
         start = np.fft.rfft(before[part - 1][some[chains.there[:, part - 1]]], size)
-        found[1] += laws[1] * np.maximum(np.fft.irfft(np.conj(start) * later)[:, : len(bins)], 0.0).sum(axis=0)
-        after = np.maximum(np.fft.irfft(np.conj(of_gaps) * later)[:, : len(bins)], 0.0)
+        found[1] += laws[1] * np.maximum(np.fft.irfft(np.conj(start) * later, size)[:, : len(bins)], 0.0).sum(axis=0)
+        after = np.maximum(np.fft.irfft(np.conj(of_gaps) * later, size)[:, : len(bins)], 0.0)
     return found
 
 

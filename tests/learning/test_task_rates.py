@@ -8,6 +8,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 from msgspec import structs
+from scipy.special import ndtri
 
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.cards.task_model import HeldOutCard, PaceCard, TaskModelCard
@@ -216,6 +217,17 @@ def test_few_held_out_executions_that_scatter_more_than_the_rollout_widen_single
     usual_s = width_s(2, 3.0)  # of so few orders the scatter is not known
     assert width_s(6, 0.3) == pytest.approx(usual_s)
     assert width_s(6, 3.0) == pytest.approx(3.0 * usual_s * 2.015 / 1.645, rel=0.01)
+
+
+def test_rolled_out_cycles_count_beside_held_out_executions_that_do_not_scatter_more() -> None:
+    def width_s(spread: float) -> float:
+        scatter = np.random.default_rng(1).permutation(ndtri((np.arange(60) + 0.5) / 60))
+        single = _weld_alone(60, 0.0, spread * scatter).quantiles_s
+        return single[0.95] - single[0.05]
+
+    usual_s = width_s(1.0)
+    assert 0.8 < width_s(0.7) / usual_s < 0.95
+    assert width_s(1.6) == pytest.approx(1.6 * usual_s, rel=0.1)
 
 
 def test_an_order_that_ran_often_counts_as_one_order_for_single_cycles() -> None:

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from one_track import one_track
+from one_track import many_tracks, one_track
 
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, OwnWorkCard
 from cyclekit.estimate.joint.legs import Gates, operator_agenda
-from cyclekit.estimate.joint.visits import OperatorVisit, Segments, parted_stays
+from cyclekit.estimate.joint.long_stays import OperatorVisit, parted_stays
+from cyclekit.estimate.joint.visits import Segments
 
 if TYPE_CHECKING:
     from simulated_cells import Cells
@@ -130,3 +131,42 @@ def test_who_idles_after_an_execution_is_on_no_walk(logged: Dataset, monkeypatch
     stays = (("inbound", 3.0), ("out_left_1", 2.0))
     found = one_track(logged, monkeypatch, stays, None, walks_s=60.0, until_s=5.0)
     assert found.durations_s(found.walk("inbound", "out_left_1")).max() < 30.0
+
+
+def test_short_walks_within_a_long_stay_count_beside_the_longer_ones_that_are_seen(
+    logged: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two tasks of 3 s at one place with 0.8 s between them appear as one stay; once he was seen to walk, for 1 s."""
+    apart = [("rest", 1.0), ("inbound", 3.0), ("out_left_1", 2.0), ("inbound", 3.0), ("rest", 4.0)]
+    long = [("rest", 1.0), ("inbound", 6.8), ("out_left_1", 2.0), ("rest", 4.0)]
+    seen = [("rest", 1.0), ("inbound", 3.0), ("inbound", 3.0), ("out_left_1", 2.0), ("rest", 4.0)]
+    cut = [("rest", 1.0), ("out_left_1", 2.0), ("inbound", 6.8)]
+    found = many_tracks(logged, monkeypatch, [apart] * 12 + [long] * 10 + [cut] + [seen])
+    walks_s = np.sort(found.durations_s(found.walk("inbound", "inbound")))
+    assert walks_s == pytest.approx([*[0.8] * 10, 1.0], abs=0.11)
+    few = many_tracks(logged, monkeypatch, [apart] * 3 + [long] * 3 + [seen])
+    assert few.durations_s(few.walk("inbound", "inbound")) == pytest.approx([1.0])  # too few to tell long stays
+
+
+def test_tasks_that_follow_each_other_at_once_have_no_walk_between_them(
+    logged: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    apart = [("rest", 1.0), ("inbound", 2.8), ("out_left_1", 2.0), ("inbound", 3.2), ("rest", 4.0)]
+    long = [("rest", 1.0), ("inbound", 5.9), ("out_left_1", 2.0), ("rest", 4.0)]
+    seen = [("rest", 1.0), ("inbound", 3.0), ("inbound", 3.0), ("out_left_1", 2.0), ("rest", 4.0)]
+    found = many_tracks(logged, monkeypatch, [apart] * 12 + [long] * 10 + [seen])
+    assert np.sort(found.durations_s(found.walk("inbound", "inbound"))) == pytest.approx([*[0.0] * 10, 1.0])
+
+
+def test_a_long_stay_with_a_wait_in_it_is_no_walk(logged: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    """He waits for seven seconds at the place; nobody walks for so long within it, as one walk that is seen tells."""
+    apart = [("rest", 1.0), ("inbound", 3.0), ("out_left_1", 2.0), ("inbound", 3.0), ("rest", 4.0)]
+    long = [("rest", 1.0), ("inbound", 13.0), ("out_left_1", 2.0), ("rest", 4.0)]
+    seen = [("rest", 1.0), ("inbound", 3.0), ("inbound", 3.0), ("out_left_1", 2.0), ("rest", 4.0)]
+    walks_s = [
+        found.durations_s(found.walk("inbound", "inbound"))
+        for some in ([seen], [])
+        for found in [many_tracks(logged, monkeypatch, [apart] * 12 + [long] * 10 + some)]
+    ]
+    assert walks_s[0] == pytest.approx([1.0])
+    assert walks_s[1].max() == 0.0  # none is seen

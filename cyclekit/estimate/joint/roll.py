@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.coupling import CommonPaceCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.joint.legs import Event
-    from cyclekit.estimate.joint.visits import OperatorVisit
+    from cyclekit.estimate.joint.long_stays import OperatorVisit
     from cyclekit.estimate.joint.walk import Presence, UnslowedAgent
     from cyclekit.estimate.robot.safety import Logged
     from cyclekit.schema import Ints, Vector

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
+from cyclekit.estimate.joint.long_stays import OperatorVisit, parted_stays, unseen_walks
 from cyclekit.estimate.operator.tracks import logged_tracks
 from cyclekit.learning.coupling.events.errands import joined
 from cyclekit.learning.coupling.events.trips import LONG, LONG_S, part_trips, usual_walks_s
@@ -38,15 +38,6 @@ MIN_OFTEN = 5
 """Minimum number of walks on a way, below which those that took too long do not count."""
 STRAIGHT = 16
 """Number of straight walks of different duration generated for a way that was never logged."""
-
-
-@dataclass(frozen=True)
-class OperatorVisit:
-    """One stay of the operator at one of his places; times from the start of the execution, s."""
-
-    place: str
-    arrives_s: float
-    leaves_s: float
 
 
 class Segments:
@@ -105,6 +96,7 @@ class Segments:
         for name, seen in every.items():
             self._cut(name, tracks[name], seen, walks_s)
         self.orders = self._tasks()
+        self._add_unseen(tracks)
         self._pace = self._paces()
         self._add_cut_off(cut_off, tracks)
         self._drop_longer()
@@ -190,6 +182,23 @@ class Segments:
         return {
             name: tuple(visit for visit in visits if visit.place not in self._spots) for name, visits in found.items()
         }
+
+    def _add_unseen(self, tracks: Mapping[str, LoggedTrack]) -> None:
+        """Store the walks between consecutive tasks at one place that appear as one long stay.
+
+        They are shorter than those that are seen; a stay that lasts longer than that has another cause, such as a wait.
+        """
+        for place in self._places:
+            single, seen = self._single(place)[1], self._ways.get((place, place))
+            if single is None or not seen:
+                continue
+            longest_s = float(self.durations_s(np.array(seen)).max())
+            walks = unseen_walks(self.orders, place, float(single.mean()), lambda name: self._pace_of(name)[0])
+            for name, begin_s, took_s in walks:
+                pace = self._pace_of(name)[1]
+                first, last = (max(self._row(at_s), 0) for at_s in (begin_s, begin_s + took_s * pace))
+                if took_s <= longest_s:
+                    seen.append(self._add(tracks[name].where[first : last + 1, :3], pace))
 
     def first_stays_s(self, place: str) -> Vector:
         """Return durations of stays at a place at the start of an execution, ascending, shape (N,), s."""
@@ -374,19 +383,3 @@ def _until_he_stands(where: Floats) -> Floats:
     """Return positions (N, 3) up to the first that is within STANDS_M of all later ones."""
     far = np.linalg.norm(where[:, :2] - where[-1, :2], axis=1) > STANDS_M
     return where[: len(far) - int(far[::-1].argmax()) + 1] if far.any() else where[-1:]
-
-
-def parted_stays(visits: Sequence[OperatorVisit], place: str, most: int, least_s: float) -> tuple[OperatorVisit, ...]:
-    """Return visits with the longest at a place parted until there are `most`, each of at least `least_s`."""
-    took_s = [visit.leaves_s - visit.arrives_s if visit.place == place else 0.0 for visit in visits]
-    parts = [1] * len(visits)
-    for _ in range(most - sum(visit.place == place for visit in visits)):
-        longest = max(range(len(visits)), key=lambda n: took_s[n] / (parts[n] + 1))
-        if took_s[longest] / (parts[longest] + 1) < least_s:
-            break
-        parts[longest] += 1
-    found = []
-    for visit, count in zip(visits, parts, strict=True):
-        at = np.linspace(visit.arrives_s, visit.leaves_s, count + 1).tolist()
-        found += [OperatorVisit(visit.place, *times) for times in pairwise(at)]
-    return tuple(found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -16,11 +17,12 @@ from cyclekit.derive.interruptions import interruption_notes, with_interruptions
 from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.rollout import estimate
 from cyclekit.ingest.ingest import ingest
-from cyclekit_sim import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+    from simulated_cells import Cells
 
 BREAK_S = 900.0
 
@@ -99,12 +101,11 @@ def with_break(log: Path, at_s: float) -> None:
 
 
 @pytest.fixture(scope="module")
-def interrupted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, Dataset]:
-    """Twelve executions from the robot's log, without a break and with one on a motion."""
-    folder = tmp_path_factory.mktemp("interrupted")
-    simulate("scanner-fields", folder / "logs", executions=12, seed=4)
-    ingest([folder / "logs"], folder / "before")
-    before = Dataset.open(folder / "before")
+def interrupted(cells: Cells, tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, Dataset]:
+    """Eight executions from the robot's log, without a break and with one on a motion."""
+    folder, cell = tmp_path_factory.mktemp("interrupted"), cells("scanner-fields", 8)
+    shutil.copytree(cell.logs, folder / "logs", ignore=shutil.ignore_patterns("truth"))
+    before = cell.dataset
     moves = before.tasks().filter(pl.col("execution") == before.executions["execution"][4])
     at_s = float((moves["start_s"][2] + moves["arrival_s"][2]) / 2.0)
     (log,) = (folder / "logs").rglob("robot.csv")
@@ -117,8 +118,8 @@ def test_a_break_in_a_log_is_found_and_said(interrupted: tuple[Dataset, Dataset]
     _, after = interrupted
     (card,) = [one for one in after.card.executions if one.interrupted_s]
     assert card.interrupted_s == pytest.approx(BREAK_S, abs=5.0)
-    assert any("1 of 12 executions were interrupted" in one.text for one in after.card.warnings)
-    assert after.executions["complete"].sum() == 11
+    assert any("1 of 8 executions were interrupted" in one.text for one in after.card.warnings)
+    assert after.executions["complete"].sum() == 7
 
 
 def test_a_break_in_a_log_changes_no_estimate(interrupted: tuple[Dataset, Dataset]) -> None:

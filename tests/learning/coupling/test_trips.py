@@ -63,7 +63,7 @@ def _execution(
     return ExecutionVisits(name, visits, events_of(visits))
 
 
-def _executions(seed: int, count: int = 60, **habits: float | bool) -> list[ExecutionVisits]:
+def _executions(seed: int, count: int = 40, **habits: float | bool) -> list[ExecutionVisits]:
     rng = np.random.default_rng(seed)
     return [_execution(rng, str(number), **habits) for number in range(count)]  # type: ignore[arg-type]
 
@@ -97,7 +97,7 @@ def test_trips_at_any_time_are_also_made_without_a_wait() -> None:
 
 @pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_who_goes_there_in_each_execution_makes_no_trips(seed: int) -> None:
-    courses = _executions(seed, planned=True)
+    courses = _executions(seed, 60, planned=True)
     assert trip_places(courses) == ()
     assert all(gate.trip is None for gate in learn_courses(courses).gates)
 
@@ -120,7 +120,7 @@ def test_a_visit_goes_on_over_a_trip() -> None:
 
 @pytest.mark.parametrize("seed", [5, pytest.param(6, marks=pytest.mark.slow)])
 def test_own_work_differs_by_the_next_place(seed: int) -> None:
-    card = learn_courses(_executions(seed, by_fixture=True))
+    card = learn_courses(_executions(seed, 60, by_fixture=True))
     (bench,) = (gate for gate in card.gates if (gate.agent, gate.at, gate.place) == ("operator", "leave", "bench"))
     usual_s = {one.place: float(np.median(one.own_s)) for one in bench.own_by if one.side == "next"}
     assert usual_s == {"fixture_1": pytest.approx(1.4, abs=0.2), "fixture_2": pytest.approx(5.5, abs=0.3)}
@@ -132,7 +132,7 @@ def test_own_work_differs_by_the_next_place(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [7, pytest.param(8, marks=pytest.mark.slow)])
 def test_own_work_that_does_not_differ_has_one_distribution(seed: int) -> None:
-    assert all(not gate.own_by for gate in learn_courses(_executions(seed)).gates)
+    assert all(not gate.own_by for gate in learn_courses(_executions(seed, 60)).gates)
 
 
 def test_a_signal_of_a_place_whose_visits_are_all_trips_keeps_its_own_time() -> None:

@@ -177,7 +177,7 @@ def test_transforms_have_sizes_that_are_fast() -> None:
 
 def test_a_wait_for_such_a_part_is_named() -> None:
     rng = np.random.default_rng(3)
-    courses = [_fed(rng, str(number), 2) for number in range(40)]
+    courses = [_fed(rng, str(number), 2) for number in range(25)]
     rows = [
         {
             "execution": course.name,

@@ -11,7 +11,7 @@ from msgspec import structs
 from scipy.special import ndtri
 
 from cyclekit.config.sequences import PlannedTask, TaskSequence
-from cyclekit.dataset.cards.task_model import HeldOutCard, PaceCard, TaskModelCard
+from cyclekit.dataset.cards.task_model import HeldOutCard, PaceCard, PartsCard, TaskModelCard, TaskTimesCard
 from cyclekit.errors import UnknownName
 from cyclekit.estimate.result import CycleEstimate
 from cyclekit.estimate.task_times import estimate_plans
@@ -134,6 +134,23 @@ def _exact(**changed: dict[str, float]) -> TaskModelCard:
         )
         tasks.append(structs.replace(plain, **changed) if task.task == "weld" else plain)
     return structs.replace(model, tasks=tuple(tasks))
+
+
+def test_the_mean_of_few_cycles_is_not_off_by_the_luck_of_a_seed() -> None:
+    """The seed is the same for every plan, so all of them would be too long or too short alike."""
+    times_s = np.random.default_rng(1).exponential(4.0, 60)
+    parts = PartsCard(first_s=tuple(times_s), gap_s=tuple(times_s))
+    lags_s = tuple((0.1 * times_s).tolist())
+    card = TaskTimesCard(
+        agent="arm", task="load", usual_s=4.0, work_s=tuple(times_s), rates={}, after={}, lags_s=lags_s, parts=parts
+    )
+    model = TaskModelCard(agents={"arm": "robot"}, tasks=(card,), executions=60)
+    rolled = [roll_plan(model, [PlannedTask("arm", "load")], cycles=50, seed=seed) for seed in range(8)]
+    took_s = np.array([some.end_s.mean() for some in rolled])
+    assert took_s.mean() == pytest.approx(2.1 * times_s.mean(), abs=0.25)
+    assert took_s.std() < 0.4  # with independent draws 1.1 s
+    one = roll_plan(model, [PlannedTask("arm", "load")], cycles=60).end_s.ravel()
+    assert len(np.unique(one)) > 40  # they are not the same cycles again and again
 
 
 def test_a_plan_is_rolled_out_with_the_rates_of_both_halves_and_of_the_wait() -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config.sequences import PlannedTask
     from cyclekit.dataset.cards.task_model import TaskModelCard, TaskTimesCard
-    from cyclekit.schema import Bools, Floats, Ints, Vector
+    from cyclekit.schema import Bools, Floats, Vector
 
 
 OWN, BY_PLAN, BY_PART = -1, -2, -3
@@ -146,22 +146,31 @@ def _drawn(plan: PreparedPlan, cycles: int, rng: np.random.Generator) -> tuple[F
         factor = card.after.get("" if before < 0 else plan.cards[before].task, 1.0)
         for factors, at in ((card.turns, turn), (card.own_position, plan.position[number])):
             factor *= factors[at] if at < len(factors) else 1.0
-        work[number] = factor * rng.choice(card.work_s, cycles)
-        lag[number] = np.maximum(rng.choice(card.lags_s, cycles), least_lag_s(card))
+        work[number] = factor * _evenly(card.work_s, cycles, rng)
+        lag[number] = np.maximum(_evenly(card.lags_s, cycles, rng), least_lag_s(card))
         if plan.joined[number] and plan.mate[number] < number:
             work[number] = 0.0  # one side tells the time of both
     for number in ordered:  # at last, so that a wait that is removed changes no other draw
         if parts := plan.cards[number].parts:
-            gap[number] = rng.choice(parts.gap_s if plan.turn[number] else parts.first_s, cycles)
+            gap[number] = _evenly(parts.gap_s if plan.turn[number] else parts.first_s, cycles, rng)
     for number in ordered:
         card, need_lag[number] = plan.cards[number], lag[number]
         if card.need_lags_s:
-            need_lag[number] = np.maximum(rng.choice(card.need_lags_s, cycles), least_lag_s(card))
+            need_lag[number] = np.maximum(_evenly(card.need_lags_s, cycles, rng), least_lag_s(card))
     return work, lag, need_lag, gap
 
 
+def _evenly(values: Sequence[float], cycles: int, rng: np.random.Generator) -> Vector:
+    """Return values drawn as often as each other as far as possible, in random order, shape (cycles,).
+
+    With independent draws the mean of few cycles is off by luck, and alike in every plan, as the seed is the same.
+    """
+    offset, rank = rng.integers(SHARES), rng.permutation(cycles)
+    return np.asarray(np.sort(values)[(SHARES * rank + offset) * len(values) // (SHARES * cycles)])
+
+
 SHARES = 1000
-"""Number of levels of the draws whether a cycle needs a condition."""
+"""Number of levels of draws."""
 _Since = dict[tuple[int, int], "Vector | float"]
 """By a task and one that it waits for, the process time since that one; minus infinity where it is not needed."""
 
@@ -169,14 +178,14 @@ _Since = dict[tuple[int, int], "Vector | float"]
 def _since_s(plan: PreparedPlan, cycles: int, rng: np.random.Generator) -> _Since:
     names = [(card.agent, card.task, turn) for card, turn in zip(plan.cards, plan.turn, strict=True)]
     found: _Since = {}
-    drawn: dict[tuple[int, int], Ints] = {}
+    drawn: dict[tuple[int, int], Vector] = {}
     for number in sorted(range(len(names)), key=lambda each: names[each]):
         for other, after_s, needed, together in plan.needs[number]:
             found[number, other] = after_s
             if needed < 1.0:
                 key = (-together, plan.turn[number]) if together else (number, other)
                 if key not in drawn:
-                    drawn[key] = rng.integers(SHARES, size=cycles)
+                    drawn[key] = _evenly(range(SHARES), cycles, rng)
                 found[number, other] = np.where(drawn[key] < needed * SHARES, after_s, -np.inf)
     return found
 

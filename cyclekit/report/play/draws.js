@@ -93,20 +93,22 @@ const generator = (...entropy) => {
       if (found <= most) return found;
     }
   };
-  return { below, upTo };
+  const shuffled = (found) => {
+    for (let n = found.length - 1; n > 0; n -= 1) {
+      const other = upTo(n);
+      [found[n], found[other]] = [found[other], found[n]];
+    }
+    return found;
+  };
+  return { below, shuffled };
 };
 
 const LEVELS = new Map();
 const levelsOf = (key, turn) => { // Drawn._level: in (0, 1), spread evenly over the cycles and shuffled
   const name = `${turn} ${key}`;
   if (!LEVELS.has(name)) {
-    const { upTo } = generator(facts.seed, crc32(key), turn);
-    const found = Float64Array.from({ length: facts.cycles }, (_, n) => (n + 0.5) / facts.cycles);
-    for (let n = found.length - 1; n > 0; n -= 1) {
-      const other = upTo(n);
-      [found[n], found[other]] = [found[other], found[n]];
-    }
-    LEVELS.set(name, found);
+    const { shuffled } = generator(facts.seed, crc32(key), turn);
+    LEVELS.set(name, shuffled(Float64Array.from({ length: facts.cycles }, (_, n) => (n + 0.5) / facts.cycles)));
   }
   return LEVELS.get(name);
 };

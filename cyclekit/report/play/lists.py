@@ -42,8 +42,8 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
         found = {**fields, "needs": [_need(need) for need in task.needs], "first": first, "work": len(task.work_s)}
         counts = {"lags": len(task.lags_s), "need_lags": len(task.need_lags_s)}
         tasks.append({**found, **counts, "parts": task.parts and _parts(task.parts)})
-        values += [*task.work_s, *task.lags_s, *task.need_lags_s]
-        values += [*task.parts.first_s, *task.parts.gap_s] if task.parts else []
+        parts = (task.parts.first_s, task.parts.gap_s) if task.parts else ()
+        values += [value for some in (task.work_s, task.lags_s, task.need_lags_s, *parts) for value in sorted(some)]
         first = len(values)
     arrays: Arrays = {"values": np.array(values, np.float32)}
     if judged is not None:

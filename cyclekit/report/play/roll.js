@@ -81,8 +81,12 @@ const drawsOf = (plan, tasks) => { // roll._drawn: which repetition each task dr
   const order = partly.flat().length ? [partly, names.map(({ number }) => number)] : [];
   const key = JSON.stringify([names.map(({ agent, task, turn }) => [agent, task, turn]), ...order]);
   if (!DRAWS.has(key)) {
-    const { below } = generator(facts.seed);
-    const drawn = (count) => Uint16Array.from({ length: facts.cycles }, () => below(count));
+    const { below, shuffled } = generator(facts.seed);
+    const drawn = (count) => { // roll._evenly
+      const offset = below(SHARES);
+      return shuffled(Uint16Array.from({ length: facts.cycles }, (_, rank) => rank))
+        .map((rank) => Math.floor(((SHARES * rank + offset) * count) / (SHARES * facts.cycles)));
+    };
     DRAWS.set(key, names.map(({ number }) => [drawn(plan.cards[number].work), drawn(plan.cards[number].lags)]));
     DRAWS.get(key).forEach((some, n) => {
       const { parts } = plan.cards[names[n].number];

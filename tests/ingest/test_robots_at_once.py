@@ -7,19 +7,17 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.ingest.ingest import ingest
-from cyclekit_sim import simulate
-from cyclekit_sim.options import SimulationOptions
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from simulated_cells import Cells
 
-def two_robots(folder: Path, later_s: float) -> Path:
+
+def two_robots(cells: Cells, folder: Path, later_s: float) -> Path:
     """Log two robots since 1970, the second one this much later."""
     for number in (1, 2):
-        one = folder / f"made_{number}"
-        simulate("laser-zones", one, executions=3, seed=number, options=SimulationOptions(people="none"))
-        (log,) = one.rglob("robot.csv")
+        (log,) = cells.logs("laser-zones", 2, seed=number, people="none").rglob("robot.csv")
         rows = pl.read_csv(log, separator=" ")
         since_s = pl.col("timestamp") - pl.col("timestamp").first() + 1.78e9 + later_s * (number - 1)
         (folder / "logs").mkdir(exist_ok=True)
@@ -27,16 +25,16 @@ def two_robots(folder: Path, later_s: float) -> Path:
     return folder / "logs"
 
 
-def test_robot_logs_of_the_same_time_are_named(tmp_path: Path) -> None:
-    done = ingest([two_robots(tmp_path, 5.0)], tmp_path / "dataset")
+def test_robot_logs_of_the_same_time_are_named(cells: Cells, tmp_path: Path) -> None:
+    done = ingest([two_robots(cells, tmp_path, 5.0)], tmp_path / "dataset")
     (said,) = [text for text in done.warnings if "robot logs of the same time" in text]
     assert "robot_1.csv" in said
     assert "robot_2.csv" in said
     assert "ignore" in said
 
 
-def test_local_times_without_a_zone_name_them_too(tmp_path: Path) -> None:
-    folder = two_robots(tmp_path, 5.0)
+def test_local_times_without_a_zone_name_them_too(cells: Cells, tmp_path: Path) -> None:
+    folder = two_robots(cells, tmp_path, 5.0)
     for log in sorted(folder.iterdir()):
         rows = pl.read_csv(log, separator=" ")
         local = pl.from_epoch((pl.col("timestamp") * 1e3).cast(pl.Int64), "ms").dt.strftime("%Y-%m-%d %H:%M:%S%.3f")
@@ -49,6 +47,6 @@ def test_local_times_without_a_zone_name_them_too(tmp_path: Path) -> None:
     assert [text for text in done.warnings if "robot logs of the same time" in text]
 
 
-def test_logs_of_one_robot_after_each_other_are_not(tmp_path: Path) -> None:
-    done = ingest([two_robots(tmp_path, 50000.0)], tmp_path / "dataset")
+def test_logs_of_one_robot_after_each_other_are_not(cells: Cells, tmp_path: Path) -> None:
+    done = ingest([two_robots(cells, tmp_path, 50000.0)], tmp_path / "dataset")
     assert not [text for text in done.warnings if "robot logs of the same time" in text]

@@ -14,6 +14,8 @@ from cyclekit_sim import SimulationOptions, simulate
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from simulated_cells import SimulatedCell
+
     from cyclekit.inspect.facts import DatasetDescription
 
 
@@ -49,8 +51,8 @@ def test_a_ramp_with_few_rows_is_told(tmp_path: Path):
     assert found.to_dict()["response"]["up_se_per_s"] > 0.0
 
 
-def test_a_robot_that_changes_its_speed_at_once_has_no_ramp(tmp_path: Path):
-    found = described(tmp_path, SimulationOptions())
+def test_a_robot_that_changes_its_speed_at_once_has_no_ramp(boxes: SimulatedCell):
+    found = describe(boxes.dataset.path)
     assert found.response is not None
     assert (found.response.read.ramp_up_per_s, found.response.rows) == (None, None)
     assert "recovers by   at once" in page(found)

@@ -228,10 +228,14 @@ def _expected_too(deviations: Vector, rolled: Vector) -> Vector:
         rolled: The same of rolled-out cycles, shape (cycles,).
     """
     low, high = np.quantile(rolled, (OUTSIDE, 1.0 - OUTSIDE))
-    outside = np.count_nonzero((deviations < low) | (deviations > high))
-    if outside and bdtrc(outside - 1, len(deviations), 2.0 * OUTSIDE) < CHANCE:
+    if np.count_nonzero((deviations < low) | (deviations > high)) > most_outside(len(deviations)):
         return deviations
     return np.concatenate([deviations, np.quantile(rolled, (np.arange(PRIOR) + 0.5) / PRIOR)])
+
+
+def most_outside(count: int) -> int:
+    """Return how many of so many executions may be outside the outer parts of rolled-out cycles by chance."""
+    return int(np.argmax(bdtrc(np.arange(count + 1), count, 2.0 * OUTSIDE) < CHANCE))
 
 
 def widening(judged: HeldOutCard | None) -> float:

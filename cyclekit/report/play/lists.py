@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.estimate.statistics.resample import Z95
-from cyclekit.estimate.task_times import CYCLES, LEVELS, SURE_BIAS, widening
+from cyclekit.estimate.task_times import CYCLES, LEVELS, OUTSIDE, PRIOR, SURE_BIAS, most_outside, widening
 from cyclekit.learning.task_times.prepared import agent_of
 from cyclekit.report.play.tables import SEED
 
@@ -55,6 +55,9 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
         "cycles": CYCLES,
         "levels": LEVELS.tolist(),
         "widening": widening(judged),
+        "prior": PRIOR,
+        "outside": OUTSIDE,
+        "most_outside": 0 if judged is None else most_outside(len(judged.deviations)),
         "pace_errors": {agent: pace.error for agent, pace in card.pace.items()},
         "sure": Z95,
         "sure_bias": SURE_BIAS,

@@ -222,12 +222,19 @@ const rolledPlan = (tasks, asked) => {
 
 const biasOf = (check) => (Math.abs(check.bias) > facts.sure_bias * check.within ? check.bias : 0);
 
+const expectedToo = (deviations, rolled) => { // task_times._expected_too
+  const ordered = sorted(rolled);
+  const [low, high] = [facts.outside, 1 - facts.outside].map((level) => quantile(ordered, level));
+  if (deviations.filter((value) => value < low || value > high).length > facts.most_outside) return deviations;
+  return [...deviations, ...Array.from({ length: facts.prior }, (_, n) => quantile(ordered, (n + 0.5) / facts.prior))];
+};
+
 const singleOf = (values, paceError) => { // task_times._single: ascending where it is corrected by held-out executions
   const deviations = tables.deviations;
   const [usual, spread] = [mean(values), spreadOf(values)];
   let off = values.map((value) => facts.widening * (value - usual));
   if (deviations && deviations.length >= facts.levels.length) {
-    const ordered = sorted(deviations);
+    const ordered = sorted(expectedToo(deviations, spread ? values.map((value) => (value - usual) / spread) : [0]));
     const levels = facts.levels.map((level) => quantile(ordered, level, true));
     off = values.map((_, n) => spread * drawnFrom(levels, [n / (values.length - 1)], 0));
     const middle = mean(off);

@@ -8,14 +8,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from known_cells import Constant, TrueStaircase
+from known_cells import Constant, Coupled, TrueStaircase
 
 from cyclekit.api.estimate import estimate_cycles
 from cyclekit.api.plan import plan_order
 from cyclekit.api.whatif import what_if
 from cyclekit.cli.estimate import estimates_table
 from cyclekit.config.sequences import PlannedTask, TaskSequence, load_sequences
-from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard, TrainingCard
+from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError, UnknownName
 from cyclekit.estimate.joint.check import JointCheck
@@ -260,14 +260,6 @@ def test_without_conditions_both_agree_with_operators_that_are_tracks(logged: Da
     (usual,) = estimate(TrueStaircase(), logged, [sequence], validate=False)
     error = np.std(usual.durations_s) / len(usual.durations_s) ** 0.5
     assert abs(found.duration_s.mean() - usual.expected_s) < 3.0 * error
-
-
-class Coupled(Constant):
-    """A model that was trained where the robot waits for the operator."""
-
-    def __init__(self, card: CouplingCard) -> None:
-        super().__init__(1.0)
-        self.card = TrainingCard(coupling=card)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 from made_once import made_once, simulated
 
 from cyclekit.config import Cell, Source
-from cyclekit.dataset.cards import TrainingCard
+from cyclekit.dataset.cards import CouplingCard, TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.validation.check import Check, check_rollout
 from cyclekit.ingest.ingest import ingest
@@ -43,6 +43,14 @@ class Constant:
 
     def predict(self, positions: np.ndarray) -> np.ndarray:
         return np.full(len(positions), self.scaling)
+
+
+class Coupled(Constant):
+    """A model that was trained where one agent waits for the other."""
+
+    def __init__(self, card: CouplingCard) -> None:
+        super().__init__(1.0)
+        self.card = TrainingCard(coupling=card)
 
 
 @pytest.fixture(scope="session")

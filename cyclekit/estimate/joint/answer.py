@@ -16,6 +16,7 @@ from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.repetitions import cycles_per_resample
 from cyclekit.estimate.joint.roll import JointCell, longest_s
 from cyclekit.estimate.joint.shares import operator_shares, planned_shares, task_shares
+from cyclekit.estimate.joint.stop_overs import with_stop_overs
 from cyclekit.estimate.joint.unended import waits_without_source, waits_without_task
 from cyclekit.estimate.limits import (
     FEW_EXECUTIONS,
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.cards.coupling import CommonPaceCard
     from cyclekit.estimate.joint.roll import Plan, RolledBoth
+    from cyclekit.estimate.joint.stop_overs import StopOver
     from cyclekit.estimate.robot.safety import SafetyModel
     from cyclekit.schema import Floats, Ints, Progress, Vector
 
@@ -168,18 +170,41 @@ class JointAnswers:
         """Return the estimate of each sequence with an answer, and its mean in each resample (RESAMPLES,), s."""
         plans = {sequence: plan for sequence in sequences if (plan := self._plan(sequence, refuse)) is not None}
         rolled = self._rolled(plans, refuse, tell)
+        through = self._through(rolled)
         drawn = resample_counts(self._ask.seed, cycles_per_resample(self._cell))
         weights = drawn / drawn.sum(axis=1, keepdims=True)
         shifts = session_shifts(self._ask.seed, self._cell.common)
         pace_error = pace_errors(self._cell, self._planner, list(rolled), seed=self._ask.seed)
         found = []
+
+        def its_weights(cycles: RolledBoth) -> Floats:
+            return weights if shifts is None else with_sessions(weights, shifts, cycles.shared)
+
         for sequence, cycles in rolled.items():
             problem = no_answer(self._ask, sequence, cycles, longest_s(cycles.plan))
             if problem is not None:
                 refuse(sequence, problem)
                 continue
-            mine = weights if shifts is None else with_sessions(weights, shifts, cycles.shared)
-            found.append(self._entry(sequence, cycles, check, mine, pace_error.get(sequence, 0.0)))
+            error = pace_error.get(sequence, 0.0)
+            entry = self._entry(sequence, cycles, check, its_weights(cycles), error)
+            if sequence in through:
+                its, left_out = through[sequence]
+                entry = with_stop_overs(entry, self._entry(sequence, its, check, its_weights(its), error), left_out)
+            found.append(entry)
+        return found
+
+    def _through(
+        self, rolled: Mapping[TaskSequence, RolledBoth]
+    ) -> dict[TaskSequence, tuple[RolledBoth, list[StopOver]]]:
+        """Return the cycles of sequences with the stop-overs of the operator that they leave out, and these."""
+        found = {}
+        for sequence, cycles in rolled.items():
+            if (other := self._planner.through(sequence)) is None:
+                continue
+            asked, until_s = len(cycles.duration_s), longest_s(plan := self._planner.plan(other[0]))
+            (its,) = self._cell.roll([plan], cycles=asked, seed=self._ask.seed, until_s=until_s)
+            if not isinstance(its, EstimateError) and no_answer(self._ask, sequence, its, until_s) is None:
+                found[sequence] = its, other[1]
         return found
 
     def _plan(self, sequence: TaskSequence, refuse: _Refuse) -> Plan | None:

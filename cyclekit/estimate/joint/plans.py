@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from cyclekit.config.sequences import TaskSequence
+from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.errors import EstimateError, UnknownName
 from cyclekit.estimate.joint.composed import composed_orders, continued, coupled_places, pairs_of
 from cyclekit.estimate.joint.legs import Agenda, operator_agenda, precedence_needs, robot_agenda
@@ -16,9 +16,9 @@ from cyclekit.estimate.robot.program import lay_out
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cyclekit.config.sequences import PlannedTask
     from cyclekit.estimate.joint.legs import Need
     from cyclekit.estimate.joint.roll import JointCell
+    from cyclekit.estimate.joint.stop_overs import StopOver
     from cyclekit.estimate.robot.nominal import NominalTask
 
 AGENTS = ("robot", "operator")
@@ -61,6 +61,24 @@ class Planner:
         fitting, composed = self._fitting(sequence)
         operators = tuple(self.operator(order, sequence.shown) for order in fitting)
         return Plan(sequence.shown, robot, operators, both=False, composed=composed)
+
+    def through(self, sequence: TaskSequence) -> tuple[TaskSequence, list[StopOver]] | None:
+        """Return a sequence with the stop-overs of the operator that it leaves out, and these; None if there are none.
+
+        Its places stay as they are.
+        """
+        mine = [n for n, task in enumerate(sequence.plan) if task.agent == "operator"]
+        order = [sequence.plan[n].name for n in mine] if sequence.plan else list(sequence.operator or ())
+        missing = self._cell.segments.stop_overs.left_out(order)
+        if not missing:
+            return None
+        plan = list(sequence.plan)
+        for number, one in reversed(missing):
+            order.insert(number, one.place)
+            if plan:
+                plan.insert(mine[number], PlannedTask("operator", one.place))
+        operator = sequence.operator and tuple(order)
+        return replace(sequence, operator=operator, plan=tuple(plan)), [one for _, one in missing]
 
     def operator(self, order: Sequence[str], where: str) -> Agenda:
         """Return the agenda of an operator who visits these places.

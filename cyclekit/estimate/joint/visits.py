@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.estimate.joint.long_stays import OperatorVisit, parted_stays, unseen_walks
+from cyclekit.estimate.joint.stop_overs import StopOvers
 from cyclekit.estimate.operator.tracks import logged_tracks
 from cyclekit.learning.coupling.events.errands import joined
 from cyclekit.learning.coupling.events.trips import LONG, LONG_S, part_trips, usual_walks_s
@@ -45,6 +46,7 @@ class Segments:
 
     Attributes:
         orders: The visits in each execution, one for each task, by its name.
+        stop_overs: Places by which he went from one to another of these.
     """
 
     def __init__(
@@ -97,6 +99,7 @@ class Segments:
             self._cut(name, tracks[name], seen, walks_s)
         self.orders = self._tasks()
         self._add_unseen(tracks)
+        self.stop_overs = StopOvers(tuple(visit.place for visit in visits) for visits in self.orders.values())
         self._pace = self._paces()
         self._add_cut_off(cut_off, tracks)
         self._drop_longer()
@@ -120,8 +123,13 @@ class Segments:
         return np.array(self._stays[place])
 
     def after(self, place: str) -> Ints:
-        """Return the numbers of what followed the last task of executions at a place; without any, of stays there."""
-        return np.array(self._after[place]) if self._after[place] else self.stay(place)
+        """Return the numbers of what followed the last task of executions at a place; without any, of stays there.
+
+        Where executions did not end there, but at a stop-over after it, he goes to that.
+        """
+        stop = self.stop_overs.at_end(place)
+        found = self._ways.get((place, stop)) if stop else self._after[place]
+        return np.array(found) if found else self.stay(place)
 
     def table(self) -> tuple[Floats, Ints, Ints]:
         """Return the positions of all segments concatenated (M, 3), and the first row and row count of each.

@@ -105,7 +105,8 @@ class PairSearch:
 
     def _operator_places(self, order: tuple[str, ...]) -> tuple[str, ...]:
         places = [place for job in order for place in job.split(ROW)]
-        return (*places, self._jobs.operator_end) if self._jobs.operator_end else tuple(places)
+        end = [self._jobs.operator_end] if self._jobs.operator_end else []
+        return self.cell.segments.stop_overs.through([*places, *end])
 
 
 def _mean_of_ended(found: Floats) -> Floats:

@@ -18,6 +18,8 @@ from cyclekit.estimate.joint.repetitions import cycles_per_resample, repetitions
 from cyclekit.estimate.joint.unexplained import unexplained_waits
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cyclekit.schema import Floats, Vector
 
 
@@ -34,12 +36,17 @@ def test_a_bias_beyond_chance_is_in_the_interval_though_it_is_taken_out() -> Non
     assert judged(own_bias=0.012).doubted_bias == 0.0  # less than three standard errors
 
 
-def _judged(monkeypatch: pytest.MonkeyPatch, logged: Vector, rolled: Floats) -> JointCheck:
-    """Return the check of logged cycles, shape (E,), s, by rolled-out ones, shape (E, 60)."""
+def _judged(
+    monkeypatch: pytest.MonkeyPatch, logged: Vector, rolled: Floats, orders: Sequence[str] = ("ab",)
+) -> JointCheck:
+    """Return the check of logged cycles, shape (E,), s, by rolled-out ones, shape (E, 60); `orders` in turn."""
     names = [str(number) for number in range(len(logged))]
     cycles = [SimpleNamespace(duration_s=some) for some in rolled]
     module = "cyclekit.estimate.joint.check"
-    monkeypatch.setattr(f"{module}.logged_sequences", lambda *_: [TaskSequence(name, ("a", "b")) for name in names])
+    monkeypatch.setattr(
+        f"{module}.logged_sequences",
+        lambda *_: [TaskSequence(name, tuple(orders[int(name) % len(orders)])) for name in names],
+    )
     monkeypatch.setattr(f"{module}.logged_durations", lambda _, some: logged[[int(one.name) for one in some]])
     monkeypatch.setattr(f"{module}.longest_s", lambda _: 100.0)
     monkeypatch.setattr(f"{module}.unexplained_waits", lambda *_: SimpleNamespace(wait_s=0.0, by_order_s=0.0))
@@ -56,6 +63,22 @@ def _judged(monkeypatch: pytest.MonkeyPatch, logged: Vector, rolled: Floats) -> 
     found = judge_joint(cell, planner, levels=(0.05, 0.95), seed=0)
     assert found is not None
     return found
+
+
+@pytest.mark.parametrize(("by_order", "orders"), [(0.06, 4), (0.0, 4), (0.06, 60)])
+def test_errors_that_depend_on_the_order_widen_the_interval(
+    monkeypatch: pytest.MonkeyPatch, by_order: float, orders: int
+) -> None:
+    """Orders that were logged once tell nothing of it."""
+    rng = np.random.default_rng(5)
+    names = [f"ab{chr(ord('c') + number)}" for number in range(orders)]
+    errors = 1.0 + by_order * np.linspace(-1.5, 1.5, orders) / np.linspace(-1.5, 1.5, orders).std()
+    logged = 100.0 * np.resize(errors, 60) * rng.normal(1.0, 0.03, 60)
+    found = _judged(monkeypatch, logged, 100.0 * rng.normal(1.0, 0.03, (60, 60)), names)
+    doubted = any("depends on the order was not learned" in doubt for doubt in found.doubts)
+    assert doubted is (by_order > 0.0 and orders == 4)
+    assert found.by_order == pytest.approx(0.075 if doubted else 0.0, abs=0.015)
+    assert (found.model_error > 0.05) is doubted
 
 
 def test_cycles_that_vary_much_are_no_bias(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,6 +16,7 @@ from cyclekit.estimate.joint.roll import longest_s
 from cyclekit.estimate.joint.unexplained import unexplained_waits
 from cyclekit.estimate.robot.safety import OnStates
 from cyclekit.estimate.statistics.bias import bias_of
+from cyclekit.estimate.statistics.by_order import error_by_order
 from cyclekit.estimate.statistics.conformal import conformal
 from cyclekit.estimate.validation.check import FEW_EXECUTIONS, MAX_EXECUTIONS, MIN_EXECUTIONS, OWN_BIAS, Check, compare
 from cyclekit.estimate.validation.logged import logged_durations, logged_sequences
@@ -66,6 +67,8 @@ class JointCheck(Check):
         widening: Factor on the deviations of cycles from their mean, without `scores`: above 1 with few executions.
         least_spread: Minimum standard deviation of rolled-out cycles for `scores`, as a share of their mean.
         unexplained_s: Mean wait of the robot per execution without a known condition, s.
+        by_order: Standard deviation of the error of another order, from that between logged ones beyond chance, as a
+            share of the duration; it widens the interval of the mean.
     """
 
     scores: tuple[float, ...] = ()
@@ -73,6 +76,12 @@ class JointCheck(Check):
     widening: float = 1.0
     least_spread: float = 0.0
     unexplained_s: float = 0.0
+    by_order: float = 0.0
+
+    @property
+    def model_error(self) -> float:
+        """As of `Check`, with the error that depends on the order."""
+        return float(np.hypot(super().model_error, self.by_order))
 
     @property
     def with_own(self) -> str:
@@ -92,13 +101,18 @@ class JointCheck(Check):
     @property
     def doubts(self) -> tuple[str, ...]:
         """Reasons to doubt the rollout, one sentence each."""
-        if not self.unexplained_s:
-            return super().doubts
-        unexplained = (
-            f"the robot waits {self.unexplained_s:.1f} s in an execution for something that no condition explains; "
-            "in other orders it may wait longer or shorter, and the interval of the mean is wider by that"
-        )
-        return (*super().doubts, unexplained)
+        found = [*super().doubts]
+        if self.by_order:
+            found.append(
+                "something that depends on the order was not learned: logged orders differ from their rollouts beyond "
+                f"chance; the interval of the mean is wider by that (standard deviation {self.by_order:.1%})"
+            )
+        if self.unexplained_s:
+            found.append(
+                f"the robot waits {self.unexplained_s:.1f} s in an execution for something that no condition explains; "
+                "in other orders it may wait longer or shorter, and the interval of the mean is wider by that"
+            )
+        return tuple(found)
 
     def quantile(self, cycles_s: Vector, level: float) -> float:
         """Return a quantile of corrected cycles (K,), s, conformal with the logged executions if there are enough.
@@ -155,8 +169,16 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
         "widening": widening(len(ended), repetitions(cell)),
         "unexplained_s": waits.wait_s,
         "unseen_error": unseen_s / mean_s,
+        "by_order": 0.0 if isinstance(cell.model, OnStates) else _by_order(off, sequences),
     }
     return JointCheck(**{**vars(found), **ours})
+
+
+def _by_order(off: Vector, sequences: Sequence[TaskSequence]) -> float:
+    """Return the error due to the order of the robot, of the operator or of both, whichever is largest."""
+    orders = [(sequence.places, sequence.operator) for sequence in sequences]
+    groups: list[list[object]] = [[robot for robot, _ in orders], [operator for _, operator in orders], [*orders]]
+    return max(error_by_order(off, some) for some in groups)
 
 
 def widening(executions: int, count: int) -> float:

@@ -23,12 +23,16 @@ NAMES, WORK_S = {"B": "bench", "P": "printer"}, {"B": (9.0, 2.0), "P": (4.0, 1.0
 
 
 def _executions(
-    seed: int, orders: tuple[str, ...] = ("BIIPI", "IPBII", "PIIBI"), count: int = 40, reacts_s: float = 0.8
+    seed: int,
+    orders: tuple[str, ...] = ("BIIPI", "IPBII", "PIIBI"),
+    count: int = 40,
+    reacts_s: float = 0.8,
+    early: float = 0.0,
 ) -> list[ExecutionVisits]:
     """Return executions in which the robot shows parts, each until the operator has inspected it and stepped back.
 
     He comes once it is there. After an inspection he steps back, and stands there if the next one follows; from his
-    bench he comes straight.
+    bench he comes straight. With a probability of `early` he comes from other work at once, and waits for the part.
     """
     rng = np.random.default_rng(seed)
     courses = []
@@ -44,6 +48,8 @@ def _executions(
                 operator.append(PlaceVisit(here, came, done))
                 continue
             goes_s = max(now, shown_s + float(rng.normal(reacts_s, 0.15)))
+            if early and operator and here != "aside" and rng.random() < early:
+                goes_s = now
             if here == "aside":
                 operator.append(PlaceVisit(here, now, goes_s))
             elif not operator:
@@ -51,7 +57,7 @@ def _executions(
             else:
                 operator[-1] = operator[-1]._replace(left_s=goes_s)
             came = goes_s + (ASIDE_S if here == "aside" else WALK_S)
-            done = came + float(rng.normal(5.0, 0.8))
+            done = max(came, shown_s) + float(rng.normal(5.0, 0.8))
             operator.append(PlaceVisit("inspection", came, done))
             now, here = done + ASIDE_S, "aside"
             robot.append(PlaceVisit("show", shown_s, done + ASIDE_S))
@@ -82,6 +88,16 @@ def test_a_spot_to_which_he_steps_back_is_no_place_of_his_order(seed: int) -> No
 def test_who_seems_to_go_just_before_what_he_waits_for_still_waits_there() -> None:
     card = learn_courses(_executions(3, reacts_s=0.05))  # the tracker sees him go a little early
     assert {gate.wait_at for gate in card.gates if gate.agent == "operator" and gate.conditions} == {"aside"}
+
+
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_who_comes_early_by_chance_does_not_turn_off_on_the_way_to_a_spot(seed: int) -> None:
+    """The part may come while he walks from the printer, but mostly he waits at it, or with the robot."""
+    card = learn_courses(_executions(seed, count=60, early=0.4))
+    gates = {(gate.at, gate.place): gate for gate in card.gates if gate.agent == "operator"}
+    assert gates["approach", "inspection"].wait_from == ("inspection",)
+    assert np.median(gates["leave", "printer"].own_s) == pytest.approx(4.0, abs=0.5)
+    assert gates["leave", "printer"].conditions == ()
 
 
 def _pressed(pulse_s: float, seed: int = 0) -> list[ExecutionVisits]:

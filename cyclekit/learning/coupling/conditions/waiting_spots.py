@@ -95,19 +95,30 @@ def _origins(courses: Sequence[ExecutionVisits], place: str, goal: str, gate: Ga
     """Return the places from which he goes to a spot on the way to the goal.
 
     Where the event came while he was on his way to the goal, he did not wait for it at the place that he came from: he
-    turned off before he reached the spot.
+    turned off before he reached the spot. A place that he leaves more often just after the event is one where he waits;
+    who came to the goal before the event waits there.
     """
-    over, direct, turned = Counter[str](), Counter[str](), Counter[str]()
+    over, direct, turned, stayed = Counter[str](), Counter[str](), Counter[str](), Counter[str]()
     for course in courses:
         at = _times_of(course, gate)
         for before, after in pairwise(course.visits["operator"]):
             over[before.place] += after.place == place
             direct[before.place] += after.place == goal
             on_the_way = (at > before.left_s + ON_THE_WAY_S) & (at < after.arrived_s)
-            turned[before.place] += before.place != goal == after.place and bool(on_the_way.any())
+            straight = before.place != goal == after.place
+            turned[before.place] += straight and bool(on_the_way.any())
+            stayed[before.place] += straight * _left_with(at[at > before.arrived_s], before.left_s + ON_THE_WAY_S)
+            came_first = (at > after.arrived_s + ON_THE_WAY_S) & (at < after.left_s)
+            stayed[before.place] += straight and bool(came_first.any())
     enough = {name: max(FROM * (over[name] + direct[name]), MIN_FROM) for name in (*over, *direct)}
     found = {name for name in enough if over[name] >= enough[name] or turned[name] >= MIN_TURNED}
-    return tuple(sorted(found - {place}))
+    return tuple(sorted(name for name in found - {place} if over[name] + turned[name] >= stayed[name]))
+
+
+def _left_with(at: Vector, left_s: float) -> int:
+    """Return 1 if an event came within REACTS_S before he left, and -1 if so long before that: as often by chance."""
+    ago = left_s - at
+    return int(((ago >= 0.0) & (ago < REACTS_S)).any()) - int(((ago >= REACTS_S) & (ago < 2.0 * REACTS_S)).any())
 
 
 def _times_of(course: ExecutionVisits, gate: GateCard) -> Vector:

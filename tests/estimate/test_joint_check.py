@@ -12,10 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.joint.check import JointCheck, judge_joint, widening
+from cyclekit.estimate.joint.check import JointCheck, judge_joint, widening, with_every_visit
+from cyclekit.estimate.joint.legs import Gates, operator_agenda, robot_agenda
 from cyclekit.estimate.joint.repetitions import cycles_per_resample, repetitions
 from cyclekit.estimate.joint.unexplained import unexplained_waits
+from cyclekit.estimate.robot.nominal import NominalTask
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -59,7 +62,8 @@ def _judged(
         model=SimpleNamespace(card=SimpleNamespace(held_out=())),
         roll=lambda plans, **_: cycles[: len(plans)],
     )
-    planner: Any = SimpleNamespace(nominal={}, plan=lambda sequence: sequence)
+    plan = SimpleNamespace(robot=None, operators=())
+    planner: Any = SimpleNamespace(nominal={}, plan=lambda _: plan)
     found = judge_joint(cell, planner, levels=(0.05, 0.95), seed=0)
     assert found is not None
     return found
@@ -218,3 +222,19 @@ def test_single_cycles_scatter_more_where_few_executions_tell_of_their_parts() -
     assert 1.0 < widening(20, 20) < widening(20, 10) < widening(10, 10) < widening(5, 5) == widening(2, 2) < 1.5
     usual, few = (judged(widening=each).quantile(cycles, 0.95) for each in (1.0, 1.2))
     assert few - cycles.mean() == pytest.approx(1.2 * (usual - cycles.mean()))
+
+
+def test_an_execution_with_a_visit_that_was_missed_is_no_bias() -> None:
+    """Its rollout lacks the wait of the robot for that visit; where most lack one, they all count."""
+    gate = ConditionCard(agent="operator", place="bench", event="leaves", lag_s=(0.5,))
+    gates = Gates(CouplingCard(gates=(GateCard(agent="robot", at="leave", place="show", conditions=(gate,)),)))
+    task = NominalTask("home->show", np.zeros((2, 3)), 1.0, 1.0, 0.0, np.ones(1))
+    robot = robot_agenda([task, task], gates)
+    plans = {
+        places: SimpleNamespace(robot=robot, operators=(operator_agenda(places, gates, {}, {}),))
+        for places in (("bench", "shelf", "bench"), ("bench", "shelf"))
+    }
+    planner: Any = SimpleNamespace(plan=lambda sequence: plans[sequence.operator])
+    whole, missed = (TaskSequence("one", ("home", "show"), places) for places in plans)
+    assert with_every_visit(planner, [whole, missed, whole, whole]) == [whole, whole, whole]
+    assert with_every_visit(planner, [whole, missed, missed, missed]) == [whole, missed, missed, missed]

@@ -13,6 +13,7 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.repetitions import repetitions
 from cyclekit.estimate.joint.roll import longest_s
+from cyclekit.estimate.joint.unended import lacks_visit
 from cyclekit.estimate.joint.unexplained import unexplained_waits
 from cyclekit.estimate.robot.safety import OnStates
 from cyclekit.estimate.statistics.bias import bias_of
@@ -43,6 +44,8 @@ LEAST_SPREAD = 0.5
 cycles that seem not to vary would otherwise make the scores of all others huge."""
 MIDDLE = 0.6745
 """Median absolute value of a standard normal distribution."""
+MOST = 0.5
+"""Minimum share of the executions with each visit of the operator for which the robot waits, to use these alone."""
 SAME_PACE = 0.03
 """Difference of the logarithms of paces of the operator that count as one."""
 
@@ -142,6 +145,7 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
         sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, MAX_EXECUTIONS).astype(int)]
     orders = {each.name: tuple(visit.place for visit in cell.logged[each.name]) for each in sequences}
     sequences = [replace(each, operator=orders[each.name]) for each in sequences]
+    sequences = with_every_visit(planner, sequences)
     rolled = _at_their_paces(cell, planner, sequences, seed)
     ended = [
         (sequence, np.resize(cycles.duration_s, DRAWS))
@@ -172,6 +176,17 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
         "by_order": 0.0 if isinstance(cell.model, OnStates) else _by_order(off, sequences),
     }
     return JointCheck(**{**vars(found), **ours})
+
+
+def with_every_visit(planner: Planner, sequences: list[TaskSequence]) -> list[TaskSequence]:
+    """Return the executions in which each visit of the operator was seen for which the robot waited; all if few are.
+
+    A rollout of the others lacks a wait, so it is too short, and no bias of the model.
+    """
+    plans = [planner.plan(each) for each in sequences]
+    lack = [any(lacks_visit(plan.robot, operator) for operator in plan.operators) for plan in plans]
+    whole = [each for each, lacks in zip(sequences, lack, strict=True) if not lacks]
+    return whole if len(whole) >= max(MOST * len(sequences), MIN_EXECUTIONS) else sequences
 
 
 def _by_order(off: Vector, sequences: Sequence[TaskSequence]) -> float:

@@ -63,6 +63,13 @@ def waits_without_task(robot: Agenda, operator: Agenda) -> list[str]:
     ]
 
 
+def lacks_visit(robot: Agenda, operator: Agenda) -> bool:
+    """Return whether the robot waits for a visit of the operator that his agenda lacks."""
+    given = {event for event, _ in operator.events}
+    needed = {need.event for leg in robot.legs for need in leg.needs if need.event[0] == "operator"}
+    return not needed <= given
+
+
 def _where(leg: AgendaLeg) -> str:
     """Return where an agent waits: before a place, or at one."""
     kind, _, place = leg.name.partition(" ")

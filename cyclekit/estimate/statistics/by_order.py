@@ -1,6 +1,7 @@
 """Whether errors of a rollout depend on the order of the work beyond chance: then something that decides is unknown.
 
-A one-way analysis of variance of the executions, grouped by their order. Orders that were logged once tell nothing.
+A one-way analysis of variance of the executions, grouped by their order. An order that was logged once or twice may be
+another one of which a visit was missed, and tells nothing.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 
 CHANCE = 0.003
 """Maximum probability that executions of the same order are so much alike by chance."""
-MIN_REPEATED = 10
-"""Minimum number of executions beyond the first of each order."""
+MIN_ALIKE, MIN_REPEATED = 3, 10
+"""Minimum number of executions of an order, and of those beyond the first of each order."""
 
 
 def error_by_order(off: Vector, orders: Sequence[Hashable]) -> float:
@@ -31,17 +32,18 @@ def error_by_order(off: Vector, orders: Sequence[Hashable]) -> float:
         off: Error of each execution, shape (E,).
         orders: Order of each execution.
     """
-    groups: dict[Hashable, list[float]] = defaultdict(list)
+    every: dict[Hashable, list[float]] = defaultdict(list)
     for error, order in zip(off.tolist(), orders, strict=True):
-        groups[order].append(error)
-    counts = np.array([len(some) for some in groups.values()])
-    between, within = len(groups) - 1, len(off) - len(groups)
+        every[order].append(error)
+    groups = [some for some in every.values() if len(some) >= MIN_ALIKE]
+    counts = np.array([len(some) for some in groups])
+    between, within = len(groups) - 1, int(counts.sum()) - len(groups)
     if between < 1 or within < MIN_REPEATED:
         return 0.0
-    means = np.array([np.mean(some) for some in groups.values()])
-    inside = float(sum(np.var(some) * len(some) for some in groups.values())) / within
-    outside = float(counts @ (means - off.mean()) ** 2) / between
+    means = np.array([np.mean(some) for some in groups])
+    inside = sum(float(np.var(some)) * len(some) for some in groups) / within
+    outside = float(counts @ (means - counts @ means / counts.sum()) ** 2) / between
     if outside <= inside or fdtrc(between, within, outside / max(inside, 1e-12)) > CHANCE:
         return 0.0
-    each = (len(off) - float((counts**2).sum()) / len(off)) / between
+    each = float(counts.sum() - (counts**2).sum() / counts.sum()) / between
     return float(((outside - inside) / each * (1.0 + 1.0 / len(groups))) ** 0.5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,11 +11,11 @@ import polars as pl
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.coupling.events.repeated import without_repeats
-from cyclekit_sim import simulate
-from cyclekit_sim.options import SimulationOptions
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from simulated_cells import Cells
 
     from cyclekit.dataset.cards import CouplingCard
 
@@ -72,9 +73,9 @@ def conditions(folder: Path) -> list[tuple[str, str, int]]:
     return [(gate.place, one.place, one.back) for gate in card.gates for one in gate.conditions]
 
 
-def test_a_robot_that_waits_for_a_button_goes_on_at_its_first_press(tmp_path: Path) -> None:
-    options = SimulationOptions(people="none")
-    simulate("shared-fixture", tmp_path / "logs", executions=16, seed=31, options=options)
+def test_a_robot_that_waits_for_a_button_goes_on_at_its_first_press(cells: Cells, tmp_path: Path) -> None:
+    logs = cells.logs("shared-fixture", 16, seed=31, people="none")
+    shutil.copytree(logs, tmp_path / "logs", ignore=shutil.ignore_patterns("truth"))
     rng = np.random.default_rng(3)
     assert sum(pressed_twice(log, rng) for log in (tmp_path / "logs").rglob("robot.csv")) > 5
     ((place, signal, back),) = conditions(tmp_path / "logs")

@@ -95,8 +95,8 @@ def find_trend(off: Vector, session: Ints, shapes: Sequence[ChangeShape]) -> Pac
     y = np.array([off[block].mean() for block in blocks])
     *covariances, of_people = _covariances(np.array([len(block) for block in blocks]), group)
     weigh = _Weigher(y, *covariances)
-    others = [weigh(np.empty((1, len(y), 0))) + np.log(1.0 - STEADY - STEPS)]
-    others += [weigh(_steps(len(y), number)) + np.log(STEPS / 2.0) for number in (1, 2)]
+    others = [weigh.steps(0) + np.log(1.0 - STEADY - STEPS)]
+    others += [weigh.steps(number) + np.log(STEPS / 2.0) for number in (1, 2)]
     left = np.array([1.0 - shape.middle for shape in shapes])
     columns = [np.array([shape.passed[block].mean() for block in blocks]) - 1.0 for shape in shapes]
     found = [weigh.steady(column) for column in columns]
@@ -160,31 +160,47 @@ class _Weigher:
         self._inverse, self._y = inverse, inverse @ y
         self._fixed = priors - 0.5 * (log_det + self._y @ y)
 
-    def __call__(self, columns: Floats) -> Vector:
-        """Return the log weights of explanations with columns (K, B, Q), equally probable before, shape (V,)."""
-        found = self._fitted(columns)[0]
-        return np.asarray(np.logaddexp.reduce(found, axis=1) - np.log(len(columns)))
+    def steps(self, number: int) -> Vector:
+        """Return the log weights of all ways to place so many steps between blocks, equally probable before, (V,).
+
+        A step is a column of zeros, then ones, and the constant is one at the first block: products of columns are sums
+        over all later blocks.
+        """
+        pairs = self._inverse[:, ::-1, ::-1].cumsum(axis=1).cumsum(axis=2)[:, ::-1, ::-1]
+        ends = self._y[:, ::-1].cumsum(axis=1)[:, ::-1]
+        ways = list(combinations(range(1, ends.shape[1]), number))
+        at = [np.zeros(len(ways), np.int64), *np.array(ways, np.int64).T]
+        inner = [
+            [pairs[:, one, other] + (SPREAD**-2 if one is other and k else 0.0) for other in at]
+            for k, one in enumerate(at)
+        ]
+        found = _gained(inner, [ends[:, one] for one in at]) - number * np.log(SPREAD)
+        return np.asarray(self._fixed + np.logaddexp.reduce(found, axis=1) - np.log(len(ways)))
 
     def steady(self, x: Vector) -> _Explained:
         """Return how well a line in `x` (B,) explains the paces; `x` is 0 at the end."""
-        log_weight, theta, inverse = self._fitted(x[None, :, None])
-        return _Explained(log_weight[:, 0], theta[:, 0, 0], inverse[:, 0, 0, 0], theta[:, 0, 1])
-
-    def _fitted(self, columns: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return log weights (V, K), coefficients (V, K, 1 + Q) and their covariances, with a constant before."""
-        every = np.concatenate([np.ones((*columns.shape[:2], 1)), columns], axis=2)
-        left = np.einsum("vab,kbq->vkqa", self._inverse, every, optimize=True)
-        inner = np.einsum("vkqa,kar->vkqr", left, every, optimize=True)
-        more = columns.shape[2]
-        inner[:, :, range(1, more + 1), range(1, more + 1)] += 1.0 / SPREAD**2
-        sides = np.einsum("va,kaq->vkq", self._y, every)
+        columns = np.stack([np.ones(len(x)), x])
+        inner, sides = columns @ self._inverse @ columns.T, self._y @ columns.T
+        inner[:, 1, 1] += 1.0 / SPREAD**2
         inverse = np.linalg.inv(inner)
-        theta = np.einsum("vkqr,vkr->vkq", inverse, sides)
-        gained = 0.5 * ((sides * theta).sum(axis=2) - np.linalg.slogdet(inner)[1])
-        return self._fixed[:, None] + gained - more * np.log(SPREAD), theta, inverse
+        theta = np.einsum("vqr,vr->vq", inverse, sides)
+        gained = 0.5 * ((sides * theta).sum(axis=1) - np.linalg.slogdet(inner)[1])
+        return _Explained(self._fixed + gained - np.log(SPREAD), theta[:, 0], inverse[:, 0, 0], theta[:, 1])
 
 
-def _steps(blocks: int, number: int) -> Floats:
-    """Return the columns of all ways to place so many steps between blocks, shape (K, B, number)."""
-    at: Sequence[tuple[int, ...]] = list(combinations(range(1, blocks), number))
-    return np.asarray(np.arange(blocks)[None, :, None] >= np.array(at)[:, None, :], dtype=float)
+def _gained(inner: list[list[Floats]], sides: list[Floats]) -> Floats:
+    """Return half of sides . inverse(inner) . sides less the log determinant of inner, by elimination.
+
+    Args:
+        inner: Positive definite matrices by row and column, of any shape each; changed.
+        sides: Vectors by row; changed.
+    """
+    found = np.zeros(sides[0].shape)
+    for k, (row, side) in enumerate(zip(inner, sides, strict=True)):
+        found += 0.5 * (side * side / row[k] - np.log(row[k]))
+        for later in range(k + 1, len(sides)):
+            share = inner[later][k] / row[k]
+            sides[later] = sides[later] - share * side
+            for column in range(k + 1, len(sides)):
+                inner[later][column] = inner[later][column] - share * row[column]
+    return found

@@ -72,11 +72,7 @@ def _found(courses: Sequence[ExecutionVisits], card: CouplingCard = NO_WAITS) ->
 
 
 @pytest.mark.parametrize(
-    ("size", "count"),
-    [
-        *[(20, 120), (120, 120), (1, 120), (20, 60)],
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in [(5, 120), (60, 120), (20, 200), (30, 60)]),
-    ],
+    ("size", "count"), [(20, 120), (120, 120), (5, 120), (1, 120), (20, 200), (60, 120), (20, 60), (30, 60)]
 )
 def test_a_pace_that_changes_over_the_executions_is_found(size: int, count: int) -> None:
     for seed in (1, 2):

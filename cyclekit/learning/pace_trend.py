@@ -182,7 +182,7 @@ class _Weigher:
         columns = np.stack([np.ones(len(x)), x])
         inner, sides = columns @ self._inverse @ columns.T, self._y @ columns.T
         inner[:, 1, 1] += 1.0 / SPREAD**2
-        inverse = np.linalg.inv(inner)
+        inverse = np.asarray(np.linalg.inv(inner), np.float64)
         theta = np.einsum("vqr,vr->vq", inverse, sides)
         gained = 0.5 * ((sides * theta).sum(axis=1) - np.linalg.slogdet(inner)[1])
         return _Explained(self._fixed + gained - np.log(SPREAD), theta[:, 0], inverse[:, 0, 0], theta[:, 1])

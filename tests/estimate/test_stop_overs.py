@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,8 @@ from one_track import one_track
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.cards import CouplingCard, GateCard
 from cyclekit.estimate.joint.stop_overs import StopOvers
+from cyclekit.estimate.plan.both import PairSearch
+from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.rollout import estimate
 
 if TYPE_CHECKING:
@@ -111,6 +114,19 @@ def test_an_estimate_takes_the_step_back_and_says_so(logged: Dataset, monkeypatc
         "inbound",
         "out_left_1",
     ]
+
+
+def test_a_search_of_orders_takes_the_step_back_too(logged: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    _patched(monkeypatch, _logged())
+    jobs = Jobs(
+        visit=("conveyor->left_2", "conveyor->left_5"), start="home", operator=("inbound", "inbound", "out_left_1")
+    )
+    search = PairSearch(Coupled(CARD), logged, jobs, seed=0)
+    some = [search.sequence_of(0, number, "tried").plan for number in range(len(search.operators))]
+    orders = {tuple(task.name for task in plan if task.agent == "operator") for plan in some}
+    assert ("inbound", "rest", "inbound", "out_left_1") in orders
+    assert ("inbound", "out_left_1", "inbound") in orders
+    assert not any(("inbound", "inbound") in pairwise(order) for order in orders)
 
 
 def test_an_interval_covers_a_task_that_may_be_left_out(logged: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -230,9 +230,9 @@ class HeldOutCard(Card, frozen=True, kw_only=True):
 
     Attributes:
         orders: Number of different orders.
-        bias: Mean of estimate / true - 1 over the orders.
+        bias: Estimate / true - 1, with the mean of true / estimate over the orders.
         within: Standard error of the bias.
-        order_error: Standard deviation of estimate / true - 1 over orders, without the chance of few executions each.
+        order_error: Root mean square of 1 - true / estimate over orders, without the chance of few executions each.
         learning_error: Relative standard error of an estimate due to finite logs: from models that each lack one part
             of the executions (jackknife), widened as Student's t for the few parts.
         deviations: Deviations of executions from their estimates, in standard deviations of the estimated single

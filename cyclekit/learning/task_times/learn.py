@@ -234,7 +234,7 @@ def _judged(
         for run in held:
             same = tuple(plan_of(run)), tuple(float(pace.factor(run.number)) for pace in model.pace.values())
             try:
-                took_s = rolled[same] if same in rolled else rolled_run(model, run, seed=seed)
+                took_s = rolled[same] if same in rolled else rolled_run(model, run, seed=seed + len(rolled))
             except (UnknownName, EstimateError):  # has a task that is in no other order
                 continue
             rolled[same] = took_s
@@ -264,19 +264,22 @@ def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:
     by_order: dict[tuple[tuple[str, ...], ...], list[_HeldOut]] = {}
     for each in found:
         by_order.setdefault(each.order, []).append(each)
-    errors = np.array(
-        [sum(each.mean_s for each in some) / sum(each.true_s for each in some) - 1.0 for some in by_order.values()]
-    )
+    true_s, estimate_s = np.array(
+        [(sum(each.true_s for each in some), sum(each.mean_s for each in some)) for some in by_order.values()]
+    ).T
+    errors = (
+        1.0 - true_s / estimate_s
+    )  # an order may have one execution: divided by its time, its chance would be a bias
     spread = np.array([each.sd_s / each.mean_s for each in found])
     chance = float(np.mean(spread**2) * np.mean([1.0 / len(some) for some in by_order.values()]))
     chance *= 1.0 + np.sqrt(2.0 / len(errors))  # allows for the sampling error of the mean of squares
     error = float(np.sqrt(max(np.mean(errors**2) - chance, 0.0)))
-    each_off = errors if len(errors) > 1 else np.array([each.mean_s / each.true_s - 1.0 for each in found])
+    each_off = errors if len(errors) > 1 else np.array([1.0 - each.true_s / each.mean_s for each in found])
     within = float(each_off.std(ddof=1) / np.sqrt(len(each_off)))
     kept = _kept(np.clip(_deviations(list(by_order.values())), -1e3, 1e3))
     return HeldOutCard(
         orders=len(by_order),
-        bias=float(errors.mean()),
+        bias=float(1.0 / (1.0 - errors.mean()) - 1.0),
         within=within,
         order_error=error,
         learning_error=0.0,

@@ -40,6 +40,7 @@ from cyclekit.estimate.plan.jobs import ROW, Jobs
 from cyclekit.estimate.plan.task_orders import JobTask, TaskJobs, plan_tasks
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.task_times import estimate_plans
+from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.learning.task_times import learn
 from cyclekit.learning.task_times.runs import logged_runs
 from cyclekit_sim import COUPLED, SimulationOptions, fresh_cycles, orders_beside, random_orders
@@ -157,16 +158,17 @@ def rows_of(asked: argparse.Namespace, scene: str, kind: str, executions: int, s
     cell = learned(asked, scene, kind, executions, seed)
     card = cell.model.card.coupling
     missed, invented = compared(card, scene, kind)
-    without = dataclasses.replace(cell.model, card=structs.replace(cell.model.card, coupling=None))
+    model = predictor_of(cell.model)  # the rule, as the command does, if training found one
+    without = dataclasses.replace(model, card=structs.replace(cell.model.card, coupling=None))
     orders = unseen_orders(asked, scene)
     plans = [plan_of(str(number), order) for number, order in orders]
     places = [TaskSequence(str(number), order["robot"]) for number, order in orders]
     began = time.process_time()
     alone_or_free = kind in ALONE or kind == "uncoupled"
     if alone_or_free:
-        both = {each.name: each for each in estimate(cell.model, cell.dataset, places, refused=_refuse)}
+        both = {each.name: each for each in estimate(model, cell.dataset, places, refused=_refuse)}
     else:
-        both = {each.name: each for each in estimate(cell.model, cell.dataset, plans, refused=_refuse)}
+        both = {each.name: each for each in estimate(model, cell.dataset, plans, refused=_refuse)}
     OUT.print(f"{scene}, {kind}, {executions} executions, seed {seed}: {len(both)} of {len(plans)} answered, "
               f"{time.process_time() - began:.1f} s cpu")  # fmt: skip
     alone = {
@@ -305,7 +307,7 @@ def planned(asked: argparse.Namespace, scene: str, kind: str, executions: int, s
         mine = [task_plan(COUPLED[scene], order) for order in pairs].index(chosen)
     else:
         cell = logged(asked.work, scene, executions, seed=seed, options=KINDS[kind], kind=kind, rules=True)
-        found = plan_order(cell.model, cell.dataset, small_jobs(scene), validate=False)
+        found = plan_order(predictor_of(cell.model), cell.dataset, small_jobs(scene), validate=False)
         mine = pairs.index({"robot": found.places, "operator": ("rest", *(found.operator or ()))})
         expected_s = found.expected_s
     cycles_s = np.array(

@@ -15,7 +15,9 @@ html_title = "cyclekit"
 html_show_copyright = False
 html_copy_source = False
 
-NOTES = [f"docs/notebook/{page.stem}" for page in sorted(Path(__file__).parent.glob("notebook/[!R]*.md"))]
+DOCS = Path(__file__).parent
+NOTES = [f"docs/notebook/{page.stem}" for page in sorted(DOCS.glob("notebook/[!R]*.md"))]
+TABLES = [f"docs/notebook/tables/{page.stem}" for page in sorted(DOCS.glob("notebook/tables/*.md"))]
 SIDEBAR = {
     "Start": ["README", "docs/tutorial"],
     "How to": [f"docs/howto/{name}" for name in ("ur-motive", "kuka-scanner", "ros2-bag", "no-override", "no-tracker")],
@@ -24,7 +26,7 @@ SIDEBAR = {
         *(f"docs/{name}" for name in ("report", "replay", "fleet", "library")),
     ],
     "Relying on it": ["docs/benchmarks", "docs/reliability", "docs/privacy", "CHANGELOG"],
-    "Changing it": ["docs/architecture", "adapters/README", "sim_fixtures/README", "docs/notebook/README", *NOTES],
+    "Changing it": ["docs/architecture", "adapters/README", "sim_fixtures/README", "docs/notebook/README", *NOTES, *TABLES],
 }
 """Sections of the sidebar, with their pages. It is added here, since elsewhere it would show as text."""
 

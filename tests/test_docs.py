@@ -102,9 +102,11 @@ def test_the_index_lists_every_page_by_its_question() -> None:
     linked = set(re.findall(r"\]\(([^)#\s]+)", (ROOT / "docs" / "index.md").read_text(encoding="utf-8")))
     pages = {page.name for page in (ROOT / "docs").glob("*.md")} - {"index.md"}
     assert pages - linked == set()
-    notes = {page.name for page in (ROOT / "docs" / "notebook").glob("*.md")} - {"README.md"}
-    listed = (ROOT / "docs" / "notebook" / "README.md").read_text(encoding="utf-8")
-    assert [note for note in sorted(notes) if f"]({note})" not in listed] == []
+    for folder in (ROOT / "docs" / "notebook", ROOT / "docs" / "notebook" / "tables"):
+        notes = {page.name for page in folder.glob("*.md")} - {"README.md"}
+        listed = (folder / "README.md").read_text(encoding="utf-8")
+        assert notes
+        assert [note for note in sorted(notes) if f"]({note})" not in listed] == []
 
 
 def test_every_picture_of_the_documentation_is_shown_on_a_page() -> None:

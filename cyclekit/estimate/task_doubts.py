@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cyclekit.learning.task_times.prepared import agent_of
+from cyclekit.learning.task_times.prepared import agent_of, prepared
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,6 +60,23 @@ def never_in_a_row(model: TaskModelCard, sequence: TaskSequence) -> list[str]:
             found.append(f"{task.name} after {last}")
         before[agent] = task.name
     return [f"never logged in a row: {_some(found)}"] if found else []
+
+
+def planned_starts_not_kept(model: TaskModelCard, sequence: TaskSequence) -> list[str]:
+    """Return a sentence on each agent whom the plan's starts do not hold, as it did not keep to planned starts.
+
+    Args:
+        model: Task times learned from task lists, which know all tasks of the plan.
+        sequence: The plan.
+    """
+    plan = prepared(model, sequence.plan, sequence.shown)
+    told = zip(sequence.plan, plan.cards, plan.not_before_s, strict=True)
+    free = {card.agent for task, card, held_s in told if (task.not_before_s or 0.0) > held_s}
+    return [
+        f"planned starts do not hold {agent}: where it was free before one in the logs, it began before it in "
+        f"{model.before_plan[agent]:.0%} of the cases. To hold it all the same, give not_before_s only to single tasks"
+        for agent in sorted(free)
+    ]
 
 
 def _some(names: Sequence[str]) -> str:

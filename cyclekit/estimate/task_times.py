@@ -13,7 +13,7 @@ from cyclekit.estimate.result import OWN_TASK, CycleEstimate, PlannedShare, Task
 from cyclekit.estimate.statistics.conformal import conformal
 from cyclekit.estimate.statistics.resample import Z95, least_wide
 from cyclekit.estimate.statistics.same_work import by_work
-from cyclekit.estimate.task_doubts import doubts_of_plan, never_in_a_row
+from cyclekit.estimate.task_doubts import doubts_of_plan, never_in_a_row, planned_starts_not_kept
 from cyclekit.learning.task_times.prepared import agent_of
 from cyclekit.learning.task_times.roll import BY_PART, BY_PLAN, OWN, SimulatedPlan, roll_plan
 from cyclekit.learning.task_times.runs import FAILED
@@ -116,6 +116,7 @@ def _estimated(
             *([AT_MEAN_PACE.format(s=at_mean_pace * expected)] if model.pace else []),
             *_left_out(model),
             *never_in_a_row(model, sequence),
+            *planned_starts_not_kept(model, sequence),
         ),
         tasks=shares,
         safety_by_activity_s={},

@@ -255,6 +255,8 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
         tasks: Tasks of all agents.
         pace: Trends of agents whose pace changes; `work_s` is at the pace of the last execution.
         clocks: Agents whose clock is off, by name.
+        before_plan: Agents who do not keep to planned starts, by name: share of the starts before their planned start,
+            of those whose agent was free before it.
         executions: Number of training executions.
         failed: Number of other executions, left out as a task failed.
         at_once: Number of other executions, left out as an agent did two tasks at once.
@@ -268,6 +270,7 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
     tasks: Annotated[tuple[TaskTimesCard, ...], Meta(min_length=1)]
     pace: dict[str, PaceCard] = field(default_factory=dict)
     clocks: dict[str, ClockErrorCard] = field(default_factory=dict)
+    before_plan: dict[str, Fraction] = field(default_factory=dict)
     executions: Count
     failed: Count = 0
     at_once: Count = 0

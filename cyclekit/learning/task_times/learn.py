@@ -16,6 +16,7 @@ from cyclekit.learning.task_times.clocks import in_one_clock
 from cyclekit.learning.task_times.joint import joint_tasks, marked
 from cyclekit.learning.task_times.pace import pace_drift
 from cyclekit.learning.task_times.partly import needed_together
+from cyclekit.learning.task_times.planned_starts import starts_before_plan
 from cyclekit.learning.task_times.rates import TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import Run, logged_runs, one_at_a_time, without_failures
@@ -145,7 +146,8 @@ def _learned(runs: Sequence[Run], agents: Mapping[str, str], told: Mapping[str, 
     tasks = tuple(
         _task(*pair, starts[pair[0]][pair[1]], rates[pair], pace.get(pair[0]), joint.get(pair)) for pair in pairs
     )
-    return TaskModelCard(agents=dict(agents), tasks=tasks, pace=pace, executions=len(runs))  # type: ignore[arg-type]  # of these two
+    early = starts_before_plan(runs)
+    return TaskModelCard(agents=dict(agents), tasks=tasks, pace=pace, before_plan=early, executions=len(runs))  # type: ignore[arg-type]  # of these two
 
 
 def _sessions(runs: Sequence[Run]) -> Ints:

@@ -10,6 +10,7 @@ import numpy as np
 from cyclekit.config.sequences import NOT_ITSELF
 from cyclekit.errors import EstimateError, UnknownName
 from cyclekit.learning.task_times.parts import ALONE, beside
+from cyclekit.learning.task_times.planned_starts import earliest_s
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -100,8 +101,8 @@ def prepared(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) -> 
     ):  # fmt: skip
         onto += np.array([[_nth(getattr(card, kind), *at) for at in zip(keys, place, strict=True)] for card in cards])
     alone = np.array([_log(card.rates, ALONE) for card in cards])
-    not_before = np.array([task.not_before_s or 0.0 for task in tasks])
     before = own_before(tasks)
+    not_before = earliest_s(model, tasks, cards, before)
     after = [before.index(number) if number in before else -1 for number in range(len(tasks))]
     needs = _needs(cards, tasks, names, where)
     parts = _parts(cards, pairs)

@@ -8,7 +8,7 @@ import numpy as np
 
 from cyclekit.estimate.statistics.resample import Z95
 from cyclekit.estimate.task_times import CYCLES, LEVELS, OUTSIDE, PRIOR, SURE_BIAS, most_outside, widening
-from cyclekit.learning.task_times.prepared import agent_of
+from cyclekit.learning.task_times.prepared import agent_of, prepared
 from cyclekit.report.play.tables import SEED
 
 if TYPE_CHECKING:
@@ -82,10 +82,14 @@ def _parts(parts: PartsCard) -> dict[str, int]:
 
 
 def _plan(card: TaskModelCard, each: CycleEstimate) -> dict[str, Any]:
-    """Return the tasks of a plan, each with its agent as named in the logs and in the plan."""
+    """Return the tasks of a plan, each with its agent as named in the logs and in the plan.
+
+    Planned starts that hold nobody are left out.
+    """
+    earliest_s = prepared(card, each.asked, each.name).not_before_s.tolist()
     tasks = [
         {"agent": agent_of(card, task, each.name), "asked": task.agent, "name": task.name, "after": task.after}
-        | ({} if task.not_before_s is None else {"not_before_s": task.not_before_s})
-        for task in each.asked
+        | ({"not_before_s": start_s} if start_s else {})
+        for task, start_s in zip(each.asked, earliest_s, strict=True)
     ]
     return {"name": each.name, "tasks": tasks}

@@ -97,6 +97,9 @@ TASK_LIST: Mapping[str, Column] = {
 }
 """A task list: agent, task, start and end; without positions."""
 
+MOST_FAILED = 0.25
+"""Maximum share of failed tasks in a task list; above it, the outcome means something else and is not used."""
+
 SAFETY: Mapping[str, Column] = {
     "t_s": Column(F64, "s", "time in the log's clock"),
     "override": Column(F64, "1", "speed override of the safety system in [0,1]; null = not logged"),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.errors import DamagedLog, LogError, nearest
-from cyclekit.schema import TASK_LIST, conform
+from cyclekit.schema import MOST_FAILED, TASK_LIST, conform
 from cyclekit_adapters.tasks.task_columns import NEEDED, TIMES, is_person
 from cyclekit_adapters.tasks.task_times import cleaned, with_seconds
 
@@ -29,8 +29,6 @@ DONE = {"1", "1.0", "true", "yes", "done", "ok", "success", "successful", "succe
 FAILED = {"0", "0.0", "-1", "-1.0", "false", "no", "failed", "fail", "failure", "error", "aborted", "abort",
           "canceled", "cancelled", "timeout", "ate_abort", "pi_abort"}  # fmt: skip
 
-MANY_FAILED = 0.25
-"""Maximum share of failed tasks; above it, the outcome means something else."""
 SHOWN_REASONS = 3
 """Maximum number of reasons in a warning."""
 
@@ -155,7 +153,7 @@ def _warnings(rows: pl.DataFrame, columns: Mapping[str, str], people: Sequence[s
         )
     elif unnamed := rows["execution"].null_count():
         messages.append(f"{unnamed} of {rows.height} tasks name no execution: they are in no execution")
-    if (failed := int((rows["outcome"] == "failed").sum())) > MANY_FAILED * rows.height:
+    if (failed := int((rows["outcome"] == "failed").sum())) > MOST_FAILED * rows.height:
         messages.append(f"{failed} of {rows.height} tasks failed: too many for failures, so the outcome is not used")
     words = rows["outcome"].drop_nulls().unique(maintain_order=True)
     if unknown := [word for word in words if word not in ("done", "failed")]:

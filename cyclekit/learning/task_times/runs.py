@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.schema import MOST_FAILED
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -17,8 +19,6 @@ if TYPE_CHECKING:
 
 FAILED = " (failed)"
 """Added to the name of a failed attempt, which is a task of its own."""
-MOST_FAILED = 0.25
-"""Maximum share of failed tasks; above it, the outcome means something else."""
 AT_ONCE = 0.5
 """Minimum overlap of two tasks of one agent, as a share of the shorter one, that are done at once."""
 MIN_IN_A_ROW = 5

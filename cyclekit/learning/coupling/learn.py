@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace as dataclass_replace
 from functools import cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -26,7 +26,7 @@ from cyclekit.learning.coupling.conditions.candidates import early_s
 from cyclekit.learning.coupling.conditions.circles import in_circles
 from cyclekit.learning.coupling.conditions.conditions import FEW_DECIDED, KEPT, MIN_DECIDED, decided_by
 from cyclekit.learning.coupling.conditions.departures import USUAL, Condition, Departures, Gate
-from cyclekit.learning.coupling.conditions.given_signals import since_given
+from cyclekit.learning.coupling.conditions.given_signals import Waited, since_given, waited_visits
 from cyclekit.learning.coupling.conditions.in_turn import find_in_turn
 from cyclekit.learning.coupling.conditions.observed import TIE_S, distribution, lag_of, own_work_decides
 from cyclekit.learning.coupling.conditions.together import NeededTogether, needed_together
@@ -219,10 +219,11 @@ def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait], pa
             break
         barred[agent].add(event)
         departures[agent] = find_with_alike(courses, agent, given, barred[agent], kinds[agent])
-    found, together = [], needed_together(*departures.values())
+    together, waited = needed_together(*departures.values()), waited_visits(departures["operator"])
+    found = []
     for mine in departures.values():
-        usual_s = _usual_work_s(mine)
-        found += [_gate(courses, gate, given, usual_s, together) for gate in mine]
+        beside = _Beside(_usual_work_s(mine), together, waited)
+        found += [_gate(courses, gate, given, beside) for gate in mine]
     gates = tuple(gate for gate in found if gate is not None)
     held = {one.place for gate in gates for one in gate.conditions}
     in_turn, answers = find_in_turn(courses, find_sources(courses, gates))
@@ -277,12 +278,25 @@ def _usual_work_s(gates: Sequence[Departures]) -> float:
     )
 
 
+class _Beside(NamedTuple):
+    """What the other gates tell of one.
+
+    Attributes:
+        usual_s: Median work time of its agent at places where he never waits, s; inf if there are none.
+        together: Conditions that both agents need in the same passages.
+        waited: The operator's visits that ended with a wait.
+    """
+
+    usual_s: float
+    together: Mapping[tuple[Gate, Condition], NeededTogether]
+    waited: Waited
+
+
 def _gate(
     courses: Sequence[ExecutionVisits],
     found: Departures,
     given: Sequence[Wait],
-    usual_s: float,
-    together: Mapping[tuple[Gate, Condition], NeededTogether],
+    beside: _Beside,
 ) -> GateCard | None:
     """Return the card of a gate; without conditions, only a `leave` gate has one (with its own work)."""
     gate = found.gate
@@ -290,7 +304,7 @@ def _gate(
         return None
     by_file = any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in given)
     found = at_latest_pace(found, courses)
-    own_s, cards = _parts(courses, found, usual_s, together)
+    own_s, cards = _parts(courses, found, beside)
     least = MIN_DECIDED if len(found.since_s) > 1 else FEW_DECIDED  # one of several may be redundant given the others
     cards = [card for card in cards if by_file or max(card.decided, card.alike) >= least]
     own_s, cards = with_work_in_lag(found, own_s, cards)
@@ -316,13 +330,12 @@ def _gate(
 def _parts(
     courses: Sequence[ExecutionVisits],
     found: Departures,
-    usual_s: float,
-    together: Mapping[tuple[Gate, Condition], NeededTogether],
+    beside: _Beside,
 ) -> tuple[tuple[float, ...], list[ConditionCard]]:
     """Return the quantiles of own work, and the condition cards.
 
     If the agent always waits, own work never ends a dwell. It is then estimated as the shortest dwell if many dwells
-    are as short; otherwise as the typical work time at other places (`usual_s`), or half of the shortest dwell if there
+    are as short; otherwise as the typical work time at other places, or half of the shortest dwell if there
     is none, but never more than the shortest dwell.
     """
     step = -(-len(found.left_s) // KEPT)
@@ -332,18 +345,18 @@ def _parts(
         own_s = distribution(stays_s, decided == 0)
     else:
         shortest_s, low, middle = np.quantile(stays_s, (0.0, 0.1, 0.3)).tolist()
-        other_s = min(usual_s, shortest_s) if np.isfinite(usual_s) else 0.5 * shortest_s
+        other_s = min(beside.usual_s, shortest_s) if np.isfinite(beside.usual_s) else 0.5 * shortest_s
         own_s = (round(low if middle - low <= TIE_S else other_s, 4),)
     cards = []
     for gate, condition in found.since_s:
         if gate != found.gate:
             continue
         every, alike = found.since_s[gate, condition], found.alike.get(condition)
-        seen_s = every if condition.event.signal is None else since_given(courses, found, condition)
+        seen_s = every if condition.event.signal is None else since_given(courses, found, condition, beside.waited)
         lag = lag_of(alike.joined, alike.condition, alike.seen_s) if alike else lag_of(found, condition, seen_s)
         mine = lag.decided[alike.mine] if alike else lag.decided
         there, event = ~np.isnan(every), condition.event
-        shared = together.get((gate, condition))
+        shared = beside.together.get((gate, condition))
         cards.append(
             ConditionCard(
                 agent=event.agent,  # type: ignore[arg-type]  # of these three

@@ -142,4 +142,4 @@ def test_a_signal_of_a_place_whose_visits_are_all_trips_keeps_its_own_time() -> 
     found = Departures(gate, rows, rows, 0 * rows, came, came, came, {(gate, condition): since})
     visits = {"robot": [PlaceVisit("fixture_1", 1.0, 5.0)], "operator": [PlaceVisit("bench", 0.0, 9.0)]}
     courses = [ExecutionVisits(name, visits, events_of(visits)) for name in "ab"]  # type: ignore[arg-type]
-    assert (since_given(courses, found, condition) == since).all()
+    assert (since_given(courses, found, condition, {}) == since).all()

@@ -18,13 +18,17 @@ if TYPE_CHECKING:
 
 
 def in_circles(robot: Sequence[Departures], operator: Sequence[Departures]) -> Iterator[tuple[Agent, Event]]:
-    """Yield conditions by which both agents wait for each other's next step; of each pair the one with less gain."""
+    """Yield conditions by which both agents wait for each other's next step; of each pair the one with less gain.
+
+    A robot that waits for a button keeps that: the operator presses it before he leaves, often just before, and so he
+    seems to leave as the robot goes on.
+    """
     for mine in robot:
         for his in operator:
             for a in mine.found:
                 for b in his.found:
                     if _meets(mine, a, his, b):
-                        drop_mine = condition_gain(mine, a) < condition_gain(his, b)
+                        drop_mine = a.event.signal is None and condition_gain(mine, a) < condition_gain(his, b)
                         yield ("robot", a.event) if drop_mine else ("operator", b.event)
 
 

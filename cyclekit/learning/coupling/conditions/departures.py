@@ -160,8 +160,10 @@ def _passed(agent: Agent, before: PlaceVisit | None, after: PlaceVisit | None) -
     if before is not None and after is not None:  # without a known destination another gate may have decided
         free_s = before.arrived_s + before.away_s  # a trip is no own work
         yield Gate(agent, "leave", before.place), free_s, before.left_s
-        if before.place != after.place or before.left_s < after.arrived_s:  # else he is there already
-            yield Gate(agent, "approach", after.place), free_s, before.left_s
+    if after is not None:  # who begins there, or is there already, does not go there, but it is one of the visits
+        goes = before is not None and (before.place != after.place or before.left_s < after.arrived_s)
+        free_s, left_s = (free_s, before.left_s) if before is not None and goes else (np.nan, np.nan)
+        yield Gate(agent, "approach", after.place), free_s, left_s
 
 
 def _departures(gate: Gate, some: list[tuple[int, int, int, float, float, float]], goals: list[str]) -> Departures:

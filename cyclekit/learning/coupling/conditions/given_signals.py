@@ -1,4 +1,7 @@
-"""Signals that the operator gives in a visit to a place, and the time that a plan knows: that of the visit."""
+"""Signals that the operator gives in a visit to a place, and the time that a plan knows: that of the visit.
+
+Who presses the button and then has to wait at it has done his work there long before he leaves.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.learning.coupling.conditions.candidates import since_event, times_of
+from cyclekit.learning.coupling.conditions.conditions import KEPT, MIN_DECIDED, decided_by
 from cyclekit.learning.coupling.events.givers import WITHIN_S
 
 if TYPE_CHECKING:
@@ -18,15 +22,36 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 
-def since_given(courses: Sequence[ExecutionVisits], found: Departures, condition: Condition) -> Vector:
+Waited = dict[tuple[int, float], float]
+"""When the event came, s, with which each visit that ended with a wait ended: by number of the execution and departure,
+s."""
+
+
+def waited_visits(operator: Sequence[Departures]) -> Waited:
+    """Return the operator's visits that he left when a condition was met, and not when his work had ended."""
+    found: Waited = {}
+    for each in operator:
+        since_s = np.array([each.left_s - each.own_s, *each.since_s.values()])
+        step = -(-len(each.left_s) // KEPT)
+        for some in (slice(n, None, step) for n in range(step if each.since_s else 0)):
+            cause, left_s = decided_by(since_s[:, some]), each.left_s[some]
+            came_s = left_s - since_s[:, some][cause, np.arange(len(cause))]
+            keys = zip(each.course[some].tolist(), left_s.tolist(), strict=True)
+            found |= {key: at for key, at, by in zip(keys, came_s.tolist(), cause.tolist(), strict=True) if by}
+    return found
+
+
+def since_given(courses: Sequence[ExecutionVisits], found: Departures, condition: Condition, waited: Waited) -> Vector:
     """Return the time since the operator left (or reached) his place in the visit in which he gave a signal.
 
-    Visits without a signal are not counted: in them he looked at the place, or the signal came in another one.
+    Visits without a signal are not counted: in them he looked at the place, or the signal came in another one. From
+    visits that ended with a wait after the signal he would have gone as long after it as he usually does.
 
     Args:
         courses: The executions.
         found: Departures that need the signal.
         condition: The condition.
+        waited: Visits that ended with a wait, as `waited_visits` returns.
 
     Returns:
         Time from that departure or arrival to each of `found`, shape (N,), s; NaN where it needs no signal, or where
@@ -35,7 +60,17 @@ def since_given(courses: Sequence[ExecutionVisits], found: Departures, condition
     event = condition.event
     if not any(visit.place == event.place for course in courses for visit in course.visits["operator"]):
         return found.since_s[found.gate, condition]  # all his visits there count as trips
-    given = [replace(course, events={event: _in_visits(course, event)}) for course in courses]
+    when_s = [_in_visits(course, event) for course in courses]
+    if event.event == "leaves":
+        given_s = [course.events.get(event, np.empty(0)) for course in courses]
+        came_s = [[waited.get((n, at), -np.inf) for at in some.tolist()] for n, some in enumerate(when_s)]
+        stayed = [np.array(came) > given for came, given in zip(came_s, given_s, strict=True)]
+        left_s = np.concatenate([(w - g)[~s] for w, g, s in zip(when_s, given_s, stayed, strict=True)])
+        left_s = left_s[np.isfinite(left_s)]
+        usual_s = float(np.median(left_s)) if len(left_s) >= MIN_DECIDED else 0.0
+        both = zip(when_s, given_s, stayed, strict=True)
+        when_s = [np.where(late, np.minimum(when, given + usual_s), when) for when, given, late in both]
+    given = [replace(course, events={event: at}) for course, at in zip(courses, when_s, strict=True)]
     return since_event(times_of(given), found, condition)
 
 

@@ -23,8 +23,11 @@ PLC may be late."""
 GIVEN, OTHER = 0.8, 0.6
 """Minimum share of a signal's changes to one state during visits to one place, if the agent gives the signal there, as
 some presses are forgotten or logged late. The second value holds for the other state of the same signal."""
-MOST = 1.5
-"""Maximum mean number of changes in a visit with any: more come from something that does not heed his visits."""
+MOST, SOON = 1.5, 0.25
+"""Maximum mean number of changes in a visit with any: more come from something that does not heed his visits, unless he
+leaves soon after the last one: usually within so much (second value) of the usual time between two of them."""
+MIN_LEFT = 5
+"""Minimum number of departures that show this."""
 
 
 def with_givers(courses: Sequence[ExecutionVisits], doubtful: Collection[Event]) -> list[ExecutionVisits]:
@@ -111,22 +114,32 @@ def _shares(courses: Sequence[ExecutionVisits], kind: Event, place: str) -> tupl
     """Return the shares of a signal's changes explained by the operator's visits to a place.
 
     First value: changes nearer to his arrival; second value: changes nearer to his departure. Changes at no visit and
-    visits without a change count against it; so do changes beyond those of usual visits, MOST on average.
+    visits without a change count against it. Several in a visit are all as near as the first or the last one of them;
+    where they are more than MOST on average, he has to leave soon after the last one.
     """
     early, late, total, seen = 0, 0, 0, 0
+    between_s, after_s = list[float](), list[float]()
     for course in courses:
         at = course.events.get(kind, np.empty(0))
         mine = [_within(visit, at) for visit in course.visits["operator"] if visit.place == place]
         visits = [visit for visit in course.visits["operator"] if visit.place == place]
         for visit, within in zip(visits, mine, strict=True):
-            end = visit.left_s if np.isfinite(visit.left_s) else np.inf
-            first = within - visit.arrived_s < end - within if np.isfinite(end) else np.zeros(len(within), np.bool_)
-            early, late = early + int(first.sum()), late + int((~first).sum())
-            seen += len(within) > 0
+            if not len(within):
+                continue
+            before_s, left_s = float(within[0] - visit.arrived_s), float(visit.left_s - within[-1])
+            early, late = (early + len(within), late) if before_s < left_s else (early, late + len(within))
+            seen += 1
+            between_s += np.diff(within).tolist()
+            after_s += [abs(left_s)] if np.isfinite(left_s) else []
         ended = [np.isfinite(visit.left_s) for visit in visits]  # in the last visit of an execution it may come later
         missed = sum(end and not len(within) for end, within in zip(ended, mine, strict=True))
         total += max(len(at), sum(map(len, mine))) + missed
     total = max(total, early + late)
-    if not total or early + late > MOST * seen:
+    if not total or (early + late > MOST * seen and not _soon(after_s, between_s)):
         return 0.0, 0.0
     return early / total, late / total
+
+
+def _soon(after_s: Sequence[float], between_s: Sequence[float]) -> bool:
+    """Return whether the operator usually leaves soon after the last change in a visit, relative to those between."""
+    return len(after_s) >= MIN_LEFT and bool(np.median(after_s) <= SOON * np.median(between_s))

@@ -28,6 +28,8 @@ if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
     sys.dont_write_bytecode = False
     atexit.register(shutil.rmtree, sys.pycache_prefix, ignore_errors=True)
 
+os.fsync = lambda _: None  # no test cuts the power, and every dataset would wait for the disk ten times
+
 gc.disable()  # until all tests are collected: a tenth of the time of that
 
 settings.register_profile("cyclekit", deadline=None, print_blob=True)
@@ -38,14 +40,9 @@ settings.load_profile("cyclekit")
 def pytest_collection_finish() -> None:
     """Leave what was imported out of every later garbage collection: 6 % of the processor time of a run."""
     gc.enable()
-    gc.collect()
     gc.freeze()
     gc.set_threshold(100_000, 50, 100)
-
-
-def pytest_sessionfinish() -> None:
-    """Let what was imported be freed at the end: some packages count what is left."""
-    gc.unfreeze()
+    atexit.register(gc.unfreeze)  # some packages count what is left; not earlier: pytest collects twice at the end
 
 
 @pytest.fixture(scope="session", autouse=True)

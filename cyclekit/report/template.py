@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import tomllib
+from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
@@ -46,6 +47,30 @@ def _shown(value: object) -> object:
     return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
+def _own(name: str) -> str | None:
+    """Return cyclekit's own file of that name; jinja calls this."""
+    if name_problem(name) is not None:
+        return None
+    page, play = files("cyclekit.report"), files("cyclekit.report.play")
+    asset = next((file for room in (page, play) if (file := room.joinpath(name)).is_file()), None)
+    return asset.read_text("utf-8") if asset is not None else None
+
+
+_OWN = jinja2.FunctionLoader(_own)
+
+
+def _environment_of(loader: jinja2.BaseLoader) -> SandboxedEnvironment:
+    return SandboxedEnvironment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, finalize=_shown
+    )  # fmt: skip
+
+
+@cache
+def _own_environment() -> SandboxedEnvironment:
+    """Return the environment without a folder, which compiles each template once for all pages of a process."""
+    return _environment_of(_OWN)
+
+
 class Template:
     """The page's own files, and the files of a folder that replace them."""
 
@@ -67,11 +92,6 @@ class Template:
         Raises:
             CyclekitError: The folder's template is wrong.
         """
-        own = jinja2.FunctionLoader(lambda name: self._own(name))
-        loader = jinja2.ChoiceLoader([jinja2.FunctionLoader(self._replaced), own])
-        environment = SandboxedEnvironment(
-            loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, finalize=_shown
-        )  # fmt: skip
         script, css = self._asset(SCRIPT), self._asset(STYLE)
         data = play.data if play else None
         if data:
@@ -79,34 +99,36 @@ class Template:
             script, css = f'{script}(() => {{\n"use strict";\n{parts}}})();\n', css + self._asset(PLAY_STYLE)
         digest = base64.b64encode(hashlib.sha256(f"\n{script}\n".encode()).digest()).decode()
         try:
-            return environment.get_template(page).render(
-                say=self.texts,
-                language=self.texts.language,
-                css=css + self._extra("extra.css"),
-                script=script,
-                script_hash=f"sha256-{digest}",
-                logo=self._logo(),
-                play=data,
-                played=play,
-                **values,
+            return (
+                self._environment()
+                .get_template(page)
+                .render(
+                    say=self.texts,
+                    language=self.texts.language,
+                    css=css + self._extra("extra.css"),
+                    script=script,
+                    script_hash=f"sha256-{digest}",
+                    logo=self._logo(),
+                    play=data,
+                    played=play,
+                    **values,
+                )
             )
         except _WRONG as error:
             msg = f"{self.folder}: the template cannot be rendered ({error})"
             raise CyclekitError(msg, cure=f"Compare it with {PAGE} of cyclekit.report.") from error
 
+    def _environment(self) -> SandboxedEnvironment:
+        if self.folder is None:
+            return _own_environment()
+        return _environment_of(jinja2.ChoiceLoader([jinja2.FunctionLoader(self._replaced), _OWN]))
+
     def _replaced(self, name: str) -> str | None:
         """Return the folder's file of that name; jinja calls this."""
         return self._extra(*name.split("/")) or None
 
-    def _own(self, name: str) -> str | None:
-        if name_problem(name) is not None:
-            return None
-        page, play = files("cyclekit.report"), files("cyclekit.report.play")
-        asset = next((file for room in (page, play) if (file := room.joinpath(name)).is_file()), None)
-        return asset.read_text("utf-8") if asset is not None else None
-
     def _asset(self, name: str) -> str:
-        return self._extra(name) or str(self._own(name) or "")
+        return self._extra(name) or str(_own(name) or "")
 
     def _file(self, *names: str) -> Path | None:
         """Return a file of the folder, None where there is none.

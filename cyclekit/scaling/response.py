@@ -16,6 +16,7 @@ import numpy as np
 from cyclekit.scaling.agreement import LATENCIES_S, PositionsBeforeChanges, agreement_of
 from cyclekit.scaling.short_ramps import LevelChange, by_counts, by_cycles, stride_of
 from cyclekit.scaling.transitions import RampRates, begin_of, fresh, held_levels, repeats, tolerance_of, transitions_of
+from cyclekit.segmentation.motion import median
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -154,7 +155,7 @@ def _change(
     gone = tuple(np.abs(scaling[first : last + 1] - levels[before]).tolist()) if rate is None else ()
     between_s = tuple(row_s.tolist()) if rate is None else ()
     return LevelChange(
-        begin_s, step, ramp.rises, rate, whole, (last - first + 1) * float(np.median(row_s)), max_rate, near, gone,
+        begin_s, step, ramp.rises, rate, whole, (last - first + 1) * median(row_s), max_rate, near, gone,
         between_s,
     )  # fmt: skip
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cyclekit.scaling.levels.plateaus import noise_of
+from cyclekit.segmentation.motion import median
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -147,7 +148,7 @@ def _is_on_ramp(t_s: Vector, scaling: Vector, rates: RampRates) -> bool:
 def _passes(scaling: Vector, first: int, last: int, near: float) -> bool:
     """Return whether rows near a level only pass it: the scaling changes there in the direction of the transition."""
     quarter = max(1, (last - first + 1) // 4)
-    change = float(np.median(scaling[last + 1 - quarter : last + 1]) - np.median(scaling[first : first + quarter]))
+    change = median(scaling[last + 1 - quarter : last + 1]) - median(scaling[first : first + quarter])
     through = float(scaling[last + 1] - scaling[first - 1])
     return abs(change) > near and change * through > 0
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.segmentation.motion import RobotRun, lengths
+from cyclekit.segmentation.motion import RobotRun, lengths, median
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -201,7 +201,7 @@ def _last(when: Vector, first_s: float, last_s: float) -> float | None:
 def _left(part: RobotRun, at: int, place_m: Vector, vague_s: float) -> tuple[float, float]:
     """Return the earliest and latest time of departure from a place; `at` is the last row of the standstill."""
     t_s, scaling = part.t_s, part.scaling
-    period_s = max(float(np.median(t_s[1:] - t_s[:-1])), 1e-4) if len(t_s) > 1 else 1.0
+    period_s = max(median(t_s[1:] - t_s[:-1]), 1e-4) if len(t_s) > 1 else 1.0
     off, reach = _off(part, at, place_m, SMOOTH_S, period_s)
     wide, wide_reach = _off(part, at, place_m, STILL_S, period_s)  # separates a stop from a nearby resting position
     resting = np.flatnonzero(wide[: at + 1] <= wide_reach)
@@ -255,7 +255,7 @@ def _off(part: RobotRun, at: int, place_m: Vector, over_s: float, period_s: floa
     over = round(over_s / period_s) | 1
     smooth = _averaged(part.xyz_m, over)
     stood = smooth[: at + 1]
-    jitter = float(np.median(lengths(stood[over:] - stood[:-over]))) if at >= over else 0.0
+    jitter = median(lengths(stood[over:] - stood[:-over])) if at >= over else 0.0
     reach = max(REST_M, 3.0 * jitter)
     rest_m = _rest(stood, part.scaling[: at + 1], place_m, reach, round(REST_S / period_s))
     return lengths(smooth - rest_m), reach

@@ -28,6 +28,8 @@ COLUMNS = ("t_s", "tcp_x_m", "tcp_y_m", "tcp_z_m", "tcp_speed_m_s", "scaling")
 """Columns of table ROBOT that a run needs."""
 STANDING, PAUSED, STOPPED, NOT_LOGGED, NO_REFERENCE, NEVER_FULL, OTHER_PATH, TOO_SLOW, LOG_GAP = range(9)
 """Reasons for an unknown scaling: indices into `schema.SCALING_GAPS`."""
+_FEW = 500
+"""Maximum number of values whose median is found faster by sorting them."""
 
 
 class InferredScaling(NamedTuple):
@@ -194,6 +196,17 @@ def half_window(period_s: float) -> int:
 def lengths(ways_m: Points) -> Vector:
     """Return the lengths (N,) of vectors (N, D); as numpy's norm, without its overhead."""
     return np.asarray(np.sqrt(np.add.reduce(ways_m * ways_m, axis=1)))
+
+
+def median(values: Vector) -> float:
+    """Return the median of values (N,), N > 0; NaN if one is unknown. As numpy's, without its overhead."""
+    if len(values) > _FEW:
+        return float(np.median(values))
+    ordered, half = np.sort(values), len(values) // 2
+    if np.isnan(ordered[-1]):
+        return float("nan")
+    middle = ordered[half] if len(values) % 2 else (ordered[half - 1] + ordered[half]) / 2
+    return float(middle + 0.0)  # numpy gives 0 for -0
 
 
 def slope(t_s: Vector, xyz_m: Points, half: int) -> Vector:

@@ -17,7 +17,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.schema import ROBOT, conform
 from cyclekit.segmentation import stored_run
-from cyclekit.segmentation.motion import COLUMNS, NEVER_FULL, STANDING, InferredScaling, RobotRun
+from cyclekit.segmentation.motion import COLUMNS, NEVER_FULL, STANDING, InferredScaling, RobotRun, median
 from cyclekit.segmentation.stored_run import pieces, runs_of, sampled
 from cyclekit.storage import parquet as tables
 from cyclekit.storage import parquet_layout as table_layout
@@ -169,3 +169,11 @@ def test_a_dataset_does_not_depend_on_how_much_is_read_at_once(
     assert in_pieces.tasks().equals(cell.dataset.tasks())
     assert in_pieces.samples().equals(cell.dataset.samples())
     assert in_pieces.card.places == cell.dataset.card.places
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False, width=32), min_size=1, max_size=9), st.booleans())
+def test_the_median_is_numpys(values: list[float], unknown: bool):
+    some = np.array([*values, np.nan] if unknown else values)
+    np.testing.assert_equal(median(some), np.median(some))
+    many = np.resize(some, 501)
+    np.testing.assert_equal(median(many), np.median(many))
